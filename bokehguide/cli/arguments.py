@@ -1,0 +1,137 @@
+"""What may be typed after `bokehguide`. Imports nothing heavy: `--help` is instant."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from bokehguide import __version__
+from bokehguide.errors import BokehguideError
+
+SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml scene file, or a .glb .gltf .obj .ply .stl model"
+
+
+class Parser(argparse.ArgumentParser):
+    """Knows no abbreviations, and reports a mistake as every other part does: in one line."""
+
+    def __init__(self, **keywords: object) -> None:
+        super().__init__(allow_abbrev=False, **keywords)
+
+    def error(self, message: str) -> NoReturn:
+        raise BokehguideError(f"{message}; see `{self.prog} --help`")
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """The options of one command; `command` names it. Raises BokehguideError for a mistake."""
+    parser = Parser(
+        prog="bokehguide",
+        description="Renders defocused photographs by path tracing with guided lens sampling.",
+    )
+    parser.add_argument("--version", action="version", version=f"bokehguide {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_render(commands)
+    _add_metrics(commands)
+    info = commands.add_parser("info", help="tell what a scene holds and what of it was ignored")
+    info.add_argument("scene", metavar="SCENE", help=SCENE_HELP)
+    commands.add_parser("scenes", help="list the built-in scenes")
+    return parser.parse_args(_attach_negative_values(arguments))
+
+
+def _add_render(commands: argparse._SubParsersAction) -> None:
+    render = commands.add_parser("render", help="render a scene to an EXR and a PNG")
+    add = render.add_argument
+    add("scene", metavar="SCENE", help=SCENE_HELP)
+    add("--mode", default="lis-o", metavar="uniform|lis|lis-b|lis-o", help="how the lens is sampled (default: lis-o)")
+    add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
+    add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
+    add("--seed", type=natural, default=0, metavar="N", help="of the random numbers (default: 0)")
+    add("--out", type=Path, metavar="PATH.exr", help="where to write; a PNG goes beside it (default: SCENE-MODE.exr)")
+    add("--logdir", type=Path, metavar="DIR", help="write TensorBoard logs into DIR/SCENE/MODE")
+    add("--reference", type=Path, metavar="REF.exr", help="report the error against this image as the render goes on")
+    add("--device", choices=("cpu", "cuda"), default="cpu", help="where tensors live (default: cpu)")
+    add("--threads", type=positive, metavar="N", help="threads that trace and shade (default: one per core)")
+    add("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as one JSON object")
+    add("--exposure", type=finite, default=0.0, metavar="EV", help="of PNG and TensorBoard pictures (default: 0)")
+    _add_overrides(render)
+
+
+def _add_overrides(command: argparse.ArgumentParser) -> None:
+    group = command.add_argument_group("for a model, which brings no scene file, or to override one")
+    add = group.add_argument
+    add("--environment", metavar="MAP|R,G,B", help="a .hdr or .exr map, or a constant radiance")
+    lens = group.add_mutually_exclusive_group()
+    lens.add_argument("--f-number", type=float, metavar="N")
+    lens.add_argument("--aperture-radius", type=float, metavar="M", help="metres; 0 is a pinhole")
+    add("--focus-distance", type=float, metavar="M", help="metres along the optical axis")
+    add("--camera-position", type=vector, metavar="X,Y,Z")
+    add("--camera-target", type=vector, metavar="X,Y,Z")
+    add("--fov", type=float, metavar="DEG", help="horizontal field of view in degrees")
+
+
+def _add_metrics(commands: argparse._SubParsersAction) -> None:
+    metrics = commands.add_parser("metrics", help="compare two images: MAPE, relMSE, SSIM, PSNR")
+    add = metrics.add_argument
+    add("image", type=Path, metavar="IMAGE.exr")
+    add("reference", type=Path, metavar="REFERENCE.exr")
+    insets = "also compare this box, in fractions of the frame from its top left; may be repeated"
+    add("--inset", type=inset, action="append", default=[], metavar="X,Y,W,H", help=insets)
+
+
+def positive(text: str) -> int:
+    value = natural(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError("'0' is not a whole number of 1 or more")
+    return value
+
+
+def natural(text: str) -> int:
+    if not re.fullmatch(r"[0-9]+", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 0 or more")
+    return int(text)
+
+
+def finite(text: str) -> float:
+    return _numbers(text, "EV")[0]
+
+
+def size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([1-9][0-9]*)x([1-9][0-9]*)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size; give width x height in pixels, such as 640x360")
+    return int(match[1]), int(match[2])
+
+
+def vector(text: str) -> tuple[float, float, float]:
+    return _numbers(text, "X,Y,Z")
+
+
+def inset(text: str) -> tuple[float, float, float, float]:
+    x, y, width, height = _numbers(text, "X,Y,W,H")
+    if not (0 <= x and 0 <= y and 0 < width and 0 < height and x + width <= 1 and y + height <= 1):
+        raise argparse.ArgumentTypeError(f"{text!r} leaves the frame; give X,Y,W,H as fractions of it, between 0 and 1")
+    return x, y, width, height
+
+
+def _numbers(text: str, form: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != len(form.split(",")) or not all(map(math.isfinite, values)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not {form}; give finite numbers without spaces")
+    return values
+
+
+def _attach_negative_values(arguments: Sequence[str]) -> list[str]:
+    """Join `--option -1,2,3` to `--option=-1,2,3`, which argparse would take for two options."""
+    joined: list[str] = []
+    for argument in arguments:
+        if re.match(r"-\.?[0-9]", argument) and joined and re.fullmatch(r"--[a-z-]+", joined[-1]):
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined

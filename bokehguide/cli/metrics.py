@@ -1,0 +1,38 @@
+"""`bokehguide metrics`."""
+
+from __future__ import annotations
+
+import argparse
+
+import torch
+from torch import Tensor
+
+from bokehguide.errors import BokehguideError
+from bokehguide.image import read_rgb
+from bokehguide.metrics import Metrics, compare
+from bokehguide.scene.types import Inset
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the metrics of the frame and of each inset, a line each."""
+    image = torch.from_numpy(read_rgb(options.image))
+    reference = torch.from_numpy(read_rgb(options.reference))
+    try:
+        rows = {"frame": compare(image, reference)}
+        rows |= {_label(box): _compare_inset(image, reference, Inset(*box)) for box in options.inset}
+    except BokehguideError as error:
+        raise BokehguideError(f"{options.image} against {options.reference}: {error}") from error
+    width = max(map(len, rows))
+    print(f"{'':<{width}}  {'MAPE':>10} {'relMSE':>10} {'SSIM':>8} {'PSNR':>8}")
+    for label, row in rows.items():
+        print(f"{label:<{width}}  {row.mape:>10.5f} {row.relmse:>10.5f} {row.ssim:>8.5f} {row.psnr:>8.3f}")
+    return 0
+
+
+def _compare_inset(image: Tensor, reference: Tensor, inset: Inset) -> Metrics:
+    rows, columns = inset.pixels(image.shape[1], image.shape[0])
+    return compare(image[rows, columns], reference[rows, columns])
+
+
+def _label(box: tuple[float, float, float, float]) -> str:
+    return "inset " + ",".join(f"{value:g}" for value in box)

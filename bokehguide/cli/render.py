@@ -1,0 +1,127 @@
+"""`bokehguide render`."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from bokehguide.cli.interrupt import Interrupt
+from bokehguide.cli.report import Report, write_json
+from bokehguide.errors import BokehguideError
+from bokehguide.image import read_rgb, tone_map, write_exr, write_png
+from bokehguide.image.files import check_writable
+from bokehguide.metrics import check, mape, relmse
+from bokehguide.scene import Film, Overrides, load_scene
+from bokehguide.train import RenderLoop, RenderSettings
+from bokehguide.train.logger import RenderLogger, run_folder
+from bokehguide.train.metadata import describe_render
+
+OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "camera_position", "camera_target", "fov")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Render to an EXR and a PNG; everything that can be wrong is checked before the first ray."""
+    scene = load_scene(options.scene, overrides_from(options))
+    settings = RenderSettings(
+        mode=options.mode, spp=options.spp, seed=options.seed, device=options.device, threads=options.threads
+    )
+    reference = read_reference(options.reference, scene.film)
+    out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
+    check_outputs(out, options, run_folder(options.logdir or "", scene, settings))
+    for warning in scene.warnings:
+        print(f"bokehguide: warning: {warning}", file=sys.stderr)
+
+    loop = RenderLoop(scene, settings)
+    logger = RenderLogger(options.logdir, scene, settings, options.exposure) if options.logdir else None
+    with Interrupt() as interrupt:
+        report = Report(f"{scene.name} {settings.mode}", settings)
+        for _ in range(settings.spp):
+            stats = loop.step()
+            errors = measure(loop.film.radiance(), reference)
+            report.add(stats, errors)
+            if logger:
+                logger.log(loop, stats, errors)
+            if interrupt.requested:
+                break
+
+    if logger:
+        logger.finish(loop, report.spp)
+    facts = describe_render(scene, settings, report.spp) | {"command": command_line(options, report.spp)}
+    write_exr(out, loop.film.layers(), facts)
+    write_png(out.with_suffix(".png"), tone_map(loop.film.radiance(), options.exposure))
+    summary = report.finish(loop)
+    if options.json:
+        write_json(options.json, summary)
+    tell(summary, loop, settings, out)
+    return 130 if interrupt.requested else 0
+
+
+def overrides_from(options: argparse.Namespace) -> Overrides:
+    """What the command line changes about the scene."""
+    width, height = options.size or (None, None)
+    return Overrides(width=width, height=height, **{name: getattr(options, name) for name in OVERRIDES})
+
+
+def read_reference(path: Path | None, film: Film) -> Tensor | None:
+    """Radiance `[H, W, 3]` to measure against, or None. Raises where it does not fit the frame."""
+    if path is None:
+        return None
+    reference = torch.from_numpy(read_rgb(path))
+    try:
+        check(torch.zeros(film.height, film.width, 3), reference)
+    except BokehguideError as error:
+        raise BokehguideError(f"--reference {path}: {error}") from error
+    return reference
+
+
+def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> None:
+    """Raise BokehguideError where something that is to be written cannot be."""
+    if out.suffix.lower() != ".exr":
+        raise BokehguideError(f"--out: {str(out)!r} is no EXR; end it in .exr")
+    check_writable(out)
+    if options.json:
+        check_writable(options.json)
+    if options.logdir:
+        check_writable(log_folder / "events")
+
+
+def measure(radiance: Tensor, reference: Tensor | None) -> dict[str, float]:
+    """MAPE and relMSE, or nothing where there is no reference."""
+    if reference is None:
+        return {}
+    radiance = radiance.cpu()
+    return {"mape": mape(radiance, reference), "relmse": relmse(radiance, reference)}
+
+
+def command_line(options: argparse.Namespace, spp: int) -> str:
+    """The command that renders this picture again."""
+    size = {"size": "x".join(map(str, options.size))} if options.size else {}
+    kept = {name: getattr(options, name) for name in ("mode", "seed", "device", "exposure", *OVERRIDES)}
+    words = ["bokehguide", "render", options.scene]
+    for name, value in (kept | size | {"spp": spp}).items():
+        if value is not None:
+            text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+            words.append(f"--{name.replace('_', '-')}={text}")
+    return shlex.join(words)
+
+
+def tell(summary: dict, loop: RenderLoop, settings: RenderSettings, out: Path) -> None:
+    """Say how it went: on stdout what was made, on stderr what went wrong."""
+    errors = f", MAPE {summary['mape']:.5f}, relMSE {summary['relmse']:.5f}" if "mape" in summary else ""
+    rate = summary["samples_per_second"] / 1e6
+    print(f"{summary['spp']} SPP in {summary['seconds']:.1f} s, {rate:.2f} million samples/s{errors}")
+    print(f"wrote {out} and {out.with_suffix('.png')}")
+    if loop.film.bad_count:
+        bad = loop.film.bad_samples[0]
+        print(
+            f"bokehguide: warning: {loop.film.bad_count} NaN or infinite samples were left out; the first: "
+            f"pixel ({bad.x}, {bad.y}), step {bad.step}, --seed {bad.seed}",
+            file=sys.stderr,
+        )
+    if summary["spp"] < settings.spp:
+        print(f"bokehguide: interrupted at {summary['spp']} of {settings.spp} SPP", file=sys.stderr)

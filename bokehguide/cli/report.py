@@ -1,0 +1,71 @@
+"""What a render reports of itself: while it runs, at its end, and as JSON."""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from tqdm import tqdm
+
+from bokehguide.image.files import replacing
+from bokehguide.train import RenderLoop, RenderSettings, StepStats
+
+
+class Report:
+    """Adds up the steps of a render and shows them in a progress bar on stderr."""
+
+    def __init__(self, title: str, settings: RenderSettings):
+        self.settings = settings
+        self.spp = 0
+        self.samples = 0
+        self.gaussians = 0
+        self.errors: Mapping[str, float] = {}
+        self._rendering = 0.0
+        self._start = time.perf_counter()
+        # A log file gets a line now and then, a terminal a bar that moves.
+        interval = 0.1 if sys.stderr.isatty() else 10.0
+        self.bar = tqdm(total=settings.spp, desc=title, unit="SPP", mininterval=interval, dynamic_ncols=True)
+
+    def add(self, stats: StepStats, errors: Mapping[str, float]) -> None:
+        """Count one step; `errors` (`mape`, `relmse`) is empty where there is no reference."""
+        self.spp, self.gaussians, self.errors = stats.step, stats.gaussians, errors
+        self.samples += stats.samples
+        self._rendering += stats.seconds
+        words = [f"{self.samples / self._rendering / 1e6:.2f} M samples/s"]
+        words += [f"MAPE {errors['mape']:.4f}"] if errors else []
+        self.bar.set_postfix_str(", ".join(words), refresh=False)
+        self.bar.update()
+
+    def finish(self, loop: RenderLoop) -> dict[str, object]:
+        """Close the bar and give the facts of the whole render, ready for JSON."""
+        self.bar.close()
+        seconds = time.perf_counter() - self._start
+        phases = dict(loop.phases)
+        # Metrics, logs and files are output too, and the loop does not see them.
+        phases["output"] += seconds - sum(phases.values())
+        return {
+            "mode": self.settings.mode,
+            "spp": self.spp,
+            "seconds": seconds,
+            "samples_per_second": self.samples / seconds,
+            "peak_memory_mb": peak_memory_mb(),
+            "gaussians": self.gaussians,
+            **self.errors,
+            "phases": phases,
+        }
+
+
+def write_json(path: Path, facts: Mapping[str, object]) -> None:
+    """Write one JSON object. Raises BokehguideError where the folder cannot be written."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(facts, indent=2) + "\n")
+
+
+def peak_memory_mb() -> float:
+    """The most memory this process has held, in MiB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)

@@ -1,0 +1,102 @@
+"""EXR files: one part, one float channel per name, so that every compositor reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+
+from bokehguide.errors import BokehguideError
+from bokehguide.image.files import replacing, unwritable
+
+MAGIC = b"\x76\x2f\x31\x01"
+HALF_MAX = float(np.finfo(np.float16).max)
+
+# Alpha is associated (the beauty is already multiplied by it), as EXR has it.
+CHANNELS = {
+    "beauty": ("R", "G", "B"),
+    "alpha": ("A",),
+    "depth": ("depth.Z",),
+    "normal": ("normal.X", "normal.Y", "normal.Z"),
+    "albedo": ("albedo.R", "albedo.G", "albedo.B"),
+    "variance": ("variance.Y",),
+    "sample_count": ("samples.Y",),
+}
+
+
+def write_exr(
+    path: str | Path,
+    layers: Mapping[str, np.ndarray],
+    metadata: Mapping[str, str | int | float] | None = None,
+    half: bool = False,
+) -> None:
+    """Write the layers that are given, in 32-bit float or, with `half`, 16-bit.
+
+    layers: keys of `CHANNELS`; `[H, W]`, or `[H, W, 3]` where there are three channels.
+    metadata: header attributes. OpenEXR keeps names such as `version` and `type` for itself.
+
+    Raises BokehguideError where the folder cannot be written, or where `half` cannot
+    hold a value. The file appears only when it is complete.
+    """
+    channels = {}
+    for layer, pixels in layers.items():
+        for index, name in enumerate(CHANNELS[layer]):
+            plane = pixels if pixels.ndim == 2 else pixels[..., index]
+            channels[name] = _plane(path, name, plane, np.float16 if half else np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with replacing(path) as temporary:
+        try:
+            OpenEXR.File(header | dict(metadata or {}), channels).write(str(temporary))
+        except RuntimeError as error:
+            raise unwritable(Path(path), error) from error
+
+
+def read_exr(path: str | Path) -> dict[str, np.ndarray]:
+    """Every channel of a file's first part by its name (`R`, `depth.Z`, ...), float32 `[H, W]`.
+
+    Raises BokehguideError for a file that is missing, damaged or no EXR.
+    """
+    return _read(path)[1]
+
+
+def read_metadata(path: str | Path) -> dict[str, object]:
+    """The header attributes of a file, those of `write_exr` among them. Raises as `read_exr`."""
+    return _read(path)[0]
+
+
+def read_rgb(path: str | Path) -> np.ndarray:
+    """The channels R, G and B, float32 `[H, W, 3]`. Raises as `read_exr`, and where one is missing."""
+    channels = read_exr(path)
+    missing = [name for name in "RGB" if name not in channels]
+    if missing:
+        raise BokehguideError(
+            f"{path}: no channel {', '.join(missing)} among {', '.join(sorted(channels))}; "
+            "give an EXR with R, G and B"
+        )
+    return np.stack([channels[name] for name in "RGB"], axis=-1)
+
+
+def _plane(path: str | Path, name: str, plane: np.ndarray, dtype: type) -> np.ndarray:
+    if dtype is np.float16 and np.abs(plane, where=np.isfinite(plane), out=np.zeros_like(plane)).max() > HALF_MAX:
+        raise BokehguideError(f"{path}: {name} exceeds {HALF_MAX:.0f}, the largest half float; write 32-bit floats")
+    # OpenEXR writes other pixels, silently, where an array is a strided view.
+    return np.ascontiguousarray(plane, dtype=dtype)
+
+
+def _read(path: str | Path) -> tuple[dict[str, object], dict[str, np.ndarray]]:
+    try:
+        with open(path, "rb") as file:
+            magic = file.read(4)
+    except OSError as error:
+        raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    # Looked at here because OpenEXR prints to stderr before it raises.
+    if magic != MAGIC:
+        raise BokehguideError(f"{path}: is not an EXR file; give a file made by `bokehguide render`, or any .exr")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: np.array(channel.pixels, dtype=np.float32) for name, channel in file.channels().items()}
+            return dict(file.header()), channels
+    except (RuntimeError, ValueError) as error:
+        raise BokehguideError(f"{path}: is damaged ({error}); make or fetch it again") from error

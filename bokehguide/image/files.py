@@ -1,0 +1,52 @@
+"""Files that are either the old ones or the new ones, never half of one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from bokehguide.errors import BokehguideError
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path` that takes its place once all is written.
+
+    Where the block fails, `path` is left as it was. Raises BokehguideError where
+    the folder cannot be written.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise unwritable(path, error) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def check_writable(path: str | Path) -> None:
+    """Make the folder of the file `path` where it is missing, and try to write there.
+
+    A trial is the only test that also sees full disks and read-only mounts.
+    Raises BokehguideError where it fails or where `path` is itself a folder.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise BokehguideError(f"{path}: is a folder; give the path of a file in it")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        trial = path.with_name(f".{path.name}.{os.getpid()}.trial")
+        trial.touch()
+        trial.unlink()
+    except OSError as error:
+        raise unwritable(path, error) from error
+
+
+def unwritable(path: Path, error: Exception) -> BokehguideError:
+    reason = getattr(error, "strerror", None) or error
+    return BokehguideError(f"{path}: cannot be written ({reason}); choose another folder")

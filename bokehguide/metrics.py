@@ -1,0 +1,84 @@
+"""How far an image is from a reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from bokehguide.errors import BokehguideError
+from bokehguide.image import tone_map
+
+EPSILON = 0.01
+"""Added to the reference in the denominators, so that black pixels count, but not without bound."""
+
+SSIM_WINDOW = 11
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """MAPE and relMSE of the radiance; SSIM and PSNR (dB) of the tone-mapped values."""
+
+    mape: float
+    relmse: float
+    ssim: float
+    psnr: float
+
+
+def mape(image: Tensor, reference: Tensor) -> float:
+    """Mean over pixels and channels of |I - R| / (R + 0.01); radiance `[H, W, 3]`.
+
+    Raises BokehguideError as `check` does.
+    """
+    check(image, reference)
+    return ((image - reference).abs() / (reference + EPSILON)).mean().item()
+
+
+def relmse(image: Tensor, reference: Tensor) -> float:
+    """Mean over pixels and channels of ((I - R) / (R + 0.01))²; radiance `[H, W, 3]`.
+
+    Raises BokehguideError as `check` does.
+    """
+    check(image, reference)
+    return ((image - reference) / (reference + EPSILON)).square().mean().item()
+
+
+def compare(image: Tensor, reference: Tensor, exposure: float = 0.0) -> Metrics:
+    """All four measures of radiance `[H, W, 3]`, tone-mapped at `exposure` EV where that is due.
+
+    Raises BokehguideError as `check` does, and for images smaller than SSIM's window.
+    """
+    from kornia.metrics import psnr, ssim  # takes over a second, and a render does without
+
+    check(image, reference)
+    height, width = image.shape[:2]
+    if min(height, width) < SSIM_WINDOW:
+        raise BokehguideError(
+            f"{width}x{height} pixels are too few for SSIM; compare at least {SSIM_WINDOW}x{SSIM_WINDOW}"
+        )
+    shown, expected = (tone_map(x, exposure).movedim(-1, 0)[None] for x in (image, reference))
+    return Metrics(
+        mape=mape(image, reference),
+        relmse=relmse(image, reference),
+        ssim=ssim(shown, expected, SSIM_WINDOW).mean().item(),
+        psnr=psnr(shown, expected, 1.0).item(),
+    )
+
+
+def check(image: Tensor, reference: Tensor) -> None:
+    """Raise BokehguideError for unequal shapes, NaN or infinity, or a negative reference."""
+    if image.shape != reference.shape:
+        raise BokehguideError(
+            f"the image is {_size(image)} and the reference {_size(reference)} pixels; give two of one size"
+        )
+    for name, pixels in (("image", image), ("reference", reference)):
+        bad = int((~torch.isfinite(pixels)).sum())
+        if bad:
+            raise BokehguideError(f"the {name} has {bad} NaN or infinite values; a mean over them means nothing")
+    if reference.min() < 0.0:
+        raise BokehguideError(f"the reference has a negative value, {reference.min():g}; give radiance")
+
+
+def _size(image: Tensor) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}"

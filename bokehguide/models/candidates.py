@@ -1,0 +1,79 @@
+"""Which Gaussians can be seen through the lens by which pixel: a packed list.
+
+The list is made by drawing one disc per Gaussian, so the work grows with the pixels
+covered and never with pixels × Gaussians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from bokehguide.models.gaussian_field import GaussianField
+from bokehguide.render.camera import ThinLensCamera
+
+MAX_CANDIDATES = 16
+"""A pixel keeps this many of its strongest Gaussians."""
+PIXEL_MARGIN = 0.7072
+"""Half a pixel's diagonal: discs are tested at pixel centres."""
+
+
+@dataclass
+class CandidateList:
+    """Candidates of pixel i: `gaussian[start[i] : start[i + 1]]`, the strongest first.
+
+    start: int64 `[pixels + 1]`; gaussian: int32 `[M]`.
+    """
+
+    start: Tensor
+    gaussian: Tensor
+
+    def batch(self, first: int, count: int) -> tuple[Tensor, Tensor]:
+        """Starts `[count + 1]` from 0 and Gaussians int64 of `count` pixels from `first` on."""
+        start = self.start[first : first + count + 1]
+        low, high = int(start[0]), int(start[-1])
+        return start - low, self.gaussian[low:high].long()
+
+
+def draw_candidates(field: GaussianField, camera: ThinLensCamera, slack: float = 0.0) -> CandidateList:
+    """List the Gaussians that each pixel may see, by drawing their discs on the raster.
+
+    slack: by how many σ the means may still move (polynomial offsets).
+    """
+    center, radius = field.footprints(camera)
+    lens = camera.lens
+    extra = slack * field.sigma / (field.mean[2] * camera.pixel_slope)
+    strength = field.lens_weights(lens.focus_distance)
+    order = strength.argsort(descending=True)
+    center, radius = center[:, order], (radius + extra + PIXEL_MARGIN)[order]
+    pixel, drawn = _fill_discs(center, radius, camera.width, camera.height)
+    pixel, by_pixel = torch.sort(pixel, stable=True)  # keeps the strongest first
+    start = torch.searchsorted(pixel, torch.arange(camera.width * camera.height + 1, device=pixel.device, dtype=pixel.dtype))
+    rank = torch.arange(len(pixel), device=pixel.device) - start[pixel.long()]
+    kept = (rank < MAX_CANDIDATES).nonzero()[:, 0]
+    counts = (start[1:] - start[:-1]).clamp(max=MAX_CANDIDATES)
+    start = torch.cat((torch.zeros_like(counts[:1]), counts.cumsum(0)))
+    return CandidateList(start, order[drawn[by_pixel[kept]].long()].int())
+
+
+def _fill_discs(center: Tensor, radius: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+    """Pixels whose centres lie in each disc: int32 pixel and disc numbers `[M]`, disc by disc."""
+    top = (center[1] - radius - 0.5).ceil().clamp(0, height).long()
+    bottom = ((center[1] + radius - 0.5).floor() + 1.0).clamp(0, height).long()
+    disc, row = _expand(top, bottom)
+    dy = row + 0.5 - center[1, disc]
+    half = (radius[disc].square() - dy.square()).clamp(min=0.0).sqrt()
+    left = (center[0, disc] - half - 0.5).ceil().clamp(0, width).long()
+    right = ((center[0, disc] + half - 0.5).floor() + 1.0).clamp(0, width).long()
+    span, column = _expand(left, right)
+    return (row[span] * width + column).int(), disc[span].int()
+
+
+def _expand(low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
+    """All (i, v) with low[i] ≤ v < high[i], in order: int64 `[M]` each."""
+    counts = (high - low).clamp(min=0)
+    owner = torch.repeat_interleave(counts)
+    first = counts.cumsum(0) - counts
+    return owner, torch.arange(len(owner), device=low.device) - first[owner] + low[owner]

@@ -1,0 +1,118 @@
+"""Distributions of lens points: `sample`, `pdf` and `log_prob` in the manner of torch.distributions.
+
+Lens points are `[2, N]` in metres in the camera frame; densities are per unit lens area.
+Uniform numbers come from the caller, who keys them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from bokehguide.models.projection import lens_density, project_to_lens
+from bokehguide.render.lens import Lens
+
+
+class UniformLensDistribution:
+    """p_U = 1/A on the aperture (Eq. 9), for N pixels."""
+
+    UNIFORMS = 2
+
+    def __init__(self, lens: Lens):
+        self.lens = lens
+
+    def sample(self, uniforms: Tensor) -> Tensor:
+        """Lens points `[2, N]` from uniform numbers `[2, N]`."""
+        return self.lens.sample(uniforms)
+
+    def pdf(self, points: Tensor) -> Tensor:
+        """1/A inside the aperture, 0 outside, `[N]`."""
+        return self.lens.contains(points) / self.lens.area
+
+    def log_prob(self, points: Tensor) -> Tensor:
+        """Logarithm of `pdf`, -inf outside."""
+        return self.pdf(points).log()
+
+
+class GuidedLensDistribution:
+    """q = β p_GMM + (1 - β) / A (Eq. 26), one mixture of projected Gaussians for each of N pixels.
+
+    Candidates are packed: those of pixel i stand at `start[i] : start[i + 1]`. The support
+    is the whole lens plane, because a projected Gaussian reaches beyond the aperture: draws
+    outside are samples of value 0. Candidates that Eq. 22 culls are left out; a pixel that
+    keeps none falls back to the uniform distribution.
+
+    lens: the aperture. focus: x_F `[3, N]`. beta: β `[N]`. start: int64 `[N + 1]`.
+    mean `[3, M]`, sigma `[M]` (metres, camera frame) and weight `[M]` (any scale, positive):
+    the candidates' Gaussians.
+    """
+
+    UNIFORMS = 5
+
+    def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, mean: Tensor, sigma: Tensor, weight: Tensor):
+        self.lens = lens
+        self.focus = focus
+        counts = start[1:] - start[:-1]
+        self.owner = torch.repeat_interleave(counts)
+        """Pixel `[M]` that each candidate belongs to."""
+        self.mean, self.sigma = mean, sigma
+        self._focus = focus.index_select(1, self.owner)
+        kept_weight = weight * self._is_kept()
+        self._cumulative = torch.cat((torch.zeros(1, dtype=torch.float64, device=weight.device), kept_weight.double().cumsum(0)))
+        self._low, self._high = self._cumulative[start[:-1]], self._cumulative[start[1:]]
+        total = (self._high - self._low).float()
+        self.guided = total > 0.0
+        """Pixels that have anything to be guided by, bool `[N]`."""
+        self.beta = beta * self.guided
+        self.weight = kept_weight / total.clamp(min=1e-30).index_select(0, self.owner)
+        """Mixture weights `[M]`, which sum to 1 over the candidates of a guided pixel."""
+
+    def _is_kept(self) -> Tensor:
+        """C_G of Eq. 22: the projected mean lies within r + |k|σ of the lens centre; float32 `[M]`."""
+        k = self._focus[2] / (self._focus[2] - self.mean[2])
+        x, y = project_to_lens(self.mean, self._focus).unbind(0)
+        reach = self.lens.radius + k.abs() * self.sigma
+        return (x * x + y * y < reach * reach).to(torch.float32)
+
+    def sample(self, uniforms: Tensor) -> Tensor:
+        """Lens points `[2, N]` from uniform numbers `[5, N]`; they may lie outside the aperture.
+
+        A guided draw is a point of the 3D Gaussian, projected through x_F (section 4.1.3).
+        """
+        points = self.lens.sample(uniforms[2:4])
+        index = (uniforms[0] < self.beta).nonzero()[:, 0]
+        chosen = self._choose(index, uniforms[1, index])
+        normals = math.sqrt(2.0) * torch.erfinv(2.0 * uniforms[2:5, index] - 1.0)
+        spot = self.mean[:, chosen] + self.sigma[chosen] * normals
+        points[:, index] = project_to_lens(spot, self.focus[:, index]).nan_to_num(1e30, 1e30, -1e30).clamp(-1e15, 1e15)
+        return points
+
+    def _choose(self, index: Tensor, uniforms: Tensor) -> Tensor:
+        """Candidates `[K]` of the pixels at `index` `[K]`, drawn by weight."""
+        low, high = self._low[index], self._high[index]
+        target = low + (high - low) * uniforms.double()
+        found = torch.searchsorted(self._cumulative, target, right=True) - 1
+        return found.clamp(max=len(self.sigma) - 1)
+
+    def component_pdf(self, points: Tensor) -> Tensor:
+        """p_i at each pixel's lens point, for all of its candidates, `[M]`."""
+        return lens_density(points.index_select(1, self.owner), self._focus, self.mean, self.sigma)
+
+    def mixture_pdf(self, components: Tensor) -> Tensor:
+        """p_GMM `[N]` from `component_pdf`."""
+        mixture = torch.zeros(self.focus.shape[1], device=components.device)
+        return mixture.index_add_(0, self.owner, self.weight * components)
+
+    def blend(self, points: Tensor, mixture: Tensor) -> Tensor:
+        """q of Eq. 26, `[N]`."""
+        return self.beta * mixture + (1.0 - self.beta) * self.lens.contains(points) / self.lens.area
+
+    def pdf(self, points: Tensor) -> Tensor:
+        """q at one lens point for each pixel, `[N]`, on the whole lens plane."""
+        return self.blend(points, self.mixture_pdf(self.component_pdf(points)))
+
+    def log_prob(self, points: Tensor) -> Tensor:
+        """Logarithm of `pdf`, `[N]`."""
+        return self.pdf(points).log()

@@ -1,0 +1,65 @@
+"""The bipolar-cone projection: 3D Gaussians as densities on the lens (Eq. 16, 17 and 21).
+
+Everything is in the camera frame (origin at the lens centre, z along the optical axis);
+lens points are `[2, N]`, in metres, on the plane z = 0.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.vector import cross, dot
+
+
+def lens_magnification(depth: Tensor, focus_distance: float) -> Tensor:
+    """k = d_F / (d_F - Z) `[N]`: how the lens plane shows lengths at depth Z through x_F.
+
+    It has a pole at the focal plane; points in focus are never guided.
+    """
+    return focus_distance / (focus_distance - depth)
+
+
+def project_to_lens(points: Tensor, focus: Tensor) -> Tensor:
+    """Lens points `[2, N]` where the lines from `points` through `focus` (both `[3, N]`) meet the lens plane."""
+    k = focus[2] / (focus[2] - points[2])
+    return focus[:2] + (points[:2] - focus[:2]) * k
+
+
+def lens_density(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
+    """Density `[N]` per unit area of the lens plane of an isotropic 3D Gaussian seen through x_F.
+
+    lens_points: `[2, N]`; focus, mean: `[3, N]`; sigma: `[N]`. Both directions ±ω from x_F
+    reach the same lens point; in F(ω) + F(-ω) the error functions of Eq. 21 cancel, which
+    leaves (σ² + a²) / (2πσ²) · exp(-s² / 2σ²) · cosθ / |x_F - x_l|² with a = e·ω, s = |e × ω|
+    and e = μ - x_F. The integral over the whole plane is 1.
+    """
+    a, s_squared, distance = _ray_coordinates(lens_points, focus, mean)
+    variance = sigma * sigma
+    peak = (variance + a * a) / (2.0 * math.pi * variance)
+    return peak * torch.exp(-0.5 * s_squared / variance) * focus[2] / (distance * distance * distance)
+
+
+def log_density_gradient(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
+    """∂ log p / ∂μ `[3, N]` of `lens_density`: 2a / (σ² + a²) ω - (e - aω) / σ²."""
+    e = mean - focus
+    omega = torch.cat((lens_points - focus[:2], -focus[2:3]))
+    omega = omega * dot(omega, omega).rsqrt()
+    a = dot(e, omega)
+    variance = sigma * sigma
+    return (2.0 * a / (variance + a * a) + a / variance) * omega - e / variance
+
+
+def _ray_coordinates(lens_points: Tensor, focus: Tensor, mean: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """a = e·ω, s² = |e × ω|² and |x_F - x_l| for the lines from x_F through the lens points.
+
+    s comes from the cross product: |e|² - a² loses every digit of a small, far Gaussian.
+    """
+    e = mean - focus
+    ray = torch.cat((lens_points - focus[:2], -focus[2:3]))
+    distance = dot(ray, ray).sqrt()
+    omega = ray / distance
+    perpendicular = cross(e, omega)
+    return dot(e, omega), dot(perpendicular, perpendicular), distance

@@ -1,0 +1,52 @@
+"""Alias tables: a discrete distribution sampled in constant time (Walker 1977)."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+class AliasTable:
+    """Index i with probability weights[i] / sum(weights); the measure is counting.
+
+    weights: non-negative, `[K]`, at least one positive.
+    """
+
+    def __init__(self, weights: np.ndarray, device: torch.device | str = "cpu"):
+        weights = np.asarray(weights, np.float64)
+        self.probability = torch.from_numpy((weights / weights.sum()).astype(np.float32)).to(device)
+        keep, alias = _columns(weights * (len(weights) / weights.sum()))
+        self._keep = torch.from_numpy(keep.astype(np.float32)).to(device)
+        self._alias = torch.from_numpy(alias).to(device)
+
+    def sample(self, uniforms: Tensor) -> Tensor:
+        """Indices int64 `[N]` from uniform numbers `[2, N]`."""
+        slot = (uniforms[0].double() * len(self._keep)).long()
+        stays = uniforms[1] < self._keep.index_select(0, slot)
+        return torch.where(stays, slot, self._alias.index_select(0, slot))
+
+    def pdf(self, index: Tensor) -> Tensor:
+        """Probability of each index, float32 `[N]`."""
+        return self.probability.index_select(0, index)
+
+
+def _columns(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of height 1 from weights of mean 1: what each keeps, and who fills the rest.
+
+    Vose's sweep in closed form: the light entries take their deficits from the heavy ones
+    in order; a heavy entry that falls below 1 is topped up by the next heavy one. The
+    cumulative deficits and excesses say who meets whom (Hübschle-Schneider and Sanders 2022).
+    """
+    light, heavy = np.flatnonzero(scaled < 1.0), np.flatnonzero(scaled >= 1.0)
+    deficit, excess = np.cumsum(1.0 - scaled[light]), np.cumsum(scaled[heavy] - 1.0)
+    keep, alias = np.ones_like(scaled), np.arange(len(scaled))
+    last = len(heavy) - 1
+    donors = np.searchsorted(excess, np.concatenate(([0.0], deficit[:-1])), side="right")
+    keep[light] = scaled[light]
+    alias[light] = heavy[np.minimum(donors, last)][: len(light)]
+    emptied = np.searchsorted(deficit, excess, side="right")
+    topped = np.flatnonzero((emptied < len(light)) & (np.arange(len(heavy)) < last))
+    keep[heavy[topped]] = np.clip(1.0 + excess[topped] - deficit[emptied[topped]], 0.0, 1.0)
+    alias[heavy[topped]] = heavy[topped + 1]
+    return keep, alias

@@ -1,0 +1,69 @@
+"""The thin-lens camera: raster positions, focus points, rays.
+
+The camera frame has its origin at the lens centre, x right, y up and z along the
+optical axis into the scene; it is left-handed, the world right-handed.
+Raster positions are in pixels, from the top left corner of the film.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.lens import Lens
+from bokehguide.render.vector import normalize
+from bokehguide.scene import types
+
+
+class ThinLensCamera:
+    """Maps raster positions and lens points to world rays, and world points back."""
+
+    def __init__(self, camera: types.Camera, width: int, height: int, device: torch.device | str = "cpu"):
+        self.width, self.height = width, height
+        self.lens = Lens(camera.aperture_radius, camera.focus_distance)
+        position = torch.tensor(camera.position, dtype=torch.float64)
+        forward = normalize((torch.tensor(camera.target, dtype=torch.float64) - position)[:, None])[:, 0]
+        right = normalize(torch.linalg.cross(forward, torch.tensor(camera.up, dtype=torch.float64))[:, None])[:, 0]
+        up = torch.linalg.cross(right, forward)
+        self.position = position.float().to(device)[:, None]
+        self.axes = torch.stack((right, up, forward), dim=1).float().to(device)  # camera to world, [3, 3]
+        self.pixel_slope = 2.0 * math.tan(math.radians(camera.fov) / 2.0) / width
+        """Width of a pixel at unit distance: s / d_s of Eq. 24."""
+
+    def slopes(self, raster: Tensor) -> Tensor:
+        """Pinhole slopes (x/z, y/z) `[2, N]` of raster positions `[2, N]`."""
+        return torch.stack(
+            ((raster[0] - 0.5 * self.width) * self.pixel_slope, (0.5 * self.height - raster[1]) * self.pixel_slope)
+        )
+
+    def raster(self, points: Tensor) -> Tensor:
+        """Pinhole projection of camera-frame points `[3, N]` to raster positions `[2, N]`."""
+        scale = 1.0 / (points[2] * self.pixel_slope)
+        return torch.stack((0.5 * self.width + points[0] * scale, 0.5 * self.height - points[1] * scale))
+
+    def focus_points(self, raster: Tensor) -> Tensor:
+        """x_F, camera frame `[3, N]`: where every ray of a raster position meets the focal plane."""
+        x, y = self.slopes(raster).unbind(0)
+        distance = self.lens.focus_distance
+        return torch.stack((x * distance, y * distance, torch.full_like(x, distance)))
+
+    def rays(self, focus: Tensor, lens_points: Tensor) -> tuple[Tensor, Tensor]:
+        """World origins and unit directions `[3, N]` from lens points `[2, N]` through x_F `[3, N]`."""
+        origin = torch.cat((lens_points, torch.zeros_like(lens_points[:1])))
+        direction = normalize(focus - origin)
+        return self.axes @ origin + self.position, self.axes @ direction
+
+    def to_camera(self, points: Tensor) -> Tensor:
+        """World points `[3, N]` in the camera frame."""
+        return self.axes.T @ (points - self.position)
+
+    def coc_diameter(self, depth: Tensor) -> Tensor:
+        """Diameter in pixels of the circle of confusion at `depth` (metres along the axis), Eq. 23.
+
+        The printed denominator is the textbook one; in this geometry a point's disc on the
+        sensor has the diameter 2 r |Z - d_F| / Z · d_s / d_F.
+        """
+        lens = self.lens
+        return 2.0 * lens.radius * (depth - lens.focus_distance).abs() / (depth * lens.focus_distance * self.pixel_slope)

@@ -1,0 +1,78 @@
+"""Light from infinitely far away: an equirectangular radiance map."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bokehguide.render.alias import AliasTable
+from bokehguide.scene.types import Environment
+
+
+class EnvironmentLight:
+    """Bilinear radiance over directions, sampled by texel.
+
+    The map's centre lies at -z and u grows towards +x. `sample` and `pdf` are densities
+    per unit solid angle: constant within a texel, proportional to the energy that the
+    bilinear interpolant has there.
+    """
+
+    def __init__(self, environment: Environment, device: torch.device | str = "cpu"):
+        radiance = np.asarray(environment.radiance, np.float32)
+        self.height, self.width = radiance.shape[:2]
+        self.texels = torch.from_numpy(radiance.reshape(-1, 3)).T.contiguous().to(device)
+        self._turn = math.radians(environment.rotation) / (2.0 * math.pi)
+        rows = np.cos(np.pi * np.arange(self.height + 1) / self.height)
+        self._solid_angle = torch.from_numpy((rows[:-1] - rows[1:]) * 2.0 * math.pi / self.width).float().to(device)
+        energy = _footprint_mean(radiance @ np.array([0.2126, 0.7152, 0.0722])) * self._solid_angle.cpu().numpy()[:, None]
+        self.power = float(energy.sum())
+        """Integral of the map's luminance over the sphere."""
+        self._table = AliasTable(energy.reshape(-1), device) if self.power > 0.0 else None
+
+    def radiance(self, directions: Tensor) -> Tensor:
+        """Radiance `[3, N]` from unit directions `[3, N]`."""
+        u, v = self._uv(directions)
+        x, y = u * self.width - 0.5, v * self.height - 0.5
+        left, top = x.floor(), y.floor()
+        fx, fy = x - left, y - top
+        color = torch.zeros_like(directions)
+        for dy, wy in ((0, 1.0 - fy), (1, fy)):
+            row = (top.long() + dy).clamp(0, self.height - 1) * self.width
+            for dx, wx in ((0, 1.0 - fx), (1, fx)):
+                color += self.texels.index_select(1, row + (left.long() + dx) % self.width) * (wx * wy)
+        return color
+
+    def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor]:
+        """Unit directions `[3, N]` and their solid-angle densities `[N]` from uniform numbers `[4, N]`."""
+        texel = self._table.sample(uniforms[0:2])
+        row, column = texel // self.width, texel % self.width
+        phi = 2.0 * math.pi * ((column + uniforms[2]) / self.width - 0.5 - self._turn)
+        top, bottom = torch.cos(math.pi * row / self.height), torch.cos(math.pi * (row + 1) / self.height)
+        y = top + (bottom - top) * uniforms[3]
+        sine = (1.0 - y * y).clamp(min=0.0).sqrt()
+        return torch.stack((sine * phi.sin(), y, -sine * phi.cos())), self._density(texel, row)
+
+    def pdf(self, directions: Tensor) -> Tensor:
+        """Solid-angle density `[N]` of `sample` at unit directions `[3, N]`."""
+        u, v = self._uv(directions)
+        row = (v * self.height).long().clamp(0, self.height - 1)
+        column = (u * self.width).long() % self.width
+        return self._density(row * self.width + column, row)
+
+    def _density(self, texel: Tensor, row: Tensor) -> Tensor:
+        return self._table.pdf(texel) / self._solid_angle.index_select(0, row)
+
+    def _uv(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+        x, y, z = directions.unbind(0)
+        u = 0.5 + torch.atan2(x, -z) / (2.0 * math.pi) + self._turn
+        return u - u.floor(), torch.acos(y.clamp(-1.0, 1.0)) / math.pi
+
+
+def _footprint_mean(values: np.ndarray) -> np.ndarray:
+    """Means over each texel of the bilinear interpolant of `[H, W]` texel values."""
+    across = 0.75 * values + 0.125 * (np.roll(values, 1, axis=1) + np.roll(values, -1, axis=1))
+    padded = np.pad(across, ((1, 1), (0, 0)), mode="edge")
+    return 0.75 * across + 0.125 * (padded[:-2] + padded[2:])

@@ -1,0 +1,143 @@
+"""Next-event estimation: choose a light, a point on it, and know the density."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bokehguide.render.alias import AliasTable
+from bokehguide.render.environment import EnvironmentLight
+from bokehguide.render.geometry import Geometry
+from bokehguide.render.tracer import MISS_DISTANCE, Hit
+from bokehguide.render.vector import dot, luminance
+from bokehguide.scene.types import Scene
+
+MIN_SHARE = 0.2
+"""Neither kind of light gets fewer than this share of the light samples."""
+POWER_GRID = 4
+"""The power of a textured triangle is averaged over this many squared points."""
+
+
+class LightSample(NamedTuple):
+    """direction: unit, `[3, N]`; distance `[N]`; radiance `[3, N]`; pdf per solid angle `[N]`."""
+
+    direction: Tensor
+    distance: Tensor
+    radiance: Tensor
+    pdf: Tensor
+
+
+class Lights:
+    """Emissive triangles (alias table over power) and the environment map.
+
+    All densities are per unit solid angle at the shaded point and include the choice
+    between the two kinds.
+    """
+
+    def __init__(self, scene: Scene, geometry: Geometry):
+        self._geometry = geometry
+        device = geometry.device
+        self.environment = EnvironmentLight(scene.environment, device) if scene.environment else None
+        triangles = torch.nonzero(geometry.emissive[geometry.material])[:, 0]
+        power = _triangle_powers(geometry, triangles, scene)
+        triangles, power = triangles[power > 0.0], power[power > 0.0]
+        sky = self.environment.power if self.environment else 0.0
+        self.environment_share = _environment_share(sky, float(power.sum()), geometry)
+        self._area_pdf = torch.zeros(geometry.material.shape[0], device=device)
+        self._triangles = triangles
+        if len(triangles) > 0:
+            self._table = AliasTable(power.cpu().numpy(), device)
+            areas = geometry.areas.to(device)[triangles]
+            self._area_pdf[triangles] = self._table.probability / areas
+            corners = geometry.corners.to(device)[:, :, triangles]
+            self._corner, self._edge1, self._edge2 = corners[0], corners[1] - corners[0], corners[2] - corners[0]
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing that `sample` could choose."""
+        return self.environment_share == 0.0 and len(self._triangles) == 0
+
+    def sample(self, points: Tensor, uniforms: Tensor) -> LightSample:
+        """One light sample for each shaded point `[3, N]` from uniform numbers `[5, N]`."""
+        if self.environment_share == 0.0:
+            return self._sample_triangles(points, uniforms[1:])
+        if self.environment_share == 1.0:
+            return self._sample_environment(uniforms[1:])
+        sky = uniforms[0] < self.environment_share
+        index = torch.cat((sky.nonzero()[:, 0], (~sky).nonzero()[:, 0]))
+        count = int(sky.sum())
+        ordered = uniforms[1:].index_select(1, index)
+        far = self._sample_environment(ordered[:, :count])
+        near = self._sample_triangles(points.index_select(1, index[count:]), ordered[:, count:])
+        back = torch.empty_like(index)
+        back[index] = torch.arange(len(index), device=index.device)
+        return LightSample(*(torch.cat(pair, dim=-1).index_select(-1, back) for pair in zip(far, near)))
+
+    def _sample_environment(self, uniforms: Tensor) -> LightSample:
+        direction, pdf = self.environment.sample(uniforms)
+        distance = torch.full_like(pdf, MISS_DISTANCE)
+        return LightSample(direction, distance, self.environment.radiance(direction), pdf * self.environment_share)
+
+    def _sample_triangles(self, points: Tensor, uniforms: Tensor) -> LightSample:
+        index = self._table.sample(uniforms[0:2])
+        root = uniforms[2].sqrt()
+        u, v = root * (1.0 - uniforms[3]), root * uniforms[3]
+        target = (
+            self._corner.index_select(1, index)
+            + u * self._edge1.index_select(1, index)
+            + v * self._edge2.index_select(1, index)
+        )
+        offset = target - points
+        distance = dot(offset, offset).clamp(min=1e-30).sqrt()
+        direction = offset / distance
+        triangle = self._triangles.index_select(0, index)
+        cosine = -dot(self._geometry.face_normals(triangle), direction)
+        hit = Hit(triangle, distance, u, v)
+        radiance = self._geometry.emission(hit, (cosine > 0.0).to(torch.float32))
+        return LightSample(direction, distance, radiance, self.triangle_pdf(triangle, distance, cosine))
+
+    def triangle_pdf(self, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
+        """Density `[N]` with which `sample` finds points on `triangle` at `distance` under `cosine`."""
+        share = 1.0 - self.environment_share
+        return share * self._area_pdf.index_select(0, triangle) * distance * distance / cosine.abs().clamp(min=1e-12)
+
+    def environment_pdf(self, directions: Tensor) -> Tensor:
+        """Density `[N]` with which `sample` finds environment directions `[3, N]`."""
+        if self.environment_share == 0.0:
+            return torch.zeros_like(directions[0])
+        return self.environment_share * self.environment.pdf(directions)
+
+
+def _triangle_powers(geometry: Geometry, triangles: Tensor, scene: Scene) -> Tensor:
+    """Area times mean emitted luminance of each triangle, both faces of a double-sided one."""
+    if len(triangles) == 0:
+        return torch.zeros(0)
+    grid = (torch.arange(POWER_GRID, device=geometry.device) + 0.5) / POWER_GRID
+    total = torch.zeros(len(triangles), device=geometry.device)
+    ones = torch.ones_like(total)
+    for a in grid.tolist():
+        for b in grid.tolist():
+            root = math.sqrt(a)
+            hit = Hit(triangles, ones, ones * (root * (1.0 - b)), ones * (root * b))
+            total += luminance(geometry.emission(hit, ones))
+    double_sided = torch.tensor([material.double_sided for material in scene.materials], device=geometry.device)
+    faces = 1.0 + double_sided[geometry.material[triangles]].float()
+    return total / POWER_GRID**2 * geometry.areas.to(geometry.device)[triangles] * faces
+
+
+def _environment_share(sky: float, lamps: float, geometry: Geometry) -> float:
+    """Share of light samples for the environment, by the irradiance that each kind may cause.
+
+    The environment gives about sky / 4, the lamps about 4 lamps / extent² half an extent away.
+    """
+    if sky == 0.0:
+        return 0.0
+    if lamps == 0.0:
+        return 1.0
+    box = geometry.corners.amax((0, 2)) - geometry.corners.amin((0, 2))
+    irradiance = 4.0 * lamps / float(box.square().sum().clamp(min=1e-30))
+    return float(np.clip(sky / 4.0 / (sky / 4.0 + irradiance), MIN_SHARE, 1.0 - MIN_SHARE))

@@ -1,0 +1,185 @@
+"""The path tracer: unidirectional, with next-event estimation and MIS.
+
+It answers one question, "what radiance arrives along these rays?", and knows nothing of
+lenses, films or guiding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.dielectric import DELTA_PDF
+from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.lights import Lights
+from bokehguide.render.random import PixelRandom
+from bokehguide.render.scattering import Scattering
+from bokehguide.render.timer import PhaseTimer
+from bokehguide.render.tracer import MISS_DISTANCE, Hit
+from bokehguide.render.vector import dot
+from bokehguide.scene.types import Scene
+
+ROULETTE_DEPTH = 3
+"""Paths of more segments than this may end by Russian roulette."""
+DIMENSIONS = 16
+"""Random dimensions reserved for each segment of a path."""
+FIRST_DIMENSION = 32
+"""Dimensions below this belong to the camera."""
+
+
+@dataclass
+class PathSamples:
+    """What N camera rays brought back, all `[.., N]` float32.
+
+    radiance, normal, albedo: `[3, N]`; distance: to the first surface, MISS_DISTANCE
+    where there is none; rays: number of rays traced.
+    """
+
+    radiance: Tensor
+    distance: Tensor
+    normal: Tensor
+    albedo: Tensor
+    rays: int = 0
+
+
+@dataclass
+class _Paths:
+    """The paths still alive, compacted after each segment."""
+
+    index: Tensor
+    origin: Tensor
+    direction: Tensor
+    throughput: Tensor
+    radiance: Tensor
+    pdf: Tensor
+    random: PixelRandom
+
+    def select(self, index: Tensor) -> _Paths:
+        names = ("index", "origin", "direction", "throughput", "radiance", "pdf")
+        return _Paths(*(getattr(self, name).index_select(-1, index) for name in names), self.random.select(index))
+
+
+def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
+    """MIS weight of a sample of density `pdf` beside a technique of density `other` (Veach 1997)."""
+    return 1.0 / (1.0 + (other / pdf).square())
+
+
+class PathTracer:
+    """Radiance along batches of rays. Threads may call `trace` side by side.
+
+    max_depth: longest path in segments; 1 is emission seen directly.
+    """
+
+    def __init__(self, scene: Scene, device: torch.device | str = "cpu"):
+        self.geometry = Geometry(scene, device)
+        self.lights = Lights(scene, self.geometry)
+        self.max_depth = scene.film.max_depth
+
+    def trace(self, origin: Tensor, direction: Tensor, random: PixelRandom, timer: PhaseTimer) -> PathSamples:
+        """Trace rays with world origins and unit directions `[3, N]`; one path a ray."""
+        count = origin.shape[1]
+        ones = torch.ones(count, device=origin.device)
+        result = PathSamples(torch.zeros_like(origin), ones * MISS_DISTANCE, torch.zeros_like(origin), torch.zeros_like(origin))
+        index = torch.arange(count, device=origin.device)
+        paths = _Paths(
+            index, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random
+        )
+        for depth in range(1, self.max_depth + 1):
+            paths = self._segment(paths, depth, result, timer)
+            if len(paths.index) == 0:
+                break
+        return result
+
+    def _segment(self, paths: _Paths, depth: int, result: PathSamples, timer: PhaseTimer) -> _Paths:
+        """Trace the paths to their next surface, gather light there, and choose how they go on."""
+        with timer.measure("tracing rays"):
+            hit = self.geometry.tracer.intersect(paths.origin, paths.direction)
+        result.rays += len(paths.index)
+        paths, hit = self._end_in_environment(paths, hit, result)
+        if len(paths.index) == 0:
+            return paths
+        surface = self.geometry.surface(paths.origin, paths.direction, hit)
+        if depth == 1:
+            result.distance[paths.index] = hit.distance
+            result.normal[:, paths.index] = surface.normal
+            result.albedo[:, paths.index] = surface.base_color
+        self._add_emission(paths, hit, surface)
+        if depth == self.max_depth:
+            return _finish(paths, result)
+        uniforms = paths.random.uniform(FIRST_DIMENSION + DIMENSIONS * (depth - 1), 10)
+        scattering = Scattering(surface, uniforms[0], self.geometry.has_transmission)
+        if not self.lights.empty:
+            result.rays += self._add_direct_light(paths, surface, scattering, uniforms[1:6], timer)
+        return self._scatter(paths, surface, scattering, uniforms[6:10], depth, result)
+
+    def _end_in_environment(self, paths: _Paths, hit: Hit, result: PathSamples) -> tuple[_Paths, Hit]:
+        """Add the environment's radiance to the paths that left the scene, and end them."""
+        missed = (hit.triangle < 0).nonzero()[:, 0]
+        if len(missed) == 0:
+            return paths, hit
+        gone = paths.select(missed)
+        if self.lights.environment is not None:
+            weight = power_heuristic(gone.pdf, self.lights.environment_pdf(gone.direction))
+            gone.radiance += gone.throughput * self.lights.environment.radiance(gone.direction) * weight
+        _finish(gone, result)
+        kept = (hit.triangle >= 0).nonzero()[:, 0]
+        return paths.select(kept), Hit(*(field.index_select(0, kept) for field in hit))
+
+    def _add_emission(self, paths: _Paths, hit: Hit, surface: Surface) -> None:
+        """Add what the surfaces that were hit emit, weighed against light sampling."""
+        material = self.geometry.material.index_select(0, hit.triangle)
+        index = self.geometry.emissive.index_select(0, material).nonzero()[:, 0]
+        if len(index) == 0:
+            return
+        lamp = Hit(*(field.index_select(0, index) for field in hit))
+        radiance = self.geometry.emission(lamp, surface.front.index_select(0, index))
+        direction = paths.direction.index_select(1, index)
+        cosine = dot(surface.geometric_normal.index_select(1, index), direction)
+        other = self.lights.triangle_pdf(lamp.triangle, lamp.distance, cosine)
+        weight = power_heuristic(paths.pdf.index_select(0, index), other)
+        paths.radiance[:, index] += paths.throughput.index_select(1, index) * radiance * weight
+
+    def _add_direct_light(
+        self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, timer: PhaseTimer
+    ) -> int:
+        """Next-event estimation: one shadow ray a path; returns the number of rays traced."""
+        light = self.lights.sample(surface.position, uniforms)
+        value, pdf = scattering.evaluate(light.direction)
+        light_pdf = light.pdf.clamp(min=1e-30)
+        weight = power_heuristic(light_pdf, pdf) / light_pdf
+        contribution = paths.throughput * value * light.radiance * weight
+        index = (contribution.amax(0) > 0.0).nonzero()[:, 0]
+        direction = light.direction.index_select(1, index)
+        origin = surface.leave(light.direction).index_select(1, index)
+        distance = light.distance.index_select(0, index) * (1.0 - 1e-4)
+        with timer.measure("tracing rays"):
+            visible = self.geometry.tracer.visible(origin, direction, distance)
+        visibility = torch.zeros_like(pdf)
+        visibility[index] = visible
+        paths.radiance += contribution * visibility
+        return len(index)
+
+    def _scatter(
+        self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, depth: int, result: PathSamples
+    ) -> _Paths:
+        """Sample the BSDF, play Russian roulette, and compact the paths that go on."""
+        direction, weight, pdf = scattering.sample(uniforms[0:3])
+        throughput = paths.throughput * weight
+        survival = throughput.amax(0)
+        if depth >= ROULETTE_DEPTH:
+            chance = survival.clamp(max=0.95)
+            survival = chance * (uniforms[3] < chance)
+            throughput = throughput / chance.clamp(min=1e-20)
+        ended = (~(survival > 0.0)).nonzero()[:, 0]
+        if len(ended) > 0:
+            _finish(paths.select(ended), result)
+        paths = _Paths(paths.index, surface.leave(direction), direction, throughput, paths.radiance, pdf, paths.random)
+        return paths.select((survival > 0.0).nonzero()[:, 0])
+
+
+def _finish(paths: _Paths, result: PathSamples) -> _Paths:
+    """Write the radiance of ended paths to the result; returns an empty batch."""
+    result.radiance[:, paths.index] = paths.radiance
+    return paths.select(paths.index[:0])

@@ -1,0 +1,52 @@
+"""Embree behind `[3, N]` tensors: nearest hits and occlusion."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from torch import Tensor
+
+MISS_DISTANCE = 1e37
+
+
+class Hit(NamedTuple):
+    """Nearest hits of N rays. triangle: int32, -1 for a miss; u, v: weights of vertices 1 and 2."""
+
+    triangle: Tensor
+    distance: Tensor
+    u: Tensor
+    v: Tensor
+
+
+class Tracer:
+    """A static Embree scene of one triangle mesh. Threads may call it side by side.
+
+    vertices: float32 `[V, 3]`; triangles: int32 `[T, 3]`. Embree reads beyond the arrays
+    on a bad index, so the indices are checked here once more.
+    """
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray):
+        if len(triangles) == 0 or triangles.min() < 0 or triangles.max() >= len(vertices):
+            raise ValueError(f"triangle indices must lie in [0, {len(vertices)}) and be at least one triangle")
+        self._scene = EmbreeScene(robust=True)
+        self._mesh = TriangleMesh(
+            self._scene, np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(triangles, np.int32)
+        )
+        far = np.full((1, 3), 1e30, np.float32)
+        self._scene.run(far, np.ones((1, 3), np.float32))  # commits, before any thread does
+
+    def intersect(self, origins: Tensor, directions: Tensor) -> Hit:
+        """Nearest hits of rays `[3, N]`; Embree reads the component arrays without a copy."""
+        found = self._scene.run(origins.cpu().numpy().T, directions.cpu().numpy().T, output=True)
+        device = origins.device
+        return Hit(*(torch.from_numpy(found[key]).to(device) for key in ("primID", "tfar", "u", "v")))
+
+    def visible(self, origins: Tensor, directions: Tensor, distances: Tensor) -> Tensor:
+        """1 where nothing lies within `distances` `[N]` along the rays `[3, N]`, else 0; float32 `[N]`."""
+        limits = distances.cpu().numpy().copy()  # embreex overwrites it
+        blocked = self._scene.run(origins.cpu().numpy().T, directions.cpu().numpy().T, dists=limits, query="OCCLUDED")
+        return torch.from_numpy(blocked).to(origins.device).neg().to(torch.float32)

@@ -1,0 +1,62 @@
+"""Vectors as component arrays: a batch of N vectors is one `[3, N]` tensor.
+
+Component arrays keep every operation contiguous. `torch.linalg.vector_norm` and
+`torch.where` are avoided on purpose: on the CPU they cost tens of multiplications.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Dot products of `[3, N]` vectors, `[N]`."""
+    return torch.linalg.vecdot(a, b, dim=0)
+
+
+def cross(a: Tensor, b: Tensor) -> Tensor:
+    """Cross products of `[3, N]` vectors, `[3, N]`."""
+    ax, ay, az = a.unbind(0)
+    bx, by, bz = b.unbind(0)
+    return torch.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
+
+
+def length(a: Tensor) -> Tensor:
+    """Lengths of `[3, N]` vectors, `[N]`."""
+    return dot(a, a).sqrt()
+
+
+def normalize(a: Tensor) -> Tensor:
+    """Unit vectors `[3, N]`; a zero vector stays zero."""
+    return a * dot(a, a).clamp(min=1e-37).rsqrt()
+
+
+def luminance(color: Tensor) -> Tensor:
+    """Rec.709 luminance of linear `[3, N]` colours, `[N]`."""
+    red, green, blue = color.unbind(0)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def tangent_frame(normal: Tensor) -> tuple[Tensor, Tensor]:
+    """Two unit tangents `[3, N]` that complete `normal` to a right-handed frame.
+
+    Duff et al. 2017, "Building an Orthonormal Basis, Revisited".
+    """
+    x, y, z = normal.unbind(0)
+    sign = torch.copysign(torch.ones_like(z), z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    tangent = torch.stack((1.0 + sign * x * x * a, sign * b, -sign * x))
+    bitangent = torch.stack((b, sign + y * y * a, -y))
+    return tangent, bitangent
+
+
+def to_world(local: Tensor, tangent: Tensor, bitangent: Tensor, normal: Tensor) -> Tensor:
+    """Local `[3, N]` coordinates (z along the normal) to world space."""
+    return local[0] * tangent + local[1] * bitangent + local[2] * normal
+
+
+def to_local(world: Tensor, tangent: Tensor, bitangent: Tensor, normal: Tensor) -> Tensor:
+    """World `[3, N]` coordinates to the local frame (z along the normal)."""
+    return torch.stack((dot(world, tangent), dot(world, bitangent), dot(world, normal)))

@@ -1,0 +1,101 @@
+"""Camera tables: from what a user writes (f-numbers, focal lengths) to a thin lens."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
+from bokehguide.scene.types import Camera
+
+SENSOR_WIDTH = 36.0
+"""Millimetres; the sensor on which f-numbers are told where none is given."""
+
+CAMERA_KEYS = (
+    *("position", "target", "up", "fov", "focal_length", "sensor_width"),
+    *("aperture_radius", "f_number", "focus_distance", "focus_point"),
+)
+
+
+def read_camera(values: dict[str, Any], file: str) -> Camera:
+    """The `[camera]` table of `file` as a Camera.
+
+    Raises BokehguideError for unknown keys, values out of range, contradictions
+    (both ways to give one thing) and a frame without an orientation.
+    """
+    table = Table(values, file, "camera", CAMERA_KEYS)
+    table.exclusive("fov", "focal_length")
+    table.exclusive("aperture_radius", "f_number")
+    table.exclusive("focus_distance", "focus_point")
+    for key in ("position", "target"):
+        if key not in table:
+            raise BokehguideError(f"{table.place(key)}: missing; give [x, y, z] in metres")
+    position = table.vector("position", None)
+    target = table.vector("target", None)
+    up = table.vector("up", (0.0, 1.0, 0.0))
+    forward = _viewing_direction(table, position, target, up)
+    return Camera(
+        position=position,
+        target=target,
+        up=up,
+        fov=_field_of_view(table),
+        aperture_radius=_aperture_radius(table),
+        focus_distance=_focus_distance(table, position, target, forward),
+    )
+
+
+def focal_length(fov: float, sensor_width: float = SENSOR_WIDTH) -> float:
+    """Millimetres of a lens that sees `fov` degrees across `sensor_width` millimetres."""
+    return 0.5 * sensor_width / math.tan(math.radians(fov) / 2.0)
+
+
+def _viewing_direction(table: Table, position: tuple, target: tuple, up: tuple) -> np.ndarray:
+    """Unit vector from position to target; fails where no camera frame exists."""
+    towards = np.subtract(target, position)
+    distance = np.linalg.norm(towards)
+    # Closer than float32 resolves at this place, the two are one point.
+    if distance <= 1e-6 * max(1.0, np.abs(position).max()):
+        table.fail("target", "equals position, so there is no direction to look; move one of them")
+    forward = towards / distance
+    height = np.linalg.norm(up)
+    if height == 0.0:
+        table.fail("up", "has no direction; give a vector such as [0, 1, 0]")
+    if np.linalg.norm(np.cross(forward, np.divide(up, height))) < 1e-4:
+        key = "up" if "up" in table else "target"
+        table.fail(key, f"makes the camera look along up = {list(up)}; give another up")
+    return forward
+
+
+def _field_of_view(table: Table) -> float:
+    if "focal_length" not in table:
+        if "sensor_width" in table:
+            table.fail("sensor_width", "has no focal_length beside it; give both, or fov")
+        return table.number("fov", Camera.fov, ANGLE_OF_VIEW)
+    length = table.number("focal_length", None, POSITIVE)
+    width = table.number("sensor_width", SENSOR_WIDTH, POSITIVE)
+    return math.degrees(2.0 * math.atan(width / (2.0 * length)))
+
+
+def _aperture_radius(table: Table) -> float:
+    """Metres; without an aperture the camera is a pinhole."""
+    if "f_number" not in table:
+        return table.number("aperture_radius", 0.0, NOT_NEGATIVE)
+    if "focal_length" not in table:
+        table.fail("f_number", "needs a focal_length (mm); give one, or give aperture_radius (m)")
+    f_number = table.number("f_number", None, POSITIVE)
+    return 1e-3 * table.number("focal_length", None, POSITIVE) / (2.0 * f_number)
+
+
+def _focus_distance(table: Table, position: tuple, target: tuple, forward: np.ndarray) -> float:
+    """Metres along the optical axis; without a focus the target is in focus."""
+    if "focus_point" not in table:
+        distance = float(np.linalg.norm(np.subtract(target, position)))
+        return table.number("focus_distance", distance, IN_FRONT)
+    point = table.vector("focus_point", None)
+    distance = float(np.subtract(point, position) @ forward)
+    if distance <= 0.0:
+        table.fail("focus_point", "lies behind the lens; give a point in front of the camera")
+    return distance

@@ -1,0 +1,126 @@
+"""Lamps of a scene, and which share of the lens one of them covers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage, sparse
+
+from bokehguide.scene.types import Camera, Mesh, Scene
+
+PEAK = 10.0
+"""A texel is a lamp where its luminance is above this multiple of the map's mean."""
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+@dataclass(frozen=True)
+class Lamps:
+    """N lamps as discs: centres `[N, 3]` and radii `[N]` in metres.
+
+    Lamps of an environment lie at infinity: their centres are unit directions and
+    their radii the tangents of the angular radii; `infinite` `[N]` says which.
+    """
+
+    centres: np.ndarray
+    radii: np.ndarray
+    infinite: np.ndarray
+
+
+def find_lamps(scene: Scene) -> Lamps:
+    """All emissive components of the geometry and all bright peaks of the environment."""
+    emitting = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
+    parts = [_components(mesh) for mesh in emitting]
+    near = sum(len(radii) for _, radii in parts)
+    if scene.environment is not None:
+        parts.append(_peaks(scene.environment.radiance, scene.environment.rotation))
+    parts.append((np.zeros((0, 3)), np.zeros(0)))
+    centres, radii = (np.concatenate(arrays) for arrays in zip(*parts))
+    return Lamps(centres, radii, np.arange(len(radii)) >= near)
+
+
+def lens_coverage(scene: Scene) -> float | None:
+    """Median share of the lens disc that one lamp covers, or None without a lamp in sight.
+
+    A pixel whose focus point lies at distance d on the axis sees a lamp of radius R
+    at depth Z projected through that point onto the lens, at |d / (d - Z)| of its
+    size. Lamps count whose circle of confusion touches the frame.
+    """
+    camera, lamps = scene.camera, find_lamps(scene)
+    if camera.aperture_radius == 0.0:
+        return None
+    x, y, depth = _camera_space(camera, lamps)
+    reach = np.tan(np.radians(camera.fov) / 2.0)
+    focus, lens = camera.focus_distance, camera.aperture_radius
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.where(lamps.infinite, 1.0, focus / np.abs(focus - depth))
+        on_lens = lamps.radii * np.where(lamps.infinite, focus / depth, slope)
+        # Radius of the circle of confusion as the tangent of its angle from the lens.
+        confusion = lens * np.abs(1.0 / focus - np.where(lamps.infinite, 0.0, 1.0 / depth))
+        inside = (depth > 0.0) & (np.abs(x / depth) < reach + confusion)
+        aspect = scene.film.height / scene.film.width
+        inside &= np.abs(y / depth) < reach * aspect + confusion
+    if not inside.any():
+        return None
+    return float(np.median(np.minimum(on_lens[inside] / lens, 1.0) ** 2))
+
+
+def _camera_space(camera: Camera, lamps: Lamps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Right, up and forward coordinates of the lamps, metres (of directions: unit)."""
+    forward = np.subtract(camera.target, camera.position)
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, camera.up)
+    right /= np.linalg.norm(right)
+    relative = lamps.centres - np.where(lamps.infinite[:, None], 0.0, camera.position)
+    return relative @ right, relative @ np.cross(right, forward), relative @ forward
+
+
+def _components(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Centres and radii of the pieces of `mesh` that share vertex positions.
+
+    A closed piece shows a quarter of its surface on average (Cauchy), an open one
+    the length of its vector area.
+    """
+    points, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    corners = index.reshape(-1)[mesh.triangles]
+    edges = sparse.coo_matrix(
+        (np.ones(2 * len(corners)), (np.tile(corners[:, 0], 2), corners[:, 1:].T.ravel())),
+        shape=(len(points), len(points)),
+    )
+    labels = sparse.csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
+    labels = np.unique(labels, return_inverse=True)[1]
+    a, b, c = np.moveaxis(points[corners].astype(np.float64), 1, 0)
+    vectors = 0.5 * np.cross(b - a, c - a)
+    areas = np.linalg.norm(vectors, axis=1)
+    total = np.bincount(labels, areas)
+    middles = (a + b + c) / 3.0 * areas[:, None]
+    centres = np.stack([np.bincount(labels, column) for column in middles.T], axis=1)
+    facing = np.linalg.norm([np.bincount(labels, column) for column in vectors.T], axis=0)
+    projected = np.where(facing < 0.1 * total, total / 4.0, facing)
+    return centres / total[:, None], np.sqrt(projected / np.pi)
+
+
+def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, np.ndarray]:
+    """Directions and tangents of the angular radii of the bright spots of a map `[H, W, 3]`."""
+    height, width = radiance.shape[:2]
+    theta = np.pi * (np.arange(height) + 0.5) / height
+    solid_angle = np.sin(theta)[:, None] * np.full(width, 2.0 * np.pi**2 / (height * width))
+    luminance = radiance.astype(np.float64) @ LUMINANCE
+    mean = np.sum(luminance * solid_angle) / np.sum(solid_angle)
+    labels, count = ndimage.label(luminance > PEAK * mean)
+    # The map closes on itself: pieces that meet across its left and right edge are one.
+    for left, right in zip(labels[:, 0], labels[:, -1]):
+        if left and right and left != right:
+            labels[labels == right] = left
+    which = np.unique(labels)[1:]
+    phi = 2.0 * np.pi * (np.arange(width) + 0.5) / width - np.pi - np.radians(rotation)
+    directions = np.stack(np.broadcast_arrays(
+        np.sin(theta)[:, None] * np.sin(phi),
+        np.cos(theta)[:, None],
+        -np.sin(theta)[:, None] * np.cos(phi),
+    ))
+    centres = np.stack([ndimage.sum(d * solid_angle, labels, which) for d in directions], axis=1)
+    angles = ndimage.sum(solid_angle, labels, which)
+    length = np.linalg.norm(centres, axis=1, keepdims=True)
+    return centres / length, np.sqrt(angles / np.pi)

@@ -1,0 +1,46 @@
+"""One entrance for everything that can be photographed."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene.builtin import BUILTIN
+from bokehguide.scene.overrides import Overrides, override_camera, override_surroundings
+from bokehguide.scene.tables import did_you_mean
+from bokehguide.scene.types import Scene
+from bokehguide.scene.validation import checked
+
+MODEL_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+
+
+def load_scene(spec: str, overrides: Overrides = Overrides()) -> Scene:
+    """The scene that `spec` names, ready to render.
+
+    spec: the name of a built-in scene, the path of a `.toml` scene file, or the path
+    of a model, which gets a framing camera and, where it brings no light, a sky.
+    overrides: take the place of the scene's own values.
+
+    Raises BokehguideError for anything missing, malformed or out of range.
+    """
+    suffix = Path(spec).suffix.lower()
+    if spec in BUILTIN:
+        scene = BUILTIN[spec]()
+        camera = override_camera(asdict(scene.camera), overrides, scene.name)
+        scene = replace(scene, camera=camera)
+    elif suffix == ".toml":
+        from bokehguide.scene.scenefile import read_scene_file
+
+        scene = read_scene_file(Path(spec), overrides)
+    elif suffix in MODEL_SUFFIXES:
+        from bokehguide.scene.framing import model_scene
+
+        scene = model_scene(Path(spec), overrides)
+    else:
+        raise BokehguideError(
+            f"{spec}: no such scene; {did_you_mean(spec, BUILTIN)}\n"
+            f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, "
+            f"or a model ({' '.join(MODEL_SUFFIXES)})"
+        )
+    return checked(override_surroundings(scene, overrides))

@@ -1,0 +1,184 @@
+"""TOML scene files."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene.images import load_environment_map, load_texture, require_file
+from bokehguide.scene.models import Model, load_model
+from bokehguide.scene.overrides import Overrides, constant_radiance, override_camera
+from bokehguide.scene.shapes import SHAPES, transform, transformed
+from bokehguide.scene.tables import ANY, IOR, NOT_NEGATIVE, SHARE, Table, did_you_mean, is_number
+from bokehguide.scene.types import Environment, Film, Material, Mesh, Scene
+
+SCENE_KEYS = ("camera", "film", "environment", "materials", "object")
+MATERIAL_KEYS = (
+    *("base_color", "metallic", "roughness", "specular", "transmission", "thin", "ior"),
+    *("emission", "base_color_texture", "metallic_roughness_texture", "emission_texture"),
+    "double_sided",
+)
+OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
+
+
+def read_scene_file(path: Path, overrides: Overrides) -> Scene:
+    """The scene of a `.toml` file; paths in it are relative to it.
+
+    Raises BokehguideError naming file, field, value and remedy for anything wrong.
+    """
+    root = Table(_parse(path), str(path), "", SCENE_KEYS)
+    if "camera" not in root:
+        raise BokehguideError(f"{path}: camera: missing; add [camera] with position and target")
+    warnings: list[str] = []
+    materials = _read_materials(root, path.parent)
+    meshes, materials = _read_objects(root, path.parent, materials, warnings)
+    return Scene(
+        name=path.stem,
+        camera=override_camera(root.values["camera"], overrides, str(path)),
+        meshes=tuple(meshes),
+        materials=tuple(materials),
+        film=_read_film(root),
+        environment=_read_environment(root, path.parent, warnings),
+        warnings=tuple(warnings),
+    )
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    require_file(path, "scene")
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise BokehguideError(f"{path}: not valid TOML: {error}") from None
+    except UnicodeDecodeError as error:
+        raise BokehguideError(f"{path}: not UTF-8 text (byte {error.start}); save it so") from None
+
+
+def _read_film(root: Table) -> Film:
+    table = Table(root.values.get("film", {}), root.file, "film", ("width", "height", "max_depth"))
+    return Film(
+        width=table.count("width", Film.width),
+        height=table.count("height", Film.height),
+        max_depth=table.count("max_depth", Film.max_depth),
+    )
+
+
+def _read_environment(root: Table, folder: Path, warnings: list[str]) -> Environment | None:
+    if "environment" not in root:
+        return None
+    keys = ("color", "map", "intensity", "rotation")
+    table = Table(root.values["environment"], root.file, "environment", keys)
+    table.exclusive("color", "map")
+    if "map" in table:
+        radiance, found = load_environment_map(folder / table.text("map"))
+        warnings += found
+    elif "color" in table:
+        radiance = constant_radiance(table.vector("color", None, NOT_NEGATIVE))
+    else:
+        raise BokehguideError(f"{root.file}: environment: has no light; give color or map")
+    intensity = np.float32(table.number("intensity", 1.0, NOT_NEGATIVE))
+    return Environment(radiance * intensity, table.number("rotation", 0.0))
+
+
+def _read_materials(root: Table, folder: Path) -> list[Material]:
+    values = root.values.get("materials", {})
+    if not isinstance(values, dict):
+        root.fail("materials", "is not a table; write [materials.NAME]")
+    return [
+        _read_material(Table(values[name], root.file, f"materials.{name}", MATERIAL_KEYS), folder)
+        for name in values
+    ]
+
+
+def _read_material(table: Table, folder: Path) -> Material:
+    """A texture multiplies its factors, which are 1 where they are left out."""
+    textures = {}
+    for key, srgb in (
+        ("base_color_texture", True),
+        ("metallic_roughness_texture", False),
+        ("emission_texture", True),
+    ):
+        name = table.text(key)
+        textures[key] = None if name is None else load_texture(folder / name, srgb)
+    if "emission_texture" in table and "emission" not in table:
+        table.fail("emission_texture", "multiplies emission, which is missing; give emission")
+    base_color = (1.0, 1.0, 1.0) if "base_color_texture" in table else Material.base_color
+    metallic = 1.0 if "metallic_roughness_texture" in table else Material.metallic
+    return Material(
+        name=table.path.removeprefix("materials."),
+        base_color=table.vector("base_color", base_color, SHARE),
+        metallic=table.number("metallic", metallic, SHARE),
+        roughness=table.number("roughness", Material.roughness, SHARE),
+        specular=table.number("specular", Material.specular, SHARE),
+        transmission=table.number("transmission", Material.transmission, SHARE),
+        thin=table.flag("thin"),
+        ior=table.number("ior", Material.ior, IOR),
+        emission=table.vector("emission", Material.emission, NOT_NEGATIVE),
+        double_sided=table.flag("double_sided"),
+        **textures,
+    )
+
+
+def _read_objects(
+    root: Table, folder: Path, materials: list[Material], warnings: list[str]
+) -> tuple[list[Mesh], list[Material]]:
+    """World-space meshes, and `materials` followed by those the models brought."""
+    values = root.values.get("object", [])
+    if not isinstance(values, list):
+        root.fail("object", "is not a list of tables; write [[object]]")
+    materials = list(materials)
+    named = {material.name: index for index, material in enumerate(materials)}
+    models: dict[Path, tuple[Model, int]] = {}
+    meshes: list[Mesh] = []
+    for number, entry in enumerate(values):
+        table = Table(entry, root.file, f"object[{number}]", OBJECT_KEYS)
+        material = _named_material(table, named)
+        matrix = _read_transform(table)
+        for mesh in _read_surface(table, folder, models, materials):
+            index = mesh.material if material is None else material
+            meshes.append(transformed(replace(mesh, material=index), matrix))
+    for model, _ in models.values():
+        warnings += model.warnings
+    return meshes, materials
+
+
+def _named_material(table: Table, named: dict[str, int]) -> int | None:
+    name = table.text("material")
+    if name is None or name in named:
+        return named.get(name)
+    known = did_you_mean(name, named) if named else "there is no [materials] table"
+    table.fail("material", f"is not a material of this file; {known}")
+
+
+def _read_surface(
+    table: Table, folder: Path, models: dict[Path, tuple[Model, int]], materials: list[Material]
+) -> list[Mesh]:
+    """Untransformed meshes of one object; a model is loaded once and adds its materials."""
+    table.exclusive("shape", "file")
+    if "file" in table:
+        path = folder / table.text("file")
+        if path not in models:
+            models[path] = load_model(path), len(materials)
+            materials.extend(models[path][0].materials)
+        model, offset = models[path]
+        return [replace(mesh, material=mesh.material + offset) for mesh in model.meshes]
+    shape = table.text("shape")
+    if shape is None:
+        raise BokehguideError(f"{table.place('shape')}: missing; give a shape or a file")
+    if shape not in SHAPES:
+        table.fail("shape", f"is not a shape; {did_you_mean(shape, SHAPES)}")
+    if "material" not in table:
+        raise BokehguideError(f"{table.place('material')}: missing; name one of [materials]")
+    return [SHAPES[shape]()]
+
+
+def _read_transform(table: Table) -> np.ndarray:
+    scale = table.values.get("scale", 1.0)
+    scale = (table.number("scale", 1.0),) * 3 if is_number(scale) else table.vector("scale", None)
+    if 0.0 in scale:
+        table.fail("scale", f"flattens the object; give {ANY.remedy} other than 0")
+    return transform(table.vector("translate", (0,) * 3), table.vector("rotate", (0,) * 3), scale)

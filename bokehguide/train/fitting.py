@@ -1,0 +1,68 @@
+"""Spotlight discovery and the fit of 3D Gaussians to it (sections 4.2.2 to 4.2.4)."""
+
+from __future__ import annotations
+
+import torch
+from kornia.contrib import connected_components_union_find
+from torch import Tensor
+
+from bokehguide.models.gaussian_field import GaussianField
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.train.record_buffer import RecordBuffer
+
+RADIANCE_THRESHOLD = 8.0
+"""A spot's cell is at least this many times as bright as the frame's mean."""
+COC_THRESHOLD = 4.0
+"""A spot's circle of confusion measures at least this many pixels across."""
+ALPHA = 0.5
+"""σ = α R_b (section 4.2.4)."""
+DEPTH_GAP = 0.1
+"""Connected cells belong to two spots where their depths, sorted, leap by this share."""
+
+
+def find_spotlights(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> tuple[Tensor, Tensor]:
+    """Cells `[K]` of the record that are bright and out of focus, and their positions `[3, K]`."""
+    cells = (record.sums[1] > RADIANCE_THRESHOLD * mean_luminance * record.sums[0]).nonzero()[:, 0]
+    points = record.positions(cells)
+    defocused = camera.coc_diameter(points[2]) >= COC_THRESHOLD
+    return cells[defocused], points[:, defocused]
+
+
+def label_patches(record: RecordBuffer, cells: Tensor, depth: Tensor) -> Tensor:
+    """Patch number of each spotlight cell, int64 `[K]` from 0 without gaps.
+
+    Cells that touch on the raster form a patch, which is split where the sorted depths of
+    its cells leap: two lamps may stand behind one another.
+    """
+    mask = torch.zeros(record.height * record.width, dtype=torch.bool, device=cells.device)
+    mask[cells] = True
+    labels = connected_components_union_find(mask.reshape(1, 1, record.height, record.width))
+    label = labels.reshape(-1)[cells]
+    order = depth.argsort()
+    order = order[label[order].argsort(stable=True)]
+    label, depth = label[order], depth[order]
+    leap = (label[1:] != label[:-1]) | (depth[1:] > (1.0 + DEPTH_GAP) * depth[:-1])
+    patch = torch.empty_like(order)
+    patch[order] = torch.cat((torch.zeros_like(order[:1]), leap.long().cumsum(0)))
+    return patch
+
+
+def fit_gaussians(field: GaussianField, record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> Tensor:
+    """Replace the field by one Gaussian for each patch of spotlights; returns the spotlight cells `[K]`.
+
+    Each cell is a cube as wide as a pixel at its depth (Eq. 24); R_b is half the diagonal
+    of the patch's bounding box.
+    """
+    cells, points = find_spotlights(record, camera, mean_luminance)
+    patch = label_patches(record, cells, points[2])
+    count = int(patch.max()) + 1 if len(patch) else 0
+    width = points[2] * camera.pixel_slope
+    index = patch.expand(3, -1)
+    empty = torch.zeros(3, count, device=points.device)
+    low = empty.scatter_reduce(1, index, points - 0.5 * width, "amin", include_self=False)
+    high = empty.scatter_reduce(1, index, points + 0.5 * width, "amax", include_self=False)
+    radius = 0.5 * (high - low).square().sum(0).sqrt()
+    light = record.radiance().reshape(-1)[cells]
+    energy = torch.zeros(count, device=points.device).index_add_(0, patch, light * width * width)
+    field.assign(0.5 * (low + high), radius, ALPHA * radius, energy)
+    return cells

@@ -1,0 +1,151 @@
+"""The lens guide: the modules, what they learn from a step, and when (sections 4.2, 5 and 6.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from bokehguide.models.blend_weight import BlendWeightMap
+from bokehguide.models.candidates import CandidateList, draw_candidates
+from bokehguide.models.gaussian_field import GaussianField
+from bokehguide.models.kl import blend_gradient, offset_gradient, one_sample_kl
+from bokehguide.models.lens_distribution import GuidedLensDistribution
+from bokehguide.models.polynomial_offset import PolynomialOffset
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.train.fitting import fit_gaussians
+from bokehguide.train.record_buffer import RecordBuffer
+from bokehguide.train.settings import RenderSettings
+
+FITS = 8
+"""With polynomials the field is fitted after steps 1 to 8 and then frozen."""
+BLEND_RATE, OFFSET_RATE = 0.1, 0.01
+"""Learning rates of β's logit and of the polynomial coefficients (section 6.1)."""
+OFFSET_SLACK = 2.0
+"""Pixels up to 2σ beyond a frozen Gaussian's disc keep it as a candidate: its mean may move."""
+
+
+@dataclass
+class GuidedBatch:
+    """The lens distribution of a batch of pixels, and what it was made of."""
+
+    first: int
+    raster: Tensor
+    gaussian: Tensor
+    distribution: GuidedLensDistribution
+
+
+@dataclass
+class BatchLesson:
+    """What one batch teaches: its loss and the gradient of the polynomial coefficients."""
+
+    kl: float
+    offset_gradient: Tensor | None
+
+
+class LensGuide(nn.Module):
+    """Learns, step by step, where on the lens each pixel should look.
+
+    `distribution` and `study` work on batches of pixels, side by side; `update` ends a
+    step. What a step draws from depends on earlier steps only.
+    """
+
+    def __init__(self, camera: ThinLensCamera, settings: RenderSettings):
+        super().__init__()
+        self.camera = camera
+        self.learns_blend = settings.mode in ("lis-b", "lis-o")
+        self.learns_offsets = settings.mode == "lis-o"
+        self.field = GaussianField()
+        self.blend = BlendWeightMap(camera.width * camera.height)
+        self.record = RecordBuffer(camera)
+        self.offsets: PolynomialOffset | None = None
+        self.to(settings.device)
+        self.spotlights = torch.zeros(0, dtype=torch.int64, device=settings.device)
+        self.candidates: CandidateList | None = None
+        self._blend_optimizer = torch.optim.Adam([self.blend.logit], lr=BLEND_RATE, fused=True)
+        self.blend.logit.grad = torch.zeros_like(self.blend.logit)
+        self._offset_optimizer: torch.optim.Adam | None = None
+
+    @torch.no_grad()
+    def distribution(self, first: int, raster: Tensor, focus: Tensor) -> GuidedBatch | None:
+        """The mixture for pixels from `first` on at raster positions `[2, N]`, None if they have no candidates."""
+        if self.candidates is None:
+            return None
+        start, gaussian = self.candidates.batch(first, raster.shape[1])
+        if len(gaussian) == 0:
+            return None
+        field, lens = self.field, self.camera.lens
+        mean = field.mean.index_select(1, gaussian)
+        if self.offsets is not None:
+            owner = torch.repeat_interleave(start[1:] - start[:-1])
+            mean = mean + self.offsets(gaussian, raster.index_select(1, owner))
+        beta = self.blend(slice(first, first + raster.shape[1]))
+        weight = field.lens_weights(lens.focus_distance).index_select(0, gaussian)
+        mixture = GuidedLensDistribution(lens, focus, beta, start, mean, field.sigma.index_select(0, gaussian), weight)
+        return GuidedBatch(first, raster, gaussian, mixture)
+
+    @torch.no_grad()
+    def study(self, batch: GuidedBatch, points: Tensor, ratio: Tensor, components: Tensor, density: Tensor) -> BatchLesson:
+        """Gradients of the one-sample KL for one sample a pixel; β's go to its parameter at once.
+
+        points: lens points `[2, N]`; ratio: L / (A q) `[N]`, 0 outside the aperture;
+        components: p_i `[M]`; density: q `[N]`.
+        """
+        mixture = batch.distribution
+        if self.learns_blend:
+            pixels = slice(batch.first, batch.first + len(ratio))
+            self.blend.logit.grad[pixels] = blend_gradient(mixture, ratio, mixture.mixture_pdf(components), density)
+        gradient = None
+        if self.offsets is not None:
+            gradient = offset_gradient(
+                mixture, self.offsets, batch.gaussian, batch.raster, points, ratio, components, density
+            )
+        return BatchLesson(float(one_sample_kl(ratio, density, mixture.lens.area)), gradient)
+
+    def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
+        """End a step: one Adam step, then, while fitting goes on, the next set of Gaussians."""
+        if self.learns_blend and lessons:
+            self._blend_optimizer.step()
+            self._blend_optimizer.zero_grad(set_to_none=False)
+        if self._offset_optimizer is not None:
+            gradients = [lesson.offset_gradient for lesson in lessons if lesson.offset_gradient is not None]
+            self.offsets.coefficients.grad = sum(gradients, torch.zeros_like(self.offsets.coefficients))
+            self._offset_optimizer.step()
+        if not self.learns_offsets or step < FITS:
+            self.refit(mean_luminance)
+        elif step == FITS:
+            self.refit(mean_luminance)
+            self.freeze()
+
+    @torch.no_grad()
+    def refit(self, mean_luminance: float) -> None:
+        """Fit the field to the record buffer and list each pixel's candidates."""
+        self.spotlights = fit_gaussians(self.field, self.record, self.camera, mean_luminance)
+        self.set_candidates()
+
+    def set_candidates(self, slack: float = 0.0) -> None:
+        """List each pixel's candidates; to be called after any change of the field."""
+        self.candidates = draw_candidates(self.field, self.camera, slack) if len(self.field) else None
+
+    def freeze(self) -> None:
+        """Keep the Gaussians from now on, and let polynomial offsets learn."""
+        if len(self.field) == 0:
+            return
+        self.offsets = PolynomialOffset(self.field, self.camera)
+        self._offset_optimizer = torch.optim.Adam(self.offsets.parameters(), lr=OFFSET_RATE)
+        self.set_candidates(OFFSET_SLACK)
+
+    def images(self) -> dict[str, Tensor]:
+        """β, record buffer and spotlights as `[H, W, 3]` in 0 … 1; the last two with their margin."""
+        camera, record = self.camera, self.record
+        beta = self.blend().detach().reshape(camera.height, camera.width)
+        if self.candidates is not None:
+            counts = self.candidates.start[1:] - self.candidates.start[:-1]
+            beta = beta * (counts > 0).reshape(beta.shape)
+        radiance = record.radiance()
+        spots = torch.zeros(record.height * record.width, device=radiance.device)
+        spots[self.spotlights] = 1.0
+        bright = radiance / (radiance + radiance.mean().clamp(min=1e-20))
+        images = {"beta": beta, "record": bright, "spotlights": spots.reshape(radiance.shape)}
+        return {name: image[..., None].expand(-1, -1, 3).float() for name, image in images.items()}

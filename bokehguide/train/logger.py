@@ -1,0 +1,78 @@
+"""TensorBoard: the curves and pictures of a render while it goes on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bokehguide.image import tone_map
+from bokehguide.scene.types import Scene
+from bokehguide.train.metadata import describe_render
+
+if TYPE_CHECKING:
+    from bokehguide.train import RenderLoop, RenderSettings, StepStats
+
+
+class RenderLogger:
+    """Writes the steps of one render into `logdir/SCENE/MODE`.
+
+    The modes of a scene are sibling folders, so `tensorboard --logdir logdir/SCENE`
+    lays their curves over each other. An older log of the same mode is removed.
+
+    exposure: EV of the pictures.
+    """
+
+    def __init__(self, logdir: str | Path, scene: Scene, settings: RenderSettings, exposure: float = 0.0):
+        from torch.utils.tensorboard import SummaryWriter  # takes over a second to import
+
+        self.exposure = exposure
+        self._pictures_at = 0
+        folder = run_folder(logdir, scene, settings)
+        for old in folder.glob("events.out.tfevents.*"):
+            old.unlink()
+        self.writer = SummaryWriter(folder)
+        facts = describe_render(scene, settings, settings.spp)
+        table = "\n".join(f"| {key} | {value} |" for key, value in facts.items())
+        self.writer.add_text("settings", f"| | |\n|---|---|\n{table}", 0)
+
+    def log(self, loop: RenderLoop, stats: StepStats, errors: Mapping[str, float]) -> None:
+        """Scalars of one step, and pictures where its number is a power of two.
+
+        errors: by name (`mape`, `relmse`), or empty where there is no reference; the
+        film's estimate of its relative noise stands in then.
+        """
+        scalars = {f"error/{name}": value for name, value in errors.items()} or {
+            "error/relative_noise": loop.film.relative_noise()
+        }
+        scalars |= {
+            "guide/kl": stats.kl,
+            "guide/gaussians": stats.gaussians,
+            "guide/beta": stats.beta,
+            "guide/outside_share": stats.outside,
+            "speed/samples_per_second": stats.samples / stats.seconds,
+        }
+        scalars |= {f"time/{name.replace(' ', '_')}": seconds for name, seconds in loop.phases.items()}
+        for tag, value in scalars.items():
+            if not math.isnan(value):
+                self.writer.add_scalar(tag, value, stats.step)
+        if stats.step & (stats.step - 1) == 0:
+            self._log_pictures(loop, stats.step)
+
+    def finish(self, loop: RenderLoop, step: int) -> None:
+        """Pictures of the last step, whatever its number, and close the log."""
+        if step != self._pictures_at:
+            self._log_pictures(loop, step)
+        self.writer.close()
+
+    def _log_pictures(self, loop: RenderLoop, step: int) -> None:
+        pictures = {"render": tone_map(loop.film.radiance(), self.exposure), **loop.guide_images()}
+        for name, picture in pictures.items():
+            self.writer.add_image(name, picture, step, dataformats="HWC")
+        self._pictures_at = step
+
+
+def run_folder(logdir: str | Path, scene: Scene, settings: RenderSettings) -> Path:
+    """Where the log of this scene and mode goes."""
+    return Path(logdir) / scene.name / settings.mode

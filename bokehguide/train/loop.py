@@ -1,0 +1,224 @@
+"""The render as a training loop: one SPP is one step."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from bokehguide.models.lens_distribution import UniformLensDistribution
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.film import NO_DEPTH, Film, FilmSamples
+from bokehguide.render.path_tracer import PathSamples, PathTracer
+from bokehguide.render.random import PixelRandom
+from bokehguide.render.timer import PhaseTimer
+from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.render.vector import luminance
+from bokehguide.scene.types import Scene
+from bokehguide.train.guide import BatchLesson, GuidedBatch, LensGuide
+from bokehguide.train.settings import RenderSettings
+
+BATCH = 65536
+"""Pixels traced together: large enough to pay for Python, small enough for the cache."""
+MIN_BATCHES = 4
+"""A small frame is cut into at least as many batches, so that threads have work."""
+FAR = 1000.0
+"""The environment is recorded at this many focus distances."""
+
+
+@dataclass
+class StepStats:
+    """What a step did; kl, beta and outside are NaN where nothing was guided."""
+
+    step: int
+    samples: int
+    rays: int
+    seconds: float
+    kl: float
+    beta: float
+    gaussians: int
+    outside: float
+
+
+@dataclass
+class _BatchResult:
+    rays: int
+    guided: int
+    outside: int
+    beta: float
+    lesson: BatchLesson | None
+    records: tuple[Tensor, Tensor, Tensor] | None
+    timer: PhaseTimer
+
+
+class RenderLoop:
+    """Renders a scene step by step; after each step `film` holds the picture so far.
+
+    Batches are cut by the frame's size alone and random numbers are keyed by pixel, so the
+    number of threads changes nothing but the speed.
+    """
+
+    def __init__(self, scene: Scene, settings: RenderSettings):
+        self.scene, self.settings = scene, settings
+        device = torch.device(settings.device)
+        width, height = scene.film.width, scene.film.height
+        self.camera = ThinLensCamera(scene.camera, width, height, device)
+        self.tracer = PathTracer(scene, device)
+        self.film = Film(width, height, settings.seed, device)
+        pinhole = scene.camera.aperture_radius == 0.0
+        self.guide = None if settings.mode == "uniform" or pinhole else LensGuide(self.camera, settings)
+        self.step_number = 0
+        self._threads = settings.threads or os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self._threads, initializer=torch.set_num_threads, initargs=(1,))
+        self._phases: Counter[str] = Counter()
+        self._mean_luminance = math.nan
+
+    @property
+    def phases(self) -> dict[str, float]:
+        """Seconds of wall time so far by phase."""
+        return dict(self._phases)
+
+    def step(self) -> StepStats:
+        """Render one more sample per pixel, and learn from it."""
+        start = time.perf_counter()
+        self.step_number += 1
+        results = self._render_batches()
+        timer = PhaseTimer()
+        if self.guide is not None:
+            with timer.measure("learning"):
+                self._learn(results)
+        self._phases += timer.seconds
+        return self._stats(results, time.perf_counter() - start)
+
+    def _render_batches(self) -> list[_BatchResult]:
+        start = time.perf_counter()
+        pixels = self.camera.width * self.camera.height
+        size = min(BATCH, math.ceil(pixels / MIN_BATCHES))
+        spans = [(first, min(first + size, pixels)) for first in range(0, pixels, size)]
+        results = list(self._pool.map(lambda span: self._render_batch(*span), spans))
+        worked = sum((result.timer.seconds for result in results), Counter())
+        scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
+        self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
+        return results
+
+    @torch.no_grad()
+    def _render_batch(self, first: int, end: int) -> _BatchResult:
+        """One sample for each of some pixels: film position, lens point, ray, radiance, film."""
+        timer = PhaseTimer()
+        camera = self.camera
+        with timer.measure("guiding"):
+            pixels = torch.arange(first, end, device=self.settings.device)
+            random = PixelRandom(self.settings.seed, self.step_number, pixels)
+            uniforms = random.uniform(0, 7)
+            corner = torch.stack((pixels % camera.width, pixels // camera.width))
+            raster = corner + uniforms[0:2]
+            focus = camera.focus_points(raster)
+            batch = self.guide.distribution(first, raster, focus) if self.guide else None
+            if batch is None:
+                points = UniformLensDistribution(camera.lens).sample(uniforms[2:4])
+                weight, components, density = torch.ones_like(points[0]), None, None
+            else:
+                points = batch.distribution.sample(uniforms[2:7])
+                components = batch.distribution.component_pdf(points)
+                density = batch.distribution.blend(points, batch.distribution.mixture_pdf(components))
+                inside = camera.lens.contains(points)
+                weight = inside / (camera.lens.area * density).clamp(min=1e-20)  # W / q, Eq. 11
+        with timer.measure("shading"):
+            samples, directions = self._trace(focus, points, weight, random, timer)
+        with timer.measure("output"):
+            film_samples = self._film_samples(samples, directions, weight)
+            self.film.add(first, film_samples, self.step_number)
+        if self.guide is None:
+            return _BatchResult(samples.rays, 0, 0, 0.0, None, None, timer)
+        with timer.measure("learning"):
+            light = luminance(film_samples.radiance)
+            lesson = self._study(batch, points, weight, light, components, density)
+            records = self._records(points, directions, samples.distance, weight, light)
+        guided, outside, beta = _count(batch, weight)
+        return _BatchResult(samples.rays, guided, outside, beta, lesson, records, timer)
+
+    def _trace(
+        self, focus: Tensor, points: Tensor, weight: Tensor, random: PixelRandom, timer: PhaseTimer
+    ) -> tuple[PathSamples, Tensor]:
+        """Radiance of the rays that pass the aperture, 0 for the others; world directions `[3, N]`."""
+        origins, directions = self.camera.rays(focus, points)
+        inside = (weight > 0.0).nonzero()[:, 0]
+        if len(inside) == len(weight):
+            return self.tracer.trace(origins, directions, random, timer), directions
+        traced = self.tracer.trace(origins[:, inside], directions[:, inside], random.select(inside), timer)
+        samples = PathSamples(
+            torch.zeros_like(origins),
+            torch.full_like(weight, MISS_DISTANCE),
+            torch.zeros_like(origins),
+            torch.zeros_like(origins),
+            traced.rays,
+        )
+        for name in ("radiance", "distance", "normal", "albedo"):
+            getattr(samples, name)[..., inside] = getattr(traced, name)
+        return samples, directions
+
+    def _film_samples(self, samples: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
+        hit = samples.distance < MISS_DISTANCE
+        axis = self.camera.axes[:, 2]
+        depth = torch.where(hit, samples.distance * (axis @ directions), NO_DEPTH)
+        opaque = hit if self.scene.environment is None else torch.ones_like(hit)
+        return FilmSamples(weight, samples.radiance, opaque.float(), depth, samples.normal, samples.albedo)
+
+    def _study(
+        self, batch: GuidedBatch | None, points: Tensor, weight: Tensor, light: Tensor, components: Tensor, density: Tensor
+    ) -> BatchLesson | None:
+        """Gradients of the one-sample KL; radiance counts in units of the frame's mean."""
+        if batch is None:
+            return None
+        ratio = light * weight / max(self._mean_luminance, 1e-30)
+        return self.guide.study(batch, points, ratio, components, density)
+
+    def _records(self, points: Tensor, directions: Tensor, distance: Tensor, weight: Tensor, light: Tensor):
+        """Cells, camera-frame positions and luminance of the samples inside the lens, for the record buffer."""
+        away = self.camera.axes.T @ directions
+        hit = distance < MISS_DISTANCE
+        origin = torch.cat((points, torch.zeros_like(points[:1]))) * hit
+        reach = torch.where(hit, distance, FAR * self.camera.lens.focus_distance)
+        position = origin + away * reach
+        cells = self.guide.record.cells(self.camera, position)
+        return torch.where(weight > 0.0, cells, -1), position, light
+
+    def _learn(self, results: list[_BatchResult]) -> None:
+        for result in results:
+            self.guide.record.add(*result.records)
+        self._mean_luminance = self.film.mean_luminance()
+        lessons = [result.lesson for result in results if result.lesson is not None]
+        self.guide.update(self.step_number, lessons, self._mean_luminance)
+
+    def _stats(self, results: list[_BatchResult], seconds: float) -> StepStats:
+        guided = sum(result.guided for result in results)
+        samples = self.camera.width * self.camera.height
+        kl = sum(result.lesson.kl for result in results if result.lesson is not None)
+        return StepStats(
+            step=self.step_number,
+            samples=samples,
+            rays=sum(result.rays for result in results),
+            seconds=seconds,
+            kl=kl / guided if guided else math.nan,
+            beta=sum(result.beta for result in results) / guided if guided else math.nan,
+            gaussians=len(self.guide.field) if self.guide else 0,
+            outside=sum(result.outside for result in results) / guided if guided else math.nan,
+        )
+
+    def guide_images(self) -> dict[str, Tensor]:
+        """Pictures of what the guide knows, `[H, W, 3]` in 0 … 1; none in uniform mode."""
+        return self.guide.images() if self.guide else {}
+
+
+def _count(batch: GuidedBatch | None, weight: Tensor) -> tuple[int, int, float]:
+    """Guided pixels, draws outside the lens, and the sum of β."""
+    if batch is None:
+        return 0, 0, 0.0
+    mixture = batch.distribution
+    return int(mixture.guided.sum()), int((weight == 0.0).sum()), float(mixture.beta.sum())

@@ -1,0 +1,28 @@
+"""What was rendered, in words that a file's header or a log can hold."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from bokehguide import __version__
+from bokehguide.scene.types import Scene
+
+if TYPE_CHECKING:
+    from bokehguide.train import RenderSettings
+
+
+def describe_render(scene: Scene, settings: RenderSettings, spp: int) -> dict[str, str | int]:
+    """Scene, mode, SPP (those rendered), seed, size and software; `settings` is JSON with the camera too."""
+    whole = asdict(settings) | {"camera": asdict(scene.camera), "film": asdict(scene.film)}
+    return {
+        "scene": scene.name,
+        "mode": settings.mode,
+        "spp": spp,
+        "seed": settings.seed,
+        "size": f"{scene.film.width}x{scene.film.height}",
+        # OpenEXR drops a text under the name `version`, which it keeps for the format's own.
+        "software": f"bokehguide {__version__}",
+        "settings": json.dumps(whole),
+    }

@@ -1,0 +1,51 @@
+"""The record buffer: primary hits, reprojected as a pinhole camera sees them (section 4.2.1)."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from bokehguide.render.camera import ThinLensCamera
+
+MARGIN = 0.1
+"""Width of the border around the frame, as a share of the frame's width: spots outside the
+frame send their circles of confusion into it."""
+
+
+class RecordBuffer(nn.Module):
+    """A raster with a margin whose cells keep sample count, radiance and position.
+
+    Positions are averaged with the radiance as weight, or a small highlight would be mixed
+    with what lies behind it. sums: `[5, cells]`: count, Σ L, Σ L·(X, Y, Z), camera frame.
+    """
+
+    def __init__(self, camera: ThinLensCamera, device: torch.device | str = "cpu"):
+        super().__init__()
+        self.border = math.ceil(MARGIN * camera.width)
+        self.width, self.height = camera.width + 2 * self.border, camera.height + 2 * self.border
+        self.register_buffer("sums", torch.zeros(5, self.width * self.height, device=device))
+
+    def cells(self, camera: ThinLensCamera, points: Tensor) -> Tensor:
+        """Cell of each camera-frame point `[3, N]`, int64 `[N]`; -1 outside or behind the lens."""
+        column, row = (camera.raster(points) + self.border).floor().nan_to_num(-1.0).clamp(-1.0, 1e6).unbind(0)
+        inside = (points[2] > 0.0) & (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
+        return torch.where(inside, row.long() * self.width + column.long(), -1)
+
+    def add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
+        """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
+        index = (cells >= 0).nonzero()[:, 0]
+        cells, light = cells[index], luminance[index]
+        self.sums[0].index_add_(0, cells, torch.ones_like(light))
+        self.sums[1].index_add_(0, cells, light)
+        for axis in range(3):
+            self.sums[2 + axis].index_add_(0, cells, light * points[axis, index])
+
+    def radiance(self) -> Tensor:
+        """Mean luminance of each cell, `[height, width]`."""
+        return (self.sums[1] / self.sums[0].clamp(min=1.0)).reshape(self.height, self.width)
+
+    def positions(self, cells: Tensor) -> Tensor:
+        """Radiance-weighted mean positions `[3, K]` of cells `[K]`."""
+        return self.sums[2:5, cells] / self.sums[1, cells].clamp(min=1e-30)

@@ -1,0 +1,90 @@
+"""Speed of uniform and guided sampling: samples and rays a second, and where the time goes.
+
+    python scripts/bench.py --json bench.json
+
+The modes take turns, step by step, so that a busy moment of the machine strikes both alike.
+Peak memory is of a process in which a mode renders alone, as a mode's share of a common one
+cannot be told.
+"""
+
+import argparse
+import multiprocessing
+from pathlib import Path
+
+from bokehguide.cli.report import peak_memory_mb, write_json
+from bokehguide.scene import Overrides, load_scene
+from bokehguide.train import RenderLoop, RenderSettings
+
+MODES = ("uniform", "lis-o")
+GUIDE_PHASES = ("guiding", "learning")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="fairy-lights")
+    parser.add_argument("--size", default="1280x720")
+    parser.add_argument("--spp", type=int, default=16, help="measured steps of each mode, default 16")
+    parser.add_argument("--warm-up", type=int, default=8, help="steps before them, default 8: those of the global fit")
+    parser.add_argument("--threads", type=int, help="default: one per core")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    args = parser.parse_args()
+
+    results = measure_speed(args)
+    for mode in MODES:
+        results[mode]["peak_memory_mb"] = measure_memory(mode, args)
+    print(f"{args.scene} {args.size}, {args.spp} SPP after {args.warm_up}")
+    print(f"{'':9}{'M samples/s':>12}{'M rays/s':>10}{'in Embree':>11}{'in guide':>10}{'MiB':>8}")
+    for mode, row in results.items():
+        rates = f"{row['samples_per_second'] / 1e6:>12.3f}{row['rays_per_second'] / 1e6:>10.3f}"
+        shares = f"{row['embree_share']:>11.1%}{row['guide_share']:>10.1%}"
+        print(f"{mode:<9}{rates}{shares}{row['peak_memory_mb']:>8.0f}")
+    if args.json:
+        write_json(args.json, results)
+
+
+def measure_speed(args: argparse.Namespace) -> dict[str, dict[str, float]]:
+    """Rates and shares of each mode over the measured steps."""
+    loops = {mode: start(mode, args) for mode in MODES}
+    for loop in loops.values():
+        for _ in range(args.warm_up):
+            loop.step()
+    before = {mode: dict(loop.phases) for mode, loop in loops.items()}
+    steps = {mode: [] for mode in MODES}
+    for _ in range(args.spp):
+        for mode, loop in loops.items():
+            steps[mode].append(loop.step())
+    results = {}
+    for mode, loop in loops.items():
+        seconds = sum(stats.seconds for stats in steps[mode])
+        phases = {name: loop.phases[name] - before[mode][name] for name in loop.phases}
+        results[mode] = {
+            "samples_per_second": sum(stats.samples for stats in steps[mode]) / seconds,
+            "rays_per_second": sum(stats.rays for stats in steps[mode]) / seconds,
+            "embree_share": phases["tracing rays"] / seconds,
+            "guide_share": sum(phases[name] for name in GUIDE_PHASES) / seconds,
+        }
+    return results
+
+
+def measure_memory(mode: str, args: argparse.Namespace) -> float:
+    """Peak MiB of a fresh process that renders the warm-up steps and two more."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(render_alone, (mode, args))
+
+
+def render_alone(mode: str, args: argparse.Namespace) -> float:
+    loop = start(mode, args)
+    for _ in range(args.warm_up + 2):
+        loop.step()
+    return peak_memory_mb()
+
+
+def start(mode: str, args: argparse.Namespace) -> RenderLoop:
+    width, height = map(int, args.size.split("x"))
+    scene = load_scene(args.scene, Overrides(width=width, height=height))
+    spp = args.warm_up + args.spp
+    return RenderLoop(scene, RenderSettings(mode=mode, spp=spp, threads=args.threads))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""One render from the scene to the EXR, readable from top to bottom: the loop `bokehguide render` runs.
+
+One SPP is one training step: sample the lens, trace, put the samples on the film, and teach the
+guide from the same samples. Try
+
+    python scripts/render.py fairy-lights --mode lis-o --spp 64 --size 320x180
+    tensorboard --logdir logs
+"""
+
+import argparse
+
+import torch
+from tqdm import trange
+
+from bokehguide.image import read_rgb, tone_map, write_exr, write_png
+from bokehguide.metrics import mape, relmse
+from bokehguide.scene import Overrides, load_scene
+from bokehguide.train import MODES, RenderLoop, RenderSettings
+from bokehguide.train.logger import RenderLogger
+from bokehguide.train.metadata import describe_render
+
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("scene", help="a built-in scene, a .toml scene file or a model")
+parser.add_argument("--mode", choices=MODES, default="lis-o")
+parser.add_argument("--spp", type=int, default=64)
+parser.add_argument("--size", default="640x360")
+parser.add_argument("--seed", type=int, default=0)
+parser.add_argument("--reference", help="an EXR of the same size to measure the error against")
+parser.add_argument("--logdir", default="logs")
+parser.add_argument("--out", default="render.exr")
+args = parser.parse_args()
+
+# The scene: plain data, no rays yet.
+width, height = map(int, args.size.split("x"))
+scene = load_scene(args.scene, Overrides(width=width, height=height))
+reference = torch.from_numpy(read_rgb(args.reference)) if args.reference else None
+
+# The model and its optimiser live in the loop: Gaussians, blend weights, polynomials.
+settings = RenderSettings(mode=args.mode, spp=args.spp, seed=args.seed)
+loop = RenderLoop(scene, settings)
+logger = RenderLogger(args.logdir, scene, settings)
+
+progress = trange(settings.spp, unit="SPP")
+for _ in progress:
+    stats = loop.step()  # sample, trace, accumulate, learn, refit
+    radiance = loop.film.radiance()  # the mean so far, [H, W, 3]
+    errors = {}
+    if reference is not None:
+        errors = {"mape": mape(radiance, reference), "relmse": relmse(radiance, reference)}
+    logger.log(loop, stats, errors)
+    progress.set_postfix(kl=stats.kl, gaussians=stats.gaussians, **errors)
+
+logger.finish(loop, settings.spp)
+write_exr(args.out, loop.film.layers(), describe_render(scene, settings, settings.spp))
+write_png(args.out.removesuffix(".exr") + ".png", tone_map(loop.film.radiance()))
+print(f"wrote {args.out}; see the curves with: tensorboard --logdir {args.logdir}")

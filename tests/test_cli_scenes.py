@@ -1,0 +1,46 @@
+"""`bokehguide`, `bokehguide scenes` and `bokehguide info`."""
+
+import re
+import subprocess
+import sys
+
+import bokehguide as package
+from bokehguide.scene import BUILTIN
+from bokehguide.train import MODES
+
+
+def test_version(bokehguide):
+    finished = bokehguide("--version")
+    assert (finished.returncode, finished.stdout) == (0, f"bokehguide {package.__version__}\n")
+
+
+def test_help_names_every_mode_and_imports_nothing_heavy(bokehguide):
+    assert "|".join(MODES) in bokehguide("render", "--help").stdout
+    code = (
+        "import sys; from bokehguide.cli.arguments import parse; import bokehguide.cli\n"
+        "print({'torch', 'numpy', 'trimesh', 'kornia'} & set(sys.modules))"
+    )
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert finished.stdout == "set()\n"
+
+
+def test_scenes_are_a_line_each(bokehguide):
+    finished = bokehguide("scenes")
+    assert finished.returncode == 0, finished.stderr
+    lines = finished.stdout.splitlines()
+    assert [line.split()[0] for line in lines] == list(BUILTIN)
+    assert all(re.fullmatch(r"[a-z-]+ +\S.{15,}", line) for line in lines)
+
+
+def test_info_tells_what_was_loaded(bokehguide, lamps_file):
+    finished = bokehguide("info", lamps_file)
+    assert finished.returncode == 0, finished.stderr
+    assert "32 × 20" in finished.stdout
+    assert "wall" in finished.stdout
+
+
+def test_info_of_nothing(bokehguide):
+    finished = bokehguide("info", "fairy-light")
+    assert finished.returncode == 2
+    assert finished.stderr.startswith("bokehguide: error: fairy-light: ")
+    assert "fairy-lights" in finished.stderr

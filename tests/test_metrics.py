@@ -1,0 +1,68 @@
+"""The error measures against values worked out by hand."""
+
+import math
+
+import pytest
+import torch
+
+from bokehguide.errors import BokehguideError
+from bokehguide.metrics import compare, mape, relmse
+
+
+def test_mape_and_relmse_by_hand():
+    reference = torch.tensor([[[0.99, 0.0, 0.49]]])
+    image = torch.tensor([[[1.49, 0.01, 0.24]]])
+    # |I - R| / (R + 0.01) = 0.5, 1, 0.5
+    assert mape(image, reference) == pytest.approx(2.0 / 3.0, rel=1e-6)
+    assert relmse(image, reference) == pytest.approx((0.25 + 1.0 + 0.25) / 3.0, rel=1e-6)
+
+
+def test_the_reference_is_the_denominator():
+    dark, bright = torch.full((1, 1, 3), 0.09), torch.full((1, 1, 3), 0.99)
+    assert mape(dark, bright) == pytest.approx(0.9)
+    assert mape(bright, dark) == pytest.approx(9.0)
+
+
+def test_equal_images_have_no_error():
+    image = torch.rand(16, 20, 3, generator=torch.Generator().manual_seed(1)) * 5.0
+    metrics = compare(image, image.clone())
+    assert (metrics.mape, metrics.relmse) == (0.0, 0.0)
+    assert metrics.ssim == pytest.approx(1.0, abs=1e-6)
+    assert metrics.psnr == math.inf
+
+
+def test_psnr_is_of_the_tone_mapped_values():
+    # sRGB 0.5 and 0.6 lie 0.1 apart: PSNR = 20 dB.
+    linear = [((value + 0.055) / 1.055) ** 2.4 for value in (0.5, 0.6)]
+    image, reference = (torch.full((12, 12, 3), value) for value in linear)
+    assert compare(image, reference).psnr == pytest.approx(20.0, abs=1e-3)
+    # What is brighter than white looks alike.
+    assert compare(image + 2.0, reference + 5.0).psnr == math.inf
+
+
+def test_ssim_of_flat_images_by_hand():
+    # Without variance SSIM is (2 a b + C1) / (a² + b² + C1), C1 = 0.01².
+    linear = [((value + 0.055) / 1.055) ** 2.4 for value in (0.5, 0.8)]
+    image, reference = (torch.full((12, 12, 3), value) for value in linear)
+    expected = (2 * 0.5 * 0.8 + 1e-4) / (0.25 + 0.64 + 1e-4)
+    assert compare(image, reference).ssim == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("measure", [mape, relmse, compare])
+def test_what_cannot_be_compared_is_refused(measure):
+    good = torch.ones(12, 13, 3)
+    bad = good.clone()
+    bad[3, 4, 1] = math.nan
+    with pytest.raises(BokehguideError, match="the image has 1 NaN or infinite"):
+        measure(bad, good)
+    with pytest.raises(BokehguideError, match="the reference has 1 NaN or infinite"):
+        measure(good, bad)
+    with pytest.raises(BokehguideError, match="the image is 13x12 and the reference 12x13 pixels"):
+        measure(good, torch.ones(13, 12, 3))
+    with pytest.raises(BokehguideError, match=r"negative value, -0\.5"):
+        measure(good, good - 1.5)
+
+
+def test_too_small_for_ssim():
+    with pytest.raises(BokehguideError, match="40x10 pixels are too few for SSIM"):
+        compare(torch.ones(10, 40, 3), torch.ones(10, 40, 3))
