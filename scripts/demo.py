@@ -3,6 +3,7 @@
     python scripts/demo.py out
 """
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -33,7 +34,8 @@ def main(out: Path) -> None:
     for mode, image in images.items():
         print(f"{mode:<12}{errors[mode]:<8.4f}{image}")
     print(f"\nside by side  {pair}\nTensorBoard   {out / 'logs'}")
-    print(f"open it with  {Path(sys.executable).parent / 'tensorboard'} --logdir {out / 'logs' / SCENE}")
+    tensorboard = os.path.relpath(Path(sys.executable).parent / "tensorboard")
+    print(f"open it with  {tensorboard} --logdir {out / 'logs' / SCENE}")
 
 
 def render(mode: str, image: Path, logs: Path) -> None:

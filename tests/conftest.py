@@ -17,8 +17,9 @@ os.environ["PYTHONPATH"] = str(Path(__file__).parent.parent)
 LAMPS = """
 [camera]
 position = [0.0, 0.0, 4.0]
+target = [0.0, 0.0, 0.0]
 fov = 40.0
-aperture_radius = 0.1
+aperture_radius = 0.5
 focus_distance = 3.0
 [film]
 width = 32
@@ -34,12 +35,12 @@ emission = [40.0, 30.0, 20.0]
 [[object]]
 shape = "box"
 material = "wall"
-translate = [-0.6, -0.3, 1.0]
+translate = [-0.6, -0.3, 0.5]
 [[object]]
 shape = "sphere"
 material = "lamp"
 translate = [0.5, 0.2, -3.0]
-scale = 0.04
+scale = 0.2
 """
 
 

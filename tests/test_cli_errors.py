@@ -8,11 +8,12 @@ from bokehguide.image import write_exr
 
 MISTAKES = {
     "--mode lis-x": ["lis-x", "uniform", "lis-b", "lis-o"],
-    "--spp 0": ["--spp", "'0'", "1 or more"],
+    "--spp 0": ["--spp", "'0'", "from 1 to"],
     "--spp -4": ["--spp", "'-4'"],
     "--spp many": ["--spp", "'many'"],
-    "--threads 0": ["--threads", "'0'", "1 or more"],
-    "--seed -1": ["--seed", "'-1'", "0 or more"],
+    "--threads 0": ["--threads", "'0'", "from 1 to"],
+    "--seed -1": ["--seed", "'-1'", "from 0 to 2147483647"],
+    "--seed 2147483648": ["--seed", "'2147483648'", "from 0 to 2147483647"],
     "--seed 1.5": ["--seed", "'1.5'"],
     "--size 0x20": ["--size", "'0x20'", "640x360"],
     "--size -3x20": ["--size", "'-3x20'", "640x360"],

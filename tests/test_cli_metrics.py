@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bokehguide.cli import main
 from bokehguide.image import write_exr
 
 
@@ -33,22 +34,24 @@ def test_frame_and_insets(bokehguide, images):
     assert table["inset 0.5,0,0.5,1"] == [0.0, 0.0, 1.0, float("inf")]
 
 
-def test_mistakes_are_one_line(bokehguide, images, tmp_path):
-    write_exr(tmp_path / "small.exr", {"beauty": np.ones((10, 40, 3), np.float32)})
-    write_exr(tmp_path / "bad.exr", {"beauty": np.full((20, 40, 3), np.nan, np.float32)})
-    cases = {
-        ("metrics", "none.exr", "reference.exr"): "none.exr: cannot be read (No such file or directory); check the path",
-        ("metrics", "small.exr", "reference.exr"): "small.exr against reference.exr: the image is 40x10 and",
-        ("metrics", "bad.exr", "reference.exr"): "bad.exr against reference.exr: the image has 2400 NaN or infinite",
-        ("metrics", *images, "--inset", "0.5,0,0.6,1"): "argument --inset: '0.5,0,0.6,1' leaves the frame",
-        ("metrics", *images, "--inset", "-.5,0,.6,1"): "argument --inset: '-.5,0,.6,1' leaves the frame",
-        ("metrics", *images, "--inset", "0,0,1"): "argument --inset: '0,0,1' is not X,Y,W,H",
-        ("metrics", *images, "--inset", "0,0,0.1,1"): "4x20 pixels are too few for SSIM",
-    }
-    for arguments, message in cases.items():
-        finished = bokehguide(*arguments)
-        assert finished.returncode == 2, arguments
-        assert finished.stdout == ""
-        assert finished.stderr.startswith("bokehguide: error: "), finished.stderr
-        assert message in finished.stderr
-        assert finished.stderr.count("\n") == 1
+MISTAKES = {
+    "none.exr reference.exr": "none.exr: cannot be read (No such file or directory); check the path",
+    "small.exr reference.exr": "small.exr against reference.exr: the image is 40x10 and",
+    "bad.exr reference.exr": "bad.exr against reference.exr: the image has 2400 NaN or infinite",
+    "image.exr reference.exr --inset 0.5,0,0.6,1": "argument --inset: '0.5,0,0.6,1' leaves the frame",
+    "image.exr reference.exr --inset -.5,0,.6,1": "argument --inset: '-.5,0,.6,1' leaves the frame",
+    "image.exr reference.exr --inset 0,0,1": "argument --inset: '0,0,1' is not X,Y,W,H",
+    "image.exr reference.exr --inset 0,0,0.1,1": "4x20 pixels are too few for SSIM",
+    "image.exr": "REFERENCE.exr",
+}
+
+
+@pytest.mark.parametrize("arguments", MISTAKES)
+def test_mistakes_are_one_line(arguments, images, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    write_exr("small.exr", {"beauty": np.ones((10, 40, 3), np.float32)})
+    write_exr("bad.exr", {"beauty": np.full((20, 40, 3), np.nan, np.float32)})
+    assert main(["metrics", *arguments.split()]) == 2
+    out, err = capfd.readouterr()
+    assert (out, err[:19], err.count("\n")) == ("", "bokehguide: error: ", 1)
+    assert MISTAKES[arguments] in err

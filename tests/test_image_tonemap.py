@@ -33,7 +33,8 @@ def test_clips_and_never_decreases():
 def test_png_rounds_to_the_nearest_level(tmp_path):
     display = torch.tensor([0.0, 0.4 / 255, 0.6 / 255, 127.49 / 255, 127.51 / 255, 1.0, 1.5, -1.0])
     write_png(tmp_path / "a.png", display[None, :, None].expand(2, -1, 3))
-    pixels = np.asarray(Image.open(tmp_path / "a.png"))
+    with Image.open(tmp_path / "a.png") as picture:
+        pixels = np.asarray(picture)
     assert pixels.shape == (2, 8, 3)
     assert pixels[1, :, 2].tolist() == [0, 0, 1, 127, 128, 255, 255, 0]
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]

@@ -63,12 +63,14 @@ def test_without_a_reference_the_noise_is_estimated(tmp_path, lamps_file):
     assert curve(log, "error/relative_noise")[1][-1] == pytest.approx(loop.film.relative_noise(), rel=1e-6)
 
 
-def test_pictures_at_powers_of_two_and_at_the_end(tmp_path, lamps_file):
-    render(tmp_path / "logs", lamps_file, "lis", 6)
+@pytest.mark.parametrize(("spp", "expected"), [(6, [1, 2, 4, 6]), (4, [1, 2, 4])])
+def test_pictures_at_powers_of_two_and_at_the_end(spp, expected, tmp_path, lamps_file):
+    render(tmp_path / "logs", lamps_file, "lis", spp)
     log = read(tmp_path / "logs/lamps/lis")
     assert {"render", "beta", "record", "spotlights"} == set(log.Tags()["images"])
     for tag in log.Tags()["images"]:
-        assert [event.step for event in log.Images(tag)] == [1, 2, 4, 6]
+        assert [event.step for event in log.Images(tag)] == expected
+    for tag in ("render", "beta"):
         assert {(event.width, event.height) for event in log.Images(tag)} == {(32, 20)}
 
 
@@ -76,7 +78,7 @@ def test_settings_as_text(tmp_path, lamps_file):
     render(tmp_path / "logs", lamps_file, "lis-b", 1)
     log = read(tmp_path / "logs/lamps/lis-b")
     text = log.Tensors("settings/text_summary")[0].tensor_proto.string_val[0].decode()
-    assert "| mode | lis-b |" in text and "| scene | lamps |" in text and '"aperture_radius": 0.1' in text
+    assert "| mode | lis-b |" in text and "| scene | lamps |" in text and '"aperture_radius": 0.5' in text
 
 
 def test_a_second_run_replaces_the_first_and_other_modes_stay(tmp_path, lamps_file):

@@ -14,6 +14,9 @@ from bokehguide.errors import BokehguideError
 
 SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml scene file, or a .glb .gltf .obj .ply .stl model"
 
+MAX_INT = 2**31 - 1
+"""The largest whole number that a header of an EXR file holds."""
+
 
 class Parser(argparse.ArgumentParser):
     """Knows no abbreviations, and reports a mistake as every other part does: in one line."""
@@ -82,16 +85,11 @@ def _add_metrics(commands: argparse._SubParsersAction) -> None:
 
 
 def positive(text: str) -> int:
-    value = natural(text)
-    if value == 0:
-        raise argparse.ArgumentTypeError("'0' is not a whole number of 1 or more")
-    return value
+    return _whole(text, 1)
 
 
 def natural(text: str) -> int:
-    if not re.fullmatch(r"[0-9]+", text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 0 or more")
-    return int(text)
+    return _whole(text, 0)
 
 
 def finite(text: str) -> float:
@@ -114,6 +112,12 @@ def inset(text: str) -> tuple[float, float, float, float]:
     if not (0 <= x and 0 <= y and 0 < width and 0 < height and x + width <= 1 and y + height <= 1):
         raise argparse.ArgumentTypeError(f"{text!r} leaves the frame; give X,Y,W,H as fractions of it, between 0 and 1")
     return x, y, width, height
+
+
+def _whole(text: str, least: int) -> int:
+    if not re.fullmatch(r"[0-9]+", text) or not least <= int(text) <= MAX_INT:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {least} to {MAX_INT}")
+    return int(text)
 
 
 def _numbers(text: str, form: str) -> tuple[float, ...]:

@@ -30,6 +30,7 @@ def run(options: argparse.Namespace) -> int:
     settings = RenderSettings(
         mode=options.mode, spp=options.spp, seed=options.seed, device=options.device, threads=options.threads
     )
+    check_device(settings.device)
     reference = read_reference(options.reference, scene.film)
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
     check_outputs(out, options, run_folder(options.logdir or "", scene, settings))
@@ -65,6 +66,12 @@ def overrides_from(options: argparse.Namespace) -> Overrides:
     """What the command line changes about the scene."""
     width, height = options.size or (None, None)
     return Overrides(width=width, height=height, **{name: getattr(options, name) for name in OVERRIDES})
+
+
+def check_device(device: str) -> None:
+    """Raise BokehguideError where torch has no such device here."""
+    if device == "cuda" and not torch.cuda.is_available():
+        raise BokehguideError("--device cuda: torch finds no CUDA device here; give --device cpu")
 
 
 def read_reference(path: Path | None, film: Film) -> Tensor | None:

@@ -24,9 +24,9 @@ def one_sample_kl(ratio: Tensor, density: Tensor, area: float) -> Tensor:
 
 
 def blend_gradient(guide: GuidedLensDistribution, ratio: Tensor, mixture: Tensor, density: Tensor) -> Tensor:
-    """∂ loss / ∂ logit of β, `[N]`; 0 where there is nothing to blend."""
+    """∂ loss / ∂ logit of β, `[N]`; 0 where there is nothing to blend, or where q and with it the ratio is 0."""
     slope = BlendWeightMap.slope(guide.beta) * guide.guided
-    return -ratio * (mixture - 1.0 / guide.lens.area) / density * slope
+    return -ratio * (mixture - 1.0 / guide.lens.area) / density.clamp(min=1e-20) * slope
 
 
 def offset_gradient(

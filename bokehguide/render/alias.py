@@ -38,11 +38,12 @@ def _columns(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     in order; a heavy entry that falls below 1 is topped up by the next heavy one. The
     cumulative deficits and excesses say who meets whom (Hübschle-Schneider and Sanders 2022).
     """
-    light, heavy = np.flatnonzero(scaled < 1.0), np.flatnonzero(scaled >= 1.0)
+    is_heavy = scaled >= min(1.0, scaled.max())  # rounding may leave equal weights all below 1
+    light, heavy = np.flatnonzero(~is_heavy), np.flatnonzero(is_heavy)
     deficit, excess = np.cumsum(1.0 - scaled[light]), np.cumsum(scaled[heavy] - 1.0)
     keep, alias = np.ones_like(scaled), np.arange(len(scaled))
     last = len(heavy) - 1
-    donors = np.searchsorted(excess, np.concatenate(([0.0], deficit[:-1])), side="right")
+    donors = np.searchsorted(excess, np.concatenate(([0.0], deficit[:-1])))
     keep[light] = scaled[light]
     alias[light] = heavy[np.minimum(donors, last)][: len(light)]
     emptied = np.searchsorted(deficit, excess, side="right")

@@ -30,10 +30,14 @@ class EnvironmentLight:
         energy = _footprint_mean(radiance @ np.array([0.2126, 0.7152, 0.0722])) * self._solid_angle.cpu().numpy()[:, None]
         self.power = float(energy.sum())
         """Integral of the map's luminance over the sphere."""
+        self.constant = bool((radiance == radiance[:1, :1]).all())
+        """Whether the map is of one colour, of which light sampling could not make more than the BSDF's."""
         self._table = AliasTable(energy.reshape(-1), device) if self.power > 0.0 else None
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
+        if self.constant:
+            return self.texels[:, :1].expand_as(directions)
         u, v = self._uv(directions)
         x, y = u * self.width - 0.5, v * self.height - 0.5
         left, top = x.floor(), y.floor()

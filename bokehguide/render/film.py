@@ -74,7 +74,7 @@ class Film:
         weight = samples.weight * kept
         value = samples.radiance * weight
         self._radiance[:, pixels] += value
-        self._square[pixels] += luminance(value).square()
+        self._square[pixels] += luminance(value.double()).square()
         self._count[pixels] += kept
         self._add_alpha(pixels, weight, samples.alpha, kept)
         hit_weight = weight * (samples.depth < NO_DEPTH)

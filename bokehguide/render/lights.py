@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
 from bokehguide.render.environment import EnvironmentLight
-from bokehguide.render.geometry import Geometry
+from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import dot, luminance
 from bokehguide.scene.types import Scene
@@ -22,20 +22,34 @@ POWER_GRID = 4
 """The power of a textured triangle is averaged over this many squared points."""
 
 
+CANDIDATES = 4
+"""Points on lamps that compete for each light sample."""
+
+
 class LightSample(NamedTuple):
-    """direction: unit, `[3, N]`; distance `[N]`; radiance `[3, N]`; pdf per solid angle `[N]`."""
+    """One light sample for each shaded point.
+
+    direction: unit, `[3, N]`; distance `[N]`; radiance: `[3, N]`, 0 for what does not
+    count; weight: `[N]`, whose mean over draws makes radiance × weight an unbiased
+    integral over solid angle (1/pdf for plain sampling); pdf: `[N]`, per solid angle,
+    the density that MIS weighs the sample with.
+    """
 
     direction: Tensor
     distance: Tensor
     radiance: Tensor
+    weight: Tensor
     pdf: Tensor
 
 
 class Lights:
     """Emissive triangles (alias table over power) and the environment map.
 
-    All densities are per unit solid angle at the shaded point and include the choice
-    between the two kinds.
+    An environment of one colour is left to BSDF sampling, which suits it best. Points on
+    triangles are resampled: of CANDIDATES points drawn by power one is kept by the
+    irradiance it would cause unshadowed (Talbot et al. 2005), so that near lamps are
+    found among many. All densities are per unit solid angle at the shaded point and
+    include the choice between the two kinds.
     """
 
     def __init__(self, scene: Scene, geometry: Geometry):
@@ -45,7 +59,7 @@ class Lights:
         triangles = torch.nonzero(geometry.emissive[geometry.material])[:, 0]
         power = _triangle_powers(geometry, triangles, scene)
         triangles, power = triangles[power > 0.0], power[power > 0.0]
-        sky = self.environment.power if self.environment else 0.0
+        sky = self.environment.power if self.environment and not self.environment.constant else 0.0
         self.environment_share = _environment_share(sky, float(power.sum()), geometry)
         self._area_pdf = torch.zeros(geometry.material.shape[0], device=device)
         self._triangles = triangles
@@ -57,32 +71,55 @@ class Lights:
             self._corner, self._edge1, self._edge2 = corners[0], corners[1] - corners[0], corners[2] - corners[0]
 
     @property
+    def uniforms(self) -> int:
+        """How many uniform numbers `sample` takes."""
+        return 5 if self.environment_share == 1.0 else 2 + 4 * CANDIDATES
+
+    @property
     def empty(self) -> bool:
         """Whether there is nothing that `sample` could choose."""
         return self.environment_share == 0.0 and len(self._triangles) == 0
 
-    def sample(self, points: Tensor, uniforms: Tensor) -> LightSample:
-        """One light sample for each shaded point `[3, N]` from uniform numbers `[5, N]`."""
+    def sample(self, surface: Surface, uniforms: Tensor) -> LightSample:
+        """A light sample for each of N surfaces from `uniforms` numbers `[.., N]`."""
         if self.environment_share == 0.0:
-            return self._sample_triangles(points, uniforms[1:])
+            return self._sample_triangles(surface, uniforms[1:])
         if self.environment_share == 1.0:
             return self._sample_environment(uniforms[1:])
         sky = uniforms[0] < self.environment_share
         index = torch.cat((sky.nonzero()[:, 0], (~sky).nonzero()[:, 0]))
         count = int(sky.sum())
-        ordered = uniforms[1:].index_select(1, index)
-        far = self._sample_environment(ordered[:, :count])
-        near = self._sample_triangles(points.index_select(1, index[count:]), ordered[:, count:])
+        near = index[count:]
+        far_samples = self._sample_environment(uniforms[1:5].index_select(1, index[:count]))
+        near_samples = self._sample_triangles(surface.select(near), uniforms[1:].index_select(1, near))
         back = torch.empty_like(index)
         back[index] = torch.arange(len(index), device=index.device)
-        return LightSample(*(torch.cat(pair, dim=-1).index_select(-1, back) for pair in zip(far, near)))
+        return LightSample(*(torch.cat(pair, dim=-1).index_select(-1, back) for pair in zip(far_samples, near_samples)))
 
     def _sample_environment(self, uniforms: Tensor) -> LightSample:
-        direction, pdf = self.environment.sample(uniforms)
+        direction, pdf = self.environment.sample(uniforms[0:4])
         distance = torch.full_like(pdf, MISS_DISTANCE)
-        return LightSample(direction, distance, self.environment.radiance(direction), pdf * self.environment_share)
+        pdf = pdf * self.environment_share
+        return LightSample(direction, distance, self.environment.radiance(direction), 1.0 / pdf, pdf)
 
-    def _sample_triangles(self, points: Tensor, uniforms: Tensor) -> LightSample:
+    def _sample_triangles(self, surface: Surface, uniforms: Tensor) -> LightSample:
+        """Resampled importance sampling: candidates by power, one kept by unshadowed irradiance."""
+        count = surface.position.shape[1]
+        points = surface.position.repeat(1, CANDIDATES)
+        candidates = self._candidates(points, uniforms[: 4 * CANDIDATES].reshape(4, CANDIDATES * count))
+        cosine = dot(candidates.direction, surface.normal.repeat(1, CANDIDATES))
+        transmits = (surface.transmission > 0.0).to(torch.float32).repeat(CANDIDATES)
+        target = luminance(candidates.radiance) * torch.maximum(cosine, cosine.abs() * transmits)
+        share = (target * candidates.weight).reshape(CANDIDATES, count).cumsum(0)
+        total = share[-1]
+        chosen = (share <= uniforms[4 * CANDIDATES] * total).sum(0).clamp(max=CANDIDATES - 1)
+        index = chosen * count + torch.arange(count, device=points.device)
+        kept = LightSample(*(field.index_select(-1, index) for field in candidates))
+        weight = total / (CANDIDATES * target.index_select(0, index).clamp(min=1e-30))
+        return kept._replace(weight=weight)
+
+    def _candidates(self, points: Tensor, uniforms: Tensor) -> LightSample:
+        """Points on triangles drawn by power and area, from uniform numbers `[4, N]`."""
         index = self._table.sample(uniforms[0:2])
         root = uniforms[2].sqrt()
         u, v = root * (1.0 - uniforms[3]), root * uniforms[3]
@@ -98,17 +135,19 @@ class Lights:
         cosine = -dot(self._geometry.face_normals(triangle), direction)
         hit = Hit(triangle, distance, u, v)
         radiance = self._geometry.emission(hit, (cosine > 0.0).to(torch.float32))
-        return LightSample(direction, distance, radiance, self.triangle_pdf(triangle, distance, cosine))
+        pdf = self.triangle_pdf(triangle, distance, cosine)
+        return LightSample(direction, distance, radiance, 1.0 / pdf, pdf)
 
     def triangle_pdf(self, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
-        """Density `[N]` with which `sample` finds points on `triangle` at `distance` under `cosine`."""
+        """Density `[N]` of points on `triangle` at `distance` under `cosine` for MIS.
+
+        It is that of all candidates together; MIS may use any function of the point.
+        """
         share = 1.0 - self.environment_share
         return share * self._area_pdf.index_select(0, triangle) * distance * distance / cosine.abs().clamp(min=1e-12)
 
     def environment_pdf(self, directions: Tensor) -> Tensor:
         """Density `[N]` with which `sample` finds environment directions `[3, N]`."""
-        if self.environment_share == 0.0:
-            return torch.zeros_like(directions[0])
         return self.environment_share * self.environment.pdf(directions)
 
 

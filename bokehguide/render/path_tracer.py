@@ -21,9 +21,9 @@ from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import dot
 from bokehguide.scene.types import Scene
 
-ROULETTE_DEPTH = 3
-"""Paths of more segments than this may end by Russian roulette."""
-DIMENSIONS = 16
+ROULETTE_DEPTH = 2
+"""Paths of at least this many segments may end by Russian roulette."""
+DIMENSIONS = 32
 """Random dimensions reserved for each segment of a path."""
 FIRST_DIMENSION = 32
 """Dimensions below this belong to the camera."""
@@ -108,11 +108,13 @@ class PathTracer:
         self._add_emission(paths, hit, surface)
         if depth == self.max_depth:
             return _finish(paths, result)
-        uniforms = paths.random.uniform(FIRST_DIMENSION + DIMENSIONS * (depth - 1), 10)
-        scattering = Scattering(surface, uniforms[0], self.geometry.has_transmission)
+        dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
+        choice = paths.random.uniform(dimension, 1)[0] if self.geometry.has_transmission else None
+        scattering = Scattering(surface, choice)
         if not self.lights.empty:
-            result.rays += self._add_direct_light(paths, surface, scattering, uniforms[1:6], timer)
-        return self._scatter(paths, surface, scattering, uniforms[6:10], depth, result)
+            uniforms = paths.random.uniform(dimension + 5, self.lights.uniforms)
+            result.rays += self._add_direct_light(paths, surface, scattering, uniforms, timer)
+        return self._scatter(paths, surface, scattering, paths.random.uniform(dimension + 1, 4), depth, result)
 
     def _end_in_environment(self, paths: _Paths, hit: Hit, result: PathSamples) -> tuple[_Paths, Hit]:
         """Add the environment's radiance to the paths that left the scene, and end them."""
@@ -121,8 +123,10 @@ class PathTracer:
             return paths, hit
         gone = paths.select(missed)
         if self.lights.environment is not None:
-            weight = power_heuristic(gone.pdf, self.lights.environment_pdf(gone.direction))
-            gone.radiance += gone.throughput * self.lights.environment.radiance(gone.direction) * weight
+            arriving = gone.throughput * self.lights.environment.radiance(gone.direction)
+            if self.lights.environment_share > 0.0:
+                arriving = arriving * power_heuristic(gone.pdf, self.lights.environment_pdf(gone.direction))
+            gone.radiance += arriving
         _finish(gone, result)
         kept = (hit.triangle >= 0).nonzero()[:, 0]
         return paths.select(kept), Hit(*(field.index_select(0, kept) for field in hit))
@@ -145,10 +149,9 @@ class PathTracer:
         self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, timer: PhaseTimer
     ) -> int:
         """Next-event estimation: one shadow ray a path; returns the number of rays traced."""
-        light = self.lights.sample(surface.position, uniforms)
+        light = self.lights.sample(surface, uniforms)
         value, pdf = scattering.evaluate(light.direction)
-        light_pdf = light.pdf.clamp(min=1e-30)
-        weight = power_heuristic(light_pdf, pdf) / light_pdf
+        weight = power_heuristic(light.pdf.clamp(min=1e-30), pdf) * light.weight
         contribution = paths.throughput * value * light.radiance * weight
         index = (contribution.amax(0) > 0.0).nonzero()[:, 0]
         direction = light.direction.index_select(1, index)

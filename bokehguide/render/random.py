@@ -26,11 +26,14 @@ def _signed(x: int) -> int:
 
 def hash_tensor(x: Tensor) -> Tensor:
     """`hash_int` of int32 values, as int32, in place."""
-    x ^= (x >> 16) & 0xFFFF
+    shifted = x >> 16
+    x ^= shifted.bitwise_and_(0xFFFF)
     x *= _signed(0x7FEB352D)
-    x ^= (x >> 15) & 0x1FFFF
+    torch.bitwise_right_shift(x, 15, out=shifted)
+    x ^= shifted.bitwise_and_(0x1FFFF)
     x *= _signed(0x846CA68B)
-    x ^= (x >> 16) & 0xFFFF
+    torch.bitwise_right_shift(x, 16, out=shifted)
+    x ^= shifted.bitwise_and_(0xFFFF)
     return x
 
 
@@ -58,5 +61,6 @@ class PixelRandom:
         Multiples of 2^-23 shifted by half a step: never 0 and never 1.
         """
         keys = [_signed(hash_int(self.step_key + 0x3C6EF372 * (dimension + i))) for i in range(count)]
-        bits = hash_tensor(self.pixel_keys ^ torch.tensor(keys, dtype=torch.int32, device=self.pixel_keys.device)[:, None])
-        return ((bits >> 9) & 0x7FFFFF).to(torch.float32).add_(0.5).mul_(2.0**-23)
+        keys = torch.tensor(keys, dtype=torch.int32, device=self.pixel_keys.device)[:, None]
+        bits = hash_tensor(self.pixel_keys ^ keys)
+        return bits.bitwise_right_shift_(9).bitwise_and_(0x7FFFFF).to(torch.float32).add_(0.5).mul_(2.0**-23)

@@ -16,15 +16,16 @@ class Scattering:
 
     A partly transmissive material is the mixture of an opaque and a glass one: `choice`,
     uniform numbers `[N]`, picks one of them for each path, which leaves the mean unchanged.
+    None says that nothing in the scene transmits.
     """
 
-    def __init__(self, surface: Surface, choice: Tensor, may_transmit: bool):
+    def __init__(self, surface: Surface, choice: Tensor | None):
         self._surface = surface
         self._frame = (*tangent_frame(surface.normal), surface.normal)
         outgoing = to_local(surface.outgoing, *self._frame)
         self._opaque = OpaqueBSDF(outgoing, surface)
         self._glass = None
-        if may_transmit:
+        if choice is not None:
             index = (choice < surface.transmission * (1.0 - surface.metallic)).nonzero()[:, 0]
             if len(index) > 0:
                 self._glass_index = index

@@ -51,19 +51,22 @@ def lens_coverage(scene: Scene) -> float | None:
     if camera.aperture_radius == 0.0:
         return None
     x, y, depth = _camera_space(camera, lamps)
-    reach = np.tan(np.radians(camera.fov) / 2.0)
-    focus, lens = camera.focus_distance, camera.aperture_radius
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope = np.where(lamps.infinite, 1.0, focus / np.abs(focus - depth))
-        on_lens = lamps.radii * np.where(lamps.infinite, focus / depth, slope)
-        # Radius of the circle of confusion as the tangent of its angle from the lens.
-        confusion = lens * np.abs(1.0 / focus - np.where(lamps.infinite, 0.0, 1.0 / depth))
-        inside = (depth > 0.0) & (np.abs(x / depth) < reach + confusion)
-        aspect = scene.film.height / scene.film.width
-        inside &= np.abs(y / depth) < reach * aspect + confusion
-    if not inside.any():
-        return None
-    return float(np.median(np.minimum(on_lens[inside] / lens, 1.0) ** 2))
+        # Of a lamp at infinity the radius is a tangent, and R d / (Z - d) tends to d tan.
+        gap = np.where(lamps.infinite, depth, np.abs(depth - camera.focus_distance))
+        share = (lamps.radii * camera.focus_distance / gap / camera.aperture_radius) ** 2
+        seen = depth > 0.0
+        seen &= _touches_frame(x / depth, y / depth, np.where(lamps.infinite, np.inf, depth), scene)
+    return float(np.median(np.minimum(share[seen], 1.0))) if seen.any() else None
+
+
+def _touches_frame(x: np.ndarray, y: np.ndarray, depth: np.ndarray, scene: Scene) -> np.ndarray:
+    """Whether the circles of confusion of points at slopes x, y and `depth` reach the frame."""
+    camera, film = scene.camera, scene.film
+    reach = np.tan(np.radians(camera.fov) / 2.0)
+    confusion = camera.aperture_radius * np.abs(1.0 / camera.focus_distance - 1.0 / depth)
+    inside = np.abs(x) < reach + confusion
+    return inside & (np.abs(y) < reach * film.height / film.width + confusion)
 
 
 def _camera_space(camera: Camera, lamps: Lamps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.overrides import Overrides, override_camera, override_surroundings
-from bokehguide.scene.tables import did_you_mean
 from bokehguide.scene.types import Scene
 from bokehguide.scene.validation import checked
 
@@ -38,8 +38,9 @@ def load_scene(spec: str, overrides: Overrides = Overrides()) -> Scene:
 
         scene = model_scene(Path(spec), overrides)
     else:
+        near = difflib.get_close_matches(spec, BUILTIN, n=1)
         raise BokehguideError(
-            f"{spec}: no such scene; {did_you_mean(spec, BUILTIN)}\n"
+            f"{spec}: no such scene" + (f"; did you mean {near[0]!r}?" if near else "") + "\n"
             f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, "
             f"or a model ({' '.join(MODEL_SUFFIXES)})"
         )

@@ -20,7 +20,7 @@ def checked(scene: Scene) -> Scene:
     of range, or nothing is left to see.
     """
     for number, mesh in enumerate(scene.meshes):
-        _check_mesh(mesh, f"{scene.name}: mesh {number}", len(scene.materials))
+        check_mesh(mesh, f"{scene.name}: mesh {number}", len(scene.materials))
     meshes = tuple(mesh for mesh in map(_without_degenerate, scene.meshes) if len(mesh.triangles))
     if not meshes:
         raise BokehguideError(
@@ -29,7 +29,8 @@ def checked(scene: Scene) -> Scene:
     return replace(scene, meshes=meshes, warnings=tuple(dict.fromkeys(scene.warnings)))
 
 
-def _check_mesh(mesh: Mesh, place: str, materials: int) -> None:
+def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
+    """Raise BokehguideError, naming `place`, where `mesh` is not finite or not consistent."""
     count = len(mesh.vertices)
     for name, width in (("vertices", 3), ("normals", 3), ("uvs", 2)):
         values = getattr(mesh, name)

@@ -136,6 +136,18 @@ class LensGuide(nn.Module):
         self._offset_optimizer = torch.optim.Adam(self.offsets.parameters(), lr=OFFSET_RATE)
         self.set_candidates(OFFSET_SLACK)
 
+    def load_state_dict(self, state_dict, *args, **kwargs):
+        """Load Gaussians, β, records and, of a frozen guide, offsets; then list each pixel's candidates.
+
+        Adam's moments are no part of it.
+        """
+        field = {name.removeprefix("field."): value for name, value in state_dict.items() if name.startswith("field.")}
+        self.field.load_state_dict(field)
+        self.set_candidates()
+        if "offsets.coefficients" in state_dict:
+            self.freeze()
+        return super().load_state_dict(state_dict, *args, **kwargs)
+
     def images(self) -> dict[str, Tensor]:
         """β, record buffer and spotlights as `[H, W, 3]` in 0 … 1; the last two with their margin."""
         camera, record = self.camera, self.record

@@ -18,7 +18,9 @@ class RecordBuffer(nn.Module):
     """A raster with a margin whose cells keep sample count, radiance and position.
 
     Positions are averaged with the radiance as weight, or a small highlight would be mixed
-    with what lies behind it. sums: `[5, cells]`: count, Σ L, Σ L·(X, Y, Z), camera frame.
+    with what lies behind it, and as slopes and inverse depth, or a dim environment, which
+    is recorded far away, would carry a lamp before it off. sums: `[5, cells]`: count, Σ L,
+    Σ L·(X/Z, Y/Z, 1/Z), camera frame.
     """
 
     def __init__(self, camera: ThinLensCamera, device: torch.device | str = "cpu"):
@@ -39,13 +41,15 @@ class RecordBuffer(nn.Module):
         cells, light = cells[index], luminance[index]
         self.sums[0].index_add_(0, cells, torch.ones_like(light))
         self.sums[1].index_add_(0, cells, light)
-        for axis in range(3):
-            self.sums[2 + axis].index_add_(0, cells, light * points[axis, index])
+        x, y, depth = points[:, index].unbind(0)
+        for total, value in zip(self.sums[2:5], (x / depth, y / depth, 1.0 / depth)):
+            total.index_add_(0, cells, light * value)
 
     def radiance(self) -> Tensor:
         """Mean luminance of each cell, `[height, width]`."""
         return (self.sums[1] / self.sums[0].clamp(min=1.0)).reshape(self.height, self.width)
 
     def positions(self, cells: Tensor) -> Tensor:
-        """Radiance-weighted mean positions `[3, K]` of cells `[K]`."""
-        return self.sums[2:5, cells] / self.sums[1, cells].clamp(min=1e-30)
+        """Radiance-weighted mean positions `[3, K]` of cells `[K]` that have seen light."""
+        x, y, inverse_depth = self.sums[2:5, cells]
+        return torch.stack((x, y, self.sums[1, cells])) / inverse_depth

@@ -12,10 +12,10 @@ DESCRIPTION = "polished metal near and far under small lamps: highlights that mo
 
 CAMERA = Camera(
     position=(0.0, 0.3, 1.05),
-    target=(0.0, 0.13, 0.0),
+    target=(0.0, 0.19, 0.0),
     fov=40.0,
     aperture_radius=0.04,
-    focus_distance=1.06,
+    focus_distance=1.05,
 )
 
 
@@ -31,11 +31,11 @@ def chrome() -> Scene:
         camera=CAMERA,
         meshes=builder.meshes(),
         materials=tuple(builder.materials),
-        environment=sky((-90, (0.02, 0.02, 0.02)), (0, (0.09, 0.10, 0.13)), (90, (0.2, 0.22, 0.28))),
+        environment=sky((-90, (0.02, 0.02, 0.02)), (0, (0.16, 0.17, 0.21)), (90, (0.5, 0.55, 0.7))),
         insets=(
             Inset(0.0, 0.42, 0.26, 0.5),
             Inset(0.3, 0.02, 0.4, 0.3),
-            Inset(0.72, 0.1, 0.26, 0.36),
+            Inset(0.72, 0.02, 0.26, 0.36),
         ),
     )
 
@@ -45,7 +45,7 @@ def _bar(builder: Builder) -> None:
     builder.box(counter, (0.0, -0.03, -0.6), (4.0, 0.06, 3.2))
     wall = builder.material("wall", (0.10, 0.06, 0.05), roughness=0.9)
     builder.add(unit_rectangle(), wall, translate=(0.0, 0.0, -3.6), scale=(7.0, 4.0, 1.0))
-    panel = builder.lamp("panel", (11.0, 11.5, 12.5))
+    panel = builder.lamp("panel", (20.0, 21.0, 23.0))
     builder.add(
         unit_rectangle(), panel, translate=(-1.2, 1.2, 0.6), rotate=(40.0, 115.0, 0.0), scale=0.3
     )
@@ -66,9 +66,9 @@ def _metal(builder: Builder) -> None:
     builder.add(lathe(cup, 128), gold, translate=(0.11, 0.0, -0.03))
     builder.balls(copper, (0.055, 0.022, 0.09), 0.022)
     builder.balls(brushed, (-0.125, 0.032, 0.05), 0.032)
-    # Near the lens: half its distance to the focal plane.
-    builder.balls(steel, (-0.20, 0.105, 0.42), 0.095)
-    builder.add(ring(0.075, 0.018, 96), copper, translate=(0.19, 0.09, 0.43), rotate=(62, 30, 0))
+    # Near the lens, their feet below the frame.
+    builder.balls(steel, (-0.20, 0.15, 0.42), 0.095)
+    builder.add(ring(0.075, 0.018, 96), copper, translate=(0.19, 0.125, 0.43), rotate=(62, 30, 0))
     # Far: a row of taps and urns.
     for number, x in enumerate((-0.75, -0.42, 0.36, 0.70)):
         urn = [(0.0, 0.0), (0.09, 0.0), (0.10, 0.02), (0.12, 0.2), (0.10, 0.33), (0.03, 0.40)]
@@ -84,7 +84,7 @@ def _lamps(builder: Builder) -> None:
     warm = builder.lamp("bulb", (180.0, 110.0, 48.0))
     cool = builder.lamp("cool bulb", (80.0, 125.0, 180.0))
     x = np.linspace(-1.25, 1.25, 14)
-    back = np.stack([x, 0.60 + 0.05 * np.cos(4.0 * x), np.full(14, -2.2)], axis=1)
+    back = np.stack([x, 0.48 + 0.05 * np.cos(4.0 * x), np.full(14, -2.2)], axis=1)
     low = np.stack([x + 0.08, 0.28 + 0.1 * rng.random(14), rng.uniform(-3.2, -2.4, 14)], axis=1)
     builder.balls(warm, back, lamp_radius(CAMERA, back, 0.006))
     builder.balls(cool, low[::2], lamp_radius(CAMERA, low[::2], 0.005))

@@ -51,7 +51,7 @@ def _vase(builder: Builder) -> None:
     builder.add(lathe(vase, 96), glaze)
     builder.add(ring(0.0545, 0.0028, 96), gold, translate=(0.0, 0.074, 0.0))
     builder.balls(gold, ((0.105, 0.046, 0.05), (-0.112, 0.043, 0.04)), (0.018, 0.015))
-    for x, radiance in ((-1.0, (5.5, 5.2, 4.8)), (1.2, (2.0, 2.4, 3.2))):
+    for x, radiance in ((-1.0, (12.0, 11.3, 10.5)), (1.2, (4.5, 5.3, 7.0))):
         softbox = builder.lamp("softbox", radiance)
         builder.add(
             unit_rectangle(), softbox,
@@ -84,9 +84,9 @@ def _drifting(builder: Builder) -> None:
     """Lamps that hang free, far behind and close to the lens."""
     rng = np.random.default_rng(13)
     for color, count, near, far in (
-        ((150.0, 100.0, 50.0), 16, 2.0, 3.6),
-        ((60.0, 110.0, 160.0), 12, 2.0, 3.6),
-        ((160.0, 70.0, 110.0), 6, 0.5, 0.62),
+        ((125.0, 76.0, 34.0), 16, 2.0, 3.6),
+        ((42.0, 80.0, 125.0), 12, 2.0, 3.6),
+        ((120.0, 42.0, 75.0), 6, 0.5, 0.62),
     ):
         depth = rng.uniform(near, far, count)
         side = np.where(np.arange(count) % 2, 1.0, -1.0)

@@ -64,7 +64,7 @@ def _room(builder: Builder) -> None:
     wall = builder.material("wall", (0.10, 0.12, 0.16), roughness=0.9)
     builder.add(unit_rectangle(), wall, translate=(0.0, 0.0, -3.4), scale=(6.0, 3.0, 1.0))
     # A dim window to the left of the camera lights the faces that look at us.
-    window = builder.lamp("window", (5.0, 4.2, 3.4))
+    window = builder.lamp("window", (13.0, 11.0, 9.0))
     builder.add(
         unit_rectangle(), window, translate=(-1.1, 0.9, 1.0), rotate=(30.0, 130.0, 0.0), scale=0.35
     )

@@ -48,7 +48,7 @@ def _stage(builder: Builder) -> None:
     builder.box(floor, (0.0, -0.02, -1.0), (8.0, 0.04, 3.6))
     curtain = builder.material("curtain", (0.06, 0.03, 0.10), roughness=0.95, specular=0.0)
     builder.add(unit_rectangle(), curtain, translate=(0.0, 0.0, -2.8), scale=(6.0, 3.0, 1.0))
-    softbox = builder.lamp("softbox", (5.0, 4.8, 4.6))
+    softbox = builder.lamp("softbox", (24.0, 23.0, 22.0))
     builder.add(
         unit_rectangle(), softbox, translate=(0.9, 1.1, 0.9), rotate=(-40, -135, 0), scale=0.35
     )
@@ -92,22 +92,20 @@ def _swan(builder: Builder) -> None:
 
 
 def _specks(builder: Builder) -> None:
-    """240 specks on a rising spiral around the swan and along the line of sight."""
+    """200 specks in a band across the frame, from 0.45 m to 3.6 m before the lens."""
     rng = np.random.default_rng(21)
-    count = 240
-    depth = 1.0 / rng.uniform(1.0 / 3.6, 1.0 / 0.42, count)
-    turn = 4.2 * np.log(depth) + rng.normal(0.0, 0.8, count)
-    turn += np.where(rng.random(count) < 0.5, 0.0, np.pi)
-    spread = depth * rng.uniform(0.16, 0.44, count)
-    # The line of sight falls 0.11 m a metre; the spiral follows it, a little above.
-    height = 0.25 - 0.08 * depth + 0.42 * spread * np.sin(turn)
-    centres = np.stack([spread * np.cos(turn), height, 1.0 - depth], axis=1)
-    # Nothing sinks into the floor, and nothing hides the swan.
-    centres[:, 1] = np.maximum(centres[:, 1], 0.012 + 0.01 * rng.random(count))
-    near = np.abs(depth - 1.0) < 0.16
-    centres[near, 0] += np.where(centres[near, 0] < 0.0, -0.16, 0.16)
+    count = 200
+    depth = np.exp(rng.uniform(np.log(0.45), np.log(3.6), count))
+    across = rng.uniform(-0.42, 0.42, count)
+    up = rng.normal(0.03, 0.09, count)
+    # What floats between the lens and the swan stays beside it.
+    beside = np.where(across < 0.0, -1.0, 1.0) * rng.uniform(0.2, 0.42, count)
+    across = np.where(depth < 1.0, beside, across)
+    height = CAMERA.position[1] + (up - 0.11) * depth
+    height = np.maximum(height, rng.uniform(0.01, 0.03, count))
+    centres = np.stack([across * depth, height, CAMERA.position[2] - depth], axis=1)
     radii = np.maximum(lamp_radius(CAMERA, centres, rng.uniform(0.003, 0.008, count)), SMALLEST)
-    colors = ((85.0, 52.0, 18.0), (85.0, 26.0, 42.0), (22.0, 58.0, 80.0), (60.0, 55.0, 48.0))
+    colors = ((95.0, 58.0, 20.0), (95.0, 28.0, 45.0), (24.0, 62.0, 88.0), (65.0, 60.0, 52.0))
     kinds = rng.integers(0, len(colors), count)
     for number, color in enumerate(colors):
         chosen = kinds == number

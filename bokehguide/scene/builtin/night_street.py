@@ -12,7 +12,7 @@ DESCRIPTION = "a hydrant on a wet street; lamps and windows from a map and from 
 
 CAMERA = Camera(
     position=(0.0, 0.95, 3.0),
-    target=(0.0, 0.62, 0.0),
+    target=(0.0, 0.66, 0.0),
     fov=40.0,
     aperture_radius=0.12,
     focus_distance=3.0,
@@ -85,6 +85,10 @@ def _street(builder: Builder) -> None:
     asphalt = builder.material("wet asphalt", (0.03, 0.03, 0.032), roughness=0.22)
     paving = builder.material("paving", (0.16, 0.15, 0.14), roughness=0.45)
     paint = builder.material("paint", (0.55, 0.55, 0.50), roughness=0.5)
+    front = builder.lamp("shop front", (3.5, 3.0, 2.4))
+    builder.add(
+        unit_rectangle(), front, translate=(-3.0, 2.2, 4.0), rotate=(25.0, 142.0, 0.0), scale=(1.2, 0.7, 1)
+    )
     builder.add(
         unit_rectangle(), asphalt, translate=(0.0, 0.0, -40.0), rotate=(-90, 0, 0), scale=(60, 60, 1)
     )

@@ -1,0 +1,148 @@
+"""What the experiments share: their options, and long renders that may be stopped and continued.
+
+A long render is the mean of many short, independent ones ("chunks"), each with a seed of its
+own. It is kept in an EXR after every chunk, so that the same command goes on where it ended.
+The file knows the scene, mode and seed it was made from, not the version of the path tracer:
+remove it where that has changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import math
+import pickle
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from bokehguide.cli.arguments import positive, size
+from bokehguide.errors import BokehguideError
+from bokehguide.image import read_exr, read_metadata, write_exr
+from bokehguide.image.files import check_writable
+from bokehguide.render.film import Film
+from bokehguide.scene import BUILTIN, Overrides, Scene, load_scene
+from bokehguide.train import MODES, RenderLoop, RenderSettings
+
+
+def experiment_parser(doc: str, frame: str, default_modes: str) -> argparse.ArgumentParser:
+    """A parser with the options that every experiment has; `frame` is the default `--size`."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("scenes", nargs="*", default=list(BUILTIN), type=builtin, metavar="SCENE", help="built-in scenes, default all")
+    add("--size", type=size, default=size(frame), metavar="WxH", help=f"default {frame}")
+    add("--modes", type=modes, default=modes(default_modes), help=f"default {default_modes}")
+    add("--threads", type=positive, help="default: one per core")
+    limit = "start no new render after so many seconds; the same command goes on"
+    add("--time-limit", type=float, default=math.inf, metavar="SECONDS", help=limit)
+    return parser
+
+
+def builtin(text: str) -> str:
+    if text not in BUILTIN:
+        raise argparse.ArgumentTypeError(f"{text!r} is not built in; choose from {', '.join(BUILTIN)}")
+    return text
+
+
+def modes(text: str) -> list[str]:
+    chosen = text.split(",")
+    for mode in chosen:
+        if mode not in MODES:
+            raise argparse.ArgumentTypeError(f"{mode!r} is no mode; choose from {','.join(MODES)}")
+    return chosen
+
+
+def load_scenes(args: argparse.Namespace) -> list[Scene]:
+    """The scenes of the command line at its size."""
+    width, height = args.size
+    return [load_scene(name, Overrides(width=width, height=height)) for name in args.scenes]
+
+
+@dataclass(frozen=True)
+class LongRender:
+    """A mean of independent renders.
+
+    radiance: `[H, W, 3]`; variance: of the luminance of `radiance`, `[H, W]`, both float64;
+    spp: samples a pixel so far; chunks: renders so far.
+    """
+
+    radiance: Tensor
+    variance: Tensor
+    spp: int = 0
+    chunks: int = 0
+
+    def plus(self, film: Film, spp: int) -> LongRender:
+        """This render and another one of `spp` samples, each weighed by its samples."""
+        total = self.spp + spp
+        radiance = (self.spp * self.radiance + spp * film.radiance().cpu()) / total
+        variance = (self.spp**2 * self.variance + spp**2 * film.variance().cpu()) / total**2
+        return LongRender(radiance, variance, total, self.chunks + 1)
+
+
+def accumulate(path: Path, scene: Scene, settings: RenderSettings, chunk: int, deadline: float) -> LongRender:
+    """Go on with the render kept at `path` until it has `settings.spp` samples a pixel or time is up.
+
+    chunk: SPP of one render; the first has the seed `settings.seed`, the next ones those
+    after it. deadline: no chunk begins after it, in seconds of `time.monotonic`.
+    Raises BokehguideError where the file cannot be written or was made from something else.
+    """
+    check_writable(path)
+    origin = fingerprint(scene, settings)
+    kept = read_long_render(path, origin) if path.exists() else empty_long_render(scene)
+    with progress(path.stem, settings.spp, kept.spp) as bar:
+        while kept.spp < settings.spp and time.monotonic() < deadline:
+            spp = min(chunk, settings.spp - kept.spp)
+            film = render(scene, replace(settings, spp=spp, seed=settings.seed + kept.chunks), bar)
+            warn_of_bad_samples(film, path.stem)
+            kept = kept.plus(film, spp)
+            facts = {"scene": scene.name, "mode": settings.mode, "seed": settings.seed, "origin": origin}
+            layers = {"beauty": kept.radiance.numpy(), "variance": kept.variance.numpy()}
+            write_exr(path, layers, facts | {"spp": kept.spp, "chunks": kept.chunks})
+    return kept
+
+
+def render(scene: Scene, settings: RenderSettings, bar: tqdm) -> Film:
+    """The film of one whole render."""
+    loop = RenderLoop(scene, settings)
+    for _ in range(settings.spp):
+        loop.step()
+        bar.update()
+    return loop.film
+
+
+def progress(title: str, spp: int, done: int = 0) -> tqdm:
+    """A bar over SPP; a log file gets a line now and then, a terminal a bar that moves."""
+    interval = 0.1 if sys.stderr.isatty() else 30.0
+    return tqdm(total=spp, initial=min(done, spp), desc=title, unit="SPP", mininterval=interval, dynamic_ncols=True)
+
+
+def warn_of_bad_samples(film: Film, title: str) -> None:
+    """Say on stderr where samples were left out: a mean without them may be wrong."""
+    if film.bad_count:
+        print(f"{title}: {film.bad_count} NaN or infinite samples, the first: {film.bad_samples[0]}", file=sys.stderr)
+
+
+def empty_long_render(scene: Scene) -> LongRender:
+    shape = (scene.film.height, scene.film.width)
+    return LongRender(torch.zeros(*shape, 3, dtype=torch.float64), torch.zeros(shape, dtype=torch.float64))
+
+
+def read_long_render(path: Path, origin: str) -> LongRender:
+    """Raises BokehguideError for a file that is damaged or not of this `origin`."""
+    facts = read_metadata(path)
+    if facts.get("origin") != origin:
+        raise BokehguideError(f"{path}: was made from another scene, mode or seed; remove it or choose another folder")
+    planes = {name: torch.from_numpy(plane.astype(np.float64)) for name, plane in read_exr(path).items()}
+    radiance = torch.stack([planes[name] for name in "RGB"], dim=-1)
+    return LongRender(radiance, planes["variance.Y"], int(facts["spp"]), int(facts["chunks"]))
+
+
+def fingerprint(scene: Scene, settings: RenderSettings) -> str:
+    """A digest of all that decides what a long render converges to, and of its random numbers."""
+    return hashlib.sha256(pickle.dumps((scene, settings.mode, settings.seed), protocol=5)).hexdigest()

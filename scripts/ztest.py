@@ -1,0 +1,285 @@
+"""Do guided renders have the mean of uniform ones, while the guide still learns?
+
+    python scripts/ztest.py --cache out/ztest
+    python scripts/ztest.py fairy-lights --cache out/ztest --mutate drop-cosine
+
+Each mode renders R independent runs of S SPP, each learning from nothing. All tests compare
+mean luminances with those of one long uniform render, kept in `--cache`.
+
+Pixels: z = (m - u) / sqrt(v + w). m is the mean of the runs; v the mean of their films'
+variances over R; u and w the uniform film's mean and variance. A film's estimate is
+unbiased while the guide learns: what a step draws from depends on earlier steps only, so the
+samples of a pixel are uncorrelated and have one mean. A pixel passes if its two-sided
+normal p exceeds 1 - 0.99^(1 / pixels) (Šidák); 99.75 % of the pixels must pass, the rest
+allowing for variances that a film underestimates.
+
+Blocks of 16 × 16 pixels, insets, frame: Welch's t = (m - u) / sqrt(s² / R + w), with s² the
+variance of the region's mean among the runs, which trusts no film of a guided render. w
+adds up the uniform film's variances: its samples are all independent, and there are
+millions to a region, so it has no degrees of freedom to speak of. A group of regions passes
+if its smallest p, corrected for the number of regions, exceeds the level at which one test
+in a hundred *calls of this script* would fail by chance.
+
+The pixels' z-values are left behind as `SCENE-MODE-z.png` in `--cache`: black -6, grey 0,
+white +6. `--mutate` breaks the guided renders, never the uniform one; the tests must fail.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from experiment import LongRender, accumulate, experiment_parser, load_scenes, progress, render, warn_of_bad_samples
+from scipy import stats
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from bokehguide.cli.arguments import positive
+from bokehguide.errors import BokehguideError
+from bokehguide.image import write_png
+from bokehguide.models import lens_distribution
+from bokehguide.render import path_tracer
+from bokehguide.render.film import Film
+from bokehguide.render.vector import luminance
+from bokehguide.scene import Scene
+from bokehguide.train import RenderSettings
+
+CHUNK = 2048
+UNIFORM_SEED = 3_000_000
+"""Of the uniform render; run i of a guided one has seed i."""
+BLOCK = 16
+LEVEL = 0.01
+PIXELS_WITHIN = 0.9975
+ROUNDING = 1e-6
+"""Relative error granted to float32 where all samples of a pixel are equal."""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Independent renders: luminance and its film's variance, both float64 `[R, H, W]`."""
+
+    mean: Tensor
+    variance: Tensor
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One test. statistic: the z or t of the largest size; p: of a group of regions, None for pixels."""
+
+    scene: str
+    mode: str
+    group: str
+    count: int
+    statistic: float
+    within: float | None = None
+    p: float | None = None
+
+    def passes(self, level: float) -> bool:
+        return self.within >= PIXELS_WITHIN if self.p is None else self.p > level
+
+
+def main() -> int:
+    args = parse()
+    scenes = load_scenes(args)
+    deadline = time.monotonic() + args.time_limit
+    outcomes = []
+    for scene in scenes:
+        settings = RenderSettings("uniform", args.uniform_spp, UNIFORM_SEED, threads=args.threads)
+        path = args.cache / f"{scene.name}-{scene.film.width}x{scene.film.height}-uniform.exr"
+        uniform = accumulate(path, scene, settings, CHUNK, deadline)
+        if uniform.spp < args.uniform_spp:
+            print(f"{scene.name}: time is up at {uniform.spp} of {args.uniform_spp} SPP of uniform sampling")
+            continue
+        for mode in args.modes:
+            if time.monotonic() > deadline:
+                print(f"{scene.name} {mode}: time is up")
+                continue
+            runs = guided_runs(scene, mode, args)
+            outcomes += judge(scene, mode, runs, uniform, args.cache)
+    return report(outcomes)
+
+
+def parse() -> argparse.Namespace:
+    parser = experiment_parser(__doc__, "160x90", "lis,lis-b,lis-o")
+    add = parser.add_argument
+    add("--spp", type=positive, default=256, metavar="S", help="of one guided run, default 256")
+    add("--runs", type=at_least_two, default=16, metavar="R", help="of each mode, default 16")
+    add("--uniform-spp", type=positive, default=16384, metavar="N", help="default 16384")
+    add("--cache", type=Path, required=True, metavar="DIR", help="where the uniform renders are kept")
+    add("--mutate", choices=MUTATIONS, help="break the estimator, to see the tests fail")
+    return parser.parse_args()
+
+
+def at_least_two(text: str) -> int:
+    if positive(text) < 2:
+        raise argparse.ArgumentTypeError("one run has no spread; give at least 2")
+    return int(text)
+
+
+def guided_runs(scene: Scene, mode: str, args: argparse.Namespace) -> Runs:
+    """The runs of one mode, mutated if so asked."""
+    films = []
+    with progress(f"{scene.name} {mode}", args.runs * args.spp) as bar, Mutation(args.mutate):
+        for seed in range(args.runs):
+            films.append(render(scene, RenderSettings(mode, args.spp, seed, threads=args.threads), bar))
+            if args.mutate is None:
+                warn_of_bad_samples(films[-1], f"{scene.name} {mode}, seed {seed}")
+    means = [brightness(film.radiance().cpu()) for film in films]
+    return Runs(torch.stack(means), torch.stack([film.variance().cpu().double() for film in films]))
+
+
+def judge(scene: Scene, mode: str, runs: Runs, uniform: LongRender, folder: Path) -> list[Outcome]:
+    """All tests of one mode on one scene; leaves a picture of the pixels' z-values behind."""
+    expected = brightness(uniform.radiance)
+    granted = (ROUNDING * expected).square()
+    z = (runs.mean.mean(0) - expected) / (runs.variance.mean(0) / len(runs.mean) + uniform.variance + granted).sqrt()
+    z = z.nan_to_num(0.0)
+    p = 2.0 * stats.norm.sf(z.abs().numpy())
+    within = float((p > corrected(LEVEL, z.numel())).mean())
+    outcomes = [Outcome(scene.name, mode, "pixels", z.numel(), largest(z), within=within)]
+    for group, sums in REGIONS.items():
+        count = sums(torch.ones_like(expected)[None], scene)[0]
+        difference = (sums(runs.mean, scene) - sums(expected[None], scene)) / count
+        w = sums((uniform.variance + granted)[None], scene)[0] / count.square()
+        t, p = welch(difference, w)
+        family = -math.expm1(len(t) * math.log1p(-float(p.min()))) if p.min() < 1.0 else 1.0
+        outcomes.append(Outcome(scene.name, mode, group, len(t), largest(t), p=family))
+    write_png(folder / f"{scene.name}-{mode}-z.png", (0.5 + z / 12.0)[..., None].expand(-1, -1, 3))
+    return outcomes
+
+
+def welch(difference: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
+    """t and two-sided p `[G]` for runs `[R, G]` of a difference whose other side has variance `other` `[G]`."""
+    runs = len(difference)
+    own = difference.var(0) / runs
+    t = (difference.mean(0) / (own + other).sqrt()).nan_to_num(0.0)
+    freedom = (runs - 1) * ((own + other) / own.clamp(min=1e-300)).square()
+    return t, torch.from_numpy(2.0 * stats.t.sf(t.abs().numpy(), freedom.numpy()))
+
+
+def block_sums(images: Tensor, scene: Scene) -> Tensor:
+    """Sums `[R, G]` of `[R, H, W]` over blocks; those at the right and bottom may be smaller."""
+    return avg_pool2d(images[:, None], BLOCK, ceil_mode=True, divisor_override=1).flatten(1)
+
+
+def inset_sums(images: Tensor, scene: Scene) -> Tensor:
+    """Sums `[R, G]` over the scene's insets."""
+    boxes = [inset.pixels(scene.film.width, scene.film.height) for inset in scene.insets]
+    return torch.stack([images[:, rows, columns].sum((1, 2)) for rows, columns in boxes], dim=1)
+
+
+def frame_sums(images: Tensor, scene: Scene) -> Tensor:
+    """Sums `[R, 1]` over everything."""
+    return images.sum((1, 2))[:, None]
+
+
+REGIONS: dict[str, Callable[[Tensor, Scene], Tensor]] = {
+    "blocks": block_sums,
+    "insets": inset_sums,
+    "frame": frame_sums,
+}
+
+
+def brightness(radiance: Tensor) -> Tensor:
+    """Luminance, float64 `[H, W]`, of `[H, W, 3]`."""
+    return luminance(radiance.double().movedim(-1, 0))
+
+
+def corrected(level: float, tests: int) -> float:
+    """The level of each of so many tests at which any of them fails by chance with `level` (Šidák)."""
+    return -math.expm1(math.log1p(-level) / tests)
+
+
+def largest(statistics: Tensor) -> float:
+    """The value of the largest size, with its sign."""
+    return float(statistics.flatten()[statistics.abs().argmax()])
+
+
+def report(outcomes: list[Outcome]) -> int:
+    """Print the table; returns the exit status, 1 where a test failed."""
+    level = corrected(LEVEL, max(1, sum(outcome.p is not None for outcome in outcomes)))
+    print("| scene | mode | test | regions | largest z or t | pixels within | p | |\n" + "| --- " * 3 + "| ---: " * 4 + "| --- |")
+    for one in outcomes:
+        within = "" if one.within is None else f"{one.within:.4%}"
+        p = "" if one.p is None else f"{one.p:.3g}"
+        verdict = "passes" if one.passes(level) else "FAILS"
+        print(f"| {one.scene} | {one.mode} | {one.group} | {one.count} | {one.statistic:+.2f} | {within} | {p} | {verdict} |")
+    failed = sum(not outcome.passes(level) for outcome in outcomes)
+    print(f"\n{failed} of {len(outcomes)} tests fail (pixels within < {PIXELS_WITHIN:.2%}, or p < {level:.2g})")
+    return 1 if failed else 0
+
+
+def drop_zero(add: Callable) -> Callable:
+    """Leave draws outside the aperture out of N: the film skips what is not finite."""
+
+    def mutated(film: Film, first: int, samples, step: int):
+        samples.radiance[:, samples.weight == 0.0] = math.nan
+        return add(film, first, samples, step)
+
+    return mutated
+
+
+def drop_weight(add: Callable) -> Callable:
+    """Forget 1 / (A q)."""
+
+    def mutated(film: Film, first: int, samples, step: int):
+        samples.weight = (samples.weight > 0.0).float()
+        return add(film, first, samples, step)
+
+    return mutated
+
+
+def drop_cosine(density: Callable) -> Callable:
+    """Forget cosθ in the density on the lens."""
+
+    def mutated(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
+        ray = torch.cat((lens_points - focus[:2], -focus[2:3]))
+        return density(lens_points, focus, mean, sigma) * ray.square().sum(0).sqrt() / focus[2]
+
+    return mutated
+
+
+def drop_mis(heuristic: Callable) -> Callable:
+    """Count light that both techniques find twice."""
+    return lambda pdf, other: torch.ones_like(heuristic(pdf, other))
+
+
+MUTATIONS = {
+    "drop-zero": (Film, "add", drop_zero),
+    "drop-weight": (Film, "add", drop_weight),
+    "drop-cosine": (lens_distribution, "lens_density", drop_cosine),
+    "drop-mis": (path_tracer, "power_heuristic", drop_mis),
+}
+
+
+class Mutation:
+    """A context in which a part of the renderer is replaced by a broken one."""
+
+    def __init__(self, name: str | None):
+        self.name = name
+
+    def __enter__(self) -> None:
+        if self.name:
+            owner, attribute, mutate = MUTATIONS[self.name]
+            self.original = getattr(owner, attribute)
+            setattr(owner, attribute, mutate(self.original))
+
+    def __exit__(self, *_: object) -> None:
+        if self.name:
+            owner, attribute, _ = MUTATIONS[self.name]
+            setattr(owner, attribute, self.original)
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except BokehguideError as error:
+        sys.exit(f"ztest: error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("ztest: interrupted; the same command goes on with the uniform render")

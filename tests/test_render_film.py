@@ -1,0 +1,138 @@
+"""The film: means, variances, alpha under weights, and samples that are not numbers."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from bokehguide.render.film import KEPT_BAD_SAMPLES, NO_DEPTH, Film, FilmSamples
+from bokehguide.render.random import PixelRandom
+from bokehguide.render.vector import luminance
+
+
+def samples(radiance: torch.Tensor, weight=1.0, alpha=1.0, depth=2.0) -> FilmSamples:
+    """Film samples of `radiance` `[3, N]`, the other fields numbers or `[N]`."""
+    def whole(value):
+        return torch.as_tensor(value, dtype=torch.float32).expand(radiance.shape[1]).clone()
+
+    normal = torch.zeros_like(radiance)
+    normal[2] = 1.0
+    return FilmSamples(whole(weight), radiance, whole(alpha), whole(depth), normal, 0.5 * torch.ones_like(radiance))
+
+
+def random(step: int, count: int) -> torch.Tensor:
+    return PixelRandom(11, step, torch.arange(count)).uniform(0, 4)
+
+
+def test_mean_and_variance_are_those_of_the_weighted_samples():
+    film, history = Film(5, 4), []
+    for step in range(1, 9):
+        uniforms = random(step, 20)
+        weight = 2.0 * uniforms[3]
+        film.add(0, samples(uniforms[:3], weight), step)
+        history.append(uniforms[:3].double() * weight)
+    history = torch.stack(history)
+    expected = history.mean(0).T.reshape(4, 5, 3).float()
+    torch.testing.assert_close(film.radiance(), expected)
+    light = luminance(history.transpose(0, 1))
+    torch.testing.assert_close(film.variance(), (light.var(0) / 8).reshape(4, 5).float(), rtol=1e-4, atol=1e-8)
+    assert film.mean_luminance() == pytest.approx(float(light.mean()), rel=1e-5)
+    noise = ((light.var(0) / 8).sqrt() / (light.mean(0) + 0.01)).mean()
+    assert film.relative_noise() == pytest.approx(float(noise), rel=1e-4)
+
+
+def test_variance_is_zero_before_the_second_sample():
+    film = Film(3, 2)
+    assert not film.variance().any()
+    film.add(0, samples(random(1, 6)[:3]), 1)
+    assert not film.variance().any()
+
+
+def test_many_bright_samples_lose_no_digits():
+    film = Film(1, 1)
+    value = torch.full((3, 1), 1e6) + 0.0625
+    for step in range(3000):
+        film.add(0, samples(value.clone()), step)
+    assert film.radiance()[0, 0, 0].item() == value[0, 0].item()
+
+
+def test_batches_fall_on_their_own_pixels():
+    whole, parts = Film(5, 4), Film(5, 4)
+    radiance = random(1, 20)[:3]
+    whole.add(0, samples(radiance), 1)
+    parts.add(13, samples(radiance[:, 13:]), 1)
+    parts.add(0, samples(radiance[:, :13]), 1)
+    for name, layer in whole.layers().items():
+        np.testing.assert_array_equal(parts.layers()[name], layer)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1.0])
+def test_pixels_that_are_opaque_or_empty_throughout_have_exactly_that_alpha(alpha):
+    """The first step is uniform, so its weights are 1; the weights that follow may be anything."""
+    film = Film(8, 8)
+    film.add(0, samples(random(1, 64)[:3], 1.0, alpha), 1)
+    for step in range(2, 40):
+        uniforms = random(step, 64)
+        weight = (uniforms[3] > 0.3) * 3.0 * uniforms[0]
+        film.add(0, samples(uniforms[:3], weight, alpha * (weight > 0.0)), step)
+    np.testing.assert_array_equal(film.layers()["alpha"], alpha)
+
+
+def test_samples_that_are_not_finite_stay_off_the_film_and_are_reported():
+    film, clean = Film(5, 4, seed=9), Film(5, 4)
+    for step in (1, 2, 3):
+        radiance, weight = random(step, 20)[:3], torch.ones(20)
+        kept = torch.ones(20, dtype=torch.bool)
+        clean.add(0, samples(radiance.clone()), step)
+        if step == 2:
+            radiance[1, 7], radiance[:, 13], weight[4] = math.nan, math.inf, math.nan
+            kept[[4, 7, 13]] = False
+            untouched = film.radiance().reshape(20, 3)[~kept]
+        good = film.add(0, samples(radiance, weight), step)
+        assert torch.equal(good, kept)
+        if step == 2:
+            torch.testing.assert_close(film.radiance().reshape(20, 3)[~kept], untouched)
+    assert film.bad_count == 3
+    assert film.bad_samples == [(4, 0, 2, 9), (2, 1, 2, 9), (3, 2, 2, 9)]
+    assert film.bad_samples[0]._fields == ("x", "y", "step", "seed")
+    layers = film.layers()
+    counts = layers["sample_count"].reshape(20)
+    assert counts[[4, 7, 13]].tolist() == [2.0, 2.0, 2.0] and counts.sum() == 57
+    assert all(np.isfinite(layer).all() for layer in layers.values())
+    hidden = np.ones(20, bool)
+    hidden[[4, 7, 13]] = False
+    np.testing.assert_allclose(
+        layers["beauty"].reshape(20, 3)[hidden], clean.layers()["beauty"].reshape(20, 3)[hidden], rtol=1e-6
+    )
+    np.testing.assert_array_equal(layers["alpha"], 1.0)
+
+
+def test_every_bad_sample_is_counted_and_the_first_are_kept():
+    film = Film(50, 3)
+    film.add(0, samples(torch.full((3, 150), math.nan)), 1)
+    assert film.bad_count == 150
+    assert len(film.bad_samples) == KEPT_BAD_SAMPLES
+    assert not film.layers()["beauty"].any()
+
+
+def test_layers_are_contiguous_float32_of_the_frames_shape():
+    film = Film(5, 4)
+    film.add(0, samples(random(1, 20)[:3]), 1)
+    layers = film.layers()
+    for name, layer in layers.items():
+        colored = name in ("beauty", "normal", "albedo")
+        assert layer.shape == ((4, 5, 3) if colored else (4, 5)), name
+        assert layer.dtype == np.float32 and layer.flags.c_contiguous, name
+
+
+def test_depth_normal_and_albedo_are_means_over_the_samples_that_met_a_surface():
+    film = Film(3, 1)
+    radiance = torch.zeros(3, 3)
+    film.add(0, samples(radiance, torch.tensor([1.0, 1.0, 1.0]), 1.0, torch.tensor([2.0, 4.0, NO_DEPTH])), 1)
+    film.add(0, samples(radiance, torch.tensor([3.0, 0.0, 1.0]), 1.0, torch.tensor([6.0, 9.0, NO_DEPTH])), 2)
+    film.add(0, samples(radiance, torch.tensor([1.0, 1.0, 1.0]), 0.0, NO_DEPTH), 3)
+    layers = film.layers()
+    np.testing.assert_allclose(layers["depth"], [[5.0, 4.0, NO_DEPTH]])
+    np.testing.assert_allclose(layers["normal"][0, :2], [[0.0, 0.0, 1.0]] * 2)
+    np.testing.assert_allclose(layers["albedo"], [[[0.5] * 3, [0.5] * 3, [0.0] * 3]])

@@ -1,0 +1,116 @@
+"""Light sampling and BSDF sampling together give what BSDF sampling alone gives, and mutations show."""
+
+import numpy as np
+import pytest
+import torch
+
+from bokehguide.render import path_tracer
+from bokehguide.render.bsdf import OpaqueBSDF
+from bokehguide.render.lens import Lens
+from bokehguide.render.lights import Lights
+from bokehguide.render.tracer import Tracer
+from bokehguide.scene.types import Environment, Material
+from tests.statistical import SIGNIFICANCE
+from tests.test_render_camera import lens_uniformity
+from tests.test_render_path_tracer import direct_light, shadow
+from tests.tracing import DOWN, UP, agreement, estimates, lamp, matte, rectangle, scene, sphere
+
+MATERIALS = {
+    "matte": matte(0.6),
+    "coated": Material("coated", (0.6, 0.5, 0.4), roughness=0.4),
+    "glossy metal": Material("metal", (0.9, 0.7, 0.4), metallic=1.0, roughness=0.3),
+    "mixed": Material("mixed", (0.9, 0.7, 0.4), metallic=0.5, roughness=0.6),
+    "frosted sheet": Material("sheet", (0.9, 0.9, 0.8), roughness=0.5, transmission=0.8, thin=True),
+    "frosted solid": Material("solid", (0.9, 0.9, 0.8), roughness=0.5, transmission=1.0),
+}
+
+
+def sky_with_a_window(peak: float) -> Environment:
+    radiance = np.full((16, 32, 3), 0.2, np.float32)
+    radiance[2:6, 3:9] = peak
+    return Environment(radiance, 40.0)
+
+
+def checkered() -> Material:
+    """A lamp with a texture that is black in places."""
+    texture = np.zeros((4, 4, 3), np.float32)
+    texture[::2, ::2], texture[1::2, 1::2] = (1.0, 0.5, 0.2), (0.1, 0.5, 1.0)
+    return lamp(4.0, emission_texture=texture, double_sided=True)
+
+
+def room(material: Material, environment: Environment | None, light: Material):
+    """A floor and a slanted plate of `material`, a rectangular lamp and a ball lamp over a rough floor."""
+    meshes = [
+        rectangle(0, rotate=UP, scale=3.0),
+        rectangle(1, (0.0, 0.5, 0.0), (-60.0, 20.0, 0.0), 0.5),
+        rectangle(2, (0.4, 1.6, 0.3), DOWN, 0.5),
+        sphere(2, (-1.0, 1.0, 0.5), 0.3),
+        rectangle(2, (0.0, 0.1, -0.6), UP, 0.2),
+    ]
+    return scene(meshes, [matte(0.3), material, light], environment, max_depth=4)
+
+
+def bsdf_sampling_only(monkeypatch) -> None:
+    monkeypatch.setattr(Lights, "empty", property(lambda self: True))
+    monkeypatch.setattr(path_tracer, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
+
+
+@pytest.mark.parametrize("light", ["plain", "checkered", "sky", "lamps and sky"])
+@pytest.mark.parametrize("name", MATERIALS)
+def test_both_techniques_together_agree_with_one_alone(name, light, monkeypatch):
+    environment = sky_with_a_window(6.0) if "sky" in light else None
+    lamps = {"checkered": checkered(), "sky": matte(0.2)}.get(light, lamp(2.0))
+    ray = ((0.1, 1.3, 1.5), (-0.1, -0.8, -1.5))
+    both = estimates(room(MATERIALS[name], environment, lamps), *ray, count=60_000)
+    bsdf_sampling_only(monkeypatch)
+    alone = estimates(room(MATERIALS[name], environment, lamps), *ray, count=120_000, seed=1)
+    assert both.mean() > 0.01
+    assert agreement(both, alone) > SIGNIFICANCE
+
+
+def glare() -> float:
+    """p-value of a glossy plate agreeing with one technique alone; needs both sets of weights right."""
+    ray = ((0.1, 1.3, 1.5), (-0.1, -0.8, -1.5))
+    both = estimates(room(MATERIALS["glossy metal"], sky_with_a_window(6.0), lamp(2.0)), *ray, count=60_000)
+    with pytest.MonkeyPatch.context() as patch:
+        bsdf_sampling_only(patch)
+        alone = estimates(room(MATERIALS["glossy metal"], sky_with_a_window(6.0), lamp(2.0)), *ray, count=120_000, seed=1)
+    return agreement(both, alone)
+
+
+def test_a_dropped_mis_weight_is_found(monkeypatch):
+    monkeypatch.setattr(path_tracer, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
+    assert direct_light() < SIGNIFICANCE
+    assert glare() < SIGNIFICANCE
+
+
+def test_an_mis_weight_of_the_wrong_density_is_found(monkeypatch):
+    density = Lights.triangle_pdf
+    monkeypatch.setattr(Lights, "triangle_pdf", lambda self, *rest: 0.5 * density(self, *rest))
+    assert direct_light() < SIGNIFICANCE
+
+
+def test_a_missing_shadow_test_is_found(monkeypatch):
+    monkeypatch.setattr(Tracer, "visible", lambda self, origins, directions, distances: torch.ones_like(distances))
+    assert shadow() < SIGNIFICANCE
+
+
+def test_a_dropped_cosine_is_found(monkeypatch):
+    evaluate = OpaqueBSDF.evaluate
+
+    def without_cosine(self, incoming):
+        value, pdf = evaluate(self, incoming)
+        return value / incoming[2].abs().clamp(min=1e-3), pdf
+
+    monkeypatch.setattr(OpaqueBSDF, "evaluate", without_cosine)
+    assert direct_light() < SIGNIFICANCE
+
+
+def test_a_lens_sampled_by_its_radius_is_found(monkeypatch):
+    sample = Lens.sample
+    monkeypatch.setattr(Lens, "sample", lambda self, uniforms: sample(self, uniforms.square()))
+    assert lens_uniformity() < SIGNIFICANCE
+
+
+def test_the_unmutated_checks_pass():
+    assert min(direct_light(), shadow(), glare(), lens_uniformity()) > SIGNIFICANCE

@@ -1,0 +1,110 @@
+"""Embree behind its interface, against every ray meeting every triangle."""
+
+import numpy as np
+import pytest
+import torch
+
+from bokehguide.render.tracer import MISS_DISTANCE, Tracer
+
+
+def moller_trumbore(vertices, triangles, origins, directions):
+    """Nearest hits in float64: triangle (-1 for a miss), distance, u, v, all `[N]`."""
+    a, b, c = (vertices[triangles[:, i]].astype(np.float64)[None] for i in range(3))
+    origin, direction = origins.T[:, None].astype(np.float64), directions.T[:, None].astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p = np.cross(direction, c - a)
+        scale = 1.0 / np.sum((b - a) * p, axis=2)
+        u = np.sum((origin - a) * p, axis=2) * scale
+        q = np.cross(origin - a, b - a)
+        v = np.sum(direction * q, axis=2) * scale
+        t = np.sum((c - a) * q, axis=2) * scale
+    t = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
+    nearest, rays = t.argmin(axis=1), np.arange(len(t))
+    hit = np.isfinite(t[rays, nearest])
+    return np.where(hit, nearest, -1), t[rays, nearest], u[rays, nearest], v[rays, nearest]
+
+
+@pytest.fixture(scope="module")
+def soup():
+    """100 random triangles in a cube, and 5,000 rays from around it: vertices, triangles, origins, directions."""
+    generator = np.random.default_rng(7)
+    centres = generator.uniform(-1, 1, (100, 1, 3))
+    vertices = (centres + generator.normal(0, 0.3, (100, 3, 3))).reshape(-1, 3).astype(np.float32)
+    triangles = generator.permutation(300).reshape(100, 3).astype(np.int32)
+    origins = generator.uniform(-2, 2, (3, 5000)).astype(np.float32)
+    directions = generator.normal(size=(3, 5000))
+    directions = (directions / np.linalg.norm(directions, axis=0)).astype(np.float32)
+    return vertices, triangles, origins, directions
+
+
+def test_nearest_hits_are_those_of_brute_force(soup):
+    vertices, triangles, origins, directions = soup
+    triangle, distance, u, v = moller_trumbore(vertices, triangles, origins, directions)
+    found = Tracer(vertices, triangles).intersect(torch.from_numpy(origins), torch.from_numpy(directions))
+    same = found.triangle.numpy() == triangle
+    assert (triangle >= 0).sum() > 1000
+    assert same.mean() > 0.999  # an edge may fall to either side
+    hit = same & (triangle >= 0)
+    np.testing.assert_allclose(found.distance.numpy()[hit], distance[hit], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(found.u.numpy()[hit], u[hit], atol=2e-3)
+    np.testing.assert_allclose(found.v.numpy()[hit], v[hit], atol=2e-3)
+
+
+def test_u_and_v_weigh_the_second_and_third_vertex(soup):
+    vertices, triangles, origins, directions = soup
+    found = Tracer(vertices, triangles).intersect(torch.from_numpy(origins), torch.from_numpy(directions))
+    hit = found.triangle.numpy() >= 0
+    a, b, c = (vertices[triangles[found.triangle.numpy()[hit], i]].T for i in range(3))
+    u, v = found.u.numpy()[hit], found.v.numpy()[hit]
+    reached = origins[:, hit] + found.distance.numpy()[hit] * directions[:, hit]
+    np.testing.assert_allclose((1 - u - v) * a + u * b + v * c, reached, atol=1e-4)
+
+
+def test_a_miss_is_triangle_minus_one_at_the_miss_distance():
+    tracer = Tracer(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32))
+    found = tracer.intersect(torch.full((3, 1), 2.0), torch.tensor([[0.0], [0.0], [1.0]]))
+    assert found.triangle.item() == -1
+    assert found.distance.item() == np.float32(MISS_DISTANCE)
+
+
+def test_visible_until_the_nearest_hit_and_not_beyond(soup):
+    vertices, triangles, origins, directions = soup
+    tracer = Tracer(vertices, triangles)
+    rays = torch.from_numpy(origins), torch.from_numpy(directions)
+    found = tracer.intersect(*rays)
+    hit = found.triangle >= 0
+    before = tracer.visible(*rays, found.distance * 0.999)
+    beyond = tracer.visible(*rays, found.distance * 1.001)
+    assert before.dtype == torch.float32
+    assert (before == 1.0).all()
+    assert torch.equal(beyond, 1.0 - hit.float())
+
+
+def test_visible_leaves_the_distances_as_they_were(soup):
+    vertices, triangles, origins, directions = soup
+    distances = torch.full((origins.shape[1],), 3.0)
+    Tracer(vertices, triangles).visible(torch.from_numpy(origins), torch.from_numpy(directions), distances)
+    assert (distances == 3.0).all()
+
+
+def test_any_memory_layout_gives_the_same_hits(soup):
+    vertices, triangles, origins, directions = soup
+    tracer = Tracer(vertices, triangles)
+    straight = tracer.intersect(torch.from_numpy(origins), torch.from_numpy(directions))
+    rows = [torch.from_numpy(np.ascontiguousarray(array.T)).T for array in (origins, directions)]
+    assert torch.equal(tracer.intersect(*rows).triangle, straight.triangle)
+    every_other = tracer.intersect(torch.from_numpy(origins)[:, ::2], torch.from_numpy(directions)[:, ::2])
+    assert torch.equal(every_other.triangle, straight.triangle[::2])
+
+
+def test_no_rays_at_all(soup):
+    tracer = Tracer(*soup[:2])
+    nothing = torch.zeros(3, 0)
+    assert tracer.intersect(nothing, nothing).triangle.shape == (0,)
+    assert tracer.visible(nothing, nothing, torch.zeros(0)).shape == (0,)
+
+
+@pytest.mark.parametrize("triangles", [[[0, 1, 3]], [[-1, 1, 2]], np.zeros((0, 3))])
+def test_indices_that_embree_would_read_past_the_vertices_are_refused(triangles):
+    with pytest.raises(ValueError, match=r"\[0, 3\)"):
+        Tracer(np.eye(3, dtype=np.float32), np.array(triangles, np.int32))

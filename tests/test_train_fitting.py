@@ -1,0 +1,178 @@
+"""The record buffer and the Gaussians fitted to it, on samples made by hand and on lamps rendered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scenes
+import torch
+from torch import Tensor
+
+from bokehguide.models.gaussian_field import GaussianField
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.scene.types import Camera
+from bokehguide.train import RenderLoop, RenderSettings
+from bokehguide.train.fitting import ALPHA, find_spotlights, fit_gaussians, label_patches
+from bokehguide.train.record_buffer import RecordBuffer
+
+CAMERA = Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), fov=40.0, aperture_radius=0.1, focus_distance=2.0)
+WIDTH, HEIGHT, WALL = 400, 40, 8.0
+
+
+@pytest.fixture
+def camera() -> ThinLensCamera:
+    return ThinLensCamera(CAMERA, WIDTH, HEIGHT)
+
+
+def points_at(camera: ThinLensCamera, column: Tensor, row: Tensor, depth: Tensor | float) -> Tensor:
+    """Camera-frame points `[3, N]` seen at raster positions."""
+    x, y = camera.slopes(torch.stack((column, row)))
+    depth = torch.as_tensor(depth, dtype=torch.float32).expand_as(x)
+    return torch.stack((x * depth, y * depth, depth))
+
+
+def wall_record(camera: ThinLensCamera) -> RecordBuffer:
+    """A record of a dim wall, one sample in each cell of the frame and its margin."""
+    record = RecordBuffer(camera)
+    row, column = torch.meshgrid(torch.arange(record.height) + 0.5, torch.arange(record.width) + 0.5, indexing="ij")
+    points = points_at(camera, column.ravel() - record.border, row.ravel() - record.border, WALL)
+    record.add(record.cells(camera, points), points, torch.full((points.shape[1],), 0.1))
+    return record
+
+
+def light_up(record: RecordBuffer, camera: ThinLensCamera, columns: Tensor, row: float, depth: Tensor | float, radiance: float = 1000.0) -> None:
+    """Add one bright sample at the middle of each of some cells of one row."""
+    points = points_at(camera, columns + 0.5, torch.full_like(columns, row + 0.5), depth)
+    record.add(record.cells(camera, points), points, torch.full_like(columns, radiance))
+
+
+def fitted(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float = 0.1) -> GaussianField:
+    field = GaussianField()
+    fit_gaussians(field, record, camera, mean_luminance)
+    return field
+
+
+def test_positions_are_weighted_by_radiance(camera):
+    """A lamp of a hundredth of the cell's samples holds the position."""
+    record = RecordBuffer(camera)
+    lamp, wall = points_at(camera, torch.tensor([200.5]), torch.tensor([20.5]), 4.0), None
+    wall = points_at(camera, torch.full((99,), 200.5), torch.full((99,), 20.5), WALL)
+    points = torch.cat((lamp, wall), 1)
+    light = torch.tensor([1e5] + [0.1] * 99)
+    cells = record.cells(camera, points)
+    record.add(cells, points, light)
+    assert len(cells.unique()) == 1
+    torch.testing.assert_close(record.positions(cells[:1]), lamp, rtol=1e-3, atol=1e-3)
+    assert float(record.radiance().max()) == pytest.approx((1e5 + 9.9) / 100.0, rel=1e-5)
+
+
+def test_the_margin_keeps_spots_beyond_the_frame(camera):
+    record = wall_record(camera)
+    for column in (-30.0, WIDTH + 30.0):
+        light_up(record, camera, torch.tensor([column]), 20.0, 4.0)
+    field = fitted(record, camera)
+    raster = camera.raster(field.mean)[0].sort().values
+    torch.testing.assert_close(raster, torch.tensor([-29.5, WIDTH + 30.5]), rtol=0.0, atol=0.1)
+
+
+def test_points_beyond_the_margin_and_behind_the_lens_have_no_cell(camera):
+    record = RecordBuffer(camera)
+    beyond = points_at(camera, torch.tensor([-41.0, WIDTH + 41.0, 0.0, 0.0]), torch.tensor([0.0, 0.0, -41.0, HEIGHT + 41.0]), 4.0)
+    assert record.cells(camera, beyond).tolist() == [-1] * 4
+    assert record.cells(camera, -beyond[:, :1] * 0.0 - torch.tensor([[0.0], [0.0], [3.0]])).tolist() == [-1]
+    record.add(torch.tensor([-1]), beyond[:, :1], torch.tensor([1e9]))
+    assert not record.sums.any()
+
+
+@pytest.mark.parametrize("far, patches", [(4.1, 1), (6.0, 2), (2000.0, 2)])
+def test_lamps_that_touch_are_split_on_depth(camera, far, patches):
+    """Two lamps of 3 cells side by side; the far one behind by a little, by half, by the environment's distance."""
+    record = wall_record(camera)
+    light_up(record, camera, torch.tensor([200.0, 201.0, 202.0]), 20.0, 4.0)
+    light_up(record, camera, torch.tensor([203.0, 204.0, 205.0]), 20.0, far)
+    field = fitted(record, camera)
+    assert len(field) == patches
+    if patches == 2:
+        torch.testing.assert_close(field.mean[2].sort().values, torch.tensor([4.0, far]), rtol=0.05, atol=0.0)
+        width = field.mean[2] * camera.pixel_slope
+        torch.testing.assert_close(field.radius, 0.5 * width * (9.0 + 1.0 + 1.0) ** 0.5, rtol=0.1, atol=0.0)
+
+
+def test_a_receding_row_of_lamps_is_one_patch(camera):
+    """Depths in small steps do not leap, however far apart their ends are."""
+    record = wall_record(camera)
+    light_up(record, camera, torch.arange(150.0, 190.0), 20.0, torch.linspace(3.0, 6.0, 40))
+    assert len(fitted(record, camera)) == 1
+
+
+def test_a_line_of_300_cells_is_one_patch(camera):
+    record = wall_record(camera)
+    light_up(record, camera, torch.arange(50.0, 350.0), 20.0, 4.0)
+    cells, points = find_spotlights(record, camera, 0.1)
+    assert len(cells) == 300
+    assert label_patches(record, cells, points[2]).unique().tolist() == [0]
+
+
+def test_lamps_apart_are_patches_apart_whatever_their_order(camera):
+    record = wall_record(camera)
+    for column in (350.0, 40.0, 200.0):
+        light_up(record, camera, torch.tensor([column, column + 1.0]), 20.0, 4.0)
+    field = fitted(record, camera)
+    torch.testing.assert_close(camera.raster(field.mean)[0].sort().values, torch.tensor([41.0, 201.0, 351.0]), rtol=0.0, atol=0.05)
+    torch.testing.assert_close(field.sigma, ALPHA * field.radius)
+
+
+def test_what_is_in_focus_or_dim_is_no_spotlight(camera):
+    record = wall_record(camera)
+    light_up(record, camera, torch.tensor([100.0]), 20.0, 2.01)  # a CoC below 4 pixels
+    light_up(record, camera, torch.tensor([200.0]), 20.0, 4.0, radiance=1.4)  # (0.1 + 1.4) / 2 is 7.5 means
+    light_up(record, camera, torch.tensor([300.0]), 20.0, 4.0, radiance=1.6)
+    cells, _ = find_spotlights(record, camera, 0.1)
+    assert (cells % record.width - record.border).tolist() == [300]
+
+
+def test_nothing_is_found_in_a_constant_frame():
+    loop = RenderLoop(scenes.furnace(32, 18), RenderSettings("lis", threads=1))
+    for _ in range(5):
+        stats = loop.step()
+    assert stats.gaussians == 0 and np.isnan(stats.beta)
+    record = wall_record(ThinLensCamera(CAMERA, WIDTH, HEIGHT))
+    assert len(fitted(record, ThinLensCamera(CAMERA, WIDTH, HEIGHT))) == 0
+
+
+def spots_of(scene, steps: int = 12) -> GaussianField:
+    loop = RenderLoop(scene, RenderSettings("lis", threads=1))
+    for _ in range(steps):
+        loop.step()
+    return loop.guide.field
+
+
+def scaled(scene, light: float, length: float):
+    """The scene with all light and all lengths multiplied."""
+    camera = scene.camera
+    camera = replace(
+        camera,
+        position=tuple(length * x for x in camera.position),
+        target=tuple(length * x for x in camera.target),
+        aperture_radius=length * camera.aperture_radius,
+        focus_distance=length * camera.focus_distance,
+    )
+    return replace(
+        scene,
+        camera=camera,
+        meshes=tuple(replace(mesh, vertices=mesh.vertices * np.float32(length)) for mesh in scene.meshes),
+        materials=tuple(replace(m, emission=tuple(light * c for c in m.emission)) for m in scene.materials),
+        environment=replace(scene.environment, radiance=np.float32(light) * scene.environment.radiance),
+    )
+
+
+@pytest.mark.parametrize("light, length", [(1000.0, 1.0), (1.0, 100.0), (0.001, 0.01)])
+def test_spots_do_not_depend_on_the_units(light, length):
+    scene = scenes.lamps(64, 36)
+    field, other = spots_of(scene), spots_of(scaled(scene, light, length))
+    assert len(field) == len(other) > 0
+    torch.testing.assert_close(other.mean, length * field.mean, rtol=1e-3, atol=1e-3 * length)
+    torch.testing.assert_close(other.sigma, length * field.sigma, rtol=1e-2, atol=0.0)
+    torch.testing.assert_close(other.energy, light * length**2 * field.energy, rtol=1e-2, atol=0.0)

@@ -1,0 +1,42 @@
+"""What is rendered is right on average, guided or not, learnt or learning."""
+
+import numpy as np
+import pytest
+from render_checks import furnace, frozen, learning, means_check, uniform_reference
+from statistical import SIGNIFICANCE
+
+from bokehguide.train import MODES
+
+GUIDED = MODES[1:]
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_furnace_comes_out_one(mode):
+    """In every pixel within its noise, and the frame within half a percent."""
+    found = furnace(mode)
+    assert min(found.p_values(1.0, 0.0, (1, 8)).values()) > SIGNIFICANCE
+    assert found.mean.mean() == pytest.approx(1.0, abs=0.005)
+    if mode == "uniform":
+        np.testing.assert_allclose(found.mean, 1.0, atol=1e-5)
+    else:
+        assert found.last.outside > 0.05  # the guide was at work, and the weights varied
+        assert (found.variance > 1e-5).mean() > 0.5
+
+
+@pytest.mark.parametrize("mode", GUIDED)
+def test_means_while_learning_are_those_of_the_uniform_lens(mode):
+    found = learning(mode)
+    assert found.last.gaussians > 0 and found.last.outside > 0.05
+    assert means_check(found) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("mode", GUIDED)
+def test_means_of_what_was_learnt_are_those_of_the_uniform_lens(mode):
+    found = frozen(mode)
+    assert found.last.gaussians > 0 and found.last.outside > 0.05
+    assert means_check(found) > SIGNIFICANCE
+
+
+def test_reference_sees_the_lamps():
+    mean = uniform_reference().mean
+    assert mean.max() > 1.0 and np.median(mean) == pytest.approx(0.1, rel=1e-3)
