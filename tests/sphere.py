@@ -39,13 +39,16 @@ class SphereGrid:
         shape = (self.rows, self._fineness, self.columns, self._fineness)
         return (values.double().numpy() * self.solid_angle).reshape(shape).sum((1, 3)).ravel()
 
-    def histogram(self, directions: Tensor) -> np.ndarray:
-        """How many of `directions` `[3, M]` fall into each cell, `[rows * columns]`."""
+    def cells(self, directions: Tensor) -> np.ndarray:
+        """The cell of each of `directions` `[3, M]`, integers `[M]`."""
         x, y, z = directions.double().numpy()
         row = np.arccos(np.clip(z, -1.0, 1.0)) / np.pi * self.rows
         column = (np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * self.columns
-        cell = row.astype(int).clip(0, self.rows - 1) * self.columns + column.astype(int).clip(0, self.columns - 1)
-        return np.bincount(cell, minlength=self.rows * self.columns)
+        return row.astype(int).clip(0, self.rows - 1) * self.columns + column.astype(int).clip(0, self.columns - 1)
+
+    def histogram(self, directions: Tensor) -> np.ndarray:
+        """How many of `directions` `[3, M]` fall into each cell, `[rows * columns]`."""
+        return np.bincount(self.cells(directions), minlength=self.rows * self.columns)
 
 
 def tilted(degrees: float, count: int) -> Tensor:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.scene.types import Camera
+from bokehguide.scene.types import Camera, Environment
 from bokehguide.train import RenderLoop, RenderSettings
 from bokehguide.train.fitting import ALPHA, find_spotlights, fit_gaussians, label_patches
 from bokehguide.train.record_buffer import RecordBuffer
@@ -176,3 +176,40 @@ def test_spots_do_not_depend_on_the_units(light, length):
     torch.testing.assert_close(other.mean, length * field.mean, rtol=1e-3, atol=1e-3 * length)
     torch.testing.assert_close(other.sigma, length * field.sigma, rtol=1e-2, atol=0.0)
     torch.testing.assert_close(other.energy, light * length**2 * field.energy, rtol=1e-2, atol=0.0)
+
+
+@pytest.mark.parametrize("lamp", range(len(scenes.LAMP_RADII)))
+def test_a_lamp_under_a_dim_sky_gives_its_gaussian(lamp, gaussians_of_lamps):
+    """Found once; its centre within a fifth of its radius across and 3 % in depth, σ between R/2 and 2 R.
+
+    The sky, recorded at 1000 focus distances, shares the cells of the lamp's rim.
+    """
+    field = gaussians_of_lamps
+    assert len(field) == len(scenes.LAMP_RADII)
+    x, y, z = scenes.LAMP_CENTRES[lamp]
+    centre, radius = torch.tensor([x, y, -z], dtype=torch.float32), float(scenes.LAMP_RADII[lamp])
+    nearest = int((field.mean - centre[:, None]).square().sum(0).argmin())
+    mean = field.mean[:, nearest]
+    assert float(mean[2]) == pytest.approx(float(centre[2]), rel=0.03)
+    assert float((mean[:2] / mean[2] - centre[:2] / centre[2]).norm() * centre[2]) < 0.2 * radius
+    assert 0.5 * radius < float(field.sigma[nearest]) < 2.0 * radius
+
+
+@pytest.fixture(scope="module")
+def gaussians_of_lamps() -> GaussianField:
+    return spots_of(scenes.lamps(256, 144), steps=8)
+
+
+def test_a_spot_of_the_environment_is_recorded_far_away():
+    """One bright texel straight ahead: a Gaussian on the axis at about 1000 focus distances."""
+    sky = np.full((64, 128, 3), 0.01, np.float32)
+    sky[31:33, 63:65] = 1000.0
+    scene = replace(scenes.lamps(64, 36), environment=Environment(sky))
+    scene = replace(scene, meshes=scenes.furnace(64, 36).meshes, materials=(scenes.BLACK,))
+    field = spots_of(scene, steps=8)
+    assert len(field) == 1
+    focus_distance = scene.camera.focus_distance
+    assert float(field.mean[2, 0]) == pytest.approx(1000.0 * focus_distance, rel=0.02)
+    assert float((field.mean[:2, 0] / field.mean[2, 0]).norm()) < 0.01
+    half_width = np.tan(np.pi / 64.0) * 1000.0 * focus_distance
+    assert 0.5 * half_width < float(field.sigma[0]) < 2.0 * half_width

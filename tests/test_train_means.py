@@ -19,7 +19,7 @@ def test_furnace_comes_out_one(mode):
     if mode == "uniform":
         np.testing.assert_allclose(found.mean, 1.0, atol=1e-5)
     else:
-        assert found.last.outside > 0.05  # the guide was at work, and the weights varied
+        assert found.last.outside > 0.01  # the guide was at work, even where β has learnt to do without it
         assert (found.variance > 1e-5).mean() > 0.5
 
 

@@ -136,14 +136,14 @@ class Lights:
         hit = Hit(triangle, distance, u, v)
         radiance = self._geometry.emission(hit, (cosine > 0.0).to(torch.float32))
         pdf = self.triangle_pdf(triangle, distance, cosine)
-        return LightSample(direction, distance, radiance, 1.0 / pdf, pdf)
+        return LightSample(direction, distance, radiance, CANDIDATES / pdf, pdf)
 
     def triangle_pdf(self, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
         """Density `[N]` of points on `triangle` at `distance` under `cosine` for MIS.
 
         It is that of all candidates together; MIS may use any function of the point.
         """
-        share = 1.0 - self.environment_share
+        share = CANDIDATES * (1.0 - self.environment_share)
         return share * self._area_pdf.index_select(0, triangle) * distance * distance / cosine.abs().clamp(min=1e-12)
 
     def environment_pdf(self, directions: Tensor) -> Tensor:
