@@ -51,7 +51,7 @@ FIRST_SEED, SECOND_SEED, UNIFORM_SEED, TEST_SEED = 1_000_000, 2_000_000, 3_000_0
 REGIONS = ("frame", "insets")
 
 
-def main() -> None:
+def main() -> int:
     args = parse()
     scenes = load_scenes(args)
     check_writable(args.out / "results.json")
@@ -74,6 +74,7 @@ def main() -> None:
             temporary.write_text(json.dumps({"settings": settings, "scenes": results}, indent=2) + "\n")
     if results:
         print("\n\n".join(tables(results, args)))
+    return 0 if len(results) == len(scenes) else 1
 
 
 def parse() -> argparse.Namespace:
@@ -238,7 +239,7 @@ def markdown(rows: list[list[str]]) -> str:
 
 if __name__ == "__main__":
     try:
-        main()
+        sys.exit(main())
     except BokehguideError as error:
         sys.exit(f"evaluate: error: {error}")
     except KeyboardInterrupt:

@@ -145,4 +145,5 @@ def read_long_render(path: Path, origin: str) -> LongRender:
 
 def fingerprint(scene: Scene, settings: RenderSettings) -> str:
     """A digest of all that decides what a long render converges to, and of its random numbers."""
-    return hashlib.sha256(pickle.dumps((scene, settings.mode, settings.seed), protocol=5)).hexdigest()
+    seen = (scene.camera, scene.meshes, scene.materials, scene.film, scene.environment)
+    return hashlib.sha256(pickle.dumps((seen, settings.mode, settings.seed), protocol=5)).hexdigest()

@@ -88,21 +88,23 @@ def main() -> int:
     args = parse()
     scenes = load_scenes(args)
     deadline = time.monotonic() + args.time_limit
-    outcomes = []
+    outcomes, unfinished = [], 0
     for scene in scenes:
         settings = RenderSettings("uniform", args.uniform_spp, UNIFORM_SEED, threads=args.threads)
         path = args.cache / f"{scene.name}-{scene.film.width}x{scene.film.height}-uniform.exr"
         uniform = accumulate(path, scene, settings, CHUNK, deadline)
         if uniform.spp < args.uniform_spp:
             print(f"{scene.name}: time is up at {uniform.spp} of {args.uniform_spp} SPP of uniform sampling")
+            unfinished += 1
             continue
         for mode in args.modes:
             if time.monotonic() > deadline:
                 print(f"{scene.name} {mode}: time is up")
+                unfinished += 1
                 continue
             runs = guided_runs(scene, mode, args)
             outcomes += judge(scene, mode, runs, uniform, args.cache)
-    return report(outcomes)
+    return 1 if report(outcomes) or unfinished else 0
 
 
 def parse() -> argparse.Namespace:
@@ -159,7 +161,7 @@ def welch(difference: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
     runs = len(difference)
     own = difference.var(0) / runs
     t = (difference.mean(0) / (own + other).sqrt()).nan_to_num(0.0)
-    freedom = (runs - 1) * ((own + other) / own.clamp(min=1e-300)).square()
+    freedom = ((runs - 1) * ((own + other) / own.clamp(min=1e-300)).square()).clamp(runs - 1, 1e9)
     return t, torch.from_numpy(2.0 * stats.t.sf(t.abs().numpy(), freedom.numpy()))
 
 
@@ -202,7 +204,7 @@ def largest(statistics: Tensor) -> float:
 
 
 def report(outcomes: list[Outcome]) -> int:
-    """Print the table; returns the exit status, 1 where a test failed."""
+    """Print the table; returns the number of tests that failed."""
     level = corrected(LEVEL, max(1, sum(outcome.p is not None for outcome in outcomes)))
     print("| scene | mode | test | regions | largest z or t | pixels within | p | |\n" + "| --- " * 3 + "| ---: " * 4 + "| --- |")
     for one in outcomes:
@@ -212,7 +214,7 @@ def report(outcomes: list[Outcome]) -> int:
         print(f"| {one.scene} | {one.mode} | {one.group} | {one.count} | {one.statistic:+.2f} | {within} | {p} | {verdict} |")
     failed = sum(not outcome.passes(level) for outcome in outcomes)
     print(f"\n{failed} of {len(outcomes)} tests fail (pixels within < {PIXELS_WITHIN:.2%}, or p < {level:.2g})")
-    return 1 if failed else 0
+    return failed
 
 
 def drop_zero(add: Callable) -> Callable:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bokehguide.scene.shapes import spheres
-from bokehguide.scene.types import Camera, Environment, Film, Material, Mesh, Scene
+from bokehguide.scene.types import Camera, Environment, Film, Material, Scene
 
 BLACK = Material("black", (0.0, 0.0, 0.0), specular=0.0)
 LAMP = Material("lamp", (0.0, 0.0, 0.0), specular=0.0, emission=(40.0, 30.0, 20.0))
@@ -30,8 +30,8 @@ LAMP_CENTRES = np.array([[0.35, 0.15, -6.0], [-0.3, -0.15, -1.1], [-0.1, 0.25, -
 LAMP_RADII = np.array([0.07, 0.02, 0.03])
 
 
-def lamps(width: int, height: int, depth: int = 1) -> Scene:
+def lamps(width: int, height: int) -> Scene:
     """Three lamps out of focus (two behind, one before the focal plane) under a dim sky."""
     camera = Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), fov=40.0, aperture_radius=0.1, focus_distance=2.0)
-    mesh: Mesh = spheres(LAMP_CENTRES, LAMP_RADII, material=0)
-    return Scene("lamps", camera, (mesh,), (LAMP,), Film(width, height, depth), constant_sky(0.1))
+    mesh = spheres(LAMP_CENTRES, LAMP_RADII, material=0)
+    return Scene("lamps", camera, (mesh,), (LAMP,), Film(width, height, max_depth=1), constant_sky(0.1))

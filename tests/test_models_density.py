@@ -37,7 +37,12 @@ CASES = [
     LensCase("environment", X_F, 1.0, spot(0.03, 0.0, 2000.0), [40.0], [1.0]),
     LensCase("centre outside", X_F, 1.0, spot(0.13, -0.02, 5.0), [0.08], [1.0]),
     LensCase(
-        "mixture", X_F, 1.0, mixture(spot(0.03, 0.03, 1.3), spot(-0.06, 0.0, 5.0), spot(0.1, -0.05, 9.0)), [0.01, 0.04, 0.1], [3.0, 1.0, 0.5]
+        "mixture",
+        X_F,
+        1.0,
+        mixture(spot(0.03, 0.03, 1.3), spot(-0.06, 0.0, 5.0), spot(0.1, -0.05, 9.0)),
+        [0.01, 0.04, 0.1],
+        [3.0, 1.0, 0.5],
     ),
     LensCase("one of two culled", X_F, 1.0, mixture(spot(0.4, 0.0, 5.0), spot(0.0, 0.06, 5.0)), [0.03, 0.03], [5.0, 1.0]),
     LensCase("blend", X_F, 0.6, mixture(spot(0.0, 0.07, 1.5), spot(-0.05, 0.0, 4.0)), [0.01, 0.03], [1.0, 1.0]),
@@ -70,10 +75,9 @@ def test_the_density_integrates_to_one(case):
         k = float(focus[2] / (focus[2] - mean[2]))
         centre = project_to_lens(mean[:, None], focus)[:, 0].tolist()
 
-        def density(points, mean=mean, sigma=sigma):
+        def density(points, mean=mean[:, None].double(), sigma=sigma.double()):
             count = points.shape[1]
-            expand = lambda vector: vector.double().reshape(-1, 1).expand(-1, count)  # noqa: E731
-            return lens_density(points, expand(focus), expand(mean), sigma.double().expand(count))
+            return lens_density(points, focus.double().expand(3, count), mean.expand(3, count), sigma.expand(count))
 
         cells = plane(abs(k) * float(sigma), centre)
         total += float(distribution.beta * weight) * cells.integrate(density).sum()

@@ -9,6 +9,7 @@ import torch
 from bokehguide.render.film import KEPT_BAD_SAMPLES, NO_DEPTH, Film, FilmSamples
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
+from tests.statistical import SIGNIFICANCE, z_test
 
 
 def samples(radiance: torch.Tensor, weight=1.0, alpha=1.0, depth=2.0) -> FilmSamples:
@@ -136,3 +137,17 @@ def test_depth_normal_and_albedo_are_means_over_the_samples_that_met_a_surface()
     np.testing.assert_allclose(layers["depth"], [[5.0, 4.0, NO_DEPTH]])
     np.testing.assert_allclose(layers["normal"][0, :2], [[0.0, 0.0, 1.0]] * 2)
     np.testing.assert_allclose(layers["albedo"], [[[0.5] * 3, [0.5] * 3, [0.0] * 3]])
+
+
+def test_alpha_is_unbiased_when_draws_favour_what_is_opaque():
+    """Half the lens is covered; guided steps draw there 63 % of the time, elsewhere 27 %, and outside the rest."""
+    film = Film(128, 64)
+    for step in range(1, 30):
+        draw = random(step, 8192)[0]
+        covered, outside = draw < 0.63, draw > 0.9
+        weight = torch.where(covered, 0.5 / 0.63, 0.5 / 0.27) * ~outside
+        if step == 1:
+            covered, weight = draw < 0.5, torch.ones(8192)
+        film.add(0, samples(torch.zeros(3, 8192), weight, covered.float()), step)
+    alpha = film.layers()["alpha"].astype(float)
+    assert z_test(alpha.mean() - 0.5, alpha.std() / math.sqrt(alpha.size)) > SIGNIFICANCE

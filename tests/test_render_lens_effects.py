@@ -16,8 +16,8 @@ WIDTH, HEIGHT = 48, 36
 RADIUS, FOCUS, FOV = 0.5, 2.0, 40.0
 SLOPE = 2.0 * math.tan(math.radians(FOV / 2.0)) / WIDTH
 """Width of a pixel at unit distance."""
-HALF = 0.05
-"""Half the side of the square lamp."""
+HALF = 0.02
+"""Half the side of a square lamp at unit distance: lamps grow with their distance."""
 
 
 def render(meshes: list[Mesh], spp: int, environment: Environment | None = None) -> RenderLoop:
@@ -40,14 +40,14 @@ def offsets(x: float, y: float, depth: float) -> tuple[np.ndarray, np.ndarray]:
 def rims(depth: float) -> tuple[float, float]:
     """Radii in pixels within which a lamp at `depth` is whole for each point of a pixel, and beyond which none is seen."""
     disc = RADIUS * abs(depth - FOCUS) / (depth * FOCUS * SLOPE)
-    edge = HALF / (depth * SLOPE) * math.sqrt(2.0) + math.sqrt(0.5)
+    edge = HALF / SLOPE * math.sqrt(2.0) + math.sqrt(0.5)
     return disc - edge, disc + edge
 
 
 @pytest.mark.parametrize("x, y, depth", [(0.0, 0.0, 6.0), (0.5, -0.3, 5.0), (-0.05, 0.03, 1.3)])
 def test_a_small_lamp_becomes_an_even_disc_of_the_right_size_and_energy(x, y, depth):
     spp = 400
-    loop = render([rectangle(0, (x, y, -depth), scale=HALF)], spp)
+    loop = render([rectangle(0, (x, y, -depth), scale=HALF * depth)], spp)
     image = loop.film.radiance().double().numpy()
     right, above = offsets(x, y, depth)
     distance = np.hypot(right, above)
@@ -59,12 +59,12 @@ def test_a_small_lamp_becomes_an_even_disc_of_the_right_size_and_energy(x, y, de
     np.testing.assert_allclose(image[..., 1:], image[..., :1] * [2.0, 3.0], rtol=1e-5)
     # The lamp as it projects through a focus point covers the same share of the lens everywhere.
     inside = distance < whole
-    share = (2.0 * HALF) ** 2 * (FOCUS / (FOCUS - depth)) ** 2 / Lens(RADIUS, FOCUS).area
+    share = (2.0 * HALF * depth) ** 2 * (FOCUS / (FOCUS - depth)) ** 2 / Lens(RADIUS, FOCUS).area
     assert chi_square(hits[inside], np.full(inside.sum(), 1.0 / inside.sum())) > SIGNIFICANCE
     error = math.sqrt(share * (1.0 - share) / (spp * inside.sum()))
     assert z_test(image[inside, 0].mean() - share, error) > SIGNIFICANCE
     # All its light: the area of its pinhole image.
-    total = (2.0 * HALF / (depth * SLOPE)) ** 2
+    total = (2.0 * HALF / SLOPE) ** 2
     assert z_test(image[..., 0].sum() - total, np.sqrt(image[..., 0].sum() / spp)) > SIGNIFICANCE
 
 
@@ -97,13 +97,13 @@ def test_a_card_over_half_the_lens_takes_half_the_light(side):
 def test_a_card_over_half_the_lens_halves_the_disc(depth):
     """Behind the focal plane the disc loses the covered side, before it the other one."""
     spp = 256
-    light = rectangle(0, (0.0, 0.0, -depth), scale=HALF)
+    light = rectangle(0, (0.0, 0.0, -depth), scale=HALF * depth)
     image = render([light, card(1.0)], spp).film.radiance().double().numpy()[..., 0]
     right, _ = offsets(0.0, 0.0, depth)
     dark = right > 0 if depth > FOCUS else right < 0
-    edge = HALF / (depth * SLOPE) + 0.5
+    edge = HALF / SLOPE + 0.5
     assert not image[dark & (np.abs(right) > edge)].any()
-    total = (2.0 * HALF / (depth * SLOPE)) ** 2 / 2.0
+    total = (2.0 * HALF / SLOPE) ** 2 / 2.0
     assert z_test(image.sum() - total, np.sqrt(image.sum() / spp)) > SIGNIFICANCE
 
 
@@ -117,9 +117,9 @@ def test_alpha_is_the_share_of_the_lens_that_a_card_covers():
 def test_the_variance_layer_is_the_variance_of_the_image():
     """Over the even disc hits are binomial, which gives the variance of the mean."""
     spp = 400
-    film = render([rectangle(0, (0.0, 0.0, -6.0), scale=HALF)], spp).film
+    film = render([rectangle(0, (0.0, 0.0, -6.0), scale=HALF * 6.0)], spp).film
     inside = np.hypot(*offsets(0.0, 0.0, 6.0)) < rims(6.0)[0]
-    share = (2.0 * HALF) ** 2 * 0.25 / Lens(RADIUS, FOCUS).area
+    share = (2.0 * HALF * 6.0) ** 2 * 0.25 / Lens(RADIUS, FOCUS).area
     luminance = 0.2126 + 2.0 * 0.7152 + 3.0 * 0.0722
     expected = luminance**2 * share * (1.0 - share) / spp
     found = film.layers()["variance"][inside].astype(float)

@@ -42,7 +42,14 @@ def wall_record(camera: ThinLensCamera) -> RecordBuffer:
     return record
 
 
-def light_up(record: RecordBuffer, camera: ThinLensCamera, columns: Tensor, row: float, depth: Tensor | float, radiance: float = 1000.0) -> None:
+def light_up(
+    record: RecordBuffer,
+    camera: ThinLensCamera,
+    columns: Tensor,
+    row: float,
+    depth: Tensor | float,
+    radiance: float = 1000.0,
+) -> None:
     """Add one bright sample at the middle of each of some cells of one row."""
     points = points_at(camera, columns + 0.5, torch.full_like(columns, row + 0.5), depth)
     record.add(record.cells(camera, points), points, torch.full_like(columns, radiance))
@@ -57,7 +64,7 @@ def fitted(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float =
 def test_positions_are_weighted_by_radiance(camera):
     """A lamp of a hundredth of the cell's samples holds the position."""
     record = RecordBuffer(camera)
-    lamp, wall = points_at(camera, torch.tensor([200.5]), torch.tensor([20.5]), 4.0), None
+    lamp = points_at(camera, torch.tensor([200.5]), torch.tensor([20.5]), 4.0)
     wall = points_at(camera, torch.full((99,), 200.5), torch.full((99,), 20.5), WALL)
     points = torch.cat((lamp, wall), 1)
     light = torch.tensor([1e5] + [0.1] * 99)
@@ -79,9 +86,11 @@ def test_the_margin_keeps_spots_beyond_the_frame(camera):
 
 def test_points_beyond_the_margin_and_behind_the_lens_have_no_cell(camera):
     record = RecordBuffer(camera)
-    beyond = points_at(camera, torch.tensor([-41.0, WIDTH + 41.0, 0.0, 0.0]), torch.tensor([0.0, 0.0, -41.0, HEIGHT + 41.0]), 4.0)
+    columns, rows = torch.tensor([[-41.0, WIDTH + 41.0, 0.0, 0.0], [0.0, 0.0, -41.0, HEIGHT + 41.0]])
+    beyond = points_at(camera, columns, rows, 4.0)
     assert record.cells(camera, beyond).tolist() == [-1] * 4
-    assert record.cells(camera, -beyond[:, :1] * 0.0 - torch.tensor([[0.0], [0.0], [3.0]])).tolist() == [-1]
+    behind = torch.tensor([[0.0], [0.0], [-3.0]])
+    assert record.cells(camera, behind).tolist() == [-1]
     record.add(torch.tensor([-1]), beyond[:, :1], torch.tensor([1e9]))
     assert not record.sums.any()
 
@@ -120,7 +129,8 @@ def test_lamps_apart_are_patches_apart_whatever_their_order(camera):
     for column in (350.0, 40.0, 200.0):
         light_up(record, camera, torch.tensor([column, column + 1.0]), 20.0, 4.0)
     field = fitted(record, camera)
-    torch.testing.assert_close(camera.raster(field.mean)[0].sort().values, torch.tensor([41.0, 201.0, 351.0]), rtol=0.0, atol=0.05)
+    columns = camera.raster(field.mean)[0].sort().values
+    torch.testing.assert_close(columns, torch.tensor([41.0, 201.0, 351.0]), rtol=0.0, atol=0.05)
     torch.testing.assert_close(field.sigma, ALPHA * field.radius)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -124,8 +125,6 @@ def test_what_is_learnt_stays_finite():
 
 
 def test_a_pinhole_is_not_guided():
-    from dataclasses import replace
-
     pinhole = replace(scene(), camera=replace(scene().camera, aperture_radius=0.0))
     loop = RenderLoop(pinhole, RenderSettings("lis-o", threads=1))
     loop.step()

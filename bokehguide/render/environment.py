@@ -16,8 +16,10 @@ class EnvironmentLight:
     """Bilinear radiance over directions, sampled by texel.
 
     The map's centre lies at -z and u grows towards +x. `sample` and `pdf` are densities
-    per unit solid angle: constant within a texel, proportional to the energy that the
-    bilinear interpolant has there.
+    per unit solid angle, constant within a texel and proportional to what the bilinear
+    interpolant's mean there exceeds the map's mean by: what is even is left to BSDF
+    sampling ("MIS compensation", Karlík et al. 2019). A map of one colour has nothing to
+    sample: its power is 0.
     """
 
     def __init__(self, environment: Environment, device: torch.device | str = "cpu"):
@@ -27,17 +29,13 @@ class EnvironmentLight:
         self._turn = math.radians(environment.rotation) / (2.0 * math.pi)
         rows = np.cos(np.pi * np.arange(self.height + 1) / self.height)
         self._solid_angle = torch.from_numpy((rows[:-1] - rows[1:]) * 2.0 * math.pi / self.width).float().to(device)
-        energy = _footprint_mean(radiance @ np.array([0.2126, 0.7152, 0.0722])) * self._solid_angle.cpu().numpy()[:, None]
-        self.power = float(energy.sum())
-        """Integral of the map's luminance over the sphere."""
-        self.constant = bool((radiance == radiance[:1, :1]).all())
-        """Whether the map is of one colour, of which light sampling could not make more than the BSDF's."""
-        self._table = AliasTable(energy.reshape(-1), device) if self.power > 0.0 else None
+        excess = _excess(radiance @ np.array([0.2126, 0.7152, 0.0722]), self._solid_angle.cpu().numpy()[:, None])
+        self.power = float(excess.sum())
+        """Luminance above the map's mean, integrated over the sphere."""
+        self._table = AliasTable(excess.reshape(-1), device) if self.power > 0.0 else None
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
-        if self.constant:
-            return self.texels[:, :1].expand_as(directions)
         u, v = self._uv(directions)
         x, y = u * self.width - 0.5, v * self.height - 0.5
         left, top = x.floor(), y.floor()
@@ -73,6 +71,14 @@ class EnvironmentLight:
         x, y, z = directions.unbind(0)
         u = 0.5 + torch.atan2(x, -z) / (2.0 * math.pi) + self._turn
         return u - u.floor(), torch.acos(y.clamp(-1.0, 1.0)) / math.pi
+
+
+def _excess(luminance: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:
+    """What each texel `[H, W]` sends beyond its share of the mean luminance, never negative."""
+    smooth = _footprint_mean(luminance)
+    mean = (smooth * solid_angle).sum() / (4.0 * np.pi)
+    excess = smooth - mean
+    return np.where(excess > 1e-5 * mean, excess, 0.0) * solid_angle
 
 
 def _footprint_mean(values: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import dot, luminance
 from bokehguide.scene.types import Scene
 
-MIN_SHARE = 0.2
+MIN_SHARE = 0.1
 """Neither kind of light gets fewer than this share of the light samples."""
 POWER_GRID = 4
 """The power of a textured triangle is averaged over this many squared points."""
@@ -24,6 +24,8 @@ POWER_GRID = 4
 
 CANDIDATES = 4
 """Points on lamps that compete for each light sample."""
+ROTATION = (1.0 / CANDIDATES, 0.5, 0.7548776662, 0.5698402910)
+"""From one candidate to the next: even steps over the lamps, Roberts' R2 sequence over their area."""
 
 
 class LightSample(NamedTuple):
@@ -45,9 +47,8 @@ class LightSample(NamedTuple):
 class Lights:
     """Emissive triangles (alias table over power) and the environment map.
 
-    An environment of one colour is left to BSDF sampling, which suits it best. Points on
-    triangles are resampled: of CANDIDATES points drawn by power one is kept by the
-    irradiance it would cause unshadowed (Talbot et al. 2005), so that near lamps are
+    Points on triangles are resampled: of CANDIDATES points drawn by power one is kept by
+    the irradiance it would cause unshadowed (Talbot et al. 2005), so that near lamps are
     found among many. All densities are per unit solid angle at the shaded point and
     include the choice between the two kinds.
     """
@@ -56,10 +57,12 @@ class Lights:
         self._geometry = geometry
         device = geometry.device
         self.environment = EnvironmentLight(scene.environment, device) if scene.environment else None
+        steps = torch.arange(CANDIDATES, device=device)[:, None]
+        self._rotations = torch.tensor(ROTATION, device=device)[:, None, None] * steps  # [4, CANDIDATES, 1]
         triangles = torch.nonzero(geometry.emissive[geometry.material])[:, 0]
         power = _triangle_powers(geometry, triangles, scene)
         triangles, power = triangles[power > 0.0], power[power > 0.0]
-        sky = self.environment.power if self.environment and not self.environment.constant else 0.0
+        sky = self.environment.power if self.environment else 0.0
         self.environment_share = _environment_share(sky, float(power.sum()), geometry)
         self._area_pdf = torch.zeros(geometry.material.shape[0], device=device)
         self._triangles = triangles
@@ -71,17 +74,12 @@ class Lights:
             self._corner, self._edge1, self._edge2 = corners[0], corners[1] - corners[0], corners[2] - corners[0]
 
     @property
-    def uniforms(self) -> int:
-        """How many uniform numbers `sample` takes."""
-        return 5 if self.environment_share == 1.0 else 2 + 4 * CANDIDATES
-
-    @property
     def empty(self) -> bool:
         """Whether there is nothing that `sample` could choose."""
         return self.environment_share == 0.0 and len(self._triangles) == 0
 
     def sample(self, surface: Surface, uniforms: Tensor) -> LightSample:
-        """A light sample for each of N surfaces from `uniforms` numbers `[.., N]`."""
+        """A light sample for each of N surfaces from uniform numbers `[6, N]`."""
         if self.environment_share == 0.0:
             return self._sample_triangles(surface, uniforms[1:])
         if self.environment_share == 1.0:
@@ -103,16 +101,21 @@ class Lights:
         return LightSample(direction, distance, self.environment.radiance(direction), 1.0 / pdf, pdf)
 
     def _sample_triangles(self, surface: Surface, uniforms: Tensor) -> LightSample:
-        """Resampled importance sampling: candidates by power, one kept by unshadowed irradiance."""
+        """Resampled importance sampling: candidates by power, one kept by unshadowed irradiance.
+
+        The candidates are rotations of one point set; correlated candidates leave the
+        mean unchanged, as long as each is distributed by power.
+        """
         count = surface.position.shape[1]
         points = surface.position.repeat(1, CANDIDATES)
-        candidates = self._candidates(points, uniforms[: 4 * CANDIDATES].reshape(4, CANDIDATES * count))
+        rotated = uniforms[0:4, None] + self._rotations
+        candidates = self._candidates(points, (rotated - rotated.floor()).reshape(4, CANDIDATES * count))
         cosine = dot(candidates.direction, surface.normal.repeat(1, CANDIDATES))
         transmits = (surface.transmission > 0.0).to(torch.float32).repeat(CANDIDATES)
         target = luminance(candidates.radiance) * torch.maximum(cosine, cosine.abs() * transmits)
         share = (target * candidates.weight).reshape(CANDIDATES, count).cumsum(0)
         total = share[-1]
-        chosen = (share <= uniforms[4 * CANDIDATES] * total).sum(0).clamp(max=CANDIDATES - 1)
+        chosen = (share <= uniforms[4] * total).sum(0).clamp(max=CANDIDATES - 1)
         index = chosen * count + torch.arange(count, device=points.device)
         kept = LightSample(*(field.index_select(-1, index) for field in candidates))
         weight = total / (CANDIDATES * target.index_select(0, index).clamp(min=1e-30))

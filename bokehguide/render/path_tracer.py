@@ -23,7 +23,7 @@ from bokehguide.scene.types import Scene
 
 ROULETTE_DEPTH = 2
 """Paths of at least this many segments may end by Russian roulette."""
-DIMENSIONS = 32
+DIMENSIONS = 16
 """Random dimensions reserved for each segment of a path."""
 FIRST_DIMENSION = 32
 """Dimensions below this belong to the camera."""
@@ -112,7 +112,7 @@ class PathTracer:
         choice = paths.random.uniform(dimension, 1)[0] if self.geometry.has_transmission else None
         scattering = Scattering(surface, choice)
         if not self.lights.empty:
-            uniforms = paths.random.uniform(dimension + 5, self.lights.uniforms)
+            uniforms = paths.random.uniform(dimension + 5, 6)
             result.rays += self._add_direct_light(paths, surface, scattering, uniforms, timer)
         return self._scatter(paths, surface, scattering, paths.random.uniform(dimension + 1, 4), depth, result)
 
