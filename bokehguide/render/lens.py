@@ -33,7 +33,7 @@ class Lens:
         return x * x + y * y <= self.radius**2
 
     def sample(self, uniforms: Tensor) -> Tensor:
-        """Points `[2, N]` with density 1/A from uniform numbers `[2, N]`."""
-        radius = self.radius * uniforms[0].sqrt()
+        """Points `[2, N]` with density 1/A from uniform numbers `[2, N]`; rounding never leaves the rim."""
+        radius = self.radius * (1.0 - 1e-6) * uniforms[0].sqrt()
         angle = 2.0 * math.pi * uniforms[1]
         return torch.stack((radius * angle.cos(), radius * angle.sin()))

@@ -112,11 +112,10 @@ class LensGuide(nn.Module):
             gradients = [lesson.offset_gradient for lesson in lessons if lesson.offset_gradient is not None]
             self.offsets.coefficients.grad = sum(gradients, torch.zeros_like(self.offsets.coefficients))
             self._offset_optimizer.step()
-        if not self.learns_offsets or step < FITS:
+        if self.offsets is None:
             self.refit(mean_luminance)
-        elif step == FITS:
-            self.refit(mean_luminance)
-            self.freeze()
+            if self.learns_offsets and step >= FITS and len(self.field):
+                self.freeze()
 
     @torch.no_grad()
     def refit(self, mean_luminance: float) -> None:

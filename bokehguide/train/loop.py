@@ -28,6 +28,7 @@ BATCH = 65536
 """Pixels traced together: large enough to pay for Python, small enough for the cache."""
 MIN_BATCHES = 4
 """A small frame is cut into at least as many batches, so that threads have work."""
+PHASES = ("tracing rays", "shading", "guiding", "learning", "output")
 FAR = 1000.0
 """The environment is recorded at this many focus distances."""
 
@@ -77,12 +78,12 @@ class RenderLoop:
         self._threads = settings.threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads, initializer=torch.set_num_threads, initargs=(1,))
         self._phases: Counter[str] = Counter()
-        self._mean_luminance = math.nan
+        self._mean_luminance = 1.0
 
     @property
     def phases(self) -> dict[str, float]:
-        """Seconds of wall time so far by phase."""
-        return dict(self._phases)
+        """Seconds of wall time so far by phase, all of PHASES."""
+        return {phase: self._phases[phase] for phase in PHASES}
 
     def step(self) -> StepStats:
         """Render one more sample per pixel, and learn from it."""
