@@ -21,9 +21,13 @@ class AliasTable:
         self._alias = torch.from_numpy(alias).to(device)
 
     def sample(self, uniforms: Tensor) -> Tensor:
-        """Indices int64 `[N]` from uniform numbers `[2, N]`."""
-        slot = (uniforms[0].double() * len(self._keep)).long()
-        stays = uniforms[1] < self._keep.index_select(0, slot)
+        """Indices int64 `[N]` from uniform numbers `[2, N]`.
+
+        Together they give 46 random bits, enough for the column and for the choice in it.
+        """
+        position = (uniforms[0].double() + (uniforms[1].double() - 0.5) * 2.0**-23) * len(self._keep)
+        slot = position.long()
+        stays = (position - slot) < self._keep.index_select(0, slot)
         return torch.where(stays, slot, self._alias.index_select(0, slot))
 
     def pdf(self, index: Tensor) -> Tensor:

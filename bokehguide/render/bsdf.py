@@ -59,13 +59,17 @@ class OpaqueBSDF:
         self._specular_share = self._choose_share()
 
     def _choose_share(self) -> Tensor:
-        """Probability of sampling the microfacet lobe: its share of the reflectance at this angle."""
+        """Probability of sampling the microfacet lobe: about its share of the reflectance.
+
+        The base counts as if seen head-on: at grazing angles its light still comes through
+        microfacets that face the viewer.
+        """
         surface = self._surface
         grazing = (1.0 - self._cosine).square().square() * (1.0 - self._cosine)
         base, metal = luminance(surface.base_color), surface.metallic
         coat = self._f0 + (surface.specular - self._f0) * grazing
         specular = metal * (base + (1.0 - base) * grazing) + (1.0 - metal) * coat
-        diffuse = (1.0 - metal) * (1.0 - coat) * base
+        diffuse = (1.0 - metal) * (1.0 - self._f0) * base
         return (specular + 1e-9) / (specular + diffuse + 1e-9)
 
     def evaluate(self, incoming: Tensor) -> tuple[Tensor, Tensor]:

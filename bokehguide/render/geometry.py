@@ -100,6 +100,10 @@ class Geometry:
         """Unit geometric normals `[3, N]` on the front of triangles `[N]`."""
         return self._normals[0:3].index_select(1, triangle)
 
+    def is_double_sided(self, triangle: Tensor) -> Tensor:
+        """1 where triangles `[N]` emit from both faces, else 0; float32 `[N]`."""
+        return self._emission[3].index_select(0, self.material.index_select(0, triangle))
+
     def surface(self, origins: Tensor, directions: Tensor, hit: Hit) -> Surface:
         """The surfaces at valid hits of rays `[3, N]`."""
         rows = self._normals.index_select(1, hit.triangle)

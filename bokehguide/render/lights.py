@@ -60,7 +60,7 @@ class Lights:
         steps = torch.arange(CANDIDATES, device=device)[:, None]
         self._rotations = torch.tensor(ROTATION, device=device)[:, None, None] * steps  # [4, CANDIDATES, 1]
         triangles = torch.nonzero(geometry.emissive[geometry.material])[:, 0]
-        power = _triangle_powers(geometry, triangles, scene)
+        power = _triangle_powers(geometry, triangles)
         triangles, power = triangles[power > 0.0], power[power > 0.0]
         sky = self.environment.power if self.environment else 0.0
         self.environment_share = _environment_share(sky, float(power.sum()), geometry)
@@ -71,7 +71,10 @@ class Lights:
             areas = geometry.areas.to(device)[triangles]
             self._area_pdf[triangles] = self._table.probability / areas
             corners = geometry.corners.to(device)[:, :, triangles]
-            self._corner, self._edge1, self._edge2 = corners[0], corners[1] - corners[0], corners[2] - corners[0]
+            double_sided = geometry.is_double_sided(triangles)
+            brightness = power / (areas * (1.0 + double_sided))
+            rows = (corners[0], corners[1] - corners[0], corners[2] - corners[0], geometry.face_normals(triangles))
+            self._lamps = torch.cat((*rows, brightness[None], double_sided[None]))  # [14, lamps]
 
     @property
     def empty(self) -> bool:
@@ -106,40 +109,34 @@ class Lights:
         The candidates are rotations of one point set; correlated candidates leave the
         mean unchanged, as long as each is distributed by power.
         """
-        count = surface.position.shape[1]
-        points = surface.position.repeat(1, CANDIDATES)
         rotated = uniforms[0:4, None] + self._rotations
-        candidates = self._candidates(points, (rotated - rotated.floor()).reshape(4, CANDIDATES * count))
-        cosine = dot(candidates.direction, surface.normal.repeat(1, CANDIDATES))
-        transmits = (surface.transmission > 0.0).to(torch.float32).repeat(CANDIDATES)
-        target = luminance(candidates.radiance) * torch.maximum(cosine, cosine.abs() * transmits)
-        share = (target * candidates.weight).reshape(CANDIDATES, count).cumsum(0)
-        total = share[-1]
-        chosen = (share <= uniforms[4] * total).sum(0).clamp(max=CANDIDATES - 1)
-        index = chosen * count + torch.arange(count, device=points.device)
-        kept = LightSample(*(field.index_select(-1, index) for field in candidates))
-        weight = total / (CANDIDATES * target.index_select(0, index).clamp(min=1e-30))
-        return kept._replace(weight=weight)
-
-    def _candidates(self, points: Tensor, uniforms: Tensor) -> LightSample:
-        """Points on triangles drawn by power and area, from uniform numbers `[4, N]`."""
-        index = self._table.sample(uniforms[0:2])
-        root = uniforms[2].sqrt()
-        u, v = root * (1.0 - uniforms[3]), root * uniforms[3]
-        target = (
-            self._corner.index_select(1, index)
-            + u * self._edge1.index_select(1, index)
-            + v * self._edge2.index_select(1, index)
-        )
-        offset = target - points
-        distance = dot(offset, offset).clamp(min=1e-30).sqrt()
+        rotated = (rotated - rotated.floor()).flatten(1)  # [4, candidates × N]
+        lamp = self._table.sample(rotated[0:2])
+        root = rotated[2].sqrt()
+        u, v = root * (1.0 - rotated[3]), root * rotated[3]
+        offset, normal, brightness, double_sided = self._on_lamps(lamp, u, v, surface.position)
+        squared = dot(offset, offset).clamp(min=1e-30)
+        distance = squared.sqrt()
         direction = offset / distance
-        triangle = self._triangles.index_select(0, index)
-        cosine = -dot(self._geometry.face_normals(triangle), direction)
-        hit = Hit(triangle, distance, u, v)
+        cosine = -dot(normal, direction)
+        target = brightness * torch.maximum(cosine.sign(), double_sided).clamp(min=0.0) * _receives(surface, direction)
+        pdf = self.triangle_pdf(self._triangles.index_select(0, lamp), distance, cosine)
+        share = (target / pdf).reshape(CANDIDATES, -1).cumsum(0)
+        chosen = (share <= uniforms[4] * share[-1]).sum(0).clamp(max=CANDIDATES - 1)
+        kept = chosen * len(chosen) + torch.arange(len(chosen), device=chosen.device)
+        direction, fields = direction.index_select(1, kept), torch.stack((distance, u, v, cosine, target, pdf))
+        distance, u, v, cosine, target, pdf = fields.index_select(1, kept).unbind(0)
+        hit = Hit(self._triangles.index_select(0, lamp.index_select(0, kept)), distance, u, v)
         radiance = self._geometry.emission(hit, (cosine > 0.0).to(torch.float32))
-        pdf = self.triangle_pdf(triangle, distance, cosine)
-        return LightSample(direction, distance, radiance, CANDIDATES / pdf, pdf)
+        # `pdf` is that of all candidates together, so the mean over them is in it already.
+        return LightSample(direction, distance, radiance, share[-1] / target.clamp(min=1e-30), pdf)
+
+    def _on_lamps(self, lamp: Tensor, u: Tensor, v: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Offsets `[3, K·N]` from points `[3, N]` to lamps, their normals, mean luminance and double-sidedness."""
+        rows = self._lamps.index_select(1, lamp)
+        target = rows[0:3] + u * rows[3:6] + v * rows[6:9]
+        offset = target.reshape(3, CANDIDATES, -1) - points[:, None]
+        return offset.flatten(1), rows[9:12], rows[12], rows[13]
 
     def triangle_pdf(self, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
         """Density `[N]` of points on `triangle` at `distance` under `cosine` for MIS.
@@ -154,7 +151,14 @@ class Lights:
         return self.environment_share * self.environment.pdf(directions)
 
 
-def _triangle_powers(geometry: Geometry, triangles: Tensor, scene: Scene) -> Tensor:
+def _receives(surface: Surface, direction: Tensor) -> Tensor:
+    """Cosine `[K·N]` at which N surfaces take in light from `direction` `[3, K·N]`; 0 from behind, unless they transmit."""
+    cosine = (direction.reshape(3, CANDIDATES, -1) * surface.normal[:, None]).sum(0)
+    transmits = (surface.transmission > 0.0).to(torch.float32)
+    return torch.maximum(cosine, cosine.abs() * transmits).clamp(min=0.0).flatten()
+
+
+def _triangle_powers(geometry: Geometry, triangles: Tensor) -> Tensor:
     """Area times mean emitted luminance of each triangle, both faces of a double-sided one."""
     if len(triangles) == 0:
         return torch.zeros(0)
@@ -166,8 +170,7 @@ def _triangle_powers(geometry: Geometry, triangles: Tensor, scene: Scene) -> Ten
             root = math.sqrt(a)
             hit = Hit(triangles, ones, ones * (root * (1.0 - b)), ones * (root * b))
             total += luminance(geometry.emission(hit, ones))
-    double_sided = torch.tensor([material.double_sided for material in scene.materials], device=geometry.device)
-    faces = 1.0 + double_sided[geometry.material[triangles]].float()
+    faces = 1.0 + geometry.is_double_sided(triangles)
     return total / POWER_GRID**2 * geometry.areas.to(geometry.device)[triangles] * faces
 
 

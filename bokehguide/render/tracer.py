@@ -47,6 +47,5 @@ class Tracer:
 
     def visible(self, origins: Tensor, directions: Tensor, distances: Tensor) -> Tensor:
         """1 where nothing lies within `distances` `[N]` along the rays `[3, N]`, else 0; float32 `[N]`."""
-        limits = distances.cpu().numpy().copy()  # embreex overwrites it
-        blocked = self._scene.run(origins.cpu().numpy().T, directions.cpu().numpy().T, dists=limits, query="OCCLUDED")
+        blocked = self._scene.run(origins.cpu().numpy().T, directions.cpu().numpy().T, dists=distances.cpu().numpy(), query="OCCLUDED")
         return torch.from_numpy(blocked).to(origins.device).neg().to(torch.float32)
