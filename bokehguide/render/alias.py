@@ -10,28 +10,38 @@ from torch import Tensor
 class AliasTable:
     """Index i with probability weights[i] / sum(weights); the measure is counting.
 
-    weights: non-negative, `[K]`, at least one positive.
+    weights: non-negative, `[K]`, at least one positive. With `starts` `[R + 1]` it is R
+    tables in one: row r chooses among the entries from starts[r] to starts[r + 1].
     """
 
-    def __init__(self, weights: np.ndarray, device: torch.device | str = "cpu"):
+    def __init__(self, weights: np.ndarray, device: torch.device | str = "cpu", starts: np.ndarray | None = None):
         weights = np.asarray(weights, np.float64)
-        self.probability = torch.from_numpy((weights / weights.sum()).astype(np.float32)).to(device)
-        keep, alias = _columns(weights * (len(weights) / weights.sum()))
+        starts = np.array([0, len(weights)]) if starts is None else np.asarray(starts)
+        probability, keep, alias = np.empty_like(weights), np.empty_like(weights), np.empty(len(weights), np.int64)
+        for low, high in zip(starts[:-1], starts[1:]):
+            row = weights[low:high] / weights[low:high].sum()
+            probability[low:high] = row
+            keep[low:high], columns = _columns(row * len(row))
+            alias[low:high] = columns + low
+        self.probability = torch.from_numpy(probability.astype(np.float32)).to(device)
         self._keep = torch.from_numpy(keep.astype(np.float32)).to(device)
         self._alias = torch.from_numpy(alias).to(device)
+        self._start = torch.from_numpy(starts).to(device)
 
-    def sample(self, uniforms: Tensor) -> Tensor:
-        """Indices int64 `[N]` from uniform numbers `[2, N]`.
+    def sample(self, uniforms: Tensor, row: Tensor | None = None) -> Tensor:
+        """Indices int64 `[N]` from uniform numbers `[2, N]`, each from its `row` `[N]` (the first by default).
 
         Together they give 46 random bits, enough for the column and for the choice in it.
         """
-        position = (uniforms[0].double() + (uniforms[1].double() - 0.5) * 2.0**-23) * len(self._keep)
+        start = 0 if row is None else self._start.index_select(0, row)
+        count = len(self._keep) if row is None else self._start.index_select(0, row + 1) - start
+        position = (uniforms[0].double() + (uniforms[1].double() - 0.5) * 2.0**-23) * count
         slot = position.long()
-        stays = (position - slot) < self._keep.index_select(0, slot)
-        return torch.where(stays, slot, self._alias.index_select(0, slot))
+        stays = (position - slot) < self._keep.index_select(0, slot + start)
+        return torch.where(stays, slot + start, self._alias.index_select(0, slot + start))
 
     def pdf(self, index: Tensor) -> Tensor:
-        """Probability of each index, float32 `[N]`."""
+        """Probability of each index within its row, float32 `[N]`."""
         return self.probability.index_select(0, index)
 
 

@@ -141,7 +141,8 @@ class PathTracer:
         radiance = self.geometry.emission(lamp, surface.front.index_select(0, index))
         direction = paths.direction.index_select(1, index)
         cosine = dot(surface.geometric_normal.index_select(1, index), direction)
-        other = self.lights.triangle_pdf(lamp.triangle, lamp.distance, cosine)
+        origin = paths.origin.index_select(1, index)
+        other = self.lights.triangle_pdf(origin, lamp.triangle, lamp.distance, cosine)
         weight = power_heuristic(paths.pdf.index_select(0, index), other)
         paths.radiance[:, index] += paths.throughput.index_select(1, index) * radiance * weight
 
@@ -149,9 +150,10 @@ class PathTracer:
         self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, timer: PhaseTimer
     ) -> int:
         """Next-event estimation: one shadow ray a path; returns the number of rays traced."""
-        light = self.lights.sample(surface, uniforms)
+        light = self.lights.sample(surface.position, uniforms)
         value, pdf = scattering.evaluate(light.direction)
-        weight = power_heuristic(light.pdf.clamp(min=1e-30), pdf) * light.weight
+        light_pdf = light.pdf.clamp(min=1e-30)
+        weight = power_heuristic(light_pdf, pdf) / light_pdf
         contribution = paths.throughput * value * light.radiance * weight
         index = (contribution.amax(0) > 0.0).nonzero()[:, 0]
         direction = light.direction.index_select(1, index)

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.vector import length
 from bokehguide.train.record_buffer import RecordBuffer
 
 RADIANCE_THRESHOLD = 8.0
@@ -50,8 +51,10 @@ def label_patches(record: RecordBuffer, cells: Tensor, depth: Tensor) -> Tensor:
 def fit_gaussians(field: GaussianField, record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> Tensor:
     """Replace the field by one Gaussian for each patch of spotlights; returns the spotlight cells `[K]`.
 
-    Each cell is a cube as wide as a pixel at its depth (Eq. 24); R_b is half the diagonal
-    of the patch's bounding box.
+    Each cell is as wide as a pixel at its depth (Eq. 24). The mean is the centre of the
+    patch's bounding box; R_b is the radius of the sphere about it that holds a ball of that
+    width in every cell. (The sphere about the box itself reaches to its corners, and σ
+    would come out as large as the lamp, when R / 1.78 is best for a disc of radius R.)
     """
     cells, points = find_spotlights(record, camera, mean_luminance)
     patch = label_patches(record, cells, points[2])
@@ -61,8 +64,10 @@ def fit_gaussians(field: GaussianField, record: RecordBuffer, camera: ThinLensCa
     empty = torch.zeros(3, count, device=points.device)
     low = empty.scatter_reduce(1, index, points - 0.5 * width, "amin", include_self=False)
     high = empty.scatter_reduce(1, index, points + 0.5 * width, "amax", include_self=False)
-    radius = 0.5 * (high - low).square().sum(0).sqrt()
+    center = 0.5 * (low + high)
+    reach = length(points - center[:, patch]) + 0.5 * width
+    radius = torch.zeros(count, device=points.device).scatter_reduce(0, patch, reach, "amax")
     light = record.radiance().reshape(-1)[cells]
     energy = torch.zeros(count, device=points.device).index_add_(0, patch, light * width * width)
-    field.assign(0.5 * (low + high), radius, ALPHA * radius, energy)
+    field.assign(center, radius, ALPHA * radius, energy)
     return cells

@@ -1,0 +1,133 @@
+"""Which lamp to sample from where: a coarse grid over the scene with a choice of its own in every cell.
+
+With many lamps, power alone is a poor guide: a dim lamp beside a wall outshines all the
+others there. Emissive triangles are gathered into clusters of like place and direction;
+each cell knows how much light each cluster could send to it, unshadowed.
+"""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bokehguide.render.alias import AliasTable
+
+LEVELS = 7
+"""Up to 2^7 clusters; a choice takes as many bisections."""
+RESOLUTION = 24
+"""Cells along the grid's longest side."""
+DEFENSIVE = 0.1
+"""Share of every cell's choice that goes by power alone, so that no lamp is ever left out."""
+
+
+class LightGrid:
+    """A choice among K triangles that depends on the shaded point; the measure is counting.
+
+    centers, normals: `[K, 3]`; power: `[K]`, positive; double_sided: bool `[K]`.
+    """
+
+    def __init__(
+        self, centers: np.ndarray, normals: np.ndarray, power: np.ndarray, double_sided: np.ndarray, device: torch.device
+    ):
+        cluster, count = _cluster(np.concatenate((centers, normals * _direction_scale(centers)), axis=1), power)
+        self._order = torch.from_numpy(np.argsort(cluster, kind="stable")).to(device)
+        starts = np.searchsorted(np.sort(cluster), np.arange(count + 1))
+        order = self._order.cpu().numpy()
+        self._table = AliasTable(power[order], device, starts)
+        self._place = torch.empty_like(self._order)
+        self._place[self._order] = torch.arange(len(order), device=device)
+        self._cluster = torch.from_numpy(cluster).to(device)
+        self._low, self._cell, self._shape = _layout(centers)
+        weights = _cell_weights(self, cluster, count, centers, normals, power, double_sided)
+        self._probability = torch.from_numpy(weights.astype(np.float32)).to(device)
+        cumulative = np.cumsum(weights, axis=1)
+        cumulative = np.pad(cumulative, ((0, 0), (0, 2**LEVELS - count)), constant_values=2.0)
+        cumulative[:, count - 1 :] = 2.0
+        self._cumulative = torch.from_numpy(cumulative.astype(np.float32)).to(device).reshape(-1)
+        self._count = count
+
+    def cells(self, points: Tensor) -> Tensor:
+        """Cell `[N]` of each point `[3, N]`; points outside belong to the nearest cell."""
+        columns = [
+            ((points[axis] - float(self._low[axis])) * (1.0 / self._cell)).clamp(0.0, self._shape[axis] - 1.0).long()
+            for axis in range(3)
+        ]
+        return (columns[0] * int(self._shape[1]) + columns[1]) * int(self._shape[2]) + columns[2]
+
+    def sample(self, cells: Tensor, uniforms: Tensor) -> Tensor:
+        """Triangles `[N]` for points in `cells` `[N]`, from uniform numbers `[3, N]`."""
+        base = cells << LEVELS
+        cluster = torch.zeros_like(cells)
+        for level in reversed(range(LEVELS)):  # the first cluster whose cumulative share exceeds u
+            step = 1 << level
+            below = self._cumulative.index_select(0, base + cluster + (step - 1)) <= uniforms[0]
+            cluster = cluster + below * step
+        return self._order.index_select(0, self._table.sample(uniforms[1:3], cluster))
+
+    def pdf(self, cells: Tensor, triangle: Tensor) -> Tensor:
+        """Probability `[N]` of choosing each triangle for a point in each cell."""
+        cluster = self._cluster.index_select(0, triangle)
+        share = self._probability.reshape(-1).index_select(0, cells * self._count + cluster)
+        return share * self._table.pdf(self._place.index_select(0, triangle))
+
+
+def _direction_scale(centers: np.ndarray) -> float:
+    """Length that a turn of a normal counts for beside a change of place: small lamps split last."""
+    return 0.02 * float(np.linalg.norm(np.ptp(centers, axis=0))) + 1e-12
+
+
+def _cluster(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, int]:
+    """Cluster of each triangle and their number: bisections of whatever spreads its power widest."""
+    groups = {0: np.arange(len(power))}
+    queue = [(-_spread(features, power), 0)]
+    while queue and len(groups) < 2**LEVELS:
+        _, name = heapq.heappop(queue)
+        members = groups[name]
+        points = features[members]
+        axis = int(np.argmax(np.ptp(points, axis=0)))
+        middle = 0.5 * (points[:, axis].min() + points[:, axis].max())
+        upper = points[:, axis] > middle
+        if not upper.any() or upper.all():
+            continue
+        groups[name], groups[len(groups)] = members[~upper], members[upper]
+        for half in (name, len(groups) - 1):
+            heapq.heappush(queue, (-_spread(features[groups[half]], power[groups[half]]), half))
+    cluster = np.empty(len(power), np.int64)
+    for name, members in groups.items():
+        cluster[members] = name
+    return cluster, len(groups)
+
+
+def _spread(features: np.ndarray, power: np.ndarray) -> float:
+    return float(power.sum()) * float(np.linalg.norm(np.ptp(features, axis=0)))
+
+
+def _layout(centers: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    """Lower corner, cell size and shape of a grid around the lamps."""
+    low, high = centers.min(axis=0), centers.max(axis=0)
+    margin = 0.25 * float(np.linalg.norm(high - low)) + 1e-6
+    low, high = low - margin, high + margin
+    cell = float((high - low).max()) / RESOLUTION
+    return low, cell, np.maximum(np.ceil((high - low) / cell), 1).astype(np.int64)
+
+
+def _cell_weights(grid, cluster, count, centers, normals, power, double_sided) -> np.ndarray:
+    """Probability of every cluster in every cell, `[cells, clusters]`, float64."""
+    total = np.bincount(cluster, power, count)
+    mean = np.stack([np.bincount(cluster, power * centers[:, axis], count) for axis in range(3)], axis=1) / total[:, None]
+    facing = np.stack([np.bincount(cluster, power * normals[:, axis], count) for axis in range(3)], axis=1) / total[:, None]
+    both = np.bincount(cluster, power * double_sided, count) / total
+    index = np.indices(grid._shape).reshape(3, -1).T
+    middle = grid._low + (index + 0.5) * grid._cell
+    offset = middle[:, None] - mean[None]
+    squared = np.maximum(np.square(offset).sum(axis=2), 0.25 * grid._cell**2)
+    cosine = np.einsum("ckd,kd->ck", offset, facing) / np.sqrt(squared)
+    width = 1.0 - np.linalg.norm(facing, axis=1) + 0.5 * grid._cell / np.sqrt(squared)  # spread of normals and of the cell
+    weights = total * np.clip(cosine + width + both, 0.0, 1.0) / squared
+    sums = weights.sum(axis=1, keepdims=True)
+    by_power = total / total.sum()
+    guided = np.divide(weights, sums, out=np.broadcast_to(by_power, weights.shape).copy(), where=sums > 0.0)
+    return (1.0 - DEFENSIVE) * guided + DEFENSIVE * by_power
