@@ -17,8 +17,8 @@ COC_THRESHOLD = 4.0
 """A spot's circle of confusion measures at least this many pixels across."""
 ALPHA = 0.5
 """σ = α R_b (section 4.2.4)."""
-DEPTH_GAP = 0.1
-"""Connected cells belong to two spots where their depths, sorted, leap by this share."""
+DEPTH_GAP = 8.0
+"""Connected cells belong to two spots where their depths, sorted, leap by so many cell widths."""
 
 
 def find_spotlights(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> tuple[Tensor, Tensor]:
@@ -29,11 +29,11 @@ def find_spotlights(record: RecordBuffer, camera: ThinLensCamera, mean_luminance
     return cells[defocused], points[:, defocused]
 
 
-def label_patches(record: RecordBuffer, cells: Tensor, depth: Tensor) -> Tensor:
+def label_patches(record: RecordBuffer, cells: Tensor, depth: Tensor, width: Tensor) -> Tensor:
     """Patch number of each spotlight cell, int64 `[K]` from 0 without gaps.
 
     Cells that touch on the raster form a patch, which is split where the sorted depths of
-    its cells leap: two lamps may stand behind one another.
+    its cells leap: two lamps may stand behind one another. depth, width: of each cell `[K]`.
     """
     mask = torch.zeros(record.height * record.width, dtype=torch.bool, device=cells.device)
     mask[cells] = True
@@ -41,8 +41,8 @@ def label_patches(record: RecordBuffer, cells: Tensor, depth: Tensor) -> Tensor:
     label = labels.reshape(-1)[cells]
     order = depth.argsort()
     order = order[label[order].argsort(stable=True)]
-    label, depth = label[order], depth[order]
-    leap = (label[1:] != label[:-1]) | (depth[1:] > (1.0 + DEPTH_GAP) * depth[:-1])
+    label, depth, width = label[order], depth[order], width[order]
+    leap = (label[1:] != label[:-1]) | (depth[1:] - depth[:-1] > DEPTH_GAP * width[:-1])
     patch = torch.empty_like(order)
     patch[order] = torch.cat((torch.zeros_like(order[:1]), leap.long().cumsum(0)))
     return patch
@@ -57,9 +57,9 @@ def fit_gaussians(field: GaussianField, record: RecordBuffer, camera: ThinLensCa
     would come out as large as the lamp, when R / 1.78 is best for a disc of radius R.)
     """
     cells, points = find_spotlights(record, camera, mean_luminance)
-    patch = label_patches(record, cells, points[2])
-    count = int(patch.max()) + 1 if len(patch) else 0
     width = points[2] * camera.pixel_slope
+    patch = label_patches(record, cells, points[2], width)
+    count = int(patch.max()) + 1 if len(patch) else 0
     index = patch.expand(3, -1)
     empty = torch.zeros(3, count, device=points.device)
     low = empty.scatter_reduce(1, index, points - 0.5 * width, "amin", include_self=False)
