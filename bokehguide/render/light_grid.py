@@ -26,7 +26,9 @@ DEFENSIVE = 0.1
 class LightGrid:
     """A choice among K triangles that depends on the shaded point; the measure is counting.
 
-    centers, normals: `[K, 3]`; power: `[K]`, positive; double_sided: bool `[K]`.
+    centers, normals: `[K, 3]`; power: `[K]`, area times luminance, positive; double_sided:
+    bool `[K]`. light: `[cells]`, how much each cell may get of it, as luminance integrated
+    over solid angle.
     """
 
     def __init__(
@@ -42,6 +44,8 @@ class LightGrid:
         self._cluster = torch.from_numpy(cluster).to(device)
         self._low, self._cell, self._shape = _layout(centers)
         weights = _cell_weights(self, cluster, count, centers, normals, power, double_sided)
+        self.light = torch.from_numpy(weights.sum(axis=1).astype(np.float32)).to(device)
+        weights = _defensive(weights, np.bincount(cluster, power, count))
         self._probability = torch.from_numpy(weights.astype(np.float32)).to(device)
         cumulative = np.cumsum(weights, axis=1)
         cumulative = np.pad(cumulative, ((0, 0), (0, 2**LEVELS - count)), constant_values=2.0)
@@ -115,7 +119,7 @@ def _layout(centers: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
 
 
 def _cell_weights(grid, cluster, count, centers, normals, power, double_sided) -> np.ndarray:
-    """Probability of every cluster in every cell, `[cells, clusters]`, float64."""
+    """Light that every cluster could send to every cell, `[cells, clusters]`, float64."""
     total = np.bincount(cluster, power, count)
     mean = np.stack([np.bincount(cluster, power * centers[:, axis], count) for axis in range(3)], axis=1) / total[:, None]
     facing = np.stack([np.bincount(cluster, power * normals[:, axis], count) for axis in range(3)], axis=1) / total[:, None]
@@ -126,8 +130,12 @@ def _cell_weights(grid, cluster, count, centers, normals, power, double_sided) -
     squared = np.maximum(np.square(offset).sum(axis=2), 0.25 * grid._cell**2)
     cosine = np.einsum("ckd,kd->ck", offset, facing) / np.sqrt(squared)
     width = 1.0 - np.linalg.norm(facing, axis=1) + 0.5 * grid._cell / np.sqrt(squared)  # spread of normals and of the cell
-    weights = total * np.clip(cosine + width + both, 0.0, 1.0) / squared
+    return total * np.clip(cosine + width + both, 0.0, 1.0) / squared
+
+
+def _defensive(weights: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """Probability of every cluster in every cell: by its light, mixed with its share of the power."""
+    by_power = power / power.sum()
     sums = weights.sum(axis=1, keepdims=True)
-    by_power = total / total.sum()
     guided = np.divide(weights, sums, out=np.broadcast_to(by_power, weights.shape).copy(), where=sums > 0.0)
     return (1.0 - DEFENSIVE) * guided + DEFENSIVE * by_power

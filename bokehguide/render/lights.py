@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -35,8 +34,8 @@ class LightSample(NamedTuple):
 class Lights:
     """Emissive triangles (chosen by a `LightGrid`) and the environment map.
 
-    All densities are per unit solid angle at the shaded point and include the choice
-    between the two kinds.
+    Each cell of the grid chooses between the two kinds by how much light it may get from
+    either. All densities are per unit solid angle at the shaded point and include the choice.
     """
 
     def __init__(self, scene: Scene, geometry: Geometry):
@@ -46,8 +45,7 @@ class Lights:
         triangles = torch.nonzero(geometry.emissive[geometry.material])[:, 0]
         power = _triangle_powers(geometry, triangles)
         triangles, power = triangles[power > 0.0], power[power > 0.0]
-        sky = self.environment.power if self.environment else 0.0
-        self.environment_share = _environment_share(sky, float(power.sum()), geometry)
+        self._sky = self.environment.power if self.environment else 0.0
         self._triangles = triangles
         self._lamp = torch.full(geometry.material.shape, -1, device=device)
         self._lamp[triangles] = torch.arange(len(triangles), device=device)
@@ -62,31 +60,48 @@ class Lights:
     @property
     def empty(self) -> bool:
         """Whether there is nothing that `sample` could choose."""
-        return self.environment_share == 0.0 and len(self._triangles) == 0
+        return self._sky == 0.0 and len(self._triangles) == 0
+
+    def environment_share(self, cells: Tensor) -> Tensor:
+        """Share of light samples for the environment in cells `[N]`."""
+        if self._sky == 0.0:
+            return torch.zeros(cells.shape, device=cells.device)
+        if len(self._triangles) == 0:
+            return torch.ones(cells.shape, device=cells.device)
+        share = self._sky / (self._sky + self._grid.light.index_select(0, cells))
+        return share.clamp(MIN_SHARE, 1.0 - MIN_SHARE)
+
+    def _cells(self, points: Tensor) -> Tensor:
+        if len(self._triangles) == 0:
+            return torch.zeros(points.shape[1], dtype=torch.int64, device=points.device)
+        return self._grid.cells(points)
 
     def sample(self, points: Tensor, uniforms: Tensor) -> LightSample:
         """One light sample for each shaded point `[3, N]` from uniform numbers `[6, N]`."""
-        if self.environment_share == 0.0:
-            return self._sample_triangles(points, uniforms[1:])
-        if self.environment_share == 1.0:
-            return self._sample_environment(uniforms[1:])
-        sky = uniforms[0] < self.environment_share
-        index = torch.cat((sky.nonzero()[:, 0], (~sky).nonzero()[:, 0]))
-        count = int(sky.sum())
-        ordered = uniforms[1:].index_select(1, index)
-        far = self._sample_environment(ordered[:, :count])
-        near = self._sample_triangles(points.index_select(1, index[count:]), ordered[:, count:])
+        cells = self._cells(points)
+        share = self.environment_share(cells)
+        sky = uniforms[0] < share
+        far, near = sky.nonzero()[:, 0], (~sky).nonzero()[:, 0]
+        uniforms = uniforms[1:]
+        if len(near) == 0:
+            return self._sample_environment(share, uniforms)
+        if len(far) == 0:
+            return self._sample_triangles(points, cells, 1.0 - share, uniforms)
+        index = torch.cat((far, near))
         back = torch.empty_like(index)
         back[index] = torch.arange(len(index), device=index.device)
-        return LightSample(*(torch.cat(pair, dim=-1).index_select(-1, back) for pair in zip(far, near)))
+        pairs = zip(
+            self._sample_environment(share[far], uniforms[:, far]),
+            self._sample_triangles(points[:, near], cells[near], 1.0 - share[near], uniforms[:, near]),
+        )
+        return LightSample(*(torch.cat(pair, dim=-1).index_select(-1, back) for pair in pairs))
 
-    def _sample_environment(self, uniforms: Tensor) -> LightSample:
+    def _sample_environment(self, share: Tensor, uniforms: Tensor) -> LightSample:
         direction, pdf = self.environment.sample(uniforms[0:4])
         distance = torch.full_like(pdf, MISS_DISTANCE)
-        return LightSample(direction, distance, self.environment.radiance(direction), pdf * self.environment_share)
+        return LightSample(direction, distance, self.environment.radiance(direction), pdf * share)
 
-    def _sample_triangles(self, points: Tensor, uniforms: Tensor) -> LightSample:
-        cells = self._grid.cells(points)
+    def _sample_triangles(self, points: Tensor, cells: Tensor, share: Tensor, uniforms: Tensor) -> LightSample:
         lamp = self._grid.sample(cells, uniforms[0:3])
         rows = self._rows.index_select(1, lamp)
         root = uniforms[3].sqrt()
@@ -98,7 +113,7 @@ class Lights:
         cosine = -dot(rows[9:12], direction)
         hit = Hit(self._triangles.index_select(0, lamp), distance, u, v)
         radiance = self._geometry.emission(hit, (cosine > 0.0).to(torch.float32))
-        share = (1.0 - self.environment_share) * self._grid.pdf(cells, lamp)
+        share = share * self._grid.pdf(cells, lamp)
         return LightSample(direction, distance, radiance, share * rows[12] * squared / cosine.abs().clamp(min=1e-12))
 
     def triangle_pdf(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
@@ -110,12 +125,15 @@ class Lights:
             return torch.zeros_like(distance)
         lamp = self._lamp.index_select(0, triangle)
         known = lamp.clamp(min=0)
-        share = (1.0 - self.environment_share) * self._grid.pdf(self._grid.cells(points), known) * (lamp >= 0)
+        cells = self._cells(points)
+        share = (1.0 - self.environment_share(cells)) * self._grid.pdf(cells, known) * (lamp >= 0)
         return share * self._rows[12].index_select(0, known) * distance * distance / cosine.abs().clamp(min=1e-12)
 
-    def environment_pdf(self, directions: Tensor) -> Tensor:
-        """Density `[N]` with which `sample` finds environment directions `[3, N]`."""
-        return self.environment_share * self.environment.pdf(directions)
+    def environment_pdf(self, points: Tensor, directions: Tensor) -> Tensor:
+        """Density `[N]` with which `sample` at points `[3, N]` finds environment directions `[3, N]`."""
+        if self._sky == 0.0:
+            return torch.zeros_like(directions[0])
+        return self.environment_share(self._cells(points)) * self.environment.pdf(directions)
 
 
 def _triangle_powers(geometry: Geometry, triangles: Tensor) -> Tensor:
@@ -132,17 +150,3 @@ def _triangle_powers(geometry: Geometry, triangles: Tensor) -> Tensor:
             total += luminance(geometry.emission(hit, ones))
     faces = 1.0 + geometry.is_double_sided(triangles)
     return total / POWER_GRID**2 * geometry.areas.to(geometry.device)[triangles] * faces
-
-
-def _environment_share(sky: float, lamps: float, geometry: Geometry) -> float:
-    """Share of light samples for the environment, by the irradiance that each kind may cause.
-
-    The environment gives about sky / 4, the lamps about 4 lamps / extent² half an extent away.
-    """
-    if sky == 0.0:
-        return 0.0
-    if lamps == 0.0:
-        return 1.0
-    box = geometry.corners.amax((0, 2)) - geometry.corners.amin((0, 2))
-    irradiance = 4.0 * lamps / float(box.square().sum().clamp(min=1e-30))
-    return float(np.clip(sky / 4.0 / (sky / 4.0 + irradiance), MIN_SHARE, 1.0 - MIN_SHARE))

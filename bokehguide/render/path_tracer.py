@@ -123,10 +123,8 @@ class PathTracer:
             return paths, hit
         gone = paths.select(missed)
         if self.lights.environment is not None:
-            arriving = gone.throughput * self.lights.environment.radiance(gone.direction)
-            if self.lights.environment_share > 0.0:
-                arriving = arriving * power_heuristic(gone.pdf, self.lights.environment_pdf(gone.direction))
-            gone.radiance += arriving
+            weight = power_heuristic(gone.pdf, self.lights.environment_pdf(gone.origin, gone.direction))
+            gone.radiance += gone.throughput * self.lights.environment.radiance(gone.direction) * weight
         _finish(gone, result)
         kept = (hit.triangle >= 0).nonzero()[:, 0]
         return paths.select(kept), Hit(*(field.index_select(0, kept) for field in hit))
