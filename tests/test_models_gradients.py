@@ -19,7 +19,7 @@ from torch import Tensor
 from bokehguide.models.blend_weight import HIGHEST, LOWEST, BlendWeightMap
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.kl import blend_gradient, offset_gradient, one_sample_kl
-from bokehguide.models.lens_distribution import GuidedLensDistribution
+from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity
 from bokehguide.models.polynomial_offset import PolynomialOffset, monomials
 from bokehguide.models.projection import lens_density, log_density_gradient
 from bokehguide.render.camera import ThinLensCamera
@@ -106,33 +106,30 @@ def radiance(points: Tensor) -> Tensor:
     return 0.3 + 8.0 * torch.sigmoid((0.02 - away) / 0.003)
 
 
-def draw(pixel: Pixel, count: int, seed: int) -> tuple[GuidedLensDistribution, Tensor, Tensor, Tensor, Tensor]:
-    """Draws from the pixel: distribution, points, components, density and ratio, as a step makes them."""
+def draw(pixel: Pixel, count: int, seed: int) -> tuple[GuidedLensDistribution, LensDensity, Tensor]:
+    """Draws from the pixel: distribution, densities and ratio, as a step makes them."""
     guide = pixel.distribution(count)
     points = guide.sample(torch.rand(5, count, generator=torch.Generator().manual_seed(seed)).clamp(1e-6, 1.0 - 1e-6))
-    components = guide.component_pdf(points)
-    density = guide.blend(points, guide.mixture_pdf(components))
-    ratio = radiance(points) * guide.lens.contains(points) / (guide.lens.area * density)
-    return guide, points, components, density, ratio
+    at = guide.evaluate(points)
+    ratio = radiance(points) * guide.lens.contains(points) / (guide.lens.area * at.density)
+    return guide, at, ratio
 
 
 def test_blend_gradient_is_autograds(pixel):
-    guide, points, components, density, ratio = draw(pixel, 500, seed=2)
-    found = blend_gradient(guide, ratio, guide.mixture_pdf(components), density)
+    guide, at, ratio = draw(pixel, 500, seed=2)
+    found = blend_gradient(guide, ratio, at)
     logit = pixel.logit.clone().expand(500).clone().requires_grad_()
-    with_zero = pixel.reference(points.double(), logit, pixel.coefficients())
+    with_zero = pixel.reference(at.points.double(), logit, pixel.coefficients())
     (-(ratio.double() * with_zero)[ratio > 0.0]).sum().backward()
     assert float(found.abs().max()) > 0.1 and bool((ratio == 0.0).any())
     np.testing.assert_allclose(found.numpy(), logit.grad.numpy(), rtol=1e-3, atol=1e-4)
 
 
 def test_offset_gradient_is_autograds(pixel):
-    guide, points, components, density, ratio = draw(pixel, 500, seed=3)
-    found = offset_gradient(
-        guide, pixel.offsets, pixel.gaussians(500), pixel.raster(500), points, ratio, components, density
-    )
+    guide, at, ratio = draw(pixel, 500, seed=3)
+    found = offset_gradient(guide, pixel.offsets, pixel.gaussians(500), pixel.raster(500), ratio, at)
     coefficients = pixel.coefficients().requires_grad_()
-    log_q = pixel.reference(points.double(), pixel.logit, coefficients)
+    log_q = pixel.reference(at.points.double(), pixel.logit, coefficients)
     (-(ratio.double() * log_q)[ratio > 0.0]).sum().backward()
     scale = float(coefficients.grad.abs().max())
     assert bool((coefficients.grad.abs().amax((0, 1)) > 1e-3 * scale).all())  # every spot has learnt
@@ -140,10 +137,10 @@ def test_offset_gradient_is_autograds(pixel):
 
 
 def test_loss_is_that_of_the_gradients(pixel):
-    _, points, _, density, ratio = draw(pixel, 500, seed=4)
-    log_q = pixel.reference(points.double(), pixel.logit, pixel.coefficients())
+    _, at, ratio = draw(pixel, 500, seed=4)
+    log_q = pixel.reference(at.points.double(), pixel.logit, pixel.coefficients())
     expected = -float((ratio.double() * log_q)[ratio > 0.0].sum())
-    assert float(one_sample_kl(ratio, density, pixel.camera.lens.area)) == pytest.approx(expected, rel=1e-4)
+    assert float(one_sample_kl(ratio, at.density, pixel.camera.lens.area)) == pytest.approx(expected, rel=1e-4)
 
 
 def test_autograd_of_the_reference_is_finite_differences(pixel):
@@ -185,17 +182,15 @@ def expected_gradients(pixel: Pixel) -> tuple[float, np.ndarray]:
 def test_expected_gradients_are_those_of_the_kl(pixel):
     """The mean over draws from q of the one-sample gradients, against quadrature over the aperture."""
     logit, coefficients = expected_gradients(pixel)
-    guide, points, components, density, ratio = draw(pixel, DRAWS, seed=6)
-    sample = blend_gradient(guide, ratio, guide.mixture_pdf(components), density).double().numpy()
+    guide, at, ratio = draw(pixel, DRAWS, seed=6)
+    sample = blend_gradient(guide, ratio, at).double().numpy()
     assert abs(logit) > 20.0 * sample.std() / DRAWS**0.5  # there is something to learn
     assert z_test(sample.mean() - logit, sample.std() / DRAWS**0.5) > SIGNIFICANCE
     batches = [slice(first, first + 3000) for first in range(0, DRAWS, 3000)]
     sums = []
     for part in batches:
-        guide, points, components, density, ratio = draw(pixel, 3000, seed=1000 + part.start)
-        gradient = offset_gradient(
-            guide, pixel.offsets, pixel.gaussians(3000), pixel.raster(3000), points, ratio, components, density
-        )
+        guide, at, ratio = draw(pixel, 3000, seed=1000 + part.start)
+        gradient = offset_gradient(guide, pixel.offsets, pixel.gaussians(3000), pixel.raster(3000), ratio, at)
         sums.append(gradient.double().numpy() / 3000)
     means = np.stack(sums)
     error = means.std(0, ddof=1) / len(batches) ** 0.5
@@ -206,7 +201,7 @@ def test_a_draw_of_no_density_teaches_nothing(pixel):
     """A uniform draw may be rounded over the rim: its q and its ratio are 0, and the gradient is 0, not NaN."""
     guide = pixel.distribution(2)
     zero = torch.zeros(2)
-    assert torch.equal(blend_gradient(guide, zero, zero, zero).abs(), zero)
+    assert torch.equal(blend_gradient(guide, zero, LensDensity(guide.focus[:2], zero, zero, zero)).abs(), zero)
     assert float(one_sample_kl(zero, zero, guide.lens.area)) == 0.0
 
 

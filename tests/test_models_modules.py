@@ -125,10 +125,9 @@ def test_adam_moves_beta_where_there_was_light_and_never_without_candidates():
     mixture = batch.distribution
     for step in (2, 3, 4):
         points = mixture.sample(torch.rand(5, pixels, generator=torch.Generator().manual_seed(step)))
-        components = mixture.component_pdf(points)
-        density = mixture.blend(points, mixture.mixture_pdf(components))
-        ratio = mixture.lens.contains(points) / (mixture.lens.area * density)
-        guide.update(step, [guide.study(batch, points, ratio, components, density)], 1.0)
+        at = mixture.evaluate(points)
+        ratio = mixture.lens.contains(points) / (mixture.lens.area * at.density)
+        guide.update(step, [guide.study(batch, ratio, at)], 1.0)
         if step == 2:
             moved = (guide.blend.logit.detach() - before).abs()
             learns = mixture.guided & (ratio > 0.0)

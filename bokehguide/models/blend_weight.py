@@ -16,7 +16,7 @@ class BlendWeightMap(nn.Module):
     The bounds keep the sample weights below 20 and leave both parts alive. The logit and
     Adam's two moments take 12 bytes a pixel. In a step whose sample brought no radiance, or
     fell outside the lens, a pixel's gradient is zero, which is its one-sample estimate;
-    Adam's momentum may still move its β. A pixel without candidates never moves.
+    Adam's momentum may still move its β. A pixel that never had candidates never moves.
 
     pixels: number of pixels, H · W.
     """

@@ -8,12 +8,11 @@ the reference that these formulas are tested against.
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
-import torch
-
 from bokehguide.models.blend_weight import BlendWeightMap
-from bokehguide.models.lens_distribution import GuidedLensDistribution
+from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.models.projection import log_density_gradient
 
@@ -23,10 +22,13 @@ def one_sample_kl(ratio: Tensor, density: Tensor, area: float) -> Tensor:
     return -(ratio * (area * density).log()).nan_to_num(0.0, 0.0, 0.0).sum()
 
 
-def blend_gradient(guide: GuidedLensDistribution, ratio: Tensor, mixture: Tensor, density: Tensor) -> Tensor:
-    """∂ loss / ∂ logit of β, `[N]`; 0 where there is nothing to blend, or where q and with it the ratio is 0."""
+def blend_gradient(guide: GuidedLensDistribution, ratio: Tensor, at: LensDensity) -> Tensor:
+    """∂ loss / ∂ logit of β, `[N]`, at samples drawn `at` some points; 0 where there is nothing to blend.
+
+    A rim draw that rounding puts outside has q = 0, and ratio 0.
+    """
     slope = BlendWeightMap.slope(guide.beta) * guide.guided
-    return -ratio * (mixture - 1.0 / guide.lens.area) / density.clamp(min=1e-20) * slope
+    return -ratio * (at.mixture - 1.0 / guide.lens.area) / at.density.clamp(min=1e-20) * slope
 
 
 def offset_gradient(
@@ -34,25 +36,22 @@ def offset_gradient(
     offsets: PolynomialOffset,
     gaussian: Tensor,
     raster: Tensor,
-    points: Tensor,
     ratio: Tensor,
-    components: Tensor,
-    density: Tensor,
+    at: LensDensity,
 ) -> Tensor:
     """∂ loss / ∂ coefficients `[3, 6, G]`, through the candidate with the largest w p at each point.
 
-    gaussian: Gaussian of each candidate `[M]`; raster: `[2, N]`; points: lens points `[2, N]`;
-    components: p_i `[M]`; density: q `[N]`.
+    gaussian: Gaussian of each candidate `[M]`; raster: `[2, N]`; ratio: `[N]`.
     """
-    contribution = guide.weight * components
+    contribution = guide.weight * at.components
     strongest = torch.zeros_like(ratio).scatter_reduce(0, guide.owner, contribution, "amax")
     learns = (contribution > 0.0) & (contribution == strongest[guide.owner]) & (ratio[guide.owner] > 0.0)
     chosen = learns.nonzero()[:, 0]
     pixel = guide.owner[chosen]
     mean_gradient = log_density_gradient(
-        points[:, pixel], guide.focus[:, pixel], guide.mean[:, chosen], guide.sigma[chosen]
+        at.points[:, pixel], guide.focus[:, pixel], guide.mean[:, chosen], guide.sigma[chosen]
     )
-    scale = -ratio[pixel] * guide.beta[pixel] * contribution[chosen] / density[pixel]
+    scale = -ratio[pixel] * guide.beta[pixel] * contribution[chosen] / at.density[pixel]
     basis = offsets.basis(gaussian[chosen], raster[:, pixel])
     outer = (mean_gradient * scale)[:, None] * basis[None]  # [3, 6, K]
     return torch.zeros_like(offsets.coefficients).index_add_(2, gaussian[chosen], outer)

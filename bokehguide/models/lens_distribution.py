@@ -7,6 +7,7 @@ Uniform numbers come from the caller, who keys them.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,8 +18,6 @@ from bokehguide.render.lens import Lens
 
 class UniformLensDistribution:
     """p_U = 1/A on the aperture (Eq. 9), for N pixels."""
-
-    UNIFORMS = 2
 
     def __init__(self, lens: Lens):
         self.lens = lens
@@ -36,6 +35,18 @@ class UniformLensDistribution:
         return self.pdf(points).log()
 
 
+class LensDensity(NamedTuple):
+    """A guided distribution at one lens point `[2, N]` for each pixel.
+
+    components: p_i of every candidate, `[M]`; mixture: p_GMM `[N]`; density: q `[N]`.
+    """
+
+    points: Tensor
+    components: Tensor
+    mixture: Tensor
+    density: Tensor
+
+
 class GuidedLensDistribution:
     """q = β p_GMM + (1 - β) / A (Eq. 26), one mixture of projected Gaussians for each of N pixels.
 
@@ -49,8 +60,6 @@ class GuidedLensDistribution:
     the candidates' Gaussians.
     """
 
-    UNIFORMS = 5
-
     def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, mean: Tensor, sigma: Tensor, weight: Tensor):
         self.lens = lens
         self.focus = focus
@@ -59,15 +68,16 @@ class GuidedLensDistribution:
         """Pixel `[M]` that each candidate belongs to."""
         self.mean, self.sigma = mean, sigma
         self._focus = focus.index_select(1, self.owner)
-        kept_weight = weight * self._is_kept()
-        self._cumulative = torch.cat((torch.zeros(1, dtype=torch.float64, device=weight.device), kept_weight.double().cumsum(0)))
-        self._low, self._high = self._cumulative[start[:-1]], self._cumulative[start[1:]]
-        total = (self._high - self._low).float()
+        kept = (weight * self._is_kept()).double()
+        total = torch.zeros(focus.shape[1], dtype=torch.float64, device=kept.device).index_add_(0, self.owner, kept)
+        share = kept / total.clamp(min=1e-300).index_select(0, self.owner)
         self.guided = total > 0.0
         """Pixels that have anything to be guided by, bool `[N]`."""
         self.beta = beta * self.guided
-        self.weight = kept_weight / total.clamp(min=1e-30).index_select(0, self.owner)
+        self.weight = share.float()
         """Mixture weights `[M]`, which sum to 1 over the candidates of a guided pixel."""
+        self._cumulative = torch.cat((share.new_zeros(1), share.cumsum(0)))
+        self._low, self._high = self._cumulative[start[:-1]], self._cumulative[start[1:]]
 
     def _is_kept(self) -> Tensor:
         """C_G of Eq. 22: the projected mean lies within r + |k|σ of the lens centre; float32 `[M]`."""
@@ -105,13 +115,19 @@ class GuidedLensDistribution:
         mixture = torch.zeros(self.focus.shape[1], device=components.device)
         return mixture.index_add_(0, self.owner, self.weight * components)
 
+    def evaluate(self, points: Tensor) -> LensDensity:
+        """All densities at lens points `[2, N]`, on the whole lens plane."""
+        components = self.component_pdf(points)
+        mixture = self.mixture_pdf(components)
+        return LensDensity(points, components, mixture, self.blend(points, mixture))
+
     def blend(self, points: Tensor, mixture: Tensor) -> Tensor:
-        """q of Eq. 26, `[N]`."""
+        """q of Eq. 26, `[N]`, from p_GMM `[N]`."""
         return self.beta * mixture + (1.0 - self.beta) * self.lens.contains(points) / self.lens.area
 
     def pdf(self, points: Tensor) -> Tensor:
-        """q at one lens point for each pixel, `[N]`, on the whole lens plane."""
-        return self.blend(points, self.mixture_pdf(self.component_pdf(points)))
+        """q at one lens point for each pixel, `[N]`."""
+        return self.evaluate(points).density
 
     def log_prob(self, points: Tensor) -> Tensor:
         """Logarithm of `pdf`, `[N]`."""

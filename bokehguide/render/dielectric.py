@@ -43,7 +43,8 @@ class DielectricBSDF:
         self._solid = 1.0 - surface.thin
         inside = surface.front * surface.ior + (1.0 - surface.front) / surface.ior
         self._eta = inside * self._solid + surface.ior * surface.thin
-        self._smooth = (surface.alpha < SMOOTH_ALPHA).to(torch.float32)
+        straight = ((self._eta - 1.0).abs() < 1e-4) & (surface.thin == 0.0)  # nothing bends: no microfacet to find
+        self._smooth = ((surface.alpha < SMOOTH_ALPHA) | straight).to(torch.float32)
         self._alpha = surface.alpha.clamp(min=SMOOTH_ALPHA)
         self._root = smith_root(self._cosine, self._alpha * self._alpha)
 
@@ -74,7 +75,7 @@ class DielectricBSDF:
         jacobian = refracts * self._eta.square() * toward_light.abs() * toward_viewer / bend + 0.25 * (1.0 - refracts)
         reflectance = self._reflectance(toward_viewer)
         share = reflectance + below * (1.0 - 2.0 * reflectance)
-        pdf = share * visible * jacobian * valid
+        pdf = torch.where(valid > 0.0, share * visible * jacobian, 0.0)
         return self._tint(below) * (pdf * self._masking(cosine)), pdf
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -61,18 +62,19 @@ class Film:
         self._hits = torch.zeros(8, pixels, device=device)  # weight, depth, normal and albedo of the hits
         self.bad_count = 0
         self._bad_samples: list[BadSample] = []
+        self._lock = threading.Lock()
 
     def add(self, first: int, samples: FilmSamples, step: int) -> Tensor:
         """Add one sample to each of the pixels from `first` on; returns the finite ones, bool `[N]`."""
         pixels = slice(first, first + samples.weight.shape[0])
-        good = (samples.radiance * samples.weight).sum(0).isfinite()
+        weight, radiance = samples.weight, samples.radiance
+        good = (radiance * weight).sum(0).isfinite()
         if not bool(good.all()):
             self._report_bad((~good).nonzero()[:, 0] + first, step)
-            samples.radiance = samples.radiance.nan_to_num(0.0, 0.0, 0.0)
-            samples.weight = samples.weight.nan_to_num(0.0, 0.0, 0.0)
+            weight, radiance = weight.nan_to_num(0.0, 0.0, 0.0), radiance.nan_to_num(0.0, 0.0, 0.0)
         kept = good.to(torch.float32)
-        weight = samples.weight * kept
-        value = samples.radiance * weight
+        weight = weight * kept
+        value = radiance * weight
         self._radiance[:, pixels] += value
         self._square[pixels] += luminance(value.double()).square()
         self._count[pixels] += kept
@@ -94,14 +96,16 @@ class Film:
         seen[1] += inside * alpha
 
     def _report_bad(self, pixels: Tensor, step: int) -> None:
-        self.bad_count += len(pixels)
-        for pixel in pixels[: KEPT_BAD_SAMPLES - len(self._bad_samples)].tolist():
-            self._bad_samples.append(BadSample(pixel % self.width, pixel // self.width, step, self.seed))
+        found = [BadSample(p % self.width, p // self.width, step, self.seed) for p in pixels.tolist()]
+        with self._lock:
+            self.bad_count += len(found)
+            earliest = sorted(self._bad_samples + found, key=lambda bad: (bad.step, bad.y, bad.x))
+            self._bad_samples = earliest[:KEPT_BAD_SAMPLES]
 
     @property
     def bad_samples(self) -> list[BadSample]:
         """The first samples that were not finite, in the order of steps and pixels."""
-        return sorted(self._bad_samples, key=lambda bad: (bad.step, bad.y, bad.x))
+        return list(self._bad_samples)
 
     def radiance(self) -> Tensor:
         """Mean radiance so far, float32 `[H, W, 3]`."""
@@ -110,7 +114,8 @@ class Film:
 
     def mean_luminance(self) -> float:
         """Mean luminance of the frame so far."""
-        return float(luminance(self._radiance).sum() / self._count.sum().clamp(min=1.0))
+        total = luminance(self._radiance).cpu().numpy().sum()  # in an order that no thread count changes
+        return float(total / max(1.0, self._count.cpu().numpy().sum()))
 
     def variance(self) -> Tensor:
         """Estimated variance of the mean luminance, float32 `[H, W]`; 0 before the second sample."""

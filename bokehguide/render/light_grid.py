@@ -46,11 +46,11 @@ class LightGrid:
         weights = _cell_weights(self, cluster, count, centers, normals, power, double_sided)
         self.light = torch.from_numpy(weights.sum(axis=1).astype(np.float32)).to(device)
         weights = _defensive(weights, np.bincount(cluster, power, count))
-        self._probability = torch.from_numpy(weights.astype(np.float32)).to(device)
-        cumulative = np.cumsum(weights, axis=1)
-        cumulative = np.pad(cumulative, ((0, 0), (0, 2**LEVELS - count)), constant_values=2.0)
-        cumulative[:, count - 1 :] = 2.0
-        self._cumulative = torch.from_numpy(cumulative.astype(np.float32)).to(device).reshape(-1)
+        cumulative = np.cumsum(weights, axis=1).astype(np.float32)
+        cumulative[:, -1] = 1.0
+        self._probability = torch.from_numpy(np.diff(cumulative, axis=1, prepend=np.float32(0.0))).to(device)
+        cumulative = np.pad(cumulative, ((0, 0), (0, 2**LEVELS - count)), constant_values=1.0)
+        self._cumulative = torch.from_numpy(cumulative).to(device).reshape(-1)
         self._count = count
 
     def cells(self, points: Tensor) -> Tensor:

@@ -63,7 +63,7 @@ class _Paths:
 
 def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
     """MIS weight of a sample of density `pdf` beside a technique of density `other` (Veach 1997)."""
-    return 1.0 / (1.0 + (other / pdf).square())
+    return 1.0 / (1.0 + (other / pdf.clamp(min=1e-30)).square())
 
 
 class PathTracer:
@@ -150,8 +150,7 @@ class PathTracer:
         """Next-event estimation: one shadow ray a path; returns the number of rays traced."""
         light = self.lights.sample(surface.position, uniforms)
         value, pdf = scattering.evaluate(light.direction)
-        light_pdf = light.pdf.clamp(min=1e-30)
-        weight = power_heuristic(light_pdf, pdf) / light_pdf
+        weight = power_heuristic(light.pdf, pdf) / light.pdf.clamp(min=1e-30)
         contribution = paths.throughput * value * light.radiance * weight
         index = (contribution.amax(0) > 0.0).nonzero()[:, 0]
         direction = light.direction.index_select(1, index)
@@ -177,7 +176,9 @@ class PathTracer:
             throughput = throughput / chance.clamp(min=1e-20)
         ended = (~(survival > 0.0)).nonzero()[:, 0]
         if len(ended) > 0:
-            _finish(paths.select(ended), result)
+            last = paths.select(ended)
+            last.radiance += 0.0 * throughput.index_select(1, ended)  # a NaN is the film's to report
+            _finish(last, result)
         paths = _Paths(paths.index, surface.leave(direction), direction, throughput, paths.radiance, pdf, paths.random)
         return paths.select((survival > 0.0).nonzero()[:, 0])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-from kornia.contrib import connected_components_union_find
 from torch import Tensor
 
 from bokehguide.models.gaussian_field import GaussianField
@@ -12,9 +11,9 @@ from bokehguide.render.vector import length
 from bokehguide.train.record_buffer import RecordBuffer
 
 RADIANCE_THRESHOLD = 8.0
-"""A spot's cell is at least this many times as bright as the frame's mean."""
+"""A spot's cell is at least this many times as bright as the frame's mean (4.2.2: "high radiance", no figure)."""
 COC_THRESHOLD = 4.0
-"""A spot's circle of confusion measures at least this many pixels across."""
+"""A spot's circle of confusion measures at least this many pixels across (4.2.2: "manually set")."""
 ALPHA = 0.5
 """σ = α R_b (section 4.2.4)."""
 DEPTH_GAP = 8.0
@@ -35,6 +34,8 @@ def label_patches(record: RecordBuffer, cells: Tensor, depth: Tensor, width: Ten
     Cells that touch on the raster form a patch, which is split where the sorted depths of
     its cells leap: two lamps may stand behind one another. depth, width: of each cell `[K]`.
     """
+    from kornia.contrib import connected_components_union_find  # half a second that uniform renders do without
+
     mask = torch.zeros(record.height * record.width, dtype=torch.bool, device=cells.device)
     mask[cells] = True
     labels = connected_components_union_find(mask.reshape(1, 1, record.height, record.width))

@@ -11,7 +11,7 @@ from bokehguide.models.blend_weight import BlendWeightMap
 from bokehguide.models.candidates import CandidateList, draw_candidates
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.kl import blend_gradient, offset_gradient, one_sample_kl
-from bokehguide.models.lens_distribution import GuidedLensDistribution
+from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.train.fitting import fit_gaussians
@@ -86,22 +86,19 @@ class LensGuide(nn.Module):
         return GuidedBatch(first, raster, gaussian, mixture)
 
     @torch.no_grad()
-    def study(self, batch: GuidedBatch, points: Tensor, ratio: Tensor, components: Tensor, density: Tensor) -> BatchLesson:
+    def study(self, batch: GuidedBatch, ratio: Tensor, at: LensDensity) -> BatchLesson:
         """Gradients of the one-sample KL for one sample a pixel; β's go to its parameter at once.
 
-        points: lens points `[2, N]`; ratio: L / (A q) `[N]`, 0 outside the aperture;
-        components: p_i `[M]`; density: q `[N]`.
+        ratio: L / (A q) `[N]`, 0 outside the aperture; at: the densities at the samples.
         """
         mixture = batch.distribution
         if self.learns_blend:
             pixels = slice(batch.first, batch.first + len(ratio))
-            self.blend.logit.grad[pixels] = blend_gradient(mixture, ratio, mixture.mixture_pdf(components), density)
+            self.blend.logit.grad[pixels] = blend_gradient(mixture, ratio, at)
         gradient = None
         if self.offsets is not None:
-            gradient = offset_gradient(
-                mixture, self.offsets, batch.gaussian, batch.raster, points, ratio, components, density
-            )
-        return BatchLesson(float(one_sample_kl(ratio, density, mixture.lens.area)), gradient)
+            gradient = offset_gradient(mixture, self.offsets, batch.gaussian, batch.raster, ratio, at)
+        return BatchLesson(float(one_sample_kl(ratio, at.density, mixture.lens.area)), gradient)
 
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
         """End a step: one Adam step, then, while fitting goes on, the next set of Gaussians."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from bokehguide.models.lens_distribution import UniformLensDistribution
+from bokehguide.models.lens_distribution import LensDensity, UniformLensDistribution
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import NO_DEPTH, Film, FilmSamples
 from bokehguide.render.path_tracer import PathSamples, PathTracer
@@ -75,7 +75,7 @@ class RenderLoop:
         pinhole = scene.camera.aperture_radius == 0.0
         self.guide = None if settings.mode == "uniform" or pinhole else LensGuide(self.camera, settings)
         self.step_number = 0
-        self._threads = settings.threads or os.cpu_count() or 1
+        self._threads = settings.threads or _available_cores()
         self._pool = ThreadPoolExecutor(self._threads, initializer=torch.set_num_threads, initargs=(1,))
         self._phases: Counter[str] = Counter()
         self._mean_luminance = 1.0
@@ -122,24 +122,23 @@ class RenderLoop:
             focus = camera.focus_points(raster)
             batch = self.guide.distribution(first, raster, focus) if self.guide else None
             if batch is None:
-                points = UniformLensDistribution(camera.lens).sample(uniforms[2:4])
-                weight, components, density = torch.ones_like(points[0]), None, None
+                points, at = UniformLensDistribution(camera.lens).sample(uniforms[2:4]), None
+                weight = torch.ones_like(points[0])
             else:
                 points = batch.distribution.sample(uniforms[2:7])
-                components = batch.distribution.component_pdf(points)
-                density = batch.distribution.blend(points, batch.distribution.mixture_pdf(components))
-                inside = camera.lens.contains(points)
-                weight = inside / (camera.lens.area * density).clamp(min=1e-20)  # W / q, Eq. 11
+                at = batch.distribution.evaluate(points)
+                weight = camera.lens.contains(points) / (camera.lens.area * at.density).clamp(min=1e-20)  # W / q, Eq. 11
         with timer.measure("shading"):
             samples, directions = self._trace(focus, points, weight, random, timer)
         with timer.measure("output"):
             film_samples = self._film_samples(samples, directions, weight)
-            self.film.add(first, film_samples, self.step_number)
+            good = self.film.add(first, film_samples, self.step_number)
         if self.guide is None:
             return _BatchResult(samples.rays, 0, 0, 0.0, None, None, timer)
         with timer.measure("learning"):
-            light = luminance(film_samples.radiance)
-            lesson = self._study(batch, points, weight, light, components, density)
+            light = luminance(samples.radiance).nan_to_num(0.0, 0.0, 0.0) * good
+            weight = weight.nan_to_num(0.0, 0.0, 0.0) * good
+            lesson = self._study(batch, weight, light, at)
             records = self._records(points, directions, samples.distance, weight, light)
         guided, outside, beta = _count(batch, weight)
         return _BatchResult(samples.rays, guided, outside, beta, lesson, records, timer)
@@ -172,13 +171,13 @@ class RenderLoop:
         return FilmSamples(weight, samples.radiance, opaque.float(), depth, samples.normal, samples.albedo)
 
     def _study(
-        self, batch: GuidedBatch | None, points: Tensor, weight: Tensor, light: Tensor, components: Tensor, density: Tensor
+        self, batch: GuidedBatch | None, weight: Tensor, light: Tensor, at: LensDensity | None
     ) -> BatchLesson | None:
         """Gradients of the one-sample KL; radiance counts in units of the frame's mean."""
         if batch is None:
             return None
         ratio = light * weight / max(self._mean_luminance, 1e-30)
-        return self.guide.study(batch, points, ratio, components, density)
+        return self.guide.study(batch, ratio, at)
 
     def _records(self, points: Tensor, directions: Tensor, distance: Tensor, weight: Tensor, light: Tensor):
         """Cells, camera-frame positions and luminance of the samples inside the lens, for the record buffer."""
@@ -215,6 +214,11 @@ class RenderLoop:
     def guide_images(self) -> dict[str, Tensor]:
         """Pictures of what the guide knows, `[H, W, 3]` in 0 … 1; none in uniform mode."""
         return self.guide.images() if self.guide else {}
+
+
+def _available_cores() -> int:
+    """Cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _count(batch: GuidedBatch | None, weight: Tensor) -> tuple[int, int, float]:

@@ -23,11 +23,11 @@ class RecordBuffer(nn.Module):
     Σ L·(X/Z, Y/Z, 1/Z), camera frame.
     """
 
-    def __init__(self, camera: ThinLensCamera, device: torch.device | str = "cpu"):
+    def __init__(self, camera: ThinLensCamera):
         super().__init__()
         self.border = math.ceil(MARGIN * camera.width)
         self.width, self.height = camera.width + 2 * self.border, camera.height + 2 * self.border
-        self.register_buffer("sums", torch.zeros(5, self.width * self.height, device=device))
+        self.register_buffer("sums", torch.zeros(5, self.width * self.height))
 
     def cells(self, camera: ThinLensCamera, points: Tensor) -> Tensor:
         """Cell of each camera-frame point `[3, N]`, int64 `[N]`; -1 outside or behind the lens."""

@@ -29,6 +29,8 @@ class RenderSettings:
     def __post_init__(self) -> None:
         if self.mode not in MODES:
             raise BokehguideError(f"mode: {self.mode!r} is unknown; choose one of {', '.join(MODES)}")
+        if self.device not in ("cpu", "cuda"):
+            raise BokehguideError(f"device: {self.device!r} is unknown; choose cpu or cuda")
         if self.spp < 1:
             raise BokehguideError(f"spp: {self.spp} is not positive; give at least 1 sample per pixel")
         if self.threads is not None and self.threads < 1:
