@@ -91,7 +91,7 @@ def test_mixture_pdf_is_the_sum_over_each_pixels_candidates():
     lens_point = (torch.rand(2, total, generator=generator) - 0.5) * 0.5  # some are culled
     mean = torch.cat((focus[:2, owner] + (lens_point - focus[:2, owner]) / k, depth[None]))
     sigma = 0.02 + 0.05 * torch.rand(total, generator=generator)
-    weight = torch.exp(5.0 * torch.randn(total, generator=generator))  # ten decades and more
+    weight = torch.exp(12.0 * torch.randn(total, generator=generator))  # thirty decades and more
     beta = 0.05 + 0.9 * torch.rand(pixels, generator=generator)
     distribution = GuidedLensDistribution(LENS, focus, beta, start, mean, sigma, weight)
     points = torch.randn(2, pixels, generator=generator) * 0.07

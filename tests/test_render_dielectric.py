@@ -177,3 +177,15 @@ def test_refraction_is_reciprocal_up_to_the_square_of_the_index(roughness):
     back = back[0] / outgoing[2]
     assert (there[below] > 1e-3).sum() > 50
     torch.testing.assert_close(there, back, rtol=5e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.3])
+@pytest.mark.parametrize("ior", [1.0, 1.0001])
+def test_a_solid_that_does_not_bend_light_lets_it_through(ior, roughness):
+    count = 1000
+    outgoing = tilted(40.0, count)
+    glass = DielectricBSDF(outgoing, surface(count, WHITE, roughness=roughness, transmission=1.0, ior=ior))
+    incoming, weight, pdf = glass.sample(uniforms(count))
+    assert bool(weight.isfinite().all()) and bool(pdf.isfinite().all())
+    assert float(weight.mean()) == pytest.approx(1.0, abs=0.02)
+    assert (incoming + outgoing).abs().max() < (1e-3 if ior == 1.0 else 0.02)

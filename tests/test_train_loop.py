@@ -145,3 +145,24 @@ def test_settings_name_what_is_out_of_range(settings):
     (field,) = settings
     with pytest.raises(BokehguideError, match=f"^{field}: .*; (choose|give)"):
         RenderSettings(**settings)
+
+
+def test_a_bad_sample_does_not_spoil_what_its_pixel_learns():
+    """NaN radiance is kept off the film and out of β and the record buffer."""
+    loop = RenderLoop(scenes.lamps(32, 18), RenderSettings("lis-b", seed=3, threads=1))
+    trace = loop.tracer.trace
+
+    def spoilt(*args):
+        samples = trace(*args)
+        samples.radiance[:, ::3] = torch.nan
+        return samples
+
+    loop.step()
+    loop.tracer.trace = spoilt
+    loop.step()
+    loop.tracer.trace = trace
+    assert loop.film.bad_count > 0
+    assert bool(loop.guide.blend.logit.isfinite().all()) and bool(loop.guide.record.sums.isfinite().all())
+    bad = loop.film.bad_count
+    loop.step()
+    assert loop.film.bad_count == bad and bool(loop.film.radiance().isfinite().all())
