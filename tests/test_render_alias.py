@@ -60,3 +60,35 @@ def test_the_largest_uniform_number_stays_in_range():
     for count in (1, 3, 1000, 10**6):
         drawn = AliasTable(np.ones(count)).sample(torch.tensor([[1.0 - 2.0**-24], [0.5]]))
         assert drawn.item() == count - 1
+
+
+def rows() -> tuple[np.ndarray, np.ndarray]:
+    """Weights of five rows, and where each starts; sums from 1e-20 to 1e20."""
+    parts = [np.array([1.0, 2.0]), WEIGHTS["zeros"], 1e-20 * WEIGHTS["falling"], np.ones(3), 1e20 * WEIGHTS["heavy tail"]]
+    return np.concatenate(parts), np.cumsum([0] + [len(part) for part in parts])
+
+
+def test_each_row_draws_by_its_own_weights_and_from_no_other():
+    weights, starts = rows()
+    row = torch.arange(500_000) % 5
+    table = AliasTable(weights, starts=starts)
+    drawn = table.sample(PixelRandom(3, 0, torch.arange(500_000)).uniform(0, 2), row).numpy()
+    for i, (low, high) in enumerate(zip(starts[:-1], starts[1:])):
+        counts = np.bincount(drawn[row == i], minlength=len(weights))
+        assert counts[low:high].sum() == 100_000
+        assert chi_square(counts[low:high], weights[low:high] / weights[low:high].sum()) > SIGNIFICANCE
+
+
+def test_the_pdf_of_a_row_sums_to_one():
+    weights, starts = rows()
+    pdf = AliasTable(weights, starts=starts).pdf(torch.arange(len(weights))).double().numpy()
+    for low, high in zip(starts[:-1], starts[1:]):
+        np.testing.assert_allclose(pdf[low:high], weights[low:high] / weights[low:high].sum(), rtol=1e-6)
+
+
+def test_the_largest_and_least_uniform_numbers_stay_in_their_row():
+    starts = np.cumsum([0, 1, 3, 1000, 10**6])
+    table, row = AliasTable(np.ones(starts[-1]), starts=starts), torch.arange(4)
+    for u, expected in ((1.0 - 2.0**-24, starts[1:] - 1), (2.0**-24, starts[:-1])):
+        drawn = table.sample(torch.tensor([[u], [0.5]]).expand(2, 4), row)
+        assert drawn.tolist() == expected.tolist()

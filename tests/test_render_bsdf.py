@@ -209,5 +209,4 @@ def test_extreme_directions_and_parameters_give_finite_numbers():
                 value, pdf = bsdf.evaluate(drawn)
                 assert drawn.isfinite().all() and value.isfinite().all() and pdf.isfinite().all()
                 assert (value >= 0.0).all() and (pdf >= 0.0).all()
-                if metallic == 1.0:
-                    assert (value / pdf.clamp(min=1e-20)).max() < 1.001
+                assert (value / pdf.clamp(min=1e-20)).max() < 3.0

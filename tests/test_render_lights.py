@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from bokehguide.render.geometry import Geometry
-from bokehguide.render.lights import CANDIDATES, MIN_SHARE, Lights
+from bokehguide.render.lights import MIN_SHARE, Lights
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import dot
 from bokehguide.scene.types import Environment, Scene
-from tests.sphere import SphereGrid, surface
+from tests.sphere import SphereGrid
 from tests.statistical import SIGNIFICANCE, z_test
 from tests.tracing import DOWN, inward, lamp, matte, rectangle, scene, sky, sphere
 
@@ -42,18 +42,27 @@ def lamps(environment: Environment | None) -> Scene:
     return scene(meshes, materials, environment)
 
 
-def sampled(scene: Scene, count: int = DRAWS, transmission: float = 1.0):
-    """The lights, the geometry, and light samples at the origin, whose normal is z."""
+ORIGIN = (0.0, 0.0, 0.0)
+PLACES = [ORIGIN, (0.6, 0.1, 1.6), (-30.0, 20.0, 9.0)]
+"""Amid the lamps, between two of them, and far outside the grid."""
+
+
+def at(place, count: int) -> torch.Tensor:
+    """`count` copies of a point, `[3, count]`."""
+    return torch.tensor(place)[:, None].repeat(1, count)
+
+
+def sampled(scene: Scene, count: int = DRAWS, place=ORIGIN):
+    """The lights, the geometry, and light samples at one point."""
     geometry = Geometry(scene)
     lights = Lights(scene, geometry)
     uniforms = PixelRandom(0, 0, torch.arange(count)).uniform(0, 6)
-    return lights, geometry, lights.sample(surface(count, transmission=transmission), uniforms)
+    return lights, geometry, lights.sample(at(place, count), uniforms)
 
 
-def from_origin(directions: torch.Tensor, geometry: Geometry):
-    """Hits of rays from the origin, and the cosines and radiance at those that hit."""
-    origins = torch.zeros_like(directions)
-    hit = geometry.tracer.intersect(origins, directions)
+def seen_from(place, directions: torch.Tensor, geometry: Geometry):
+    """Hits of rays from a point, and the cosines and radiance at those that hit."""
+    hit = geometry.tracer.intersect(at(place, directions.shape[1]), directions)
     met = hit.triangle >= 0
     cosine, radiance = torch.zeros(len(met)), torch.zeros_like(directions)
     inside = type(hit)(*(field[met] for field in hit))
@@ -62,72 +71,100 @@ def from_origin(directions: torch.Tensor, geometry: Geometry):
     return hit, met, cosine, radiance
 
 
-def unoccluded(light, geometry: Geometry) -> torch.Tensor:
-    return geometry.tracer.visible(torch.zeros_like(light.direction), light.direction, light.distance * (1.0 - 1e-4))
+def unoccluded(light, geometry: Geometry, place=ORIGIN) -> torch.Tensor:
+    return geometry.tracer.visible(at(place, len(light.pdf)), light.direction, light.distance * (1.0 - 1e-4))
+
+
+def environment_share(lights: Lights, points: torch.Tensor) -> torch.Tensor:
+    """Share of the draws at `points` `[3, N]` that go to the environment."""
+    direction, pdf = lights.environment.sample(torch.full((4, 1), 0.3))
+    return lights.environment_pdf(points, direction.expand_as(points)) / pdf
 
 
 @pytest.mark.parametrize("environment", [None, window()], ids=["lamps", "lamps and sky"])
-@pytest.mark.parametrize("transmission", [0.0, 1.0])
-def test_weighted_draws_add_up_to_the_light_of_each_part_of_the_sphere(environment, transmission):
-    """Through an opaque surface only the upper half counts; of the sky, what exceeds its mean."""
-    lights, geometry, light = sampled(lamps(environment), transmission=transmission)
+@pytest.mark.parametrize("place", PLACES[:2])
+def test_weighted_draws_add_up_to_the_light_of_each_part_of_the_sphere(environment, place):
+    """Of the sky, what exceeds its mean."""
+    lights, geometry, light = sampled(lamps(environment), place=place)
     grid = SphereGrid(8, 16, 48)
-    _, met, _, radiance = from_origin(grid.directions, geometry)
+    _, met, _, radiance = seen_from(place, grid.directions, geometry)
     if environment:
         sky = grid.directions[:, ~met]
-        radiance[:, ~met] = lights.environment.radiance(sky) * (lights.environment_pdf(sky) > 0.0)
-    worth = (light.radiance[1] * light.weight * unoccluded(light, geometry)).double().numpy()
+        radiance[:, ~met] = lights.environment.radiance(sky) * (lights.environment.pdf(sky) > 0.0)
+    worth = (light.radiance[1] / light.pdf * unoccluded(light, geometry, place)).double().numpy()
     expected = grid.cell_integrals(radiance[1])
     cell = grid.cells(light.direction)
     mean = np.bincount(cell, worth, 128) / DRAWS
     error = np.sqrt(np.bincount(cell, worth**2, 128) / DRAWS - mean**2) / math.sqrt(DRAWS)
-    counted = slice(0, 128 if transmission else 64)
     quadrature = 0.02 * expected + 2e-4  # edges of lamps cross its points
-    assert z_test((mean - expected)[counted], (error + quadrature)[counted]) > SIGNIFICANCE
-    total_error = np.sqrt((error[counted] ** 2).sum()) + 2e-3 * expected.sum()
-    assert z_test((mean - expected)[counted].sum(), total_error) > SIGNIFICANCE
+    assert z_test(mean - expected, error + quadrature) > SIGNIFICANCE
+    total_error = np.sqrt((error**2).sum()) + 2e-3 * expected.sum()
+    assert z_test((mean - expected).sum(), total_error) > SIGNIFICANCE
 
 
-def test_the_density_of_a_draw_is_the_one_that_a_ray_finds_there():
-    lights, geometry, light = sampled(lamps(window()))
-    hit, met, cosine, _ = from_origin(light.direction, geometry)
-    there = unoccluded(light, geometry) > 0.0
-    found = lights.environment_pdf(light.direction)
+@pytest.mark.parametrize("place", PLACES)
+def test_the_density_of_a_draw_is_the_one_that_a_ray_finds_there(place):
+    lights, geometry, light = sampled(lamps(window()), place=place)
+    hit, met, cosine, _ = seen_from(place, light.direction, geometry)
+    there = unoccluded(light, geometry, place) > 0.0
+    points = at(place, DRAWS)
+    found = lights.environment_pdf(points, light.direction)
     triangles = hit.triangle.clamp(min=0)
-    found = torch.where(met, lights.triangle_pdf(triangles, hit.distance, cosine), found)
+    found = torch.where(met, lights.triangle_pdf(points, triangles, hit.distance, cosine), found)
     apart = (found[there] / light.pdf[there] - 1.0).abs() > 1e-2
     assert there.float().mean() > 0.5
     assert apart.float().mean() < 1e-3  # rounding across an edge
 
 
-def test_densities_over_the_whole_sphere_integrate_to_the_number_of_candidates():
+@pytest.mark.parametrize("place", [ORIGIN, (0.9, -0.5, 0.2), (-0.2, 0.3, -1.1)])
+def test_densities_over_the_whole_sphere_integrate_to_one(place):
     """Inside a closed lamp, with a map that gets its share of the draws though none of it is seen."""
     shell = scene([inward(sphere(0, (0.2, 0.1, -0.3), 1.5))], [lamp()], window())
     geometry = Geometry(shell)
     lights = Lights(shell, geometry)
     grid = SphereGrid(32, 64, 12)
-    hit, met, cosine, _ = from_origin(grid.directions, geometry)
+    hit, met, cosine, _ = seen_from(place, grid.directions, geometry)
     assert met.all()
-    near = grid.integral(lights.triangle_pdf(hit.triangle, hit.distance, cosine))
-    far = grid.integral(lights.environment_pdf(grid.directions))
-    assert far == pytest.approx(lights.environment_share, abs=1e-3)
-    assert near == pytest.approx(CANDIDATES * (1.0 - lights.environment_share), abs=1e-3 * CANDIDATES)
+    points = at(place, len(met))
+    share = float(environment_share(lights, points[:, :1]))
+    near = grid.integral(lights.triangle_pdf(points, hit.triangle, hit.distance, cosine))
+    far = grid.integral(lights.environment_pdf(points, grid.directions))
+    assert far == pytest.approx(share, abs=1e-3)
+    assert near == pytest.approx(1.0 - share, abs=1e-3)
 
 
-def test_triangles_are_chosen_by_the_power_they_emit():
-    """At one metre under no angle the density is the choice over the area."""
+def test_where_all_else_is_equal_triangles_are_chosen_by_the_power_they_emit():
+    """Four rectangles whose first triangles have one centre; at one metre under no angle the
+    density is the choice over the area."""
     checkers = np.tile(np.array([[[1.0], [0.0]], [[0.0], [1.0]]], np.float32), (8, 8, 3))
     materials = [lamp(1.0), lamp(4.0), lamp(1.0, double_sided=True), lamp(1.0, emission_texture=checkers)]
-    meshes = [rectangle(i, (3.0 * i, 0.0, 0.0), scale=(1.0, 0.5 + i, 1.0)) for i in range(4)]
+    first = rectangle(0)
+    center = first.vertices[first.triangles[0]].mean(axis=0)
+    heights = np.array([0.5, 1.5, 2.5, 3.5])
+    meshes = [rectangle(i, center * (0.0, 1.0 - h, 0.0), scale=(1.0, h, 1.0)) for i, h in enumerate(heights)]
     lit = scene(meshes, materials)
     lights = Lights(lit, Geometry(lit))
     ones = torch.ones(8)
-    density = lights.triangle_pdf(torch.arange(8), ones, ones).double().numpy()
-    relative = np.repeat([1.0, 4.0, 2.0, 0.5], 2)
-    area = 2.0 * np.repeat([0.5, 1.5, 2.5, 3.5], 2)
-    np.testing.assert_allclose(density[:6], relative[:6] * (density[0] / relative[0]), rtol=1e-5)
-    np.testing.assert_allclose(density[6:], 0.5 * density[0], rtol=0.1)  # half lit, looked at in a few points
-    assert density @ area == pytest.approx(CANDIDATES, rel=1e-5)
+    above = (*center[:2].tolist(), 3.0)
+    density = lights.triangle_pdf(at(above, 8), torch.arange(8), ones, ones).double().numpy()
+    relative = density[::2] / density[0]
+    np.testing.assert_allclose(relative[:3], [1.0, 4.0, 2.0], rtol=1e-3)
+    assert relative[3] == pytest.approx(0.5, rel=0.1)  # half lit, looked at in a few points
+    assert density @ (2.0 * np.repeat(heights, 2)) == pytest.approx(1.0, rel=1e-5)
+
+
+def test_whatever_emits_may_be_drawn_everywhere_and_nothing_else():
+    """Also from behind, from far away, and where a million times brighter lamps are near."""
+    black = replace(lamp(), emission_texture=np.zeros((2, 2, 3), np.float32))
+    turned = (0.0, 0.0, 180.0, 0.0)
+    meshes = [rectangle(i, (2.0 * i, 0.0, -1.0), (turned[i], 0.0, 0.0), 0.5) for i in range(4)]
+    lit = scene(meshes, [lamp(1e-3), matte(), lamp(1e3), black])
+    lights = Lights(lit, Geometry(lit))
+    for points in (torch.randn(3, 1000, generator=torch.Generator().manual_seed(1)) * s for s in (1.0, 10.0, 1e4)):
+        ones = torch.ones(points.shape[1])
+        for triangle, emits in enumerate(np.repeat([True, False, True, False], 2)):
+            density = lights.triangle_pdf(points, torch.full((1000,), triangle), ones, ones)
+            assert bool((density > 0.0).all()) == bool(emits) and bool(density.any()) == bool(emits)
 
 
 def test_a_lamp_seen_from_behind_is_black_unless_double_sided():
@@ -160,8 +197,20 @@ def test_whether_there_is_anything_to_sample(environment, material, empty):
 
 @pytest.mark.parametrize("power, share", [(1e-9, 1.0 - MIN_SHARE), (1e9, MIN_SHARE)])
 def test_neither_the_sky_nor_the_lamps_are_starved(power, share):
-    lit = scene([rectangle(0, rotate=DOWN)], [lamp(power)], window())
-    assert Lights(lit, Geometry(lit)).environment_share == pytest.approx(share)
+    lit = scene([rectangle(0, rotate=DOWN)], [lamp(power, double_sided=True)], window())
+    lights = Lights(lit, Geometry(lit))
+    points = torch.randn(3, 1000, generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(environment_share(lights, points), torch.full((1000,), share))
+
+
+def test_the_sky_gets_fewer_draws_near_the_lamps():
+    """Halves of the room lit by a lamp each, one a hundred times the other."""
+    meshes = [rectangle(0, (-3.0, 1.0, 0.0), DOWN, 0.3), rectangle(1, (3.0, 1.0, 0.0), DOWN, 0.3)]
+    lit = scene(meshes, [lamp(10.0), lamp(1000.0)], window())
+    points = torch.tensor([[3.0, 3.0, 0.0, -3.0], [0.5, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
+    share = environment_share(Lights(lit, Geometry(lit)), points)
+    assert (share.diff() >= 0.0).all() and share[0] == pytest.approx(MIN_SHARE)
+    assert share[0] < 0.5 * share[-1]
 
 
 def test_a_textured_lamp_whose_light_lies_between_the_points_looked_at_is_no_light_but_still_shines():
@@ -172,4 +221,4 @@ def test_a_textured_lamp_whose_light_lies_between_the_points_looked_at_is_no_lig
     lights = Lights(lit, Geometry(lit))
     one = torch.ones(2)
     assert lights.empty
-    assert not lights.triangle_pdf(torch.arange(2), one, one).any()
+    assert not lights.triangle_pdf(at(ORIGIN, 2), torch.arange(2), one, one).any()

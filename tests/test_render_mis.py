@@ -68,6 +68,33 @@ def test_both_techniques_together_agree_with_one_alone(name, light, monkeypatch)
     assert agreement(both, alone) > SIGNIFICANCE
 
 
+@pytest.mark.parametrize("height", [0.3, 1.0, 3.0])
+def test_a_lamp_near_a_floor_that_is_seen_from_afar_does_not_shadow_itself(height, monkeypatch):
+    """From 10 m away rays leave the floor by so much that the lamp is nearer than what was sampled."""
+    lit = scene([rectangle(0, rotate=UP, scale=20.0), rectangle(1, (0.0, height, 0.0), DOWN, 0.3)], [matte(0.8), lamp(5.0)])
+    ray = ((10.0 + 0.5 * height, 10.0, 0.0), (-1.0, -1.0, 0.0))
+    both = estimates(lit, *ray, count=60_000)
+    bsdf_sampling_only(monkeypatch)
+    alone = estimates(lit, *ray, count=200_000, seed=1)
+    assert alone.mean() > 0.01
+    assert agreement(both, alone) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.01])
+def test_a_wall_on_the_border_of_two_cells_has_one_choice_of_lamps(shift, monkeypatch):
+    """Lamps in pairs left and right of a wall: the middle of the grid is a border between cells."""
+    meshes = [rectangle(0, (shift, 0.0, 0.0), (0.0, -90.0, 0.0), 2.0)]
+    for x in (-1.5, -0.6, -0.05, 0.05, 0.6, 1.5):
+        meshes += [rectangle(1, (x, 0.0, z), (0.0, 90.0, 0.0), 0.05) for z in (-0.3, 0.0, 0.3)]
+    wall = Material("wall", (0.9, 0.9, 0.9), metallic=1.0, roughness=0.6)
+    lit = scene(meshes, [wall, lamp(5.0, double_sided=True)])
+    ray = ((-0.5 + shift, 1.0, 0.1), (0.5, -0.9, -0.1))
+    both = estimates(lit, *ray, count=60_000)
+    bsdf_sampling_only(monkeypatch)
+    alone = estimates(lit, *ray, count=200_000, seed=1)
+    assert agreement(both, alone) > SIGNIFICANCE
+
+
 def glare() -> float:
     """p-value of a glossy plate agreeing with one technique alone; needs both sets of weights right."""
     ray = ((0.1, 1.3, 1.5), (-0.1, -0.8, -1.5))

@@ -95,24 +95,26 @@ def test_points_beyond_the_margin_and_behind_the_lens_have_no_cell(camera):
     assert not record.sums.any()
 
 
-@pytest.mark.parametrize("far, patches", [(4.1, 1), (6.0, 2), (2000.0, 2)])
-def test_lamps_that_touch_are_split_on_depth(camera, far, patches):
-    """Two lamps of 3 cells side by side; the far one behind by a little, by half, by the environment's distance."""
+@pytest.mark.parametrize("widths, patches", [(7.0, 1), (9.0, 2), (300.0, 2), (3e5, 2)])
+def test_lamps_that_touch_are_split_on_depth(camera, widths, patches):
+    """Two lamps of 3 cells side by side; the far one behind by some widths of the near one's cells."""
+    far = 4.0 + widths * 4.0 * camera.pixel_slope
     record = wall_record(camera)
     light_up(record, camera, torch.tensor([200.0, 201.0, 202.0]), 20.0, 4.0)
     light_up(record, camera, torch.tensor([203.0, 204.0, 205.0]), 20.0, far)
     field = fitted(record, camera)
     assert len(field) == patches
     if patches == 2:
-        torch.testing.assert_close(field.mean[2].sort().values, torch.tensor([4.0, far]), rtol=0.05, atol=0.0)
+        tolerance = 0.05 if widths > 100.0 else 1e-3  # the wall behind weighs on the depth
+        torch.testing.assert_close(field.mean[2].sort().values, torch.tensor([4.0, far]), rtol=tolerance, atol=0.0)
         width = field.mean[2] * camera.pixel_slope
-        torch.testing.assert_close(field.radius, 0.5 * width * (9.0 + 1.0 + 1.0) ** 0.5, rtol=0.1, atol=0.0)
+        torch.testing.assert_close(field.radius, 1.5 * width, rtol=0.05, atol=0.0)  # out to the ends of three cells
 
 
 def test_a_receding_row_of_lamps_is_one_patch(camera):
     """Depths in small steps do not leap, however far apart their ends are."""
     record = wall_record(camera)
-    light_up(record, camera, torch.arange(150.0, 190.0), 20.0, torch.linspace(3.0, 6.0, 40))
+    light_up(record, camera, torch.arange(100.0, 300.0), 20.0, torch.linspace(3.0, 9.0, 200))
     assert len(fitted(record, camera)) == 1
 
 
@@ -121,7 +123,32 @@ def test_a_line_of_300_cells_is_one_patch(camera):
     light_up(record, camera, torch.arange(50.0, 350.0), 20.0, 4.0)
     cells, points = find_spotlights(record, camera, 0.1)
     assert len(cells) == 300
-    assert label_patches(record, cells, points[2]).unique().tolist() == [0]
+    assert label_patches(record, cells, points[2], points[2] * camera.pixel_slope).unique().tolist() == [0]
+
+
+def test_the_bounding_sphere_of_one_cell_holds_a_ball_as_wide_as_the_cell(camera):
+    record = wall_record(camera)
+    light_up(record, camera, torch.tensor([200.0]), 20.0, 4.0)
+    field = fitted(record, camera)
+    center = points_at(camera, torch.tensor([200.5]), torch.tensor([20.5]), 4.0)
+    torch.testing.assert_close(field.mean, center, rtol=1e-3, atol=1e-3)
+    width = field.mean[2] * camera.pixel_slope
+    torch.testing.assert_close(field.radius, 0.5 * width, rtol=1e-4, atol=0.0)
+    torch.testing.assert_close(field.sigma, ALPHA * field.radius)
+
+
+@pytest.mark.parametrize("cells", [3.0, 8.0, 15.0])
+def test_the_bounding_sphere_of_a_disc_is_as_wide_as_the_disc(camera, cells):
+    """And not as the square around it, whose corners are √2 further out."""
+    record = wall_record(camera)
+    for row in range(int(20 - cells), int(20 + cells)):
+        across = (cells**2 - (row + 0.5 - 20.0) ** 2) ** 0.5
+        columns = torch.arange(400.0)
+        light_up(record, camera, columns[(columns + 0.5 - 200.0).abs() <= across], float(row), 4.0, radiance=1e5)
+    field = fitted(record, camera)
+    assert len(field) == 1
+    assert float(field.radius[0] / (field.mean[2] * camera.pixel_slope)) == pytest.approx(cells, abs=0.75)
+    torch.testing.assert_close(camera.raster(field.mean)[:, 0], torch.tensor([200.0, 20.0]), rtol=0.0, atol=0.05)
 
 
 def test_lamps_apart_are_patches_apart_whatever_their_order(camera):

@@ -111,8 +111,8 @@ def _spread(features: np.ndarray, power: np.ndarray) -> float:
 
 def _layout(centers: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     """Lower corner, cell size and shape of a grid around the lamps."""
-    low, high = centers.min(axis=0), centers.max(axis=0)
-    margin = 0.25 * float(np.linalg.norm(high - low)) + 1e-6
+    low, high = centers.min(axis=0).astype(np.float64), centers.max(axis=0).astype(np.float64)
+    margin = 0.25 * float(np.linalg.norm(high - low)) + 1e-3 * (1e-3 + float(np.abs(high).max()))
     low, high = low - margin, high + margin
     cell = float((high - low).max()) / RESOLUTION
     return low, cell, np.maximum(np.ceil((high - low) / cell), 1).astype(np.int64)
@@ -130,7 +130,7 @@ def _cell_weights(grid, cluster, count, centers, normals, power, double_sided) -
     squared = np.maximum(np.square(offset).sum(axis=2), 0.25 * grid._cell**2)
     cosine = np.einsum("ckd,kd->ck", offset, facing) / np.sqrt(squared)
     width = 1.0 - np.linalg.norm(facing, axis=1) + 0.5 * grid._cell / np.sqrt(squared)  # spread of normals and of the cell
-    return total * np.clip(cosine + width + both, 0.0, 1.0) / squared
+    return total * np.clip(cosine + width + 2.0 * both, 0.0, 1.0) / squared
 
 
 def _defensive(weights: np.ndarray, power: np.ndarray) -> np.ndarray:

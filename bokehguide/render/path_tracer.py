@@ -18,7 +18,7 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
-from bokehguide.render.vector import dot
+from bokehguide.render.vector import dot, length
 from bokehguide.scene.types import Scene
 
 ROULETTE_DEPTH = 2
@@ -46,9 +46,14 @@ class PathSamples:
 
 @dataclass
 class _Paths:
-    """The paths still alive, compacted after each segment."""
+    """The paths still alive, compacted after each segment.
+
+    vertex: where the last scattering was and lights were sampled for; origin: the same,
+    off the surface.
+    """
 
     index: Tensor
+    vertex: Tensor
     origin: Tensor
     direction: Tensor
     throughput: Tensor
@@ -57,7 +62,7 @@ class _Paths:
     random: PixelRandom
 
     def select(self, index: Tensor) -> _Paths:
-        names = ("index", "origin", "direction", "throughput", "radiance", "pdf")
+        names = ("index", "vertex", "origin", "direction", "throughput", "radiance", "pdf")
         return _Paths(*(getattr(self, name).index_select(-1, index) for name in names), self.random.select(index))
 
 
@@ -84,7 +89,7 @@ class PathTracer:
         result = PathSamples(torch.zeros_like(origin), ones * MISS_DISTANCE, torch.zeros_like(origin), torch.zeros_like(origin))
         index = torch.arange(count, device=origin.device)
         paths = _Paths(
-            index, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random
+            index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random
         )
         for depth in range(1, self.max_depth + 1):
             paths = self._segment(paths, depth, result, timer)
@@ -123,7 +128,7 @@ class PathTracer:
             return paths, hit
         gone = paths.select(missed)
         if self.lights.environment is not None:
-            weight = power_heuristic(gone.pdf, self.lights.environment_pdf(gone.origin, gone.direction))
+            weight = power_heuristic(gone.pdf, self.lights.environment_pdf(gone.vertex, gone.direction))
             gone.radiance += gone.throughput * self.lights.environment.radiance(gone.direction) * weight
         _finish(gone, result)
         kept = (hit.triangle >= 0).nonzero()[:, 0]
@@ -139,8 +144,8 @@ class PathTracer:
         radiance = self.geometry.emission(lamp, surface.front.index_select(0, index))
         direction = paths.direction.index_select(1, index)
         cosine = dot(surface.geometric_normal.index_select(1, index), direction)
-        origin = paths.origin.index_select(1, index)
-        other = self.lights.triangle_pdf(origin, lamp.triangle, lamp.distance, cosine)
+        vertex = paths.vertex.index_select(1, index)
+        other = self.lights.triangle_pdf(vertex, lamp.triangle, lamp.distance, cosine)
         weight = power_heuristic(paths.pdf.index_select(0, index), other)
         paths.radiance[:, index] += paths.throughput.index_select(1, index) * radiance * weight
 
@@ -153,9 +158,12 @@ class PathTracer:
         weight = power_heuristic(light.pdf, pdf) / light.pdf.clamp(min=1e-30)
         contribution = paths.throughput * value * light.radiance * weight
         index = (contribution.amax(0) > 0.0).nonzero()[:, 0]
-        direction = light.direction.index_select(1, index)
-        origin = surface.leave(light.direction).index_select(1, index)
-        distance = light.distance.index_select(0, index) * (1.0 - 1e-4)
+        origin = surface.leave(light.direction)
+        # From the origin off the surface to the same point: a lamp close by must not shadow itself.
+        target = (light.direction - (origin - surface.position) / light.distance).index_select(1, index)
+        stretch = length(target)
+        distance = light.distance.index_select(0, index) * stretch * (1.0 - 1e-4)
+        origin, direction = origin.index_select(1, index), target / stretch
         with timer.measure("tracing rays"):
             visible = self.geometry.tracer.visible(origin, direction, distance)
         visibility = torch.zeros_like(pdf)
@@ -179,7 +187,10 @@ class PathTracer:
             last = paths.select(ended)
             last.radiance += 0.0 * throughput.index_select(1, ended)  # a NaN is the film's to report
             _finish(last, result)
-        paths = _Paths(paths.index, surface.leave(direction), direction, throughput, paths.radiance, pdf, paths.random)
+        origin = surface.leave(direction)
+        paths = _Paths(
+            paths.index, surface.position, origin, direction, throughput, paths.radiance, pdf, paths.random
+        )
         return paths.select((survival > 0.0).nonzero()[:, 0])
 
 
