@@ -8,6 +8,7 @@ each cell knows how much light each cluster could send to it, unshadowed.
 from __future__ import annotations
 
 import heapq
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,6 +24,18 @@ DEFENSIVE = 0.1
 """Share of every cell's choice that goes by power alone, so that no lamp is ever left out."""
 
 
+class _Layout(NamedTuple):
+    """A grid of cubic cells: lower corner `[3]`, cell size in metres, shape `[3]`."""
+
+    low: np.ndarray
+    cell: float
+    shape: np.ndarray
+
+    def middles(self) -> np.ndarray:
+        """Centres of all cells, `[cells, 3]`."""
+        return self.low + (np.indices(self.shape).reshape(3, -1).T + 0.5) * self.cell
+
+
 class LightGrid:
     """A choice among K triangles that depends on the shaded point; the measure is counting.
 
@@ -35,31 +48,31 @@ class LightGrid:
         self, centers: np.ndarray, normals: np.ndarray, power: np.ndarray, double_sided: np.ndarray, device: torch.device
     ):
         cluster, count = _cluster(np.concatenate((centers, normals * _direction_scale(centers)), axis=1), power)
-        self._order = torch.from_numpy(np.argsort(cluster, kind="stable")).to(device)
-        starts = np.searchsorted(np.sort(cluster), np.arange(count + 1))
-        order = self._order.cpu().numpy()
-        self._table = AliasTable(power[order], device, starts)
-        self._place = torch.empty_like(self._order)
-        self._place[self._order] = torch.arange(len(order), device=device)
-        self._cluster = torch.from_numpy(cluster).to(device)
-        self._low, self._cell, self._shape = _layout(centers)
-        weights = _cell_weights(self, cluster, count, centers, normals, power, double_sided)
-        self.light = torch.from_numpy(weights.sum(axis=1).astype(np.float32)).to(device)
-        weights = _defensive(weights, np.bincount(cluster, power, count))
-        cumulative = np.cumsum(weights, axis=1).astype(np.float32)
+        order = np.argsort(cluster, kind="stable")
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        self._table = AliasTable(power[order], device, np.searchsorted(cluster[order], np.arange(count + 1)))
+        self._order, self._place, self._cluster = (torch.from_numpy(a).to(device) for a in (order, place, cluster))
+        self._layout = _layout(centers)
+        total = np.bincount(cluster, power, count)
+        fields = np.concatenate((centers, normals, double_sided[:, None]), axis=1)
+        means = np.stack([np.bincount(cluster, power * field, count) for field in fields.T], axis=1) / total[:, None]
+        light = _cell_light(self._layout, total, means[:, 0:3], means[:, 3:6], means[:, 6])
+        self.light = torch.from_numpy(light.sum(axis=1).astype(np.float32)).to(device)
+        cumulative = np.cumsum(_defensive(light, total), axis=1).astype(np.float32)
         cumulative[:, -1] = 1.0
-        self._probability = torch.from_numpy(np.diff(cumulative, axis=1, prepend=np.float32(0.0))).to(device)
-        cumulative = np.pad(cumulative, ((0, 0), (0, 2**LEVELS - count)), constant_values=1.0)
-        self._cumulative = torch.from_numpy(cumulative).to(device).reshape(-1)
+        self._probability = torch.from_numpy(np.diff(cumulative, axis=1, prepend=np.float32(0.0)).reshape(-1)).to(device)
+        padded = np.pad(cumulative, ((0, 0), (0, 2**LEVELS - count)), constant_values=1.0)
+        self._cumulative = torch.from_numpy(padded.reshape(-1)).to(device)
         self._count = count
 
     def cells(self, points: Tensor) -> Tensor:
         """Cell `[N]` of each point `[3, N]`; points outside belong to the nearest cell."""
+        low, cell, shape = self._layout
         columns = [
-            ((points[axis] - float(self._low[axis])) * (1.0 / self._cell)).clamp(0.0, self._shape[axis] - 1.0).long()
-            for axis in range(3)
+            ((points[axis] - float(low[axis])) * (1.0 / cell)).clamp(0.0, shape[axis] - 1.0).long() for axis in range(3)
         ]
-        return (columns[0] * int(self._shape[1]) + columns[1]) * int(self._shape[2]) + columns[2]
+        return (columns[0] * int(shape[1]) + columns[1]) * int(shape[2]) + columns[2]
 
     def sample(self, cells: Tensor, uniforms: Tensor) -> Tensor:
         """Triangles `[N]` for points in `cells` `[N]`, from uniform numbers `[3, N]`."""
@@ -74,7 +87,7 @@ class LightGrid:
     def pdf(self, cells: Tensor, triangle: Tensor) -> Tensor:
         """Probability `[N]` of choosing each triangle for a point in each cell."""
         cluster = self._cluster.index_select(0, triangle)
-        share = self._probability.reshape(-1).index_select(0, cells * self._count + cluster)
+        share = self._probability.index_select(0, cells * self._count + cluster)
         return share * self._table.pdf(self._place.index_select(0, triangle))
 
 
@@ -109,27 +122,25 @@ def _spread(features: np.ndarray, power: np.ndarray) -> float:
     return float(power.sum()) * float(np.linalg.norm(np.ptp(features, axis=0)))
 
 
-def _layout(centers: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-    """Lower corner, cell size and shape of a grid around the lamps."""
+def _layout(centers: np.ndarray) -> _Layout:
+    """A grid around the lamps."""
     low, high = centers.min(axis=0).astype(np.float64), centers.max(axis=0).astype(np.float64)
     margin = 0.25 * float(np.linalg.norm(high - low)) + 1e-3 * (1e-3 + float(np.abs(high).max()))
     low, high = low - margin, high + margin
     cell = float((high - low).max()) / RESOLUTION
-    return low, cell, np.maximum(np.ceil((high - low) / cell), 1).astype(np.int64)
+    return _Layout(low, cell, np.maximum(np.ceil((high - low) / cell), 1).astype(np.int64))
 
 
-def _cell_weights(grid, cluster, count, centers, normals, power, double_sided) -> np.ndarray:
-    """Light that every cluster could send to every cell, `[cells, clusters]`, float64."""
-    total = np.bincount(cluster, power, count)
-    mean = np.stack([np.bincount(cluster, power * centers[:, axis], count) for axis in range(3)], axis=1) / total[:, None]
-    facing = np.stack([np.bincount(cluster, power * normals[:, axis], count) for axis in range(3)], axis=1) / total[:, None]
-    both = np.bincount(cluster, power * double_sided, count) / total
-    index = np.indices(grid._shape).reshape(3, -1).T
-    middle = grid._low + (index + 0.5) * grid._cell
-    offset = middle[:, None] - mean[None]
-    squared = np.maximum(np.square(offset).sum(axis=2), 0.25 * grid._cell**2)
+def _cell_light(layout: _Layout, total: np.ndarray, place: np.ndarray, facing: np.ndarray, both: np.ndarray) -> np.ndarray:
+    """Light that every cluster could send to every cell, unshadowed, `[cells, clusters]`.
+
+    total: power of each cluster; place, facing, both: means of its triangles' centres,
+    normals and double-sidedness.
+    """
+    offset = layout.middles()[:, None] - place[None]
+    squared = np.maximum(np.square(offset).sum(axis=2), 0.25 * layout.cell**2)
     cosine = np.einsum("ckd,kd->ck", offset, facing) / np.sqrt(squared)
-    width = 1.0 - np.linalg.norm(facing, axis=1) + 0.5 * grid._cell / np.sqrt(squared)  # spread of normals and of the cell
+    width = 1.0 - np.linalg.norm(facing, axis=1) + 0.5 * layout.cell / np.sqrt(squared)  # spread of normals and cell
     return total * np.clip(cosine + width + 2.0 * both, 0.0, 1.0) / squared
 
 

@@ -21,7 +21,6 @@ POWER_GRID = 4
 """The power of a textured triangle is averaged over this many squared points."""
 
 
-
 class LightSample(NamedTuple):
     """direction: unit, `[3, N]`; distance `[N]`; radiance `[3, N]`; pdf per solid angle `[N]`."""
 

@@ -1,6 +1,8 @@
 """Rendering as training: the loop, the guide that learns, the logger."""
 
+from bokehguide.train.logger import RenderLogger
 from bokehguide.train.loop import RenderLoop, StepStats
+from bokehguide.train.metadata import describe_render
 from bokehguide.train.settings import MODES, RenderSettings
 
-__all__ = ["MODES", "RenderLoop", "RenderSettings", "StepStats"]
+__all__ = ["MODES", "RenderLogger", "RenderLoop", "RenderSettings", "StepStats", "describe_render"]

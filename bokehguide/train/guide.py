@@ -126,8 +126,6 @@ class LensGuide(nn.Module):
 
     def freeze(self) -> None:
         """Keep the Gaussians from now on, and let polynomial offsets learn."""
-        if len(self.field) == 0:
-            return
         self.offsets = PolynomialOffset(self.field, self.camera)
         self._offset_optimizer = torch.optim.Adam(self.offsets.parameters(), lr=OFFSET_RATE)
         self.set_candidates(OFFSET_SLACK)
