@@ -11,6 +11,7 @@ import torch
 from lens_cases import LENS
 from torch import Tensor
 
+from bokehguide.models import candidates
 from bokehguide.models.candidates import MAX_CANDIDATES, draw_candidates
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.lens_distribution import GuidedLensDistribution
@@ -193,6 +194,17 @@ def test_candidates_come_strongest_first_and_hardly_beyond_their_discs():
     middle = torch.stack((owner % camera.width, owner // camera.width)) + 0.5
     away = (middle - center[:, candidates.gaussian.long()]).square().sum(0).sqrt()
     assert bool((away <= radius[candidates.gaussian.long()] + 0.71).all())
+
+
+def test_drawing_discs_in_parts_changes_nothing(monkeypatch):
+    """More discs over one another than a pixel keeps, drawn all at once and a few at a time."""
+    camera = ThinLensCamera(CAMERA, 160, 90)
+    field = scattered_field(400, seed=3)
+    whole = draw_candidates(field, camera)
+    monkeypatch.setattr(candidates, "DRAWN_TOGETHER", 5000)
+    parts = draw_candidates(field, camera)
+    assert int((whole.start[1:] - whole.start[:-1]).max()) == MAX_CANDIDATES
+    assert torch.equal(whole.start, parts.start) and torch.equal(whole.gaussian, parts.gaussian)
 
 
 def test_batches_cut_the_list_without_loss():

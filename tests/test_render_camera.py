@@ -21,6 +21,11 @@ def random_raster(camera: ThinLensCamera, count: int) -> torch.Tensor:
     return uniforms * torch.tensor([[camera.width], [camera.height]])
 
 
+def to_camera(camera: ThinLensCamera, points: torch.Tensor) -> torch.Tensor:
+    """World points `[3, N]` in the camera frame."""
+    return camera.axes.T @ (points - camera.position)
+
+
 def test_every_lens_point_sees_a_raster_position_through_the_same_focus_point():
     camera = ThinLensCamera(TILTED, 64, 48)
     focus = camera.focus_points(random_raster(camera, 1000))
@@ -38,7 +43,7 @@ def test_ray_origins_lie_on_the_lens():
     camera = ThinLensCamera(TILTED, 64, 48)
     points = camera.lens.sample(PixelRandom(3, 0, torch.arange(500)).uniform(0, 2))
     origin, _ = camera.rays(camera.focus_points(random_raster(camera, 500)), points)
-    local = camera.to_camera(origin)
+    local = to_camera(camera, origin)
     assert torch.allclose(local[:2], points, atol=1e-5)
     assert local[2].abs().max() < 1e-5
 
@@ -54,7 +59,7 @@ def test_projection_inverts_the_pinhole_rays():
     focus = camera.focus_points(raster)
     origin, direction = camera.rays(focus, torch.zeros(2, 1000))
     reach = 0.1 + 50.0 * PixelRandom(5, 0, torch.arange(1000)).uniform(0, 1)[0]
-    assert torch.allclose(camera.raster(camera.to_camera(origin + reach * direction)), raster, atol=1e-3)
+    assert torch.allclose(camera.raster(to_camera(camera, origin + reach * direction)), raster, atol=1e-3)
 
 
 def test_axes_are_orthonormal_and_turn_the_left_handed_frame_into_the_world():

@@ -16,6 +16,8 @@ from bokehguide.render.camera import ThinLensCamera
 
 MAX_CANDIDATES = 16
 """A pixel keeps this many of its strongest Gaussians."""
+DRAWN_TOGETHER = 1 << 22
+"""Pixels of discs that are held in memory at a time."""
 PIXEL_MARGIN = 0.7072
 """Half a pixel's diagonal: discs are tested at pixel centres."""
 
@@ -48,14 +50,41 @@ def draw_candidates(field: GaussianField, camera: ThinLensCamera, slack: float =
     strength = field.lens_weights(lens.focus_distance)
     order = strength.argsort(descending=True)
     center, radius = center[:, order], (radius + extra + PIXEL_MARGIN)[order]
-    pixel, drawn = _fill_discs(center, radius, camera.width, camera.height)
+    pixel, drawn = _draw(center, radius, camera.width, camera.height)
     pixel, by_pixel = torch.sort(pixel, stable=True)  # keeps the strongest first
-    start = torch.searchsorted(pixel, torch.arange(camera.width * camera.height + 1, device=pixel.device, dtype=pixel.dtype))
+    numbers = torch.arange(camera.width * camera.height + 1, device=pixel.device, dtype=pixel.dtype)
+    start = torch.searchsorted(pixel, numbers)
     rank = torch.arange(len(pixel), device=pixel.device) - start[pixel.long()]
     kept = (rank < MAX_CANDIDATES).nonzero()[:, 0]
     counts = (start[1:] - start[:-1]).clamp(max=MAX_CANDIDATES)
     start = torch.cat((torch.zeros_like(counts[:1]), counts.cumsum(0)))
     return CandidateList(start, order[drawn[by_pixel[kept]].long()].int())
+
+
+def _draw(center: Tensor, radius: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+    """Pixels and numbers of discs, int32 `[M]`, in the discs' order; few beyond MAX_CANDIDATES for a pixel.
+
+    Discs are drawn DRAWN_TOGETHER pixels at a time, and not where pixels are full already,
+    so memory is bounded however many discs lie over one another.
+    """
+    area = (4.0 * (radius + 1.0).square()).clamp(max=float(width * height))
+    part = (area.double().cumsum(0) / DRAWN_TOGETHER).long()
+    full = torch.zeros(width * height, dtype=torch.int64, device=center.device)
+    pieces = []
+    for first, last in _runs(part):
+        pixel, disc = _fill_discs(center[:, first:last], radius[first:last], width, height)
+        space = (full[pixel.long()] < MAX_CANDIDATES).nonzero()[:, 0]
+        pieces.append((pixel[space], disc[space] + first))
+        full += torch.bincount(pieces[-1][0], minlength=width * height)
+    pixels, discs = zip(*pieces)
+    return torch.cat(pixels), torch.cat(discs)
+
+
+def _runs(values: Tensor) -> list[tuple[int, int]]:
+    """First and past-the-last index of each run of equal values."""
+    counts = torch.unique_consecutive(values, return_counts=True)[1].tolist()
+    ends = torch.tensor(counts).cumsum(0).tolist()
+    return [(end - count, end) for end, count in zip(ends, counts)]
 
 
 def _fill_discs(center: Tensor, radius: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:

@@ -55,10 +55,6 @@ class ThinLensCamera:
         direction = normalize(focus - origin)
         return self.axes @ origin + self.position, self.axes @ direction
 
-    def to_camera(self, points: Tensor) -> Tensor:
-        """World points `[3, N]` in the camera frame."""
-        return self.axes.T @ (points - self.position)
-
     def coc_diameter(self, depth: Tensor) -> Tensor:
         """Diameter in pixels of the circle of confusion at `depth` (metres along the axis), Eq. 23.
 
