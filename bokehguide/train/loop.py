@@ -120,7 +120,8 @@ class RenderLoop:
             corner = torch.stack((pixels % camera.width, pixels // camera.width))
             raster = corner + uniforms[0:2]
             focus = camera.focus_points(raster)
-            batch = self.guide.distribution(first, raster, focus) if self.guide else None
+            may_guide = self.guide is not None and self.step_number > 1  # the first step is uniform
+            batch = self.guide.distribution(first, raster, focus) if may_guide else None
             if batch is None:
                 points, at = UniformLensDistribution(camera.lens).sample(uniforms[2:4]), None
                 weight = torch.ones_like(points[0])
