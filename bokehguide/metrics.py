@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from bokehguide.errors import BokehguideError
-from bokehguide.image import tone_map
+from bokehguide.image import read_rgb, tone_map
 
 EPSILON = 0.01
 """Added to the reference in the denominators, so that black pixels count, but not without bound."""
@@ -18,11 +19,14 @@ SSIM_WINDOW = 11
 
 @dataclass(frozen=True)
 class Metrics:
-    """MAPE and relMSE of the radiance; SSIM and PSNR (dB) of the tone-mapped values."""
+    """MAPE and relMSE of the radiance; SSIM and PSNR (dB) of the tone-mapped values.
+
+    ssim: None for images smaller than its window of 11 × 11 pixels.
+    """
 
     mape: float
     relmse: float
-    ssim: float
+    ssim: float | None
     psnr: float
 
 
@@ -47,21 +51,16 @@ def relmse(image: Tensor, reference: Tensor) -> float:
 def compare(image: Tensor, reference: Tensor, exposure: float = 0.0) -> Metrics:
     """All four measures of radiance `[H, W, 3]`, tone-mapped at `exposure` EV where that is due.
 
-    Raises BokehguideError as `check` does, and for images smaller than SSIM's window.
+    Raises BokehguideError as `check` does.
     """
     from kornia.metrics import psnr, ssim  # takes over a second, and a render does without
 
     check(image, reference)
-    height, width = image.shape[:2]
-    if min(height, width) < SSIM_WINDOW:
-        raise BokehguideError(
-            f"{width}x{height} pixels are too few for SSIM; compare at least {SSIM_WINDOW}x{SSIM_WINDOW}"
-        )
     shown, expected = (tone_map(x, exposure).movedim(-1, 0)[None] for x in (image, reference))
     return Metrics(
         mape=mape(image, reference),
         relmse=relmse(image, reference),
-        ssim=ssim(shown, expected, SSIM_WINDOW).mean().item(),
+        ssim=ssim(shown, expected, SSIM_WINDOW).mean().item() if min(image.shape[:2]) >= SSIM_WINDOW else None,
         psnr=psnr(shown, expected, 1.0).item(),
     )
 
@@ -78,6 +77,19 @@ def check(image: Tensor, reference: Tensor) -> None:
             raise BokehguideError(f"the {name} has {bad} NaN or infinite values; a mean over them means nothing")
     if reference.min() < 0.0:
         raise BokehguideError(f"the reference has a negative value, {reference.min():g}; give radiance")
+
+
+def read_reference(path: str | Path, width: int, height: int) -> Tensor:
+    """Radiance `[H, W, 3]` of an EXR to measure renders of this size against.
+
+    Raises BokehguideError, naming the file, where it cannot be read, has another size or cannot be a reference.
+    """
+    reference = torch.from_numpy(read_rgb(path))
+    try:
+        check(torch.zeros(height, width, 3), reference)
+    except BokehguideError as error:
+        raise BokehguideError(f"{path}: {error}") from error
+    return reference
 
 
 def _size(image: Tensor) -> str:

@@ -9,9 +9,12 @@ cannot be told.
 
 import argparse
 import multiprocessing
+import sys
 from pathlib import Path
 
+from bokehguide.cli.arguments import natural, positive, size, threads
 from bokehguide.cli.report import peak_memory_mb, write_json
+from bokehguide.errors import BokehguideError
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
 
@@ -22,17 +25,17 @@ GUIDE_PHASES = ("guiding", "learning")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default="fairy-lights")
-    parser.add_argument("--size", default="1280x720")
-    parser.add_argument("--spp", type=int, default=16, help="measured steps of each mode, default 16")
-    parser.add_argument("--warm-up", type=int, default=8, help="steps before them, default 8: those of the global fit")
-    parser.add_argument("--threads", type=int, help="default: one per core")
+    parser.add_argument("--size", type=size, default="1280x720", metavar="WxH", help="default 1280x720")
+    parser.add_argument("--spp", type=positive, default=16, help="measured steps of each mode, default 16")
+    parser.add_argument("--warm-up", type=natural, default=8, help="steps before them, default 8: those of the global fit")
+    parser.add_argument("--threads", type=threads, help="default: one per core")
     parser.add_argument("--json", type=Path, help="also write the figures here")
     args = parser.parse_args()
 
     results = measure_speed(args)
     for mode in MODES:
         results[mode]["peak_memory_mb"] = measure_memory(mode, args)
-    print(f"{args.scene} {args.size}, {args.spp} SPP after {args.warm_up}")
+    print(f"{args.scene} {'x'.join(map(str, args.size))}, {args.spp} SPP after {args.warm_up}")
     print(f"{'':9}{'M samples/s':>12}{'M rays/s':>10}{'in Embree':>11}{'in guide':>10}{'MiB':>8}")
     for mode, row in results.items():
         rates = f"{row['samples_per_second'] / 1e6:>12.3f}{row['rays_per_second'] / 1e6:>10.3f}"
@@ -80,11 +83,14 @@ def render_alone(mode: str, args: argparse.Namespace) -> float:
 
 
 def start(mode: str, args: argparse.Namespace) -> RenderLoop:
-    width, height = map(int, args.size.split("x"))
+    width, height = args.size
     scene = load_scene(args.scene, Overrides(width=width, height=height))
     spp = args.warm_up + args.spp
     return RenderLoop(scene, RenderSettings(mode=mode, spp=spp, threads=args.threads))
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except BokehguideError as error:
+        sys.exit(f"bench: error: {error}")

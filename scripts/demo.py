@@ -8,11 +8,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from bokehguide.image import read_rgb, tone_map
+from bokehguide.image import read_rgb, to_8_bit, tone_map
 from bokehguide.metrics import mape
 
 SCENE, SIZE, SPP = "fairy-lights", "320x180", 64
@@ -49,7 +48,7 @@ def render(mode: str, image: Path, logs: Path) -> None:
 
 def labelled(image: Path, text: str) -> Image.Image:
     """The tone-mapped image under a line of text."""
-    display = tone_map(torch.from_numpy(read_rgb(image))).mul(255).round().numpy().astype(np.uint8)
+    display = to_8_bit(tone_map(torch.from_numpy(read_rgb(image))))
     height, width = display.shape[:2]
     canvas = Image.new("RGB", (width, height + 24))
     canvas.paste(Image.fromarray(display), (0, 24))

@@ -28,6 +28,7 @@ import torch
 from experiment import (
     LongRender,
     accumulate,
+    between_halves,
     experiment_parser,
     load_scenes,
     progress,
@@ -37,8 +38,7 @@ from torch import Tensor
 
 from bokehguide.cli.arguments import natural, positive
 from bokehguide.errors import BokehguideError
-from bokehguide.image import tone_map, write_png
-from bokehguide.image.files import check_writable, replacing
+from bokehguide.image import check_writable, replacing, tone_map, write_png
 from bokehguide.metrics import mape, relmse
 from bokehguide.render.vector import luminance
 from bokehguide.scene import Scene
@@ -120,13 +120,12 @@ def judge_reference(
     """How far the halves are apart, and whether uniform sampling agrees with them."""
     facts: dict[str, object] = {"spp": reference.spp, "uniform_spp": uniform.spp}
     for region, mask in masks(scene).items():
-        # Relative to their mean, from which either half is half their difference away.
-        apart = errors(first.radiance, reference.radiance, mask)
+        apart = between_halves(first.radiance[mask][None], reference.radiance[mask][None])
         mean, other = (luminance(render.radiance[mask].T).mean() for render in (reference, uniform))
         error = (reference.variance[mask] + uniform.variance[mask]).sum().sqrt() / mask.sum()
         facts[region] = {
-            "halves_mape": 2 * apart["mape"],
-            "halves_relmse": 4 * apart["relmse"],
+            "halves_mape": apart["mape"],
+            "halves_relmse": apart["relmse"],
             "over_uniform": float(mean / other),
             "standard_error": float(error / other),
             "z": float((mean - other) / error),

@@ -22,10 +22,10 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from bokehguide.cli.arguments import positive, size
+from bokehguide.cli.arguments import size, threads
 from bokehguide.errors import BokehguideError
-from bokehguide.image import read_exr, read_metadata, write_exr
-from bokehguide.image.files import check_writable
+from bokehguide.image import check_writable, read_exr, read_metadata, write_exr
+from bokehguide.metrics import mape, relmse
 from bokehguide.render.film import Film
 from bokehguide.scene import BUILTIN, Overrides, Scene, load_scene
 from bokehguide.train import MODES, RenderLoop, RenderSettings
@@ -38,7 +38,7 @@ def experiment_parser(doc: str, frame: str, default_modes: str) -> argparse.Argu
     add("scenes", nargs="*", default=list(BUILTIN), type=builtin, metavar="SCENE", help="built-in scenes, default all")
     add("--size", type=size, default=size(frame), metavar="WxH", help=f"default {frame}")
     add("--modes", type=modes, default=modes(default_modes), help=f"default {default_modes}")
-    add("--threads", type=positive, help="default: one per core")
+    add("--threads", type=threads, help="default: one per core")
     limit = "start no new render after so many seconds; the same command goes on"
     add("--time-limit", type=float, default=math.inf, metavar="SECONDS", help=limit)
     return parser
@@ -126,6 +126,14 @@ def warn_of_bad_samples(film: Film, title: str) -> None:
     """Say on stderr where samples were left out: a mean without them may be wrong."""
     if film.bad_count:
         print(f"{title}: {film.bad_count} NaN or infinite samples, the first: {film.bad_samples[0]}", file=sys.stderr)
+
+
+def between_halves(first: Tensor, mean: Tensor) -> dict[str, float]:
+    """MAPE and relMSE between two halves, radiance `[H, W, 3]`, relative to their mean.
+
+    Either half is half their difference away from it.
+    """
+    return {"mape": 2 * mape(first, mean), "relmse": 4 * relmse(first, mean)}
 
 
 def empty_long_render(scene: Scene) -> LongRender:

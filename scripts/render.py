@@ -8,49 +8,60 @@ guide from the same samples. Try
 """
 
 import argparse
+import sys
 
-import torch
 from tqdm import trange
 
-from bokehguide.image import read_rgb, tone_map, write_exr, write_png
-from bokehguide.metrics import mape, relmse
+from bokehguide.cli.arguments import Parser, exr, natural, positive, size
+from bokehguide.errors import BokehguideError
+from bokehguide.image import check_writable, tone_map, write_exr, write_png
+from bokehguide.metrics import mape, read_reference, relmse
 from bokehguide.scene import Overrides, load_scene
-from bokehguide.train import MODES, RenderLoop, RenderSettings
-from bokehguide.train.logger import RenderLogger
-from bokehguide.train.metadata import describe_render
+from bokehguide.train import MODES, RenderLogger, RenderLoop, RenderSettings, describe_render
 
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("scene", help="a built-in scene, a .toml scene file or a model")
-parser.add_argument("--mode", choices=MODES, default="lis-o")
-parser.add_argument("--spp", type=int, default=64)
-parser.add_argument("--size", default="640x360")
-parser.add_argument("--seed", type=int, default=0)
-parser.add_argument("--reference", help="an EXR of the same size to measure the error against")
-parser.add_argument("--logdir", default="logs")
-parser.add_argument("--out", default="render.exr")
-args = parser.parse_args()
 
-# The scene: plain data, no rays yet.
-width, height = map(int, args.size.split("x"))
-scene = load_scene(args.scene, Overrides(width=width, height=height))
-reference = torch.from_numpy(read_rgb(args.reference)) if args.reference else None
+def main() -> None:
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", help="a built-in scene, a .toml scene file or a model")
+    parser.add_argument("--mode", choices=MODES, default="lis-o")
+    parser.add_argument("--spp", type=positive, default=64)
+    parser.add_argument("--size", type=size, default="640x360")
+    parser.add_argument("--seed", type=natural, default=0)
+    parser.add_argument("--reference", help="an EXR of the same size to measure the error against")
+    parser.add_argument("--logdir", default="logs")
+    parser.add_argument("--out", type=exr, default="render.exr")
+    args = parser.parse_args()
 
-# The model and its optimiser live in the loop: Gaussians, blend weights, polynomials.
-settings = RenderSettings(mode=args.mode, spp=args.spp, seed=args.seed)
-loop = RenderLoop(scene, settings)
-logger = RenderLogger(args.logdir, scene, settings)
+    # The scene: plain data, no rays yet.
+    width, height = args.size
+    scene = load_scene(args.scene, Overrides(width=width, height=height))
+    check_writable(args.out)
+    reference = read_reference(args.reference, width, height) if args.reference else None
 
-progress = trange(settings.spp, unit="SPP")
-for _ in progress:
-    stats = loop.step()  # sample, trace, accumulate, learn, refit
-    radiance = loop.film.radiance()  # the mean so far, [H, W, 3]
-    errors = {}
-    if reference is not None:
-        errors = {"mape": mape(radiance, reference), "relmse": relmse(radiance, reference)}
-    logger.log(loop, stats, errors)
-    progress.set_postfix(kl=stats.kl, gaussians=stats.gaussians, **errors)
+    # The model and its optimiser live in the loop: Gaussians, blend weights, polynomials.
+    settings = RenderSettings(mode=args.mode, spp=args.spp, seed=args.seed)
+    loop = RenderLoop(scene, settings)
+    logger = RenderLogger(args.logdir, scene, settings)
 
-logger.finish(loop, settings.spp)
-write_exr(args.out, loop.film.layers(), describe_render(scene, settings, settings.spp))
-write_png(args.out.removesuffix(".exr") + ".png", tone_map(loop.film.radiance()))
-print(f"wrote {args.out}; see the curves with: tensorboard --logdir {args.logdir}")
+    progress = trange(settings.spp, unit="SPP")
+    for _ in progress:
+        stats = loop.step()  # sample, trace, accumulate, learn, refit
+        radiance = loop.film.radiance()  # the mean so far, [H, W, 3]
+        errors = {}
+        if reference is not None:
+            errors = {"mape": mape(radiance, reference), "relmse": relmse(radiance, reference)}
+        logger.log(loop, stats, errors)
+        progress.set_postfix(kl=stats.kl, gaussians=stats.gaussians, **errors)
+
+    logger.finish(loop, settings.spp)
+    write_exr(args.out, loop.film.layers(), describe_render(scene, settings, settings.spp))
+    write_png(args.out.with_suffix(".png"), tone_map(loop.film.radiance()))
+    print(f"wrote {args.out}; see the curves with: tensorboard --logdir {args.logdir}")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except BokehguideError as error:
+        print(f"render: error: {error}", file=sys.stderr)
+        sys.exit(2)

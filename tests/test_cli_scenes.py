@@ -4,8 +4,11 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 import bokehguide as package
-from bokehguide.scene import BUILTIN
+from bokehguide.cli import main
+from bokehguide.scene import BUILTIN, DESCRIPTIONS
 from bokehguide.train import MODES
 
 
@@ -30,6 +33,30 @@ def test_scenes_are_a_line_each(bokehguide):
     lines = finished.stdout.splitlines()
     assert [line.split()[0] for line in lines] == list(BUILTIN)
     assert all(re.fullmatch(r"[a-z-]+ +\S.{15,}", line) for line in lines)
+
+
+def test_scenes_are_listed_without_building_them(monkeypatch, capsys):
+    def build():
+        raise AssertionError("built")
+
+    for name in BUILTIN:
+        monkeypatch.setitem(BUILTIN, name, build)
+    assert main(["scenes"]) == 0
+    assert list(DESCRIPTIONS) == list(BUILTIN)
+    out = capsys.readouterr().out
+    assert all(description in out for description in DESCRIPTIONS.values())
+
+
+@pytest.mark.parametrize("arguments", ["scenes", "info lamps.toml", "--help"])
+def test_a_reader_who_leaves_is_no_error(arguments, lamps_file, monkeypatch):
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)  # argparse keeps quiet about what is not buffered
+    command = [sys.executable, "-m", "bokehguide", *arguments.split()]
+    with subprocess.Popen(
+        command, cwd=lamps_file.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        process.stdout.close()
+        stderr = process.stderr.read()
+    assert (process.returncode, stderr) == (141, b"")
 
 
 def test_info_tells_what_was_loaded(bokehguide, lamps_file):

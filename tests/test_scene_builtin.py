@@ -5,6 +5,7 @@ import pytest
 
 from bokehguide.scene import (
     BUILTIN,
+    DESCRIPTIONS,
     Camera,
     Environment,
     Film,
@@ -32,7 +33,7 @@ def test_the_names_and_their_order():
 def test_a_built_in_scene_is_complete(name):
     scene = load_scene(name)
     assert scene.name == name and scene.warnings == ()
-    assert scene.description and "\n" not in scene.description
+    assert scene.description == DESCRIPTIONS[name] and "\n" not in scene.description
     assert (scene.film.width, scene.film.height, scene.film.max_depth) == (640, 360, 6)
     assert 2 <= len(scene.insets) <= 3
     for inset in scene.insets:

@@ -9,6 +9,7 @@ from bokehguide.scene import Camera, Material, Mesh, Overrides, Scene, load_scen
 from bokehguide.scene.shapes import unit_rectangle
 from bokehguide.scene.validation import checked
 
+BIG = "9" * 400
 GOOD = """
 [camera]
 position = [0.0, 1.0, 6.0]
@@ -123,6 +124,28 @@ def test_the_scene_that_is_broken_below_is_good(tmp_path):
         ("[[object]]", "[object]", ["object", "[[object]]"]),
         ("[materials.gold]", "[material.gold]", ["material", "unknown key", "did you mean 'materials'?"]),
         ("fov = 40.0", "fov = ", ["not valid TOML", "line 5"]),
+        ("focus_distance = 5.0", "focus_distance = 1e39", ["camera.focus_distance", "out of range", "1e+18"]),
+        ("focus_distance = 5.0", "focus_distance = 1e-320", ["camera.focus_distance", "out of range", "above 0"]),
+        ("focus_distance = 5.0", f"focus_distance = {BIG}", ["camera.focus_distance", "1329 bits", "out of range"]),
+        ("focus_distance = 5.0", f"focus_distance = {BIG * 20}", ["not valid TOML", "digits"]),
+        ("position = [0.0, 1.0, 6.0]", "position = [1e39, 1, 6]", ["camera.position", "1e+39", "out of range"]),
+        ("position = [0.0, 1.0, 6.0]", f"position = [{BIG}, 1, 6]", ["camera.position", "1329 bits", "out of range"]),
+        ("fov = 40.0", "fov = 1e-30", ["camera.fov", "1e-30", "0.001"]),
+        ("fov = 40.0", "focal_length = 1e12", ["camera.focal_length", "degrees", "0.001"]),
+        ("aperture_radius = 0.1", "aperture_radius = 1e30", ["camera.aperture_radius", "1e+30", "out of range"]),
+        ("color = [0.1, 0.1, 0.1]", "color = [1e39, 1, 1]", ["environment.color", "1e+39", "out of range"]),
+        (
+            "color = [0.1, 0.1, 0.1]",
+            "color = [1e10, 1, 1]\nintensity = 1e10",
+            ["environment.intensity", "1e+20", "give less"],
+        ),
+        ("roughness = 0.2", "emission = [1e39, 1, 1]", ["materials.gold.emission", "1e+39", "out of range"]),
+        ("scale = 1.0", "scale = 1e39", ["object[0].scale", "1e+39", "out of range"]),
+        ("scale = 1.0", "scale = 9e17\ntranslate = [9e17, 0, 0]", ["object[0]", "vertices[", "beyond 1e+18"]),
+        ("scale = 1.0", "scale = 1e17", ["object[0]", "2e+17 m", "1e+09 m or less"]),
+        ("width = 64", "width = 1000000000", ["film.width", "1000000000", "up to 65536"]),
+        ("width = 64", "width = 65536\nheight = 65536", ["film: 65536x65536", "at most 268435456"]),
+        ("width = 64", f"max_depth = {BIG}", ["film.max_depth", "1329 bits"]),
         ("fov = 40.0", "fov = 40.0\nfov = 41.0", ["not valid TOML", "line 6"]),
     ],
 )
@@ -153,6 +176,7 @@ def test_a_wrong_value_in_a_scene_file(tmp_path, old, new, named):
         ("huge.obj", b"v 0 0 1e300\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", ["vertices[0]", "inf"]),
         ("out.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", ["index 8", "size 3"]),
         ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", ["no triangle with an area"]),
+        ("far.obj", b"v 0 0 1e19\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", ["vertices[0]", "beyond 1e+18"]),
         ("point.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", ["one point"]),
     ],
 )
@@ -161,7 +185,7 @@ def test_a_file_that_is_no_scene(tmp_path, name, content, named):
     if content is not None:
         path.write_bytes(content)
     text = message(path)
-    assert name in text or path.stem in text
+    assert text.startswith(str(path))
     for part in named:
         assert part in text, f"{part!r} is not in {text!r}"
 
@@ -180,15 +204,24 @@ def test_an_unknown_name_lists_the_built_in_scenes():
 def test_an_empty_scene_file(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(GOOD[: GOOD.index("[[object]]")])
-    assert "no triangle" in message(path)
+    assert message(path).startswith(f"{path}: holds no triangle")
 
 
 @pytest.mark.parametrize("name", ["sky.hdr", "sky.exr"])
 @pytest.mark.parametrize("content", [b"", b"junk", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8 +X 16\n12"])
 def test_an_unreadable_environment_map(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
-    text = message("daylight", Overrides(environment=str(tmp_path / name)))
-    assert name in text and "unreadable" in text
+    assert f"{name}: is " in message("daylight", Overrides(environment=str(tmp_path / name)))
+
+
+def test_a_truncated_environment_map_is_told_in_one_line(tmp_path, capfd):
+    OpenEXR.File({}, {"RGB": np.random.default_rng(1).random((64, 128, 3), np.float32)}).write(str(tmp_path / "sky.exr"))
+    whole = (tmp_path / "sky.exr").read_bytes()
+    for share in (0.002, 0.01, 0.5, 0.99):
+        (tmp_path / "sky.exr").write_bytes(whole[: int(share * len(whole))])
+        text = message("daylight", Overrides(environment=str(tmp_path / "sky.exr")))
+        assert "sky.exr: is damaged" in text and "\n" not in text
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -216,6 +249,12 @@ def test_an_exr_without_colours(tmp_path):
         ({"aperture_radius": -1.0}, ["--aperture-radius", "-1.0"]),
         ({"focus_distance": -2.0}, ["--focus-distance", "-2.0", "behind the lens"]),
         ({"fov": 180.0}, ["--fov", "180.0", "between 0 and 180"]),
+        ({"fov": 1e-30}, ["--fov", "1e-30", "out of range"]),
+        ({"f_number": 1e-320}, ["--f-number", "1e-320", "out of range"]),
+        ({"aperture_radius": 1e30}, ["--aperture-radius", "1e+30", "out of range"]),
+        ({"focus_distance": 1e39}, ["--focus-distance", "1e+39", "out of range"]),
+        ({"camera_target": (1e39, 0.0, 0.0)}, ["--camera-target", "1e+39", "out of range"]),
+        ({"width": 65537}, ["--size (width)", "65537", "65536"]),
         ({"camera_position": (0.0, float("nan"), 0.0)}, ["--camera-position", "nan"]),
         ({"camera_target": (0.0, 1.0)}, ["--camera-target", "three"]),
     ],
@@ -229,7 +268,7 @@ def test_an_override_out_of_range(values, named):
 
 @pytest.mark.parametrize(
     ("environment", "part"),
-    [("1,2", "R,G,B"), ("1,-2,3", "'1,-2,3'"), ("a,b,c", "three numbers"), ("no.hdr", "no such file")],
+    [("1,2", "R,G,B"), ("1,-2,3", "'1,-2,3'"), ("1e39,1,1", "up to 1e+18"), ("a,b,c", "three numbers"), ("no.hdr", "no such file")],
 )
 def test_an_environment_override_that_is_neither_map_nor_colour(environment, part):
     assert part in message("daylight", Overrides(environment=environment))
@@ -262,8 +301,9 @@ def scene_of(**changes) -> Scene:
     ],
 )
 def test_nothing_unsound_reaches_the_renderer(changes, named):
-    checked(scene_of())
+    checked(scene_of(), "scene.toml")
     with pytest.raises(BokehguideError) as caught:
-        checked(scene_of(**changes))
+        checked(scene_of(**changes), "scene.toml")
+    assert str(caught.value).startswith("scene.toml: ")
     for part in named:
         assert part in str(caught.value), str(caught.value)

@@ -3,19 +3,35 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
 from bokehguide.cli.arguments import parse
 from bokehguide.errors import BokehguideError
 
-SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
+SUCCESS, USER_ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code: 0, 2 (the user's mistake) or 130 (interrupted)."""
+    """Run the command line and return its exit code.
+
+    0; 2: the user's mistake; 130: interrupted; 141: whoever read the output has gone.
+    """
     try:
-        options = parse(sys.argv[1:] if arguments is None else arguments)
+        try:
+            return _run(sys.argv[1:] if arguments is None else arguments)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # Python flushes once more at its end, which must not fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
+
+
+def _run(arguments: Sequence[str]) -> int:
+    try:
+        options = parse(arguments)
         # Loaded by name so that --help and a mistyped option need not wait for torch.
         command = importlib.import_module(f"bokehguide.cli.{options.command}")
         return command.run(options)

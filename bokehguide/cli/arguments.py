@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,11 +10,9 @@ from typing import NoReturn
 
 from bokehguide import __version__
 from bokehguide.errors import BokehguideError
+from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS
 
 SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml scene file, or a .glb .gltf .obj .ply .stl model"
-
-MAX_INT = 2**31 - 1
-"""The largest whole number that a header of an EXR file holds."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -52,13 +49,13 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
     add("--seed", type=natural, default=0, metavar="N", help="of the random numbers (default: 0)")
-    add("--out", type=Path, metavar="PATH.exr", help="where to write; a PNG goes beside it (default: SCENE-MODE.exr)")
+    add("--out", type=exr, metavar="PATH.exr", help="where to write; a PNG goes beside it (default: SCENE-MODE.exr)")
     add("--logdir", type=Path, metavar="DIR", help="write TensorBoard logs into DIR/SCENE/MODE")
     add("--reference", type=Path, metavar="REF.exr", help="report the error against this image as the render goes on")
     add("--device", choices=("cpu", "cuda"), default="cpu", help="where tensors live (default: cpu)")
-    add("--threads", type=positive, metavar="N", help="threads that trace and shade (default: one per core)")
+    add("--threads", type=threads, metavar="N", help="threads that trace and shade (default: one per core)")
     add("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as one JSON object")
-    add("--exposure", type=finite, default=0.0, metavar="EV", help="of PNG and TensorBoard pictures (default: 0)")
+    add("--exposure", type=exposure, default=0.0, metavar="EV", help="of PNG and TensorBoard pictures (default: 0)")
     _add_overrides(render)
 
 
@@ -92,15 +89,33 @@ def natural(text: str) -> int:
     return _whole(text, 0)
 
 
-def finite(text: str) -> float:
-    return _numbers(text, "EV")[0]
+def threads(text: str) -> int:
+    return _whole(text, 1, MAX_THREADS)
+
+
+def exposure(text: str) -> float:
+    value = _numbers(text, "EV")[0]
+    if abs(value) > MAX_EXPOSURE:
+        raise argparse.ArgumentTypeError(f"{text!r} is out of range; give EV from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}")
+    return value
 
 
 def size(text: str) -> tuple[int, int]:
+    """Width and height in pixels, from `640x360`."""
     match = re.fullmatch(r"([1-9][0-9]*)x([1-9][0-9]*)", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a size; give width x height in pixels, such as 640x360")
-    return int(match[1]), int(match[2])
+    width, height = (_whole(side, 1, MAX_SIDE) for side in match.groups())
+    if width * height > MAX_PIXELS:
+        raise argparse.ArgumentTypeError(f"{text!r} is too large; give at most {MAX_PIXELS} pixels in all")
+    return width, height
+
+
+def exr(text: str) -> Path:
+    path = Path(text)
+    if path.suffix.lower() != ".exr":
+        raise argparse.ArgumentTypeError(f"{text!r} is no EXR; end it in .exr")
+    return path
 
 
 def vector(text: str) -> tuple[float, float, float]:
@@ -114,9 +129,9 @@ def inset(text: str) -> tuple[float, float, float, float]:
     return x, y, width, height
 
 
-def _whole(text: str, least: int) -> int:
-    if not re.fullmatch(r"[0-9]+", text) or not least <= int(text) <= MAX_INT:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {least} to {MAX_INT}")
+def _whole(text: str, least: int, most: int = MAX_INT) -> int:
+    if not re.fullmatch(r"[0-9]{1,20}", text) or not least <= int(text) <= most:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a whole number from {least} to {most}")
     return int(text)
 
 
@@ -125,8 +140,10 @@ def _numbers(text: str, form: str) -> tuple[float, ...]:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
-    if len(values) != len(form.split(",")) or not all(map(math.isfinite, values)):
-        raise argparse.ArgumentTypeError(f"{text!r} is not {form}; give finite numbers without spaces")
+    if len(values) != len(form.split(",")) or not all(abs(value) <= LARGEST for value in values):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not {form}; give finite numbers without spaces, up to {LARGEST:g}"
+        )
     return values
 
 

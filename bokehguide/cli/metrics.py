@@ -14,7 +14,7 @@ from bokehguide.scene.types import Inset
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the metrics of the frame and of each inset, a line each."""
+    """Print the metrics of the frame and of each inset, a line each; SSIM is "-" where the box is too small for it."""
     image = torch.from_numpy(read_rgb(options.image))
     reference = torch.from_numpy(read_rgb(options.reference))
     try:
@@ -25,7 +25,8 @@ def run(options: argparse.Namespace) -> int:
     width = max(map(len, rows))
     print(f"{'':<{width}}  {'MAPE':>10} {'relMSE':>10} {'SSIM':>8} {'PSNR':>8}")
     for label, row in rows.items():
-        print(f"{label:<{width}}  {row.mape:>10.5f} {row.relmse:>10.5f} {row.ssim:>8.5f} {row.psnr:>8.3f}")
+        similarity = "-" if row.ssim is None else f"{row.ssim:.5f}"
+        print(f"{label:<{width}}  {row.mape:>10.5f} {row.relmse:>10.5f} {similarity:>8} {row.psnr:>8.3f}")
     return 0
 
 

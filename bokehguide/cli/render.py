@@ -13,13 +13,11 @@ from torch import Tensor
 from bokehguide.cli.interrupt import Interrupt
 from bokehguide.cli.report import Report, write_json
 from bokehguide.errors import BokehguideError
-from bokehguide.image import read_rgb, tone_map, write_exr, write_png
-from bokehguide.image.files import check_writable
-from bokehguide.metrics import check, mape, relmse
-from bokehguide.scene import Film, Overrides, load_scene
-from bokehguide.train import RenderLoop, RenderSettings
-from bokehguide.train.logger import RenderLogger, run_folder
-from bokehguide.train.metadata import describe_render
+from bokehguide.image import check_writable, tone_map, write_exr, write_png
+from bokehguide.metrics import mape, read_reference, relmse
+from bokehguide.scene import Overrides, load_scene
+from bokehguide.train import RenderLogger, RenderLoop, RenderSettings, describe_render
+from bokehguide.train.logger import run_folder
 
 OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "camera_position", "camera_target", "fov")
 
@@ -31,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
         mode=options.mode, spp=options.spp, seed=options.seed, device=options.device, threads=options.threads
     )
     check_device(settings.device)
-    reference = read_reference(options.reference, scene.film)
+    reference = read_reference(options.reference, scene.film.width, scene.film.height) if options.reference else None
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
     check_outputs(out, options, run_folder(options.logdir or "", scene, settings))
     for warning in scene.warnings:
@@ -74,23 +72,16 @@ def check_device(device: str) -> None:
         raise BokehguideError("--device cuda: torch finds no CUDA device here; give --device cpu")
 
 
-def read_reference(path: Path | None, film: Film) -> Tensor | None:
-    """Radiance `[H, W, 3]` to measure against, or None. Raises where it does not fit the frame."""
-    if path is None:
-        return None
-    reference = torch.from_numpy(read_rgb(path))
-    try:
-        check(torch.zeros(film.height, film.width, 3), reference)
-    except BokehguideError as error:
-        raise BokehguideError(f"--reference {path}: {error}") from error
-    return reference
-
-
 def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> None:
     """Raise BokehguideError where something that is to be written cannot be."""
-    if out.suffix.lower() != ".exr":
-        raise BokehguideError(f"--out: {str(out)!r} is no EXR; end it in .exr")
+    png = out.with_suffix(".png")
+    for option, path in (("--reference", options.reference), ("--json", options.json)):
+        if path is not None and path.resolve() in (out.resolve(), png.resolve()):
+            raise BokehguideError(f"{option}: {str(path)!r} is where the picture goes; give another path")
+    if options.json and options.reference and options.json.resolve() == options.reference.resolve():
+        raise BokehguideError(f"--json: {str(options.json)!r} is the reference; give another path")
     check_writable(out)
+    check_writable(png)
     if options.json:
         check_writable(options.json)
     if options.logdir:

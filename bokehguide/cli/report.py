@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from bokehguide.image.files import replacing
+from bokehguide.image import replacing
 from bokehguide.train import RenderLoop, RenderSettings, StepStats
 
 

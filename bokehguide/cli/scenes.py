@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 
-from bokehguide.scene import BUILTIN
+from bokehguide.scene import DESCRIPTIONS
 
 
 def run(options: argparse.Namespace) -> int:
     """Print each built-in scene with what it shows."""
-    width = max(map(len, BUILTIN))
-    for name, build in BUILTIN.items():
-        print(f"{name:<{width}}  {build().description}")
+    width = max(map(len, DESCRIPTIONS))
+    for name, description in DESCRIPTIONS.items():
+        print(f"{name:<{width}}  {description}")
     return 0

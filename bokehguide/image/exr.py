@@ -10,8 +10,8 @@ import OpenEXR
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image.files import replacing, unwritable
+from bokehguide.image.reading import read_channels
 
-MAGIC = b"\x76\x2f\x31\x01"
 HALF_MAX = float(np.finfo(np.float16).max)
 
 # Alpha is associated (the beauty is already multiplied by it), as EXR has it.
@@ -58,12 +58,13 @@ def read_exr(path: str | Path) -> dict[str, np.ndarray]:
 
     Raises BokehguideError for a file that is missing, damaged or no EXR.
     """
-    return _read(path)[1]
+    read = read_channels(path)
+    return {name: read.pixels[..., index] for index, name in enumerate(read.names)}
 
 
 def read_metadata(path: str | Path) -> dict[str, object]:
     """The header attributes of a file, those of `write_exr` among them. Raises as `read_exr`."""
-    return _read(path)[0]
+    return read_channels(path).header
 
 
 def read_rgb(path: str | Path) -> np.ndarray:
@@ -83,20 +84,3 @@ def _plane(path: str | Path, name: str, plane: np.ndarray, dtype: type) -> np.nd
         raise BokehguideError(f"{path}: {name} exceeds {HALF_MAX:.0f}, the largest half float; write 32-bit floats")
     # OpenEXR writes other pixels, silently, where an array is a strided view.
     return np.ascontiguousarray(plane, dtype=dtype)
-
-
-def _read(path: str | Path) -> tuple[dict[str, object], dict[str, np.ndarray]]:
-    try:
-        with open(path, "rb") as file:
-            magic = file.read(4)
-    except OSError as error:
-        raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    # Looked at here because OpenEXR prints to stderr before it raises.
-    if magic != MAGIC:
-        raise BokehguideError(f"{path}: is not an EXR file; give a file made by `bokehguide render`, or any .exr")
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: np.array(channel.pixels, dtype=np.float32) for name, channel in file.channels().items()}
-            return dict(file.header()), channels
-    except (RuntimeError, ValueError) as error:
-        raise BokehguideError(f"{path}: is damaged ({error}); make or fetch it again") from error

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
+from bokehguide.scene.lamps import LUMINANCE
 from bokehguide.scene.types import Environment
 
 
@@ -29,7 +30,7 @@ class EnvironmentLight:
         self._turn = math.radians(environment.rotation) / (2.0 * math.pi)
         rows = np.cos(np.pi * np.arange(self.height + 1) / self.height)
         self._solid_angle = torch.from_numpy((rows[:-1] - rows[1:]) * 2.0 * math.pi / self.width).float().to(device)
-        excess = _excess(radiance @ np.array([0.2126, 0.7152, 0.0722]), self._solid_angle.cpu().numpy()[:, None])
+        excess = _excess(radiance @ LUMINANCE, self._solid_angle.cpu().numpy()[:, None])
         self.power = float(excess.sum())
         """Luminance above the map's mean, integrated over the sphere."""
         self._table = AliasTable(excess.reshape(-1), device) if self.power > 0.0 else None

@@ -1,6 +1,6 @@
 """Scenes: what is photographed, read from built-ins, scene files and models."""
 
-from bokehguide.scene.builtin import BUILTIN
+from bokehguide.scene.builtin import BUILTIN, DESCRIPTIONS
 from bokehguide.scene.describing import describe
 from bokehguide.scene.lamps import lens_coverage
 from bokehguide.scene.loading import load_scene
@@ -8,6 +8,6 @@ from bokehguide.scene.overrides import Overrides
 from bokehguide.scene.types import Camera, Environment, Film, Inset, Material, Mesh, Scene
 
 __all__ = [
-    *("BUILTIN", "Camera", "Environment", "Film", "Inset", "Material", "Mesh"),
+    *("BUILTIN", "DESCRIPTIONS", "Camera", "Environment", "Film", "Inset", "Material", "Mesh"),
     *("Overrides", "Scene", "describe", "lens_coverage", "load_scene"),
 ]

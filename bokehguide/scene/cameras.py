@@ -76,7 +76,10 @@ def _field_of_view(table: Table) -> float:
         return table.number("fov", Camera.fov, ANGLE_OF_VIEW)
     length = table.number("focal_length", None, POSITIVE)
     width = table.number("sensor_width", SENSOR_WIDTH, POSITIVE)
-    return math.degrees(2.0 * math.atan(width / (2.0 * length)))
+    fov = math.degrees(2.0 * math.atan(width / (2.0 * length)))
+    if not ANGLE_OF_VIEW.hold(fov):
+        table.fail("focal_length", f"sees {fov:.3g} degrees of a sensor {width:g} mm wide; give {ANGLE_OF_VIEW.remedy}")
+    return fov
 
 
 def _aperture_radius(table: Table) -> float:
@@ -86,7 +89,10 @@ def _aperture_radius(table: Table) -> float:
     if "focal_length" not in table:
         table.fail("f_number", "needs a focal_length (mm); give one, or give aperture_radius (m)")
     f_number = table.number("f_number", None, POSITIVE)
-    return 1e-3 * table.number("focal_length", None, POSITIVE) / (2.0 * f_number)
+    radius = 1e-3 * table.number("focal_length", None, POSITIVE) / (2.0 * f_number)
+    if not NOT_NEGATIVE.hold(radius):
+        table.fail("f_number", f"makes a lens of radius {radius:g} m; give a larger one")
+    return radius
 
 
 def _focus_distance(table: Table, position: tuple, target: tuple, forward: np.ndarray) -> float:
@@ -96,6 +102,6 @@ def _focus_distance(table: Table, position: tuple, target: tuple, forward: np.nd
         return table.number("focus_distance", distance, IN_FRONT)
     point = table.vector("focus_point", None)
     distance = float(np.subtract(point, position) @ forward)
-    if distance <= 0.0:
+    if not IN_FRONT.hold(distance):
         table.fail("focus_point", "lies behind the lens; give a point in front of the camera")
     return distance

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from bokehguide.scene.cameras import focal_length
-from bokehguide.scene.lamps import find_lamps, lens_coverage
+from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length
+from bokehguide.scene.lamps import Lamps, find_lamps, lens_coverage
 from bokehguide.scene.types import Camera, Scene
 
 
 def describe(scene: Scene) -> str:
     """What was loaded and what was ignored, one fact a line."""
-    camera, film = scene.camera, scene.film
+    camera, film, lamps = scene.camera, scene.film, find_lamps(scene)
     facts = {
         "triangles": f"{sum(len(mesh.triangles) for mesh in scene.meshes):,}",
         "materials": f"{len(scene.materials)} ({_names(scene)})",
-        "lights": _lights(scene),
+        "lights": _lights(scene, lamps),
         "camera": f"at {_vector(camera.position)} towards {_vector(camera.target)}, "
         f"{camera.fov:.4g}° across",
         "lens": _lens(camera),
@@ -22,7 +22,7 @@ def describe(scene: Scene) -> str:
             f"{inset.x:g}, {inset.y:g}, {inset.width:g}, {inset.height:g}" for inset in scene.insets
         )
         or "none",
-        "lamp on lens": _coverage(scene),
+        "lamp on lens": _coverage(scene, lamps),
     }
     title = f"{scene.name}: {scene.description}" if scene.description else scene.name
     lines = [title, *(f"  {name + ':':<14}{fact}" for name, fact in facts.items())]
@@ -35,19 +35,18 @@ def _names(scene: Scene) -> str:
     return ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
 
 
-def _lights(scene: Scene) -> str:
+def _lights(scene: Scene, lamps: Lamps) -> str:
     emitting = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
     triangles = sum(len(mesh.triangles) for mesh in emitting)
-    infinite = find_lamps(scene).infinite
-    parts = [f"{triangles:,} emissive triangles in {(~infinite).sum()} lamps"]
+    near = f"{triangles:,} emissive triangles in {(~lamps.infinite).sum()} lamps"
     if scene.environment is None:
-        return parts[0] + "; no environment"
+        return f"{near}; no environment"
     height, width = scene.environment.radiance.shape[:2]
     if (height, width) == (1, 1):
-        return f"{parts[0]}; environment of colour {_vector(scene.environment.radiance[0, 0])}"
+        return f"{near}; environment of colour {_vector(scene.environment.radiance[0, 0])}"
     return (
-        f"{parts[0]}; environment map of {width} × {height} texels with "
-        f"{infinite.sum()} bright spots"
+        f"{near}; environment map of {width} × {height} texels with "
+        f"{lamps.infinite.sum()} bright spots"
     )
 
 
@@ -57,12 +56,12 @@ def _lens(camera: Camera) -> str:
     f_number = 1e-3 * focal_length(camera.fov) / (2.0 * camera.aperture_radius)
     return (
         f"radius {camera.aperture_radius:.4g} m, focused at {camera.focus_distance:.4g} m "
-        f"(f/{f_number:.2g} on a sensor 36 mm wide)"
+        f"(f/{f_number:.2g} on a sensor {SENSOR_WIDTH:g} mm wide)"
     )
 
 
-def _coverage(scene: Scene) -> str:
-    share = lens_coverage(scene)
+def _coverage(scene: Scene, lamps: Lamps) -> str:
+    share = lens_coverage(scene, lamps)
     if share is None:
         return "no lamp in sight of the lens"
     return f"{100.0 * share:.3g} % of the lens (median, seen from within its bokeh)"

@@ -8,14 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from bokehguide.errors import BokehguideError
+from bokehguide.scene.builtin.parts import sky
 from bokehguide.scene.models import load_model
 from bokehguide.scene.overrides import Overrides, override_camera
-from bokehguide.scene.types import Camera, Environment, Film, Mesh, Scene
+from bokehguide.scene.types import Camera, Film, Mesh, Scene
 
 VIEW = np.array([0.5, 0.4, 0.768115])
 """Unit vector from the model's middle towards the camera: three quarters, from above."""
 
 FOV = 40.0
+SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))
+"""White above, grey at the horizon, dim below."""
+
 APERTURE = 0.02
 """Aperture radius as a share of the focus distance."""
 MARGIN = 1.08
@@ -39,18 +43,9 @@ def model_scene(path: Path, overrides: Overrides) -> Scene:
         meshes=model.meshes,
         materials=model.materials,
         film=film,
-        environment=None if lit or overrides.environment is not None else soft_sky(),
+        environment=None if lit or overrides.environment is not None else SOFT_SKY,
         warnings=model.warnings,
     )
-
-
-def soft_sky() -> Environment:
-    """White above, grey at the horizon, dim below: float32 `[32, 64, 3]`."""
-    elevation = 90.0 - 180.0 * (np.arange(32) + 0.5) / 32
-    stops = ((-90, 0.15, 0.15, 0.15), (-5, 0.25, 0.25, 0.25), (5, 0.6, 0.62, 0.65), (90, 1.0, 1.05, 1.1))
-    angles, *channels = zip(*stops)
-    rows = np.stack([np.interp(elevation, angles, channel) for channel in channels], axis=1)
-    return Environment(np.repeat(rows[:, None], 64, axis=1).astype(np.float32))
 
 
 def _frame(meshes: tuple[Mesh, ...], overrides: Overrides, film: Film, file: str) -> Camera:

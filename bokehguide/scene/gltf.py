@@ -103,6 +103,9 @@ def _material(source: GltfMaterial, loaded: Any, place: str, file: str) -> Mater
     ior = 1.5 if values.get("ior") == 0 else table.number("ior", 1.5, IOR)
     strength = table.number("emissiveStrength", 1.0, NOT_NEGATIVE)
     emission = table.vector("emissiveFactor", (0.0, 0.0, 0.0), NOT_NEGATIVE)
+    emission = tuple(strength * channel for channel in emission)
+    if not all(map(NOT_NEGATIVE.hold, emission)):
+        table.fail("emissiveStrength", f"times emissiveFactor is out of range; give {NOT_NEGATIVE.remedy}")
     thickness = extensions.get("KHR_materials_volume", {}).get("thicknessFactor", 0.0)
     return Material(
         name=source.name or place,
@@ -113,7 +116,7 @@ def _material(source: GltfMaterial, loaded: Any, place: str, file: str) -> Mater
         transmission=table.number("transmissionFactor", 0.0, SHARE),
         thin=thickness == 0.0,
         ior=ior,
-        emission=tuple(strength * channel for channel in emission),
+        emission=emission,
         double_sided=bool(source.doubleSided),
         base_color_texture=_texture(pbr, "baseColorTexture", loaded, table, srgb=True),
         metallic_roughness_texture=_texture(

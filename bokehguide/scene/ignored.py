@@ -69,10 +69,9 @@ def _uses_second_uvs(material: Any) -> bool:
 
 
 def _extension_textures(material: Any) -> bool:
-    honoured = (material.extensions or {}).items() if material.extensions else ()
     return any(
         name in HONOURED and any(key.endswith("Texture") for key in values)
-        for name, values in honoured
+        for name, values in (material.extensions or {}).items()
     )
 
 

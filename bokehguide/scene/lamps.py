@@ -40,18 +40,20 @@ def find_lamps(scene: Scene) -> Lamps:
     return Lamps(centres, radii, np.arange(len(radii)) >= near)
 
 
-def lens_coverage(scene: Scene) -> float | None:
+def lens_coverage(scene: Scene, lamps: Lamps | None = None) -> float | None:
     """Median share of the lens disc that one lamp covers, or None without a lamp in sight.
 
     A pixel whose focus point lies at distance d on the axis sees a lamp of radius R
     at depth Z projected through that point onto the lens, at |d / (d - Z)| of its
-    size. Lamps count whose circle of confusion touches the frame.
+    size. Lamps count whose circle of confusion touches the frame. lamps: those of the
+    scene, where they have been found already.
     """
-    camera, lamps = scene.camera, find_lamps(scene)
+    camera = scene.camera
     if camera.aperture_radius == 0.0:
         return None
+    lamps = find_lamps(scene) if lamps is None else lamps
     x, y, depth = _camera_space(camera, lamps)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # Of a lamp at infinity the radius is a tangent, and R d / (Z - d) tends to d tan.
         gap = np.where(lamps.infinite, depth, np.abs(depth - camera.focus_distance))
         share = (lamps.radii * camera.focus_distance / gap / camera.aperture_radius) ** 2

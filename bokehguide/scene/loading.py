@@ -44,4 +44,4 @@ def load_scene(spec: str, overrides: Overrides = Overrides()) -> Scene:
             f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, "
             f"or a model ({' '.join(MODEL_SUFFIXES)})"
         )
-    return checked(override_surroundings(scene, overrides))
+    return checked(override_surroundings(scene, overrides), spec)

@@ -12,6 +12,7 @@ import trimesh
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.images import require_file, texture_from_image
 from bokehguide.scene.shapes import transformed
+from bokehguide.scene.tables import NOT_NEGATIVE, Table
 from bokehguide.scene.types import Material, Mesh
 from bokehguide.scene.validation import check_mesh
 
@@ -47,7 +48,9 @@ def load_model(path: Path) -> Model:
             continue
         mesh = _mesh(geometry, index[name])
         check_mesh(mesh, f"{path}: {name}", len(materials))
-        meshes.append(transformed(mesh, matrix))
+        placed = transformed(mesh, matrix)
+        check_mesh(placed, f"{path}: {node}", len(materials))
+        meshes.append(placed)
     if not meshes:
         raise BokehguideError(f"{path}: holds no triangles; give a model with a surface")
     return Model(tuple(meshes), tuple(materials), tuple(f"{path.name}: {w}" for w in warnings))
@@ -70,7 +73,7 @@ def _read(path: Path) -> tuple[trimesh.Scene, list[Material], dict[str, int], li
     materials, index, warnings = [], {}, []
     for name, geometry in scene.geometry.items():
         index[name] = len(materials)
-        materials.append(_plain_material(geometry, name))
+        materials.append(_plain_material(geometry, name, str(path)))
         if geometry.visual.kind in ("vertex", "face"):
             warnings.append("vertex and face colours: have no effect")
         if getattr(getattr(geometry.visual, "material", None), "kwargs", None):
@@ -84,16 +87,17 @@ def _gltf_index(geometry: Any, default: int) -> int:
     return int(name) if name is not None and name.isdigit() else default
 
 
-def _plain_material(geometry: Any, name: str) -> Material:
+def _plain_material(geometry: Any, name: str, file: str) -> Material:
     """What an `.obj` says of a surface; `.ply` and `.stl` say nothing."""
     material = getattr(geometry.visual, "material", None)
     terms = getattr(material, "kwargs", None) or {}
     image = getattr(material, "image", None)
-    color, emission = terms.get("kd", Material.base_color), terms.get("ke", Material.emission)
+    values = {key: [float(channel) for channel in terms[key]] for key in ("kd", "ke") if key in terms}
+    table = Table(values, file, f"material {getattr(material, 'name', None) or name}", values)
     return Material(
         name=name,
-        base_color=tuple(min(max(float(channel), 0.0), 1.0) for channel in color),
-        emission=tuple(max(float(channel), 0.0) for channel in emission),
+        base_color=tuple(min(channel, 1.0) for channel in table.vector("kd", Material.base_color, NOT_NEGATIVE)),
+        emission=table.vector("ke", Material.emission, NOT_NEGATIVE),
         base_color_texture=None if image is None else texture_from_image(image, srgb=True),
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.scene.cameras import focal_length, read_camera
+from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length, read_camera
 from bokehguide.scene.images import load_environment_map
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
 from bokehguide.scene.types import Camera, Environment, Scene
@@ -76,7 +76,7 @@ def override_camera(values: dict[str, Any], overrides: Overrides, file: str) -> 
         values["target"] = list(overrides.camera_target)
     if overrides.fov is not None:
         if "focal_length" in values:
-            width = values.setdefault("sensor_width", 36.0)
+            width = values.setdefault("sensor_width", SENSOR_WIDTH)
             values["focal_length"] = focal_length(overrides.fov, width)
         else:
             values["fov"] = overrides.fov

@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import BokehguideError
+from bokehguide.limits import LARGEST
 from bokehguide.scene.images import load_environment_map, load_texture, require_file
 from bokehguide.scene.models import Model, load_model
 from bokehguide.scene.overrides import Overrides, constant_radiance, override_camera
 from bokehguide.scene.shapes import SHAPES, transform, transformed
 from bokehguide.scene.tables import ANY, IOR, NOT_NEGATIVE, SHARE, Table, did_you_mean, is_number
 from bokehguide.scene.types import Environment, Film, Material, Mesh, Scene
+from bokehguide.scene.validation import check_mesh
 
 SCENE_KEYS = ("camera", "film", "environment", "materials", "object")
 MATERIAL_KEYS = (
@@ -52,10 +54,10 @@ def _parse(path: Path) -> dict[str, Any]:
     require_file(path, "scene")
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise BokehguideError(f"{path}: not valid TOML: {error}") from None
     except UnicodeDecodeError as error:
         raise BokehguideError(f"{path}: not UTF-8 text (byte {error.start}); save it so") from None
+    except (ValueError, RecursionError) as error:  # of numbers and brackets without end too
+        raise BokehguideError(f"{path}: not valid TOML: {error}") from None
 
 
 def _read_film(root: Table) -> Film:
@@ -80,8 +82,11 @@ def _read_environment(root: Table, folder: Path, warnings: list[str]) -> Environ
         radiance = constant_radiance(table.vector("color", None, NOT_NEGATIVE))
     else:
         raise BokehguideError(f"{root.file}: environment: has no light; give color or map")
-    intensity = np.float32(table.number("intensity", 1.0, NOT_NEGATIVE))
-    return Environment(radiance * intensity, table.number("rotation", 0.0))
+    intensity = table.number("intensity", 1.0, NOT_NEGATIVE)
+    brightest = float(radiance.max()) * intensity
+    if not NOT_NEGATIVE.hold(brightest):
+        table.fail("intensity", f"makes the brightest radiance {brightest:g}; give less, it ends at {LARGEST:g}")
+    return Environment(radiance * np.float32(intensity), table.number("rotation", 0.0))
 
 
 def _read_materials(root: Table, folder: Path) -> list[Material]:
@@ -140,7 +145,9 @@ def _read_objects(
         matrix = _read_transform(table)
         for mesh in _read_surface(table, folder, models, materials):
             index = mesh.material if material is None else material
-            meshes.append(transformed(replace(mesh, material=index), matrix))
+            placed = transformed(replace(mesh, material=index), matrix)
+            check_mesh(placed, f"{root.file}: {table.path}", len(materials))
+            meshes.append(placed)
     for model, _ in models.values():
         warnings += model.warnings
     return meshes, materials

@@ -3,36 +3,51 @@
 from __future__ import annotations
 
 import difflib
-import math
+import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from bokehguide.errors import BokehguideError
+from bokehguide.limits import LARGEST, MAX_SIDE, SMALLEST
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Which finite numbers a field accepts: an interval and how to say it."""
+    """Which numbers a field accepts: an interval and how to say it."""
 
     remedy: str
-    low: float = -math.inf
-    high: float = math.inf
-    open: bool = False
+    low: float = -LARGEST
+    high: float = LARGEST
 
     def hold(self, value: float) -> bool:
-        inside = self.low < value < self.high if self.open else self.low <= value <= self.high
-        return inside and math.isfinite(value)
+        return self.low <= value <= self.high
 
 
-ANY = Limits("a finite number")
-POSITIVE = Limits("a number above 0", low=0.0, open=True)
-IN_FRONT = Limits("metres above 0: what lies behind the lens has no focus", low=0.0, open=True)
-NOT_NEGATIVE = Limits("a number of 0 or more", low=0.0)
+ANY = Limits(f"a number between {-LARGEST:g} and {LARGEST:g}")
+POSITIVE = Limits(f"a number above 0, between {SMALLEST:g} and {LARGEST:g}", low=SMALLEST)
+IN_FRONT = Limits(
+    f"metres above 0, between {SMALLEST:g} and {LARGEST:g}: what lies behind the lens has no focus", low=SMALLEST
+)
+NOT_NEGATIVE = Limits(f"a number of 0 or more, up to {LARGEST:g}", low=0.0)
 SHARE = Limits("a number between 0 and 1", low=0.0, high=1.0)
-ANGLE_OF_VIEW = Limits("degrees between 0 and 180", low=0.0, high=180.0, open=True)
-IOR = Limits("a number of 1 or more", low=1.0)
-COUNT = Limits("a whole number of 1 or more", low=1.0)
+ANGLE_OF_VIEW = Limits("degrees between 0 and 180 (from 0.001 to 179.999)", low=1e-3, high=179.999)
+IOR = Limits(f"a number of 1 or more, up to {LARGEST:g}", low=1.0)
+COUNT = Limits(f"a whole number of 1 or more, up to {MAX_SIDE}", low=1, high=MAX_SIDE)
+
+
+class _Short(reprlib.Repr):
+    """Values as they were written, unless that takes more than a line."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxstring = self.maxother = 120
+
+    def repr_int(self, value: int, level: int) -> str:
+        return repr(value) if value.bit_length() <= 128 else f"a whole number of {value.bit_length()} bits"
+
+
+shown = _Short().repr
 
 
 def is_number(value: Any) -> bool:
@@ -56,7 +71,7 @@ class Table:
     def __init__(self, values: Any, file: str, path: str, keys: Iterable[str]):
         self.file, self.path, self.values = file, path, values
         if not isinstance(values, dict):
-            raise BokehguideError(f"{file}: {path}: {values!r} is not a table; write [{path}]")
+            raise BokehguideError(f"{file}: {path}: {shown(values)} is not a table; write [{path}]")
         for key in values:
             if key not in keys:
                 raise BokehguideError(f"{self.place(key)}: unknown key; {did_you_mean(key, keys)}")
@@ -70,17 +85,17 @@ class Table:
 
     def fail(self, key: str, problem: str) -> NoReturn:
         """Raise the error that the value of `key` has `problem`."""
-        raise BokehguideError(f"{self.place(key)}: {self.values[key]!r} {problem}")
+        raise BokehguideError(f"{self.place(key)}: {shown(self.values[key])} {problem}")
 
     def exclusive(self, *keys: str) -> None:
         """Raise unless at most one of `keys` is there."""
         given = [key for key in keys if key in self]
         if len(given) > 1:
             first, second = given[:2]
-            self.fail(first, f"and {second} = {self.values[second]!r} are both given; keep one")
+            self.fail(first, f"and {second} = {shown(self.values[second])} are both given; keep one")
 
     def number(self, key: str, default: float | None, limits: Limits = ANY) -> float | None:
-        """A finite number within `limits`."""
+        """A number within `limits`."""
         if key not in self:
             return default
         value = self.values[key]
@@ -91,7 +106,7 @@ class Table:
         return float(value)
 
     def count(self, key: str, default: int) -> int:
-        """A whole number of 1 or more."""
+        """A whole number within COUNT: pixels along a side, or segments of a path."""
         if key in self and not (type(self.values[key]) is int and COUNT.hold(self.values[key])):
             self.fail(key, f"is out of range; give {COUNT.remedy}")
         return self.values.get(key, default)

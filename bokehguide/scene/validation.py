@@ -10,27 +10,32 @@ from dataclasses import replace
 import numpy as np
 
 from bokehguide.errors import BokehguideError
+from bokehguide.limits import LARGEST, MAX_EXTENT, MAX_PIXELS
 from bokehguide.scene.types import Mesh, Scene
 
 
-def checked(scene: Scene) -> Scene:
+def checked(scene: Scene, place: str) -> Scene:
     """`scene` without its zero-area triangles and the meshes that had no others.
 
-    Raises BokehguideError where a vertex, normal or uv is not finite, an index is out
-    of range, or nothing is left to see.
+    place: what the user named, such as the file. Raises BokehguideError, naming it, where
+    a vertex, normal or uv is not finite, an index is out of range, nothing is left to see,
+    or the frame has too many pixels.
     """
+    film = scene.film
+    if film.width * film.height > MAX_PIXELS:
+        raise BokehguideError(f"{place}: film: {film.width}x{film.height} pixels are too many; give at most {MAX_PIXELS}")
     for number, mesh in enumerate(scene.meshes):
-        check_mesh(mesh, f"{scene.name}: mesh {number}", len(scene.materials))
+        check_mesh(mesh, f"{place}: mesh {number}", len(scene.materials))
     meshes = tuple(mesh for mesh in map(_without_degenerate, scene.meshes) if len(mesh.triangles))
     if not meshes:
         raise BokehguideError(
-            f"{scene.name}: holds no triangle with an area; add an object or a model with a surface"
+            f"{place}: holds no triangle with an area; add an object or a model with a surface"
         )
     return replace(scene, meshes=meshes, warnings=tuple(dict.fromkeys(scene.warnings)))
 
 
 def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
-    """Raise BokehguideError, naming `place`, where `mesh` is not finite or not consistent."""
+    """Raise BokehguideError, naming `place`, where `mesh` is not finite, too large or not consistent."""
     count = len(mesh.vertices)
     for name, width in (("vertices", 3), ("normals", 3), ("uvs", 2)):
         values = getattr(mesh, name)
@@ -40,12 +45,15 @@ def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
             raise BokehguideError(
                 f"{place}: {name} has shape {values.shape}, not {(count, width)}; repair the model"
             )
-        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        bad = np.flatnonzero(~(np.abs(values) <= LARGEST).all(axis=1))
         if len(bad):
             raise BokehguideError(
-                f"{place}: {name}[{bad[0]}] is {values[bad[0]].tolist()}, not finite; "
-                f"repair the model ({len(bad)} such)"
+                f"{place}: {name}[{bad[0]}] is {values[bad[0]].tolist()}, not finite "
+                f"or beyond {LARGEST:g}; repair the model ({len(bad)} such)"
             )
+    extent = np.ptp(mesh.vertices, axis=0).max() if count else 0.0
+    if extent > MAX_EXTENT:
+        raise BokehguideError(f"{place}: is {extent:.3g} m from end to end; scale it to {MAX_EXTENT:g} m or less")
     out = np.flatnonzero(((mesh.triangles < 0) | (mesh.triangles >= count)).any(axis=1))
     if len(out):
         raise BokehguideError(

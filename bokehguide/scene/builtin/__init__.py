@@ -2,21 +2,26 @@
 
 from collections.abc import Callable
 
-from bokehguide.scene.builtin.chrome import chrome
-from bokehguide.scene.builtin.cutout import cutout
-from bokehguide.scene.builtin.daylight import daylight
-from bokehguide.scene.builtin.fairy_lights import fairy_lights
-from bokehguide.scene.builtin.glitter import glitter
-from bokehguide.scene.builtin.night_street import night_street
-from bokehguide.scene.builtin.occluded import occluded
+from bokehguide.scene.builtin import chrome, cutout, daylight, fairy_lights, glitter, night_street, occluded
 from bokehguide.scene.types import Scene
 
 BUILTIN: dict[str, Callable[[], Scene]] = {
-    "fairy-lights": fairy_lights,
-    "occluded": occluded,
-    "chrome": chrome,
-    "night-street": night_street,
-    "glitter": glitter,
-    "cutout": cutout,
-    "daylight": daylight,
+    "fairy-lights": fairy_lights.fairy_lights,
+    "occluded": occluded.occluded,
+    "chrome": chrome.chrome,
+    "night-street": night_street.night_street,
+    "glitter": glitter.glitter,
+    "cutout": cutout.cutout,
+    "daylight": daylight.daylight,
 }
+
+DESCRIPTIONS = {
+    "fairy-lights": fairy_lights.DESCRIPTION,
+    "occluded": occluded.DESCRIPTION,
+    "chrome": chrome.DESCRIPTION,
+    "night-street": night_street.DESCRIPTION,
+    "glitter": glitter.DESCRIPTION,
+    "cutout": cutout.DESCRIPTION,
+    "daylight": daylight.DESCRIPTION,
+}
+"""What each shows, told without building it."""

@@ -1,0 +1,57 @@
+"""EXR and HDR files in, by way of OpenImageIO: it says what is wrong with one instead of printing it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.limits import MAX_PIXELS, MAX_SIDE
+
+MAGIC = {"EXR": b"\x76\x2f\x31\x01", "HDR": b"#?"}
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The first part of a file.
+
+    names: of the channels; pixels: float32 `[H, W, C]`; header: attributes by name.
+    """
+
+    names: tuple[str, ...]
+    pixels: np.ndarray
+    header: dict[str, object]
+
+
+def read_channels(path: str | Path, kind: str = "EXR") -> Channels:
+    """The first part of a file of the `kind` "EXR" or "HDR".
+
+    Raises BokehguideError for a file that is missing, damaged, too large or of another kind.
+    """
+    import OpenImageIO as oiio
+
+    try:
+        with open(path, "rb") as file:
+            start = file.read(len(MAGIC[kind]))
+    except OSError as error:
+        raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    if start != MAGIC[kind]:
+        raise BokehguideError(f"{path}: is not an {kind} file; give one, or make it again")
+    image = oiio.ImageInput.open(str(path))
+    if image is None:
+        raise _damaged(path, oiio.geterror())
+    spec = image.spec()
+    if not (0 < spec.width <= MAX_SIDE and 0 < spec.height <= MAX_SIDE and spec.width * spec.height <= MAX_PIXELS):
+        raise BokehguideError(f"{path}: {spec.width}x{spec.height} pixels are too many; give at most {MAX_PIXELS}")
+    pixels = image.read_image(oiio.FLOAT)
+    if pixels is None:
+        raise _damaged(path, image.geterror())
+    header = {attribute.name: attribute.value for attribute in spec.extra_attribs}
+    return Channels(tuple(spec.channelnames), pixels.reshape(spec.height, spec.width, -1), header)
+
+
+def _damaged(path: str | Path, report: str) -> BokehguideError:
+    reason = report.splitlines()[0].removeprefix(f"EXR Error ({path}): ") if report else "unknown reason"
+    return BokehguideError(f"{path}: is damaged ({reason}); make or fetch it again")

@@ -1,0 +1,82 @@
+"""The scripts beside the package: their mistakes are told before the first ray, and what they write."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bokehguide.image import read_metadata, read_rgb, write_exr
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
+
+
+@pytest.fixture
+def script(tmp_path):
+    """Run a script in a folder of its own; gives the finished process with its texts."""
+
+    def run(name, *arguments):
+        command = [sys.executable, str(SCRIPTS / name), *map(str, arguments)]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+
+    return run
+
+
+MISTAKES = {
+    "render.py none.toml": "none.toml: no such file",
+    "render.py lamps.toml --size 3by4": "'3by4' is not a size",
+    "render.py lamps.toml --spp 0": "'0' is not a whole number from 1",
+    "render.py lamps.toml --out a.png": "'a.png' is no EXR; end it in .exr",
+    "render.py lamps.toml --size 32x20 --reference small.exr": "small.exr: the image is 32x20 and the reference 16x10",
+    "make_reference.py lamps.toml --out a.exr --spp 1": "--spp: 1 has no two halves; give at least 2",
+    "make_reference.py lamps.toml --out a.exr --size 9": "'9' is not a size",
+    "make_reference.py lamps.toml --out a.exr --seed -1": "'-1' is not a whole number from 0",
+}
+
+
+@pytest.mark.parametrize("arguments", MISTAKES)
+def test_mistakes_are_one_line(arguments, script, lamps_file, tmp_path):
+    write_exr(tmp_path / "small.exr", {"beauty": np.ones((10, 16, 3), np.float32)})
+    before = sorted(tmp_path.rglob("*"))
+    finished = script(*arguments.split())
+    assert (finished.returncode, finished.stdout) == (2, "")
+    assert finished.stderr.count("\n") == 1 and "error: " in finished.stderr
+    assert MISTAKES[arguments] in finished.stderr
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("name", ["bench.py", "evaluate.py", "ztest.py"])
+def test_one_reading_of_sizes(name, script):
+    finished = script(name, "--size", "70000x20")
+    assert finished.returncode == 2
+    assert "'70000' is not a whole number from 1 to 65536" in finished.stderr
+
+
+def test_render_writes_what_the_command_writes(script, bokehguide, lamps_file, tmp_path):
+    write_exr(tmp_path / "reference.exr", {"beauty": np.ones((20, 32, 3), np.float32)})
+    finished = script(
+        *("render.py", lamps_file, "--size", "32x20", "--spp", 3, "--out", "a.exr", "--reference", "reference.exr")
+    )
+    assert finished.returncode == 0, finished.stderr
+    assert bokehguide("render", lamps_file, "--spp", 3, "--out", "b.exr").returncode == 0
+    np.testing.assert_array_equal(read_rgb(tmp_path / "a.exr"), read_rgb(tmp_path / "b.exr"))
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert list((tmp_path / "logs/lamps/lis-o").iterdir())
+
+
+def test_a_reference_is_the_mean_of_two_renders(script, bokehguide, lamps_file, tmp_path):
+    finished = script("make_reference.py", lamps_file, "--size", "32x20", "--spp", 4, "--seed", 7, "--out", "a.exr")
+    assert finished.returncode == 0, finished.stderr
+    for seed in (7, 8):
+        done = bokehguide("render", lamps_file, "--spp", 2, "--seed", seed, "--out", f"{seed}.exr")
+        assert done.returncode == 0, done.stderr
+    first, second = (read_rgb(tmp_path / f"{seed}.exr") for seed in (7, 8))
+    mean = read_rgb(tmp_path / "a.exr")
+    np.testing.assert_allclose(mean, (first + second) / 2, rtol=1e-6)
+    facts = read_metadata(tmp_path / "a.exr")
+    assert (facts["spp"], facts["seed"], facts["mode"]) == (4, 7, "lis-o")
+    between = json.loads(facts["between_halves"])
+    assert between["mape"] == pytest.approx(np.mean(np.abs(first - second) / (mean + 0.01)), rel=1e-4)
+    assert between["relmse"] == pytest.approx(np.mean(((first - second) / (mean + 0.01)) ** 2), rel=1e-4)
