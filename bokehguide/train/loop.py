@@ -76,6 +76,8 @@ class RenderLoop:
         self.guide = None if settings.mode == "uniform" or pinhole else LensGuide(self.camera, settings)
         self.step_number = 0
         self._threads = settings.threads or _available_cores()
+        # Threads work on batches. Those that torch would start inside operations only fight them.
+        torch.set_num_threads(1)
         self._pool = ThreadPoolExecutor(self._threads, initializer=torch.set_num_threads, initargs=(1,))
         self._phases: Counter[str] = Counter()
         self._mean_luminance = 1.0
