@@ -25,9 +25,10 @@ from bokehguide.train.guide import BatchLesson, GuidedBatch, LensGuide
 from bokehguide.train.settings import RenderSettings
 
 BATCH = 65536
-"""Pixels traced together: large enough to pay for Python, small enough for the cache."""
-MIN_BATCHES = 4
-"""A small frame is cut into at least as many batches, so that threads have work."""
+"""Pixels traced together at most: more would leave the cache."""
+SMALL_BATCH, FEW_BATCHES = 28800, 4
+"""A small frame is cut into up to four batches, so that threads have work, but none smaller than
+this: below it Python costs more than a second thread brings."""
 PHASES = ("tracing rays", "shading", "guiding", "learning", "output")
 FAR = 1000.0
 """The environment is recorded at this many focus distances."""
@@ -102,7 +103,8 @@ class RenderLoop:
     def _render_batches(self) -> list[_BatchResult]:
         start = time.perf_counter()
         pixels = self.camera.width * self.camera.height
-        size = min(BATCH, math.ceil(pixels / MIN_BATCHES))
+        count = max(math.ceil(pixels / BATCH), min(FEW_BATCHES, pixels // SMALL_BATCH), 1)
+        size = math.ceil(pixels / count)
         spans = [(first, min(first + size, pixels)) for first in range(0, pixels, size)]
         results = list(self._pool.map(lambda span: self._render_batch(*span), spans))
         worked = sum((result.timer.seconds for result in results), Counter())
