@@ -10,7 +10,7 @@ import torch
 from bokehguide.render.geometry import Geometry
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import dot
-from bokehguide.scene.types import Material
+from bokehguide.scene.types import Material, Texture
 from tests.tracing import UP, matte, rectangle, scene, sphere
 
 
@@ -88,7 +88,7 @@ def test_textures_multiply_their_factors_at_the_hits_uv():
     color = np.array([[[1.0, 0.5, 0.25], [0.0, 1.0, 0.5]]], np.float32)
     packed = np.array([[[0.9, 0.5, 1.0], [0.9, 1.0, 0.5]]], np.float32)
     painted = Material(
-        "painted", (0.5, 0.8, 1.0), 0.6, 0.8, base_color_texture=color, metallic_roughness_texture=packed
+        "painted", (0.5, 0.8, 1.0), 0.6, 0.8, base_color_texture=Texture(color), metallic_roughness_texture=Texture(packed)
     )
     plain = Material("plain", (0.1, 0.2, 0.3), 0.4, 0.5)
     geometry = Geometry(scene([rectangle(1, (5, 0, 0)), rectangle(0)], [painted, plain]))
@@ -101,7 +101,7 @@ def test_textures_multiply_their_factors_at_the_hits_uv():
 
 def test_the_first_row_of_a_texture_is_its_top():
     texture = np.array([[[1.0, 1.0, 1.0]], [[0.0, 0.0, 0.0]]], np.float32)
-    poster = Material("poster", (1.0, 1.0, 1.0), base_color_texture=texture)
+    poster = Material("poster", (1.0, 1.0, 1.0), base_color_texture=Texture(texture))
     geometry = Geometry(scene([rectangle(0)], [poster]))
     _, surface = found(geometry, [[0.2, 0.5, 1], [0.2, -0.5, 1]], [[0, 0, -1]] * 2)
     assert surface.base_color[0].tolist() == [1.0, 0.0]
@@ -109,7 +109,7 @@ def test_the_first_row_of_a_texture_is_its_top():
 
 def test_emission_is_textured_and_leaves_the_front():
     texture = np.array([[[1.0, 0.5, 0.25], [0.0, 0.0, 1.0]]], np.float32)
-    screen = Material("screen", emission=(2.0, 4.0, 8.0), emission_texture=texture)
+    screen = Material("screen", emission=(2.0, 4.0, 8.0), emission_texture=Texture(texture))
     both = replace(screen, double_sided=True)
     geometry = Geometry(scene([rectangle(0), rectangle(1, (5, 0, 0)), rectangle(2, (10, 0, 0))], [screen, both, matte()]))
     hit, surface = found(

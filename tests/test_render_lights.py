@@ -11,7 +11,7 @@ from bokehguide.render.geometry import Geometry
 from bokehguide.render.lights import MIN_SHARE, Lights
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import dot
-from bokehguide.scene.types import Environment, Scene
+from bokehguide.scene.types import Environment, Scene, Texture
 from tests.sphere import SphereGrid
 from tests.statistical import SIGNIFICANCE, z_test
 from tests.tracing import DOWN, inward, lamp, matte, rectangle, scene, sky, sphere
@@ -29,7 +29,7 @@ def window() -> Environment:
 
 def lamps(environment: Environment | None) -> Scene:
     """Lamps around the origin: plain, textured, seen from behind, double-sided, one behind another; and a wall."""
-    materials = [lamp(5.0), lamp(8.0, emission_texture=TEXTURE), lamp(3.0, double_sided=True), matte(0.5)]
+    materials = [lamp(5.0), lamp(8.0, emission_texture=Texture(TEXTURE)), lamp(3.0, double_sided=True), matte(0.5)]
     meshes = [
         rectangle(0, (0.5, 0.2, 1.0), (180.0, 0.0, 0.0), 0.4),
         rectangle(1, (-1.0, 0.5, 0.8), (30.0, 90.0, 0.0), 0.5),
@@ -137,7 +137,7 @@ def test_where_all_else_is_equal_triangles_are_chosen_by_the_power_they_emit():
     """Four rectangles whose first triangles have one centre; at one metre under no angle the
     density is the choice over the area."""
     checkers = np.tile(np.array([[[1.0], [0.0]], [[0.0], [1.0]]], np.float32), (8, 8, 3))
-    materials = [lamp(1.0), lamp(4.0), lamp(1.0, double_sided=True), lamp(1.0, emission_texture=checkers)]
+    materials = [lamp(1.0), lamp(4.0), lamp(1.0, double_sided=True), lamp(1.0, emission_texture=Texture(checkers))]
     first = rectangle(0)
     center = first.vertices[first.triangles[0]].mean(axis=0)
     heights = np.array([0.5, 1.5, 2.5, 3.5])
@@ -155,7 +155,7 @@ def test_where_all_else_is_equal_triangles_are_chosen_by_the_power_they_emit():
 
 def test_whatever_emits_may_be_drawn_everywhere_and_nothing_else():
     """Also from behind, from far away, and where a million times brighter lamps are near."""
-    black = replace(lamp(), emission_texture=np.zeros((2, 2, 3), np.float32))
+    black = replace(lamp(), emission_texture=Texture(np.zeros((2, 2, 3), np.float32)))
     turned = (0.0, 0.0, 180.0, 0.0)
     meshes = [rectangle(i, (2.0 * i, 0.0, -1.0), (turned[i], 0.0, 0.0), 0.5) for i in range(4)]
     lit = scene(meshes, [lamp(1e-3), matte(), lamp(1e3), black])
@@ -217,7 +217,7 @@ def test_a_textured_lamp_whose_light_lies_between_the_points_looked_at_is_no_lig
     """One lit texel of 64 × 64: no draw finds it, so its density is 0 and a path that meets it counts in full."""
     texture = np.zeros((64, 64, 3), np.float32)
     texture[1, 1] = 1.0
-    lit = scene([rectangle(0, (0, 0, 1.0))], [replace(lamp(), emission_texture=texture)])
+    lit = scene([rectangle(0, (0, 0, 1.0))], [replace(lamp(), emission_texture=Texture(texture))])
     lights = Lights(lit, Geometry(lit))
     one = torch.ones(2)
     assert lights.empty

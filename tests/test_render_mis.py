@@ -9,7 +9,7 @@ from bokehguide.render.bsdf import OpaqueBSDF
 from bokehguide.render.lens import Lens
 from bokehguide.render.lights import Lights
 from bokehguide.render.tracer import Tracer
-from bokehguide.scene.types import Environment, Material
+from bokehguide.scene.types import Environment, Material, Texture
 from tests.statistical import SIGNIFICANCE
 from tests.test_render_camera import lens_uniformity
 from tests.test_render_path_tracer import direct_light, shadow
@@ -35,7 +35,7 @@ def checkered() -> Material:
     """A lamp with a texture that is black in places."""
     texture = np.zeros((4, 4, 3), np.float32)
     texture[::2, ::2], texture[1::2, 1::2] = (1.0, 0.5, 0.2), (0.1, 0.5, 1.0)
-    return lamp(4.0, emission_texture=texture, double_sided=True)
+    return lamp(4.0, emission_texture=Texture(texture), double_sided=True)
 
 
 def room(material: Material, environment: Environment | None, light: Material):

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from bokehguide.render.textures import TextureAtlas
+from bokehguide.scene.types import Texture
 
 
 def bilinear(image: np.ndarray, u: float, v: float) -> np.ndarray:
@@ -24,7 +25,7 @@ def test_lookups_are_bilinear_and_repeat():
     generator = np.random.default_rng(3)
     images = [generator.uniform(size=size + (3,)).astype(np.float16).astype(np.float32) for size in ((5, 3), (1, 1), (4, 16))]
     atlas = TextureAtlas()
-    numbers = [atlas.add(image) for image in images]
+    numbers = [atlas.add(Texture(image)) for image in images]
     atlas.build("cpu")
     number = generator.choice(numbers, 300)
     uv = generator.uniform(-2.5, 3.5, (2, 300)).astype(np.float32)
@@ -37,7 +38,7 @@ def test_lookups_are_bilinear_and_repeat():
 def test_texel_centres_give_the_texels_with_the_first_row_at_v_zero():
     image = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
     atlas = TextureAtlas()
-    atlas.add(image)
+    atlas.add(Texture(image))
     uv = torch.tensor([[0.25, 0.75, 0.25, 0.75], [0.25, 0.25, 0.75, 0.75]])
     found = atlas.build("cpu").lookup(torch.zeros(4, dtype=torch.int64), uv)
     np.testing.assert_array_equal(found.T.numpy(), image.reshape(4, 3))
@@ -46,5 +47,5 @@ def test_texel_centres_give_the_texels_with_the_first_row_at_v_zero():
 def test_an_array_used_twice_is_stored_once_and_none_is_minus_one():
     atlas = TextureAtlas()
     image = np.ones((2, 3, 3), np.float32)
-    assert (atlas.add(image), atlas.add(image), atlas.add(None)) == (0, 0, -1)
+    assert (atlas.add(Texture(image)), atlas.add(Texture(image)), atlas.add(None)) == (0, 0, -1)
     assert atlas.build("cpu").texels.shape == (3, 6)

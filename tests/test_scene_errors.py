@@ -295,7 +295,7 @@ def scene_of(**changes) -> Scene:
         ({"triangles": np.array([[0, 1, -1]], np.int32)}, ["triangle 0", "[0, 1, -1]"]),
         ({"vertices": np.full((4, 3), np.nan, np.float32)}, ["vertices[0]", "not finite", "4 such"]),
         ({"normals": np.ones((3, 3), np.float32)}, ["normals", "(3, 3)", "(4, 3)"]),
-        ({"uvs": np.full((4, 2), np.inf, np.float32)}, ["uvs[0]", "not finite"]),
+        ({"uvs": np.full((4, 1, 2), np.inf, np.float32)}, ["uvs[0]", "not finite"]),
         ({"material": 1}, ["material 1 of 1"]),
         ({"vertices": np.zeros((4, 3), np.float32)}, ["no triangle with an area"]),
     ],

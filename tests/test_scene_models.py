@@ -29,7 +29,7 @@ def test_obj_materials(tmp_path):
     materials = {material.name: material for material in scene.materials}
     assert materials["lamp"].emission == (5.0, 4.0, 3.0)
     assert materials["lamp"].base_color == (0.001, 0.0, 0.0)
-    np.testing.assert_allclose(materials["wood"].base_color_texture, 0.5029, atol=1e-4)
+    np.testing.assert_allclose(materials["wood"].base_color_texture.image, 0.5029, atol=1e-4)
     assert scene.environment is None
     assert scene.warnings == ("m.obj: of its .mtl file only Kd, map_Kd and Ke are honoured",)
 

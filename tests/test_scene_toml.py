@@ -80,10 +80,10 @@ def test_every_field_of_the_format(tmp_path):
     assert (gold.metallic, gold.roughness, gold.specular, gold.transmission) == (1.0, 0.2, 0.5, 0.25)
     assert gold.thin and gold.ior == 1.4 and gold.double_sided and gold.emits
     # sRGB 188 is 0.503 in linear light; metallic-roughness is not encoded.
-    np.testing.assert_allclose(gold.base_color_texture[0, 0], (0.5029, 0.0, 1.0), atol=1e-4)
-    np.testing.assert_allclose(gold.emission_texture[0, 1], (0.5029, 0.0, 1.0), atol=1e-4)
-    np.testing.assert_allclose(gold.metallic_roughness_texture[0, 0], (188 / 255, 0.0, 1.0), rtol=1e-6)
-    assert gold.base_color_texture.dtype == np.float32
+    np.testing.assert_allclose(gold.base_color_texture.image[0, 0], (0.5029, 0.0, 1.0), atol=1e-4)
+    np.testing.assert_allclose(gold.emission_texture.image[0, 1], (0.5029, 0.0, 1.0), atol=1e-4)
+    np.testing.assert_allclose(gold.metallic_roughness_texture.image[0, 0], (188 / 255, 0.0, 1.0), rtol=1e-6)
+    assert gold.base_color_texture.image.dtype == np.float32
 
 
 def test_what_is_left_out_has_its_default(tmp_path):
@@ -217,11 +217,11 @@ def test_sphere_is_as_round_as_promised():
 def test_sphere_texture_has_no_seam():
     sphere = unit_sphere()
     away_from_poles = np.abs(sphere.vertices[sphere.triangles][..., 1]).max(axis=1) < 0.9
-    u = sphere.uvs[sphere.triangles[away_from_poles]][..., 0]
+    u = sphere.uvs[sphere.triangles[away_from_poles]][..., 0, 0]
     assert np.ptp(u, axis=1).max() < 0.1
-    assert 0.0 <= sphere.uvs[:, 1].min() and sphere.uvs[:, 1].max() <= 1.0
+    assert 0.0 <= sphere.uvs[..., 1].min() and sphere.uvs[..., 1].max() <= 1.0
     top = sphere.vertices[:, 1].argmax()
-    assert sphere.uvs[top, 1] < 0.02, "v grows downwards"
+    assert sphere.uvs[top, 0, 1] < 0.02, "v grows downwards"
 
 
 def test_box_faces_outwards_with_unit_sides():
@@ -235,7 +235,7 @@ def test_box_faces_outwards_with_unit_sides():
 def test_rectangle_texture_stands_upright():
     rectangle = unit_rectangle()
     top_left = (rectangle.vertices == (-1.0, 1.0, 0.0)).all(axis=1)
-    np.testing.assert_array_equal(rectangle.uvs[top_left], [(0.0, 0.0)])
+    np.testing.assert_array_equal(rectangle.uvs[top_left], [[(0.0, 0.0)]])
 
 
 def test_degenerate_triangles_are_dropped(tmp_path):

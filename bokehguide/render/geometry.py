@@ -166,7 +166,7 @@ def _corner_normals(mesh: Mesh) -> np.ndarray:
 def _corner_uvs(mesh: Mesh) -> np.ndarray:
     if mesh.uvs is None:
         return np.zeros((len(mesh.triangles), 3, 2), np.float32)
-    return mesh.uvs[mesh.triangles].astype(np.float32)
+    return mesh.uvs[mesh.triangles][:, :, 0].astype(np.float32)
 
 
 def _interpolation_rows(corner_normals: np.ndarray, flat: Tensor) -> Tensor:

@@ -6,6 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.scene.types import Texture
+
 
 class TextureAtlas:
     """Linear RGB textures, stored as half floats one after the other.
@@ -17,10 +19,11 @@ class TextureAtlas:
         self._images: list[np.ndarray] = []
         self._numbers: dict[int, int] = {}
 
-    def add(self, image: np.ndarray | None) -> int:
-        """Number of the `[H, W, 3]` image; the same array is stored once."""
-        if image is None:
+    def add(self, texture: Texture | None) -> int:
+        """The texture's number; the same image is stored once."""
+        if texture is None:
             return -1
+        image = texture.image
         if id(image) not in self._numbers:
             self._numbers[id(image)] = len(self._images)
             self._images.append(image)

@@ -13,7 +13,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import trimesh
 from pygltflib import GLTF2
 from pygltflib import Material as GltfMaterial
@@ -21,7 +20,7 @@ from pygltflib import Material as GltfMaterial
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.images import texture_from_image
 from bokehguide.scene.tables import IOR, NOT_NEGATIVE, SHARE, Table
-from bokehguide.scene.types import Material
+from bokehguide.scene.types import Material, Texture
 
 DRACO = "KHR_draco_mesh_compression"
 UNREADABLE = ("EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -132,7 +131,7 @@ def _given(source: Any, *keys: str) -> dict[str, Any]:
     return {key: value for key, value in pairs.items() if value is not None}
 
 
-def _texture(source: Any, key: str, loaded: Any, table: Table, srgb: bool) -> np.ndarray | None:
+def _texture(source: Any, key: str, loaded: Any, table: Table, srgb: bool) -> Texture | None:
     reference = getattr(source, key, None)
     if reference is None or loaded is None:
         return None
@@ -142,4 +141,4 @@ def _texture(source: Any, key: str, loaded: Any, table: Table, srgb: bool) -> np
             f"{table.place(key)}: texture {reference.index} cannot be read; "
             "put the image beside the model, as PNG, JPEG or WebP"
         )
-    return texture_from_image(image, srgb)
+    return Texture(texture_from_image(image, srgb))

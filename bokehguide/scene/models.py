@@ -13,7 +13,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.scene.images import require_file, texture_from_image
 from bokehguide.scene.shapes import transformed
 from bokehguide.scene.tables import NOT_NEGATIVE, Table
-from bokehguide.scene.types import Material, Mesh
+from bokehguide.scene.types import Material, Mesh, Texture
 from bokehguide.scene.validation import check_mesh
 
 
@@ -98,7 +98,7 @@ def _plain_material(geometry: Any, name: str, file: str) -> Material:
         name=name,
         base_color=tuple(min(channel, 1.0) for channel in table.vector("kd", Material.base_color, NOT_NEGATIVE)),
         emission=table.vector("ke", Material.emission, NOT_NEGATIVE),
-        base_color_texture=None if image is None else texture_from_image(image, srgb=True),
+        base_color_texture=None if image is None else Texture(texture_from_image(image, srgb=True)),
     )
 
 
@@ -120,5 +120,5 @@ def _mesh(geometry: trimesh.Trimesh, material: int) -> Mesh:
         triangles=np.asarray(geometry.faces, dtype=np.int32),
         material=material,
         normals=normals,
-        uvs=None if uvs is None else uvs.astype(np.float32),
+        uvs=None if uvs is None else uvs.astype(np.float32)[:, None],
     )

@@ -16,7 +16,7 @@ from bokehguide.scene.models import Model, load_model
 from bokehguide.scene.overrides import Overrides, constant_radiance, override_camera
 from bokehguide.scene.shapes import SHAPES, transform, transformed
 from bokehguide.scene.tables import ANY, IOR, NOT_NEGATIVE, SHARE, Table, did_you_mean, is_number
-from bokehguide.scene.types import Environment, Film, Material, Mesh, Scene
+from bokehguide.scene.types import Environment, Film, Material, Mesh, Scene, Texture
 from bokehguide.scene.validation import check_mesh
 
 SCENE_KEYS = ("camera", "film", "environment", "materials", "object")
@@ -108,7 +108,7 @@ def _read_material(table: Table, folder: Path) -> Material:
         ("emission_texture", True),
     ):
         name = table.text(key)
-        textures[key] = None if name is None else load_texture(folder / name, srgb)
+        textures[key] = None if name is None else Texture(load_texture(folder / name, srgb))
     if "emission_texture" in table and "emission" not in table:
         table.fail("emission_texture", "multiplies emission, which is missing; give emission")
     base_color = (1.0, 1.0, 1.0) if "base_color_texture" in table else Material.base_color

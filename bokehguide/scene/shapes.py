@@ -31,7 +31,7 @@ def unit_sphere() -> Mesh:
         triangles=triangles.astype(np.int32),
         material=0,
         normals=points.astype(np.float32),
-        uvs=uvs.astype(np.float32),
+        uvs=uvs.astype(np.float32)[:, None],
     )
 
 
@@ -54,7 +54,7 @@ def _with_sphere_uvs(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
 def unit_rectangle() -> Mesh:
     """A rectangle of 2 × 2 in the xy plane that faces +z."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
-    uvs = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
+    uvs = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)[:, None]
     return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), material=0, uvs=uvs)
 
 
@@ -116,14 +116,14 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Meshes of one material as one; normals and uvs stay where all of them have them."""
+    """Meshes of one material as one; normals, uvs, tangents and colours stay where all of them have them."""
     counts = [len(mesh.vertices) for mesh in meshes]
     offsets = np.concatenate([[0], np.cumsum(counts)[:-1]])
     optional = {
         name: np.concatenate([getattr(mesh, name) for mesh in meshes])
         if all(getattr(mesh, name) is not None for mesh in meshes)
         else None
-        for name in ("normals", "uvs")
+        for name in ("normals", "uvs", "tangents", "colors")
     }
     return replace(
         meshes[0],

@@ -6,6 +6,7 @@ emit). World space is right-handed with y up.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -38,12 +39,47 @@ class Film:
 
 
 @dataclass(frozen=True)
+class Texture:
+    """An image on a surface, sampled bilinearly.
+
+    image: linear float32 `[H, W, C]`, top row first; which channels count is the
+    material's matter. uv_set: which of the mesh's uv sets; wrap: what lies outside
+    [0, 1] along u and v, "repeat", "clamp" or "mirror". transform: rows of the affine
+    map (a, b, c, d, e, f), u' = a u + b v + c and v' = d u + e v + f, applied first.
+    """
+
+    image: np.ndarray
+    uv_set: int = 0
+    wrap: tuple[str, str] = ("repeat", "repeat")
+    transform: tuple[float, float, float, float, float, float] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Where a spotlight's radiance goes: all within `inner` degrees of `axis`, none beyond `outer`.
+
+    Between them it falls as KHR_lights_punctual has it. axis: unit, in world space.
+    """
+
+    axis: tuple[float, float, float]
+    inner: float
+    outer: float
+
+
+@dataclass(frozen=True)
 class Material:
     """A surface in glTF's metallic-roughness terms.
 
-    Textures are linear float32 `[H, W, 3]`, top row first, repeated outside [0, 1]²:
-    base colour, (unused, roughness, metallic) as glTF packs them, and emission; each
-    multiplies its factor.
+    Each texture multiplies its factors: base colour (RGB, and opacity by A where it has
+    four channels), (unused, roughness, metallic) as glTF packs them, emission (RGB),
+    specular (A), specular colour (RGB), transmission (R), clearcoat (R) and
+    clearcoat roughness (G). A normal map's texels are tangent-space normals scaled to
+    0 … 1; `normal_scale` multiplies their x and y.
+
+    alpha_mode: "opaque" ignores opacity; "mask" leaves out what is below `alpha_cutoff`;
+    "blend" lets the share 1 - opacity of the light through, unbent.
+    attenuation_color is what is left of white light after `attenuation_distance` metres
+    inside (KHR_materials_volume). emission_cone: None emits to all sides.
     """
 
     name: str
@@ -51,14 +87,30 @@ class Material:
     metallic: float = 0.0
     roughness: float = 1.0
     specular: float = 1.0
+    specular_color: tuple[float, float, float] = (1.0, 1.0, 1.0)
     transmission: float = 0.0
     thin: bool = False
     ior: float = 1.5
+    attenuation_color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    attenuation_distance: float = math.inf
+    clearcoat: float = 0.0
+    clearcoat_roughness: float = 0.0
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    emission_cone: Cone | None = None
     double_sided: bool = False
-    base_color_texture: np.ndarray | None = None
-    metallic_roughness_texture: np.ndarray | None = None
-    emission_texture: np.ndarray | None = None
+    opacity: float = 1.0
+    alpha_mode: str = "opaque"
+    alpha_cutoff: float = 0.5
+    normal_scale: float = 1.0
+    base_color_texture: Texture | None = None
+    metallic_roughness_texture: Texture | None = None
+    emission_texture: Texture | None = None
+    normal_texture: Texture | None = None
+    specular_texture: Texture | None = None
+    specular_color_texture: Texture | None = None
+    transmission_texture: Texture | None = None
+    clearcoat_texture: Texture | None = None
+    clearcoat_roughness_texture: Texture | None = None
 
     @property
     def emits(self) -> bool:
@@ -71,8 +123,10 @@ class Mesh:
 
     vertices: float32 `[V, 3]`; triangles: int32 `[T, 3]`, anticlockwise seen from the
     front; normals: unit float32 `[V, 3]` or None for flat shading; uvs: float32
-    `[V, 2]` with v downwards from the texture's top row (glTF), or None.
-    material: index into `Scene.materials`.
+    `[V, S, 2]`, S sets with v downwards from the texture's top row (glTF), or None.
+    tangents: float32 `[V, 4]` for normal maps, glTF's unit tangent and the bitangent's
+    sign, or None: then they follow from the uvs. colors: linear float32 `[V, 4]` that
+    multiply base colour and opacity, or None. material: index into `Scene.materials`.
     """
 
     vertices: np.ndarray
@@ -80,6 +134,21 @@ class Mesh:
     material: int
     normals: np.ndarray | None = None
     uvs: np.ndarray | None = None
+    tangents: np.ndarray | None = None
+    colors: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Sun:
+    """A disc of constant radiance at infinity.
+
+    direction: unit, from the scene towards the sun; angle: its diameter in degrees;
+    irradiance: on a surface that faces it, linear Rec.709.
+    """
+
+    direction: tuple[float, float, float]
+    angle: float
+    irradiance: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -87,11 +156,13 @@ class Environment:
     """Equirectangular radiance, float32 `[H, W, 3]`, top row towards +y.
 
     The map's centre lies at -z and u grows towards +x; `rotation` turns it about +y,
-    anticlockwise seen from above. A constant colour is a 1 × 1 map.
+    anticlockwise seen from above. A constant colour is a 1 × 1 map. visible: whether
+    camera rays see it (suns included); where not, it lights the scene and alpha is 0.
     """
 
     radiance: np.ndarray
     rotation: float = 0.0
+    visible: bool = True
 
 
 @dataclass(frozen=True)
@@ -121,6 +192,7 @@ class Scene:
     materials: tuple[Material, ...]
     film: Film = Film()
     environment: Environment | None = None
+    suns: tuple[Sun, ...] = ()
     insets: tuple[Inset, ...] = ()
     description: str = ""
     warnings: tuple[str, ...] = field(default=())

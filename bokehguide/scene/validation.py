@@ -37,15 +37,17 @@ def checked(scene: Scene, place: str) -> Scene:
 def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
     """Raise BokehguideError, naming `place`, where `mesh` is not finite, too large or not consistent."""
     count = len(mesh.vertices)
-    for name, width in (("vertices", 3), ("normals", 3), ("uvs", 2)):
+    sets = 0 if mesh.uvs is None else mesh.uvs.shape[1]
+    shapes = {"vertices": (3,), "normals": (3,), "uvs": (sets, 2), "tangents": (4,), "colors": (4,)}
+    for name, shape in shapes.items():
         values = getattr(mesh, name)
         if values is None:
             continue
-        if values.shape != (count, width):
+        if values.shape != (count, *shape):
             raise BokehguideError(
-                f"{place}: {name} has shape {values.shape}, not {(count, width)}; repair the model"
+                f"{place}: {name} has shape {values.shape}, not {(count, *shape)}; repair the model"
             )
-        bad = np.flatnonzero(~(np.abs(values) <= LARGEST).all(axis=1))
+        bad = np.flatnonzero(~(np.abs(values) <= LARGEST).reshape(count, -1).all(axis=1))
         if len(bad):
             raise BokehguideError(
                 f"{place}: {name}[{bad[0]}] is {values[bad[0]].tolist()}, not finite "
