@@ -38,9 +38,11 @@ class GuidedBatch:
 
 @dataclass
 class BatchLesson:
-    """What one batch teaches: its loss and the gradient of the polynomial coefficients."""
+    """What one batch teaches: its loss, and the gradients of its pixels' β and of the polynomial coefficients."""
 
     kl: float
+    pixels: slice
+    blend_gradient: Tensor | None
     offset_gradient: Tensor | None
 
 
@@ -64,7 +66,6 @@ class LensGuide(nn.Module):
         self.spotlights = torch.zeros(0, dtype=torch.int64, device=settings.device)
         self.candidates: CandidateList | None = None
         self._blend_optimizer = torch.optim.Adam([self.blend.logit], lr=BLEND_RATE, fused=True)
-        self.blend.logit.grad = torch.zeros_like(self.blend.logit)
         self._offset_optimizer: torch.optim.Adam | None = None
 
     @torch.no_grad()
@@ -87,24 +88,26 @@ class LensGuide(nn.Module):
 
     @torch.no_grad()
     def study(self, batch: GuidedBatch, ratio: Tensor, at: LensDensity) -> BatchLesson:
-        """Gradients of the one-sample KL for one sample a pixel; β's go to its parameter at once.
+        """Gradients of the one-sample KL for one sample a pixel.
 
         ratio: L / (A q) `[N]`, 0 outside the aperture; at: the densities at the samples.
         """
         mixture = batch.distribution
-        if self.learns_blend:
-            pixels = slice(batch.first, batch.first + len(ratio))
-            self.blend.logit.grad[pixels] = blend_gradient(mixture, ratio, at)
-        gradient = None
+        of_blend = blend_gradient(mixture, ratio, at) if self.learns_blend else None
+        of_offsets = None
         if self.offsets is not None:
-            gradient = offset_gradient(mixture, self.offsets, batch.gaussian, batch.raster, ratio, at)
-        return BatchLesson(float(one_sample_kl(ratio, at.density, mixture.lens.area)), gradient)
+            of_offsets = offset_gradient(mixture, self.offsets, batch.gaussian, batch.raster, ratio, at)
+        loss = float(one_sample_kl(ratio, at.density, mixture.lens.area))
+        return BatchLesson(loss, slice(batch.first, batch.first + len(ratio)), of_blend, of_offsets)
 
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
         """End a step: one Adam step, then, while fitting goes on, the next set of Gaussians."""
         if self.learns_blend and lessons:
+            self.blend.logit.grad = torch.zeros_like(self.blend.logit)
+            for lesson in lessons:
+                self.blend.logit.grad[lesson.pixels] = lesson.blend_gradient
             self._blend_optimizer.step()
-            self._blend_optimizer.zero_grad(set_to_none=False)
+            self._blend_optimizer.zero_grad()
         if self._offset_optimizer is not None:
             gradients = [lesson.offset_gradient for lesson in lessons if lesson.offset_gradient is not None]
             self.offsets.coefficients.grad = sum(gradients, torch.zeros_like(self.offsets.coefficients))
