@@ -129,3 +129,15 @@ def test_materials_belong_to_their_meshes():
     np.testing.assert_allclose(surface.ior.numpy(), [1.5, 1.2, 1.5])
     np.testing.assert_allclose(surface.transmission.numpy(), [0.7, 0.0, 0.7])
     assert surface.thin.tolist() == [1.0, 0.0, 1.0]
+
+
+def test_rare_terms_are_none_unless_a_material_of_the_scene_has_them():
+    ray = [[0, 0.1, 2], [5, 0.1, 2]], [[0, 0, -1]] * 2
+    _, surface = found(Geometry(scene([rectangle(0), rectangle(0, (5, 0, 0))], [matte()])), *ray)
+    assert surface.specular_color is None and surface.clearcoat is None and surface.clearcoat_alpha is None
+    coated = Material("coated", specular_color=(1.0, 0.5, 0.2), clearcoat=0.7, clearcoat_roughness=0.5)
+    _, surface = found(Geometry(scene([rectangle(0), rectangle(1, (5, 0, 0))], [matte(), coated])), *ray)
+    surface = surface.select(torch.tensor([1, 0]))
+    np.testing.assert_allclose(surface.specular_color.T.numpy(), [[1.0, 0.5, 0.2], [1.0, 1.0, 1.0]])
+    np.testing.assert_allclose(surface.clearcoat.numpy(), [0.7, 0.0])
+    np.testing.assert_allclose(surface.clearcoat_alpha.numpy(), [0.25, 1e-3])

@@ -27,7 +27,9 @@ class Surface:
 
     geometric_normal and normal lie on the side of `outgoing`, the direction back along
     the ray. front: whether that is the triangle's front, float32 of 0 or 1.
-    offset: distance by which new rays leave along ±geometric_normal.
+    offset: distance by which new rays leave along ±geometric_normal. alpha and
+    clearcoat_alpha are GGX's α. A field that may be None is so where no material of the
+    scene has the term: specular colours other than white, a clear coat.
     """
 
     position: Tensor
@@ -43,10 +45,14 @@ class Surface:
     transmission: Tensor
     thin: Tensor
     ior: Tensor
+    specular_color: Tensor | None = None
+    clearcoat: Tensor | None = None
+    clearcoat_alpha: Tensor | None = None
 
     def select(self, index: Tensor) -> Surface:
         """The surfaces at `index`, int64 `[M]`."""
-        return Surface(*(getattr(self, name).index_select(-1, index) for name in self.__dataclass_fields__))
+        values = (getattr(self, name) for name in self.__dataclass_fields__)
+        return Surface(*(None if value is None else value.index_select(-1, index) for value in values))
 
     def leave(self, direction: Tensor) -> Tensor:
         """Origins `[3, N]` off the surface on the side towards `direction`."""
@@ -94,6 +100,10 @@ class Geometry:
         self._emission = torch.tensor([(*m.emission, float(m.double_sided)) for m in materials]).T.contiguous().to(self.device)
         self.emissive = torch.tensor([m.emits for m in materials], device=self.device)
         self.has_transmission = any(m.transmission > 0.0 for m in materials)
+        self._specular_color = torch.tensor([m.specular_color for m in materials]).T.contiguous().to(self.device)
+        self._has_specular_color = any(m.specular_color != (1.0, 1.0, 1.0) for m in materials)
+        self._clearcoat = torch.tensor([(m.clearcoat, m.clearcoat_roughness) for m in materials]).T.contiguous().to(self.device)
+        self._has_clearcoat = any(m.clearcoat > 0.0 for m in materials)
         self._has_textures = bool((self._textures[:2] >= 0).any())
 
     def face_normals(self, triangle: Tensor) -> Tensor:
@@ -125,7 +135,13 @@ class Geometry:
         if self._has_textures:
             base_color, metallic, roughness = self._apply_textures(material, hit, base_color, metallic, roughness)
         alpha = (roughness * roughness).clamp(min=MIN_ALPHA)
-        return Surface(position, outgoing, geometric, normal, front, offset, base_color, metallic, alpha, *values[5:])
+        surface = Surface(position, outgoing, geometric, normal, front, offset, base_color, metallic, alpha, *values[5:])
+        if self._has_specular_color:
+            surface.specular_color = self._specular_color.index_select(1, material)
+        if self._has_clearcoat:
+            surface.clearcoat, roughness = self._clearcoat.index_select(1, material)
+            surface.clearcoat_alpha = (roughness * roughness).clamp(min=MIN_ALPHA)
+        return surface
 
     def _apply_textures(self, material: Tensor, hit: Hit, base_color: Tensor, metallic: Tensor, roughness: Tensor):
         numbers = self._textures[:2].index_select(1, material)
