@@ -118,7 +118,7 @@ def test_emission_is_textured_and_leaves_the_front():
         [[0, 0, -1], [0, 0, -1], [0, 0, 1], [0, 0, 1], [0, 0, -1]],
     )
     expected = [[2, 2, 2], [0, 0, 8], [0, 0, 0], [2, 2, 2], [0, 0, 0]]
-    np.testing.assert_allclose(geometry.emission(hit, surface.front).T.numpy(), expected, atol=1e-5)
+    np.testing.assert_allclose(geometry.emission(hit, surface.front, surface.outgoing).T.numpy(), expected, atol=1e-5)
 
 
 def test_materials_belong_to_their_meshes():

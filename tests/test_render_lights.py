@@ -67,7 +67,7 @@ def seen_from(place, directions: torch.Tensor, geometry: Geometry):
     cosine, radiance = torch.zeros(len(met)), torch.zeros_like(directions)
     inside = type(hit)(*(field[met] for field in hit))
     cosine[met] = -dot(geometry.face_normals(inside.triangle), directions[:, met])
-    radiance[:, met] = geometry.emission(inside, (cosine[met] > 0.0).float())
+    radiance[:, met] = geometry.emission(inside, (cosine[met] > 0.0).float(), -directions[:, met])
     return hit, met, cosine, radiance
 
 

@@ -208,7 +208,7 @@ def test_half_transparent_is_the_mean_of_matte_and_clear():
     lamps = [rectangle(1, (0.0, 0.0, -1.0), scale=100.0), rectangle(1, (0.0, 0.0, 2.0), (0.0, 180.0, 0.0), 100.0)]
     results = []
     for transmission in (0.0, 1.0, 0.4):
-        pane = Material("pane", (0.5, 0.5, 0.5), 0.0, 0.5, 1.0, transmission, True)
+        pane = Material("pane", (0.5, 0.5, 0.5), 0.0, 0.5, transmission=transmission, thin=True)
         results.append(estimates(scene([rectangle(0), *lamps], [pane, lamp()]), (0.0, 0.1, 1.0), OBLIQUE, 50_000))
     opaque, clear, mixed = results
     variance = (0.36 * opaque.var(axis=1) + 0.16 * clear.var(axis=1)) / opaque.shape[1]

@@ -32,7 +32,7 @@ def test_lookups_are_bilinear_and_repeat():
     uv[:, :6] = [[0.0, 1.0, -1.0, 0.5, 0.999999, -1e-9], [0.0, 1.0, 2.0, 0.5, 0.0, -1e-9]]
     found = atlas.lookup(torch.from_numpy(number), torch.from_numpy(uv))
     expected = np.stack([bilinear(images[n], *point) for n, point in zip(number, uv.T.astype(float))], axis=1)
-    np.testing.assert_allclose(found.numpy(), expected, atol=1e-4)
+    np.testing.assert_allclose(found[:3].numpy(), expected, atol=1e-4)
 
 
 def test_texel_centres_give_the_texels_with_the_first_row_at_v_zero():
@@ -41,11 +41,11 @@ def test_texel_centres_give_the_texels_with_the_first_row_at_v_zero():
     atlas.add(Texture(image))
     uv = torch.tensor([[0.25, 0.75, 0.25, 0.75], [0.25, 0.25, 0.75, 0.75]])
     found = atlas.build("cpu").lookup(torch.zeros(4, dtype=torch.int64), uv)
-    np.testing.assert_array_equal(found.T.numpy(), image.reshape(4, 3))
+    np.testing.assert_array_equal(found[:3].T.numpy(), image.reshape(4, 3))
 
 
 def test_an_array_used_twice_is_stored_once_and_none_is_minus_one():
     atlas = TextureAtlas()
     image = np.ones((2, 3, 3), np.float32)
     assert (atlas.add(Texture(image)), atlas.add(Texture(image)), atlas.add(None)) == (0, 0, -1)
-    assert atlas.build("cpu").texels.shape == (3, 6)
+    assert atlas.build("cpu").texels.shape == (6,)

@@ -8,10 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.render.textures import TextureAtlas
+from bokehguide.render import triangles
+from bokehguide.render.materials import Materials
 from bokehguide.render.tracer import Hit, Tracer
-from bokehguide.render.vector import dot, normalize
-from bokehguide.scene.types import Material, Mesh, Scene
+from bokehguide.render.vector import cross, dot, length, normalize
+from bokehguide.scene.types import Scene
 
 MIN_ALPHA = 1e-3
 """Smallest GGX α of an opaque surface: smoother ones are as good as mirrors."""
@@ -19,6 +20,18 @@ SMOOTH_ALPHA = 4e-3
 """Below this α (roughness 0.063) a transmissive surface reflects and refracts as a delta."""
 OFFSET = 1e-5
 """Ray origins leave the surface by this fraction of the distances involved."""
+MIN_FACING = 1e-4
+"""Least cosine between a shading normal and the direction to the viewer."""
+TARGETS = {
+    "base_color": (("base_color", slice(0, 3), 1),),
+    "metallic_roughness": (("alpha", 1, 2), ("metallic", 2, 1)),
+    "specular": (("specular", 3, 1),),
+    "specular_color": (("specular_color", slice(0, 3), 1),),
+    "transmission": (("transmission", 0, 1),),
+    "clearcoat": (("clearcoat", 0, 1),),
+    "clearcoat_roughness": (("clearcoat_alpha", 1, 2),),
+}
+"""What the texture in a slot multiplies: fields of `Surface`, by which channels and to which power (α = roughness²)."""
 
 
 @dataclass
@@ -65,46 +78,35 @@ class Geometry:
 
     def __init__(self, scene: Scene, device: torch.device | str = "cpu"):
         self.device = torch.device(device)
-        offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in scene.meshes])
-        vertices = np.concatenate([mesh.vertices for mesh in scene.meshes]).astype(np.float32)
-        triangles = np.concatenate([mesh.triangles + offset for mesh, offset in zip(scene.meshes, offsets)])
-        self.tracer = Tracer(vertices, triangles.astype(np.int32))
-        self.corners = torch.from_numpy(vertices[triangles].transpose(1, 2, 0).copy())
-        """Vertex positions `[corner, component, T]`, on the host."""
-        edges = self.corners[1:] - self.corners[:1]
-        normal = torch.linalg.cross(edges[0], edges[1], dim=0)
-        self.areas = 0.5 * normal.square().sum(0).sqrt()
-        normal = normalize(normal)
-        shading = np.concatenate([_corner_normals(mesh) for mesh in scene.meshes])
-        self._normals = torch.cat((normal, _interpolation_rows(shading, normal))).to(self.device)
-        self.material = torch.from_numpy(
-            np.concatenate([np.full(len(mesh.triangles), mesh.material, np.int64) for mesh in scene.meshes])
-        ).to(self.device)
-        uvs = np.concatenate([_corner_uvs(mesh) for mesh in scene.meshes]).reshape(-1, 6).T
-        self._uvs = torch.from_numpy(np.ascontiguousarray(uvs, np.float32)).to(self.device)
-        self._build_materials(scene.materials)
+        meshes = scene.meshes
+        self._vertices, self._triangles = triangles.joined(meshes)
+        self.tracer = Tracer(self._vertices, self._triangles)
+        self.materials = Materials(scene.materials, meshes, self.device)
+        counts = torch.tensor([len(mesh.triangles) for mesh in meshes])
+        numbers = torch.tensor([mesh.material for mesh in meshes], dtype=torch.int32)
+        self.material = torch.repeat_interleave(numbers, counts).to(self.device)
+        """Material of each triangle, int32 `[T]`."""
+        self._normals = self._rows(triangles.normal_rows(meshes))
+        self._uvs = self._colors = self._tangents = None
+        if self.materials.atlas.uv_sets:
+            self._uvs = self._rows(triangles.uv_rows(meshes, self.materials.atlas.uv_sets)).flatten(1)
+        if any(mesh.colors is not None for mesh in meshes):
+            self._colors = self._rows(triangles.color_rows(meshes))
+        if self.materials.normal_scale is not None:
+            self._tangents = self._rows(triangles.tangent_rows(meshes, scene.materials))
 
-    def _build_materials(self, materials: tuple[Material, ...]) -> None:
-        atlas = TextureAtlas()
-        self._textures = torch.tensor(
-            [
-                [atlas.add(m.base_color_texture), atlas.add(m.metallic_roughness_texture), atlas.add(m.emission_texture)]
-                for m in materials
-            ]
-        ).T.contiguous().to(self.device)  # [3, M]
-        self.atlas = atlas.build(self.device)
-        rows = [
-            (*m.base_color, m.metallic, m.roughness, m.specular, m.transmission, float(m.thin), m.ior) for m in materials
-        ]
-        self._parameters = torch.tensor(rows, dtype=torch.float32).T.contiguous().to(self.device)
-        self._emission = torch.tensor([(*m.emission, float(m.double_sided)) for m in materials]).T.contiguous().to(self.device)
-        self.emissive = torch.tensor([m.emits for m in materials], device=self.device)
-        self.has_transmission = any(m.transmission > 0.0 for m in materials)
-        self._specular_color = torch.tensor([m.specular_color for m in materials]).T.contiguous().to(self.device)
-        self._has_specular_color = any(m.specular_color != (1.0, 1.0, 1.0) for m in materials)
-        self._clearcoat = torch.tensor([(m.clearcoat, m.clearcoat_roughness) for m in materials]).T.contiguous().to(self.device)
-        self._has_clearcoat = any(m.clearcoat > 0.0 for m in materials)
-        self._has_textures = bool((self._textures[:2] >= 0).any())
+    def _rows(self, rows: np.ndarray) -> Tensor:
+        return torch.from_numpy(rows).to(self.device)
+
+    def corners(self, triangle: Tensor) -> Tensor:
+        """Vertex positions `[corner, component, N]` of triangles `[N]`."""
+        corners = self._vertices[self._triangles[triangle.cpu().numpy()]]
+        return torch.from_numpy(corners).permute(1, 2, 0).contiguous().to(self.device)
+
+    def areas(self, triangle: Tensor) -> Tensor:
+        """Areas `[N]` of triangles `[N]`."""
+        corners = self.corners(triangle)
+        return 0.5 * length(cross(corners[1] - corners[0], corners[2] - corners[0]))
 
     def face_normals(self, triangle: Tensor) -> Tensor:
         """Unit geometric normals `[3, N]` on the front of triangles `[N]`."""
@@ -112,7 +114,7 @@ class Geometry:
 
     def is_double_sided(self, triangle: Tensor) -> Tensor:
         """1 where triangles `[N]` emit from both faces, else 0; float32 `[N]`."""
-        return self._emission[3].index_select(0, self.material.index_select(0, triangle))
+        return self.materials.emission[3].index_select(0, self.material.index_select(0, triangle))
 
     def surface(self, origins: Tensor, directions: Tensor, hit: Hit) -> Surface:
         """The surfaces at valid hits of rays `[3, N]`."""
@@ -122,71 +124,106 @@ class Geometry:
         side = dot(geometric, outgoing)
         front = (side > 0.0).to(torch.float32)
         geometric = geometric * torch.copysign(torch.ones_like(side), side)
-        normal = rows[3:6] + hit.u * rows[6:9] + hit.v * rows[9:12]
+        normal = _interpolate(rows[3:12], hit.u, hit.v)
         normal = normalize(normal * torch.copysign(torch.ones_like(side), dot(normal, geometric)))
         # A shading normal that faces away from the viewer gives way to the geometric one.
-        facing = (dot(normal, outgoing) > 1e-4).to(torch.float32)
+        facing = (dot(normal, outgoing) > MIN_FACING).to(torch.float32)
         normal = normal * facing + geometric * (1.0 - facing)
         position = origins + hit.distance * directions
-        offset = OFFSET * (position.abs().amax(0) + hit.distance)
+        offset = leaving_distance(position, hit.distance)
         material = self.material.index_select(0, hit.triangle)
-        values = self._parameters.index_select(1, material)
-        base_color, metallic, roughness = values[0:3], values[3], values[4]
-        if self._has_textures:
-            base_color, metallic, roughness = self._apply_textures(material, hit, base_color, metallic, roughness)
-        alpha = (roughness * roughness).clamp(min=MIN_ALPHA)
-        surface = Surface(position, outgoing, geometric, normal, front, offset, base_color, metallic, alpha, *values[5:])
-        if self._has_specular_color:
-            surface.specular_color = self._specular_color.index_select(1, material)
-        if self._has_clearcoat:
-            surface.clearcoat, roughness = self._clearcoat.index_select(1, material)
-            surface.clearcoat_alpha = (roughness * roughness).clamp(min=MIN_ALPHA)
+        values = self.materials.parameters.index_select(1, material)
+        surface = Surface(position, outgoing, geometric, normal, front, offset, values[0:3], *values[3:])
+        if self.materials.specular_color is not None:
+            surface.specular_color = self.materials.specular_color.index_select(1, material)
+        if self.materials.clearcoat is not None:
+            surface.clearcoat, surface.clearcoat_alpha = self.materials.clearcoat.index_select(1, material)
+        self._paint(surface, hit, material)
+        surface.alpha.clamp_(min=MIN_ALPHA)
+        if surface.clearcoat_alpha is not None:
+            surface.clearcoat_alpha.clamp_(min=MIN_ALPHA)
         return surface
 
-    def _apply_textures(self, material: Tensor, hit: Hit, base_color: Tensor, metallic: Tensor, roughness: Tensor):
-        numbers = self._textures[:2].index_select(1, material)
-        base_color, metallic, roughness = base_color.clone(), metallic.clone(), roughness.clone()
-        colored = (numbers[0] >= 0).nonzero()[:, 0]
-        base_color[:, colored] *= self._lookup(numbers[0], hit, colored)
-        packed = (numbers[1] >= 0).nonzero()[:, 0]
-        texel = self._lookup(numbers[1], hit, packed)
-        roughness[packed] *= texel[1]
-        metallic[packed] *= texel[2]
-        return base_color, metallic, roughness
+    def _paint(self, surface: Surface, hit: Hit, material: Tensor) -> None:
+        """Multiply the factors by what vertex colours and textures say, and bend the normals, in place."""
+        if self._colors is not None:
+            surface.base_color *= self._color(hit)[0:3]
+        for slot, targets in TARGETS.items():
+            index, texel = self._texels(slot, hit, material)
+            if len(index) > 0:
+                for field, channels, power in targets:
+                    getattr(surface, field)[..., index] *= texel[channels] ** power
+        index, texel = self._texels("normal", hit, material)
+        if len(index) > 0:
+            texel[0:2] *= self.materials.normal_scale.index_select(0, material.index_select(0, index))
+            surface.normal[:, index] = self._bent_normals(surface, hit, index, texel)
 
-    def _lookup(self, number: Tensor, hit: Hit, index: Tensor) -> Tensor:
-        corners = self._uvs.index_select(1, hit.triangle[index])
-        u, v = hit.u[index], hit.v[index]
-        uv = corners[0:2] * (1.0 - u - v) + corners[2:4] * u + corners[4:6] * v
-        return self.atlas.lookup(number[index], uv)
+    def _bent_normals(self, surface: Surface, hit: Hit, index: Tensor, tangent_space: Tensor) -> Tensor:
+        """Shading normals `[3, K]` of the hits at `index`, given in tangent space `[.., K]`."""
+        rows = self._tangents.index_select(1, hit.triangle.index_select(0, index))
+        normal = surface.normal.index_select(1, index)
+        tangent = _interpolate(rows[0:9], hit.u.index_select(0, index), hit.v.index_select(0, index))
+        tangent = normalize(tangent - normal * dot(normal, tangent))
+        # On the back the whole vector turns round; `normal` has, and so has the bitangent with it.
+        side = 2.0 * surface.front.index_select(0, index) - 1.0
+        x, y, z = tangent_space[0] * side, tangent_space[1] * rows[9], tangent_space[2]
+        bent = normalize(x * tangent + y * cross(normal, tangent) + z * normal)
+        usable = (dot(bent, surface.outgoing.index_select(1, index)) > MIN_FACING) & (dot(tangent, tangent) > 0.5)
+        return normal + (bent - normal) * usable
 
-    def emission(self, hit: Hit, front: Tensor) -> Tensor:
-        """Radiance `[3, N]` that hits emit towards the viewer: from the front, or both faces if double-sided."""
+    def _color(self, hit: Hit) -> Tensor:
+        """Vertex colours `[4, N]`."""
+        return _interpolate(self._colors.index_select(1, hit.triangle), hit.u, hit.v)
+
+    def _texels(self, slot: str, hit: Hit, material: Tensor) -> tuple[Tensor, Tensor]:
+        """Which hits on `material` `[N]` have a texture in the slot, int64 `[K]`, and its RGBA `[4, K]` there."""
+        index, number = self.materials.textured(slot, material)
+        if len(index) == 0:
+            return index, torch.empty(4, 0, device=self.device)
+        triangle = hit.triangle.index_select(0, index)
+        if len(self.materials.atlas.uv_sets) > 1:
+            triangle = triangle + len(self.material) * self.materials.atlas.uv_set.index_select(0, number)
+        uv = _interpolate(self._uvs.index_select(1, triangle), hit.u.index_select(0, index), hit.v.index_select(0, index))
+        return index, self.materials.atlas.lookup(number, uv)
+
+    def emission(self, hit: Hit, front: Tensor, direction: Tensor | None) -> Tensor:
+        """Radiance `[3, N]` that hits emit towards unit `direction` `[3, N]`, the viewer.
+
+        It leaves the front, or both faces of a double-sided material. direction None asks
+        for what cones emit along their axes. Opacity is the caller's to apply.
+        """
         material = self.material.index_select(0, hit.triangle)
-        rows = self._emission.index_select(1, material)
-        radiance = rows[0:3] * torch.maximum(front, rows[3])
-        number = self._textures[2].index_select(0, material)
-        textured = (number >= 0).nonzero()[:, 0]
-        if len(textured):
-            radiance[:, textured] *= self._lookup(number, hit, textured)
+        rows = self.materials.emission.index_select(1, material)
+        radiance = rows[0:3] * (torch.maximum(front, rows[3]) * self.materials.cone(material, direction))
+        index, texel = self._texels("emission", hit, material)
+        if len(index) > 0:
+            radiance[:, index] *= texel[0:3]
         return radiance
 
+    def is_sheer(self, triangle: Tensor) -> Tensor:
+        """Whether triangles `[N]` let light through somewhere, bool `[N]`."""
+        return self.materials.sheer.index_select(0, self.material.index_select(0, triangle))
 
-def _corner_normals(mesh: Mesh) -> np.ndarray:
-    """Shading normals `[T, corner, component]`, NaN where the mesh is flat."""
-    if mesh.normals is None:
-        return np.full((len(mesh.triangles), 3, 3), np.nan, np.float32)
-    return mesh.normals[mesh.triangles].astype(np.float32)
+    def opacity(self, hit: Hit) -> Tensor:
+        """Share of the light that surfaces stop at hits `[N]`, 1 on opaque materials."""
+        material = self.material.index_select(0, hit.triangle)
+        coverage = torch.ones_like(hit.u) if self._colors is None else self._color(hit)[3]
+        index, texel = self._texels("base_color", hit, material)
+        if len(index) > 0:
+            coverage[index] *= texel[3]
+        return self.materials.opacity(material, coverage)
+
+    def transmittance(self, hit: Hit, front: Tensor) -> Tensor | None:
+        """What solids leave `[3, N]` of the light on the ways that end at hits; None where none absorbs."""
+        return self.materials.transmittance(self.material.index_select(0, hit.triangle), front, hit.distance)
 
 
-def _corner_uvs(mesh: Mesh) -> np.ndarray:
-    if mesh.uvs is None:
-        return np.zeros((len(mesh.triangles), 3, 2), np.float32)
-    return mesh.uvs[mesh.triangles][:, :, 0].astype(np.float32)
+def leaving_distance(position: Tensor, distance: Tensor) -> Tensor:
+    """How far `[N]` from `position` `[3, N]`, found after `distance`, a new ray starts clear of the surface."""
+    return OFFSET * (position.abs().amax(0) + distance)
 
 
-def _interpolation_rows(corner_normals: np.ndarray, flat: Tensor) -> Tensor:
-    """Rows `[9, T]`: the first corner's normal and its differences to the other two."""
-    normals = torch.from_numpy(np.ascontiguousarray(corner_normals.transpose(1, 2, 0)))
-    normals = torch.where(normals.isnan(), flat, normals)
-    return torch.cat((normals[0], normals[1] - normals[0], normals[2] - normals[0]))
+def _interpolate(rows: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """Values `[C, N]` from rows `[3 C, N]` of first corners and differences."""
+    count = rows.shape[0] // 3
+    return rows[0:count] + u * rows[count : 2 * count] + v * rows[2 * count :]

@@ -41,7 +41,7 @@ class Lights:
         self._geometry = geometry
         device = geometry.device
         self.environment = EnvironmentLight(scene.environment, device) if scene.environment else None
-        triangles = torch.nonzero(geometry.emissive[geometry.material])[:, 0]
+        triangles = geometry.materials.emissive.index_select(0, geometry.material).nonzero()[:, 0]
         power = _triangle_powers(geometry, triangles)
         triangles, power = triangles[power > 0.0], power[power > 0.0]
         self._sky = self.environment.power if self.environment else 0.0
@@ -49,9 +49,9 @@ class Lights:
         self._lamp = torch.full(geometry.material.shape, -1, device=device)
         self._lamp[triangles] = torch.arange(len(triangles), device=device)
         if len(triangles) > 0:
-            corners, normals = geometry.corners.to(device)[:, :, triangles], geometry.face_normals(triangles)
+            corners, normals = geometry.corners(triangles), geometry.face_normals(triangles)
             rows = (corners[0], corners[1] - corners[0], corners[2] - corners[0], normals)
-            self._rows = torch.cat((*rows, 1.0 / geometry.areas.to(device)[triangles][None]))  # [13, lamps]
+            self._rows = torch.cat((*rows, 1.0 / geometry.areas(triangles)[None]))  # [13, lamps]
             both = geometry.is_double_sided(triangles) > 0.0
             host = (corners.mean(0).T, normals.T, power, both)
             self._grid = LightGrid(*(array.cpu().numpy() for array in host), device)
@@ -111,7 +111,9 @@ class Lights:
         direction = offset / distance
         cosine = -dot(rows[9:12], direction)
         hit = Hit(self._triangles.index_select(0, lamp), distance, u, v)
-        radiance = self._geometry.emission(hit, (cosine > 0.0).to(torch.float32))
+        radiance = self._geometry.emission(hit, (cosine > 0.0).to(torch.float32), -direction)
+        if self._geometry.materials.has_sheer:
+            radiance = radiance * self._geometry.opacity(hit)
         share = share * self._grid.pdf(cells, lamp)
         return LightSample(direction, distance, radiance, share * rows[12] * squared / cosine.abs().clamp(min=1e-12))
 
@@ -146,6 +148,6 @@ def _triangle_powers(geometry: Geometry, triangles: Tensor) -> Tensor:
         for b in grid.tolist():
             root = math.sqrt(a)
             hit = Hit(triangles, ones, ones * (root * (1.0 - b)), ones * (root * b))
-            total += luminance(geometry.emission(hit, ones))
+            total += luminance(geometry.emission(hit, ones, None)) * geometry.opacity(hit)
     faces = 1.0 + geometry.is_double_sided(triangles)
-    return total / POWER_GRID**2 * geometry.areas.to(geometry.device)[triangles] * faces
+    return total / POWER_GRID**2 * geometry.areas(triangles) * faces

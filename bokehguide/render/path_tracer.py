@@ -14,6 +14,7 @@ from torch import Tensor
 from bokehguide.render.dielectric import DELTA_PDF
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.lights import Lights
+from bokehguide.render.opacity import MAX_CROSSINGS, Opacity
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
@@ -27,6 +28,8 @@ DIMENSIONS = 16
 """Random dimensions reserved for each segment of a path."""
 FIRST_DIMENSION = 32
 """Dimensions below this belong to the camera."""
+FIRST_CROSSING = 1 << 20
+"""Dimensions from here on choose where segments go through sheer surfaces, MAX_CROSSINGS of them each."""
 
 
 @dataclass
@@ -80,6 +83,7 @@ class PathTracer:
     def __init__(self, scene: Scene, device: torch.device | str = "cpu"):
         self.geometry = Geometry(scene, device)
         self.lights = Lights(scene, self.geometry)
+        self._opacity = Opacity(self.geometry, scene.meshes)
         self.max_depth = scene.film.max_depth
 
     def trace(self, origin: Tensor, direction: Tensor, random: PixelRandom, timer: PhaseTimer) -> PathSamples:
@@ -100,8 +104,9 @@ class PathTracer:
     def _segment(self, paths: _Paths, depth: int, result: PathSamples, timer: PhaseTimer) -> _Paths:
         """Trace the paths to their next surface, gather light there, and choose how they go on."""
         with timer.measure("tracing rays"):
-            hit = self.geometry.tracer.intersect(paths.origin, paths.direction)
-        result.rays += len(paths.index)
+            dimension = FIRST_CROSSING + MAX_CROSSINGS * depth
+            hit, rays = self._opacity.nearest(paths.origin, paths.direction, paths.random, dimension)
+        result.rays += rays
         paths, hit = self._end_in_environment(paths, hit, result)
         if len(paths.index) == 0:
             return paths
@@ -110,11 +115,14 @@ class PathTracer:
             result.distance[paths.index] = hit.distance
             result.normal[:, paths.index] = surface.normal
             result.albedo[:, paths.index] = surface.base_color
+        transmittance = self.geometry.transmittance(hit, surface.front)
+        if transmittance is not None:
+            paths.throughput *= transmittance
         self._add_emission(paths, hit, surface)
         if depth == self.max_depth:
             return _finish(paths, result)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
-        choice = paths.random.uniform(dimension, 1)[0] if self.geometry.has_transmission else None
+        choice = paths.random.uniform(dimension, 1)[0] if self.geometry.materials.has_transmission else None
         scattering = Scattering(surface, choice)
         if not self.lights.empty:
             uniforms = paths.random.uniform(dimension + 5, 6)
@@ -137,15 +145,18 @@ class PathTracer:
     def _add_emission(self, paths: _Paths, hit: Hit, surface: Surface) -> None:
         """Add what the surfaces that were hit emit, weighed against light sampling."""
         material = self.geometry.material.index_select(0, hit.triangle)
-        index = self.geometry.emissive.index_select(0, material).nonzero()[:, 0]
+        index = self.geometry.materials.emissive.index_select(0, material).nonzero()[:, 0]
         if len(index) == 0:
             return
         lamp = Hit(*(field.index_select(0, index) for field in hit))
-        radiance = self.geometry.emission(lamp, surface.front.index_select(0, index))
-        direction = paths.direction.index_select(1, index)
-        cosine = dot(surface.geometric_normal.index_select(1, index), direction)
+        outgoing = surface.outgoing.index_select(1, index)
+        radiance = self.geometry.emission(lamp, surface.front.index_select(0, index), outgoing)
+        # As `Lights.sample` sees it, from the vertex itself and not from where the ray left it.
         vertex = paths.vertex.index_select(1, index)
-        other = self.lights.triangle_pdf(vertex, lamp.triangle, lamp.distance, cosine)
+        offset = surface.position.index_select(1, index) - vertex
+        distance = length(offset)
+        cosine = dot(surface.geometric_normal.index_select(1, index), offset) / distance.clamp(min=1e-30)
+        other = self.lights.triangle_pdf(vertex, lamp.triangle, distance, cosine)
         weight = power_heuristic(paths.pdf.index_select(0, index), other)
         paths.radiance[:, index] += paths.throughput.index_select(1, index) * radiance * weight
 
@@ -165,11 +176,11 @@ class PathTracer:
         distance = light.distance.index_select(0, index) * stretch * (1.0 - 1e-4)
         origin, direction = origin.index_select(1, index), target / stretch
         with timer.measure("tracing rays"):
-            visible = self.geometry.tracer.visible(origin, direction, distance)
+            share, rays = self._opacity.transmittance(origin, direction, distance)
         visibility = torch.zeros_like(pdf)
-        visibility[index] = visible
+        visibility[index] = share
         paths.radiance += contribution * visibility
-        return len(index)
+        return rays
 
     def _scatter(
         self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, depth: int, result: PathSamples

@@ -1,4 +1,4 @@
-"""All textures of a scene in one array, so that one gather serves every hit of a batch."""
+"""All textures of a scene in one array, so that one gather a texel corner serves every hit of a batch."""
 
 from __future__ import annotations
 
@@ -8,47 +8,113 @@ from torch import Tensor
 
 from bokehguide.scene.types import Texture
 
+HALF_MAX = 65504.0
+"""The largest half float; brighter textures are stored as a fraction of their maximum."""
+_IDENTITY = Texture.transform
+
 
 class TextureAtlas:
-    """Linear RGB textures, stored as half floats one after the other.
+    """Linear RGBA textures one after the other, a texel's four half floats in one int64.
 
-    `add` returns the texture's number (-1 for None); `build` fixes the atlas.
+    `add` returns the texture's number (-1 for None); `build` fixes the atlas. Images of
+    three channels get an alpha of 1.
     """
 
     def __init__(self) -> None:
-        self._images: list[np.ndarray] = []
-        self._numbers: dict[int, int] = {}
+        self._images: list[tuple[np.ndarray, bool]] = []
+        self._places: dict[tuple[int, bool], int] = {}
+        self._textures: list[tuple[Texture, int]] = []
+        self._numbers: dict[tuple, int] = {}
 
-    def add(self, texture: Texture | None) -> int:
-        """The texture's number; the same image is stored once."""
+    def add(self, texture: Texture | None, signed: bool = False) -> int:
+        """The texture's number; the same image is stored once.
+
+        signed: look-ups give 2 x - 1, as normal maps mean it; stored so, they lose no
+        digits near 0.
+        """
         if texture is None:
             return -1
-        image = texture.image
-        if id(image) not in self._numbers:
-            self._numbers[id(image)] = len(self._images)
-            self._images.append(image)
-        return self._numbers[id(image)]
+        place = self._places.setdefault((id(texture.image), signed), len(self._images))
+        if place == len(self._images):
+            self._images.append((texture.image, signed))
+        key = (place, texture.uv_set, texture.wrap, texture.transform)
+        number = self._numbers.setdefault(key, len(self._textures))
+        if number == len(self._textures):
+            self._textures.append((texture, place))
+        return number
 
     def build(self, device: torch.device | str) -> TextureAtlas:
         """Move the texels to `device`; no texture can be added afterwards."""
-        sizes = torch.tensor([image.shape[:2] for image in self._images], dtype=torch.int64).reshape(-1, 2)
-        counts = sizes.prod(dim=1)
-        self.offsets = (counts.cumsum(0) - counts).to(device)
-        self.heights, self.widths = sizes.to(device).unbind(1)
-        texels = [torch.from_numpy(np.ascontiguousarray(image, np.float32)).reshape(-1, 3).half() for image in self._images]
-        self.texels = torch.cat(texels or [torch.zeros(0, 3).half()]).T.contiguous().to(device)
+        textures = [texture for texture, _ in self._textures]
+        place = torch.tensor([place for _, place in self._textures], dtype=torch.int64)
+        halves, scales = zip(*(_halves(*image) for image in self._images)) if self._images else ((), ())
+        counts = torch.tensor([len(texels) for texels in halves], dtype=torch.int64)
+        self.texels = torch.cat([texels.view(torch.int64)[:, 0] for texels in halves] or [counts]).to(device)
+        self._start = (counts.cumsum(0) - counts)[place].to(device)
+        sizes = torch.tensor([texture.image.shape[1::-1] for texture in textures], dtype=torch.int64).reshape(-1, 2)
+        self._sizes = sizes.T.contiguous().to(device)  # [2, textures]: width, height
+        self._bounds = None
+        if any(texture.wrap != ("repeat", "repeat") for texture in textures):
+            bounds = [[_bounds(size, wrap) for size, wrap in zip(t.image.shape[1::-1], t.wrap)] for t in textures]
+            self._bounds = torch.tensor(bounds).permute(1, 2, 0).contiguous().to(device)  # [axis, 3, textures]
+        self._transforms = None
+        if any(texture.transform != _IDENTITY for texture in textures):
+            self._transforms = torch.tensor([texture.transform for texture in textures]).T.contiguous().to(device)
+        self._scales = torch.tensor(scales)[place].to(device) if any(scale != 1.0 for scale in scales) else None
+        self.uv_sets = tuple(sorted({texture.uv_set for texture in textures}))
+        """The uv sets that textures use; `uv_set` is each texture's place among them."""
+        places = [self.uv_sets.index(texture.uv_set) for texture in textures]
+        self.uv_set = torch.tensor(places, dtype=torch.int64, device=device)
         return self
 
     def lookup(self, number: Tensor, uv: Tensor) -> Tensor:
-        """Bilinear colours `[3, N]` of textures `number` int64 `[N]` at `uv` `[2, N]`, repeated."""
-        width, height = self.widths[number], self.heights[number]
-        x = (uv[0] - uv[0].floor()) * width - 0.5
-        y = (uv[1] - uv[1].floor()) * height - 0.5
-        left, top = x.floor(), y.floor()
-        fx, fy = x - left, y - top
-        color = torch.zeros(3, x.shape[0], device=x.device)
-        for dy, wy in ((0, 1.0 - fy), (1, fy)):
-            row = (top.long() + dy) % height * width + self.offsets[number]
-            for dx, wx in ((0, 1.0 - fx), (1, fx)):
-                color += self.texels.index_select(1, row + (left.long() + dx) % width).float() * (wx * wy)
-        return color
+        """Bilinear RGBA `[4, N]` of textures `number` int64 `[N]` at the mesh's `uv` `[2, N]`."""
+        if self._transforms is not None:
+            rows = self._transforms.index_select(1, number)
+            uv = rows[0::3] * uv[0] + rows[1::3] * uv[1] + rows[2::3]
+        columns, right = self._neighbours(number, uv[0], 0)
+        lines, below = self._neighbours(number, uv[1], 1)
+        start, width = self._start.index_select(0, number), self._sizes[0].index_select(0, number)
+        color = torch.zeros(len(number), 4, device=uv.device)
+        for line, wy in zip(lines, (1.0 - below, below)):
+            first = start + line * width
+            for column, wx in zip(columns, (1.0 - right, right)):
+                texel = self.texels.index_select(0, first + column).view(torch.float16).view(-1, 4)
+                color.addcmul_(texel.float(), (wx * wy)[:, None])
+        if self._scales is not None:
+            color *= self._scales.index_select(0, number)[:, None]
+        return color.T.contiguous()
+
+    def _neighbours(self, number: Tensor, coordinate: Tensor, axis: int) -> tuple[tuple[Tensor, Tensor], Tensor]:
+        """Texel indices on both sides of u or v, and the second one's weight."""
+        size = self._sizes[axis].index_select(0, number)
+        x = coordinate * size - 0.5
+        floor = x.floor()
+        index = floor.long()
+        if self._bounds is None:
+            return (index % size, (index + 1) % size), x - floor
+        low, high, period = self._bounds[axis].index_select(1, number)
+        pair = (torch.minimum(torch.maximum(i, low), high) % period for i in (index, index + 1))
+        # The second half of a mirrored period runs backwards; the others end before it.
+        return tuple(torch.minimum(i, 2 * size - 1 - i) for i in pair), x - floor
+
+
+def _halves(image: np.ndarray, signed: bool) -> tuple[Tensor, float]:
+    """Texels `[H W, 4]` as half floats, and the factor that was taken out of them."""
+    texels = torch.ones(image.shape[0] * image.shape[1], 4, dtype=torch.float16)
+    values = torch.from_numpy(np.ascontiguousarray(image, np.float32)).reshape(len(texels), -1)
+    if signed:
+        values = 2.0 * values - 1.0
+    peak = float(values.abs().max())
+    scale = peak / HALF_MAX if peak > HALF_MAX else 1.0
+    texels[:] = 1.0 / scale
+    texels[:, : values.shape[1]] = values if scale == 1.0 else values / scale
+    return texels, scale
+
+
+def _bounds(size: int, wrap: str) -> tuple[int, int, int]:
+    """Lowest and highest texel index of an axis of `size` texels, and its period."""
+    if wrap == "clamp":
+        return 0, size - 1, size
+    unbounded = torch.iinfo(torch.int64)
+    return unbounded.min, unbounded.max, 2 * size if wrap == "mirror" else size

@@ -39,9 +39,13 @@ class Tracer:
         far = np.full((1, 3), 1e30, np.float32)
         self._scene.run(far, np.ones((1, 3), np.float32))  # commits, before any thread does
 
-    def intersect(self, origins: Tensor, directions: Tensor) -> Hit:
-        """Nearest hits of rays `[3, N]`; Embree reads the component arrays without a copy."""
-        found = self._scene.run(origins.cpu().numpy().T, directions.cpu().numpy().T, output=True)
+    def intersect(self, origins: Tensor, directions: Tensor, limits: Tensor | None = None) -> Hit:
+        """Nearest hits of rays `[3, N]` within `limits` `[N]`; Embree reads the component arrays without a copy.
+
+        The distance of a miss is MISS_DISTANCE, or its limit.
+        """
+        limits = None if limits is None else limits.cpu().numpy().copy()  # Embree writes into it
+        found = self._scene.run(origins.cpu().numpy().T, directions.cpu().numpy().T, dists=limits, output=True)
         device = origins.device
         return Hit(*(torch.from_numpy(found[key]).to(device) for key in ("primID", "tfar", "u", "v")))
 
