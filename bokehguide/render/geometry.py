@@ -155,7 +155,7 @@ class Geometry:
                     getattr(surface, field)[..., index] *= texel[channels] ** power
         index, texel = self._texels("normal", hit, material)
         if len(index) > 0:
-            texel[0:2] *= self.materials.normal_scale.index_select(0, material.index_select(0, index))
+            texel[0:2] *= self.materials.normal_scale.index_select(1, material.index_select(0, index))
             surface.normal[:, index] = self._bent_normals(surface, hit, index, texel)
 
     def _bent_normals(self, surface: Surface, hit: Hit, index: Tensor, tangent_space: Tensor) -> Tensor:

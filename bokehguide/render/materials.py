@@ -55,7 +55,7 @@ class Materials:
         colored = "specular_color" in self._numbers or any(m.specular_color != WHITE for m in materials)
         self.specular_color = optional([m.specular_color for m in materials], colored)
         self.clearcoat = optional([(m.clearcoat, m.clearcoat_roughness**2) for m in materials], any(m.clearcoat > 0.0 for m in materials))
-        self.normal_scale = optional([m.normal_scale for m in materials], "normal" in self._numbers)
+        self.normal_scale = optional([(m.normal_scale,) for m in materials], "normal" in self._numbers)
         self.has_transmission = any(m.transmission > 0.0 for m in materials)
         self.emissive = torch.tensor([m.emits for m in materials], device=device)
         self.emission = table([(*m.emission, float(m.double_sided)) for m in materials])
