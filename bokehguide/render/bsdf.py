@@ -1,5 +1,9 @@
 """Opaque surfaces: glTF 2.0's metallic-roughness BRDF (appendix B), evaluated and sampled.
 
+With KHR_materials_specular (the coat's f0 and f90, f0 in colour), KHR_materials_ior and
+KHR_materials_clearcoat. Metals reflect by Schlick's approximation from their base colour
+to white, as glTF has it.
+
 Directions are unit `[3, N]` in the local shading frame, z along the normal. `outgoing`
 points to the viewer, `incoming` to the light. Densities are per unit solid angle of
 `incoming`. The microfacet part is GGX with height-correlated Smith masking, sampled by
@@ -9,6 +13,10 @@ Under the coat glTF's base counts 1 - F(outgoing · half), which together with t
 reflects up to 1.24 of the light at grazing angles. Here light passes the coat on its way
 in and on its way out, 1 - T each (Ashikhmin and Shirley 2000), and T is never below the
 coat's albedo: seen head-on the two are the same, and no angle reflects more than arrives.
+Where f0 is coloured T is that of the largest channel.
+
+A clearcoat lies over all of that. What is beneath counts min(1 - T(outgoing), 1 - T(incoming)),
+T its own: what glTF has under a mirror, reciprocal, and never more than is let through.
 """
 
 from __future__ import annotations
@@ -56,13 +64,60 @@ TRACE = 0.006
 """What the fit of `coat_spread` leaves at steep angles, where rough coats reflect more than Schlick's f0."""
 
 
+CLEARCOAT_F0 = 0.04
+"""Reflectance of a clearcoat head-on: an index of 1.5."""
+
+
+def fifth_power(x: Tensor) -> Tensor:
+    """x⁵, the shape of Schlick's rise."""
+    return x.square().square() * x
+
+
 def smith_root(cosine: Tensor, a2: Tensor) -> Tensor:
     """sqrt(α² + (1 - α²) cos²), the root in Smith's masking terms."""
     return (a2 + (1.0 - a2) * cosine * cosine).sqrt()
 
 
+class _Microfacets:
+    """GGX facets of roughness α `[N]` that mirror light to a viewer under `cosine` `[N]`."""
+
+    def __init__(self, cosine: Tensor, alpha: Tensor):
+        self._cosine, self.alpha = cosine, alpha
+        self._root = smith_root(cosine, alpha * alpha)
+
+    def evaluate(self, half: Tensor, cosine: Tensor) -> tuple[Tensor, Tensor]:
+        """G₂ D / (4 cos cos) and the density G₁ D / (4 cos) `[N]` of light under `cosine`, by half vectors `[3, N]`."""
+        distribution = 0.5 * ggx_density(half, self.alpha)
+        root = smith_root(cosine, self.alpha * self.alpha)
+        visibility = distribution / (cosine * self._root + self._cosine * root)
+        return visibility, distribution / (self._cosine + self._root)
+
+
+class _Clearcoat:
+    """The layer of KHR_materials_clearcoat, seen under `cosine` `[N]`."""
+
+    def __init__(self, cosine: Tensor, surface: Surface):
+        self._weight = surface.clearcoat
+        self.facets = _Microfacets(cosine, surface.clearcoat_alpha)
+        self._held = self._weight * (CLEARCOAT_F0 + TRACE * (1.0 - CLEARCOAT_F0))
+        self._spread = self._weight * coat_spread(surface.clearcoat_alpha) * (1.0 - CLEARCOAT_F0)
+        self._leaving = self._passing(cosine)
+        self.reflectance = self._weight * (CLEARCOAT_F0 + (1.0 - CLEARCOAT_F0) * fifth_power(1.0 - cosine))
+        """About its albedo, for the choice of what to sample."""
+
+    def _passing(self, cosine: Tensor) -> Tensor:
+        """1 - T: the share of light under `cosine` `[N]` that passes."""
+        return 1.0 - self._held - self._spread * fifth_power(1.0 - cosine)
+
+    def evaluate(self, half: Tensor, cosine: Tensor, grazing: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """BRDF, density, and what counts of the layers beneath, each `[N]`; grazing: (1 - outgoing · half)⁵."""
+        visibility, pdf = self.facets.evaluate(half, cosine)
+        fresnel = CLEARCOAT_F0 + (1.0 - CLEARCOAT_F0) * grazing
+        return self._weight * visibility * fresnel, pdf, torch.minimum(self._leaving, self._passing(cosine))
+
+
 class OpaqueBSDF:
-    """Mixture of a Lambertian base under a dielectric coat, and a metal.
+    """Mixture of a Lambertian base under a dielectric coat, and a metal; a clearcoat over both if there is any.
 
     outgoing: local `[3, N]` above the surface; surface: the parameters.
     """
@@ -71,34 +126,41 @@ class OpaqueBSDF:
         self._outgoing = outgoing
         self._surface = surface
         self._cosine = outgoing[2].clamp(min=1e-6)
-        self._f0 = surface.specular * ((surface.ior - 1.0) / (surface.ior + 1.0)).square()
+        ratio = ((surface.ior - 1.0) / (surface.ior + 1.0)).square()
+        self._f0 = peak = surface.specular * ratio
+        if surface.specular_color is not None:
+            self._f0 = surface.specular * (ratio * surface.specular_color).clamp(max=1.0)  # [3, N]
+            peak = self._f0.amax(0)
         self._f90 = surface.specular
-        self._root = smith_root(self._cosine, surface.alpha * surface.alpha)
-        self._specular_share = self._choose_share()
-        rise = self._f90 - self._f0
-        self._held, self._spread = self._f0 + TRACE * rise, coat_spread(surface.alpha) * rise
+        self._facets = _Microfacets(self._cosine, surface.alpha)
+        self._clearcoat = None if surface.clearcoat is None else _Clearcoat(self._cosine, surface)
+        self._choose_shares(peak)
+        rise = self._f90 - peak
+        self._held, self._spread = peak + TRACE * rise, coat_spread(surface.alpha) * rise
         # What enters uniformly from all sides, 1 - T over the cosine, leaves the coat again.
-        entering = 1.0 - self._held - self._spread * (1.0 / 21.0)
+        entering = (1.0 - self._held - self._spread * (1.0 / 21.0)).clamp(min=1e-4)
         self._leaving = (1.0 - surface.metallic) * self._passing(self._cosine) / (math.pi * entering)
 
     def _passing(self, cosine: Tensor) -> Tensor:
         """1 - T: the share of light under `cosine` `[N]` that passes the coat."""
-        weight = 1.0 - cosine
-        return 1.0 - self._held - self._spread * (weight.square().square() * weight)
+        return (1.0 - self._held - self._spread * fifth_power(1.0 - cosine)).clamp(min=0.0)
 
-    def _choose_share(self) -> Tensor:
-        """Probability of sampling the microfacet lobe: about its share of the reflectance.
+    def _choose_shares(self, peak: Tensor) -> None:
+        """Probabilities of sampling the clearcoat and, beneath it, the microfacets: about their shares of the reflectance.
 
         The base counts as if seen head-on: at grazing angles its light still comes through
-        microfacets that face the viewer.
+        microfacets that face the viewer. peak: the largest channel of f0 `[N]`.
         """
         surface = self._surface
-        grazing = (1.0 - self._cosine).square().square() * (1.0 - self._cosine)
+        grazing = fifth_power(1.0 - self._cosine)
         base, metal = luminance(surface.base_color), surface.metallic
-        coat = self._f0 + (self._f90 - self._f0) * grazing
+        coat = peak + (self._f90 - peak) * grazing
         specular = metal * (base + (1.0 - base) * grazing) + (1.0 - metal) * coat
-        diffuse = (1.0 - metal) * (1.0 - self._f0) * base
-        return (specular + 1e-9) / (specular + diffuse + 1e-9)
+        diffuse = (1.0 - metal) * (1.0 - peak) * base
+        self._specular_share = (specular + 1e-9) / (specular + diffuse + 1e-9)
+        if self._clearcoat is not None:
+            over = self._clearcoat.reflectance
+            self._clearcoat_share = over / (over + (1.0 - over) * (specular + diffuse) + 1e-9)
 
     def evaluate(self, incoming: Tensor) -> tuple[Tensor, Tensor]:
         """BRDF times cosine `[3, N]` and the density `[N]` of `sample`; 0 below the surface."""
@@ -106,26 +168,33 @@ class OpaqueBSDF:
         above = (incoming[2] > 0.0).to(torch.float32)
         cosine = incoming[2].clamp(min=1e-6)
         half = normalize(self._outgoing + incoming)
-        distribution = ggx_density(half, surface.alpha)
-        weight = 1.0 - dot(self._outgoing, half).clamp(0.0, 1.0)
-        grazing = weight.square().square() * weight
-        root = smith_root(cosine, surface.alpha * surface.alpha)
-        visibility = 0.5 * distribution / (cosine * self._root + self._cosine * root)
+        grazing = fifth_power(1.0 - dot(self._outgoing, half).clamp(0.0, 1.0))
+        visibility, microfacet = self._facets.evaluate(half, cosine)
         metal = surface.metallic
         coat = self._f0 + (self._f90 - self._f0) * grazing
         scaled = self._leaving * self._passing(cosine) + metal * visibility * (1.0 - grazing)
         white = visibility * ((1.0 - metal) * coat + metal * grazing)
-        value = (surface.base_color * scaled + white) * (cosine * above)
-        microfacet = 0.5 * distribution / (self._cosine + self._root)
+        value = surface.base_color * scaled + white
         share = self._specular_share
-        return value, (share * microfacet + (1.0 - share) * cosine * (1.0 / math.pi)) * above
+        pdf = share * microfacet + (1.0 - share) * cosine * (1.0 / math.pi)
+        if self._clearcoat is not None:
+            over, microfacet, beneath = self._clearcoat.evaluate(half, cosine, grazing)
+            value = value * beneath + over
+            pdf = pdf + (microfacet - pdf) * self._clearcoat_share
+        return value * (cosine * above), pdf * above
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Incoming directions `[3, N]`, possibly below the surface, from uniform numbers `[3, N]`."""
-        half = sample_visible_normal(self._outgoing, self._surface.alpha, uniforms[1:])
+        alpha, microfacet_share = self._surface.alpha, self._specular_share
+        if self._clearcoat is not None:
+            share = self._clearcoat_share
+            over = (uniforms[0] < share).to(torch.float32)
+            alpha = alpha + (self._clearcoat.facets.alpha - alpha) * over
+            microfacet_share = share + (1.0 - share) * microfacet_share
+        half = sample_visible_normal(self._outgoing, alpha, uniforms[1:])
         mirrored = 2.0 * dot(self._outgoing, half) * half - self._outgoing
         radius, angle = uniforms[1].sqrt(), 2.0 * math.pi * uniforms[2]
         height = (1.0 - uniforms[1]).sqrt()
         diffuse = torch.stack((radius * angle.cos(), radius * angle.sin(), height))
-        specular = (uniforms[0] < self._specular_share).to(torch.float32)
+        specular = (uniforms[0] < microfacet_share).to(torch.float32)
         return diffuse + (mirrored - diffuse) * specular
