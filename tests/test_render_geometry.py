@@ -10,7 +10,7 @@ import torch
 from bokehguide.render.geometry import Geometry
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import dot
-from bokehguide.scene.types import Material, Texture
+from bokehguide.scene.types import Cone, Material, Texture
 from tests.tracing import UP, matte, rectangle, scene, sphere
 
 
@@ -141,3 +141,118 @@ def test_rare_terms_are_none_unless_a_material_of_the_scene_has_them():
     np.testing.assert_allclose(surface.specular_color.T.numpy(), [[1.0, 0.5, 0.2], [1.0, 1.0, 1.0]])
     np.testing.assert_allclose(surface.clearcoat.numpy(), [0.7, 0.0])
     np.testing.assert_allclose(surface.clearcoat_alpha.numpy(), [0.25, 1e-3])
+
+
+def test_every_slot_multiplies_its_factor_by_its_channels():
+    """Beside each other: a material with all textures, and one with none."""
+    generator = np.random.default_rng(5)
+    slots = ("base_color", "metallic_roughness", "specular", "specular_color", "transmission", "clearcoat", "clearcoat_roughness")
+    texels = {slot: generator.uniform(0.2, 1.0, 4).astype(np.float16).astype(np.float32) for slot in slots}
+    textures = {f"{slot}_texture": Texture(texels[slot][None, None]) for slot in slots}
+    factors = {"specular": 0.8, "specular_color": (0.9, 0.5, 1.0), "transmission": 0.6, "clearcoat": 0.7, "clearcoat_roughness": 0.9}
+    painted = Material("painted", (0.5, 0.8, 1.0), 0.6, 0.9, **factors, **textures)
+    plain = Material("plain", (0.5, 0.8, 1.0), 0.6, 0.9, **factors)
+    geometry = Geometry(scene([rectangle(0), rectangle(1, (5, 0, 0))], [painted, plain]))
+    _, surface = found(geometry, [[0.2, 0.1, 1], [5, 0, 1]], [[0, 0, -1]] * 2)
+    expected = {
+        "base_color": np.array([0.5, 0.8, 1.0]) * texels["base_color"][:3],
+        "alpha": (0.9 * texels["metallic_roughness"][1]) ** 2,
+        "metallic": 0.6 * texels["metallic_roughness"][2],
+        "specular": 0.8 * texels["specular"][3],
+        "specular_color": np.array([0.9, 0.5, 1.0]) * texels["specular_color"][:3],
+        "transmission": 0.6 * texels["transmission"][0],
+        "clearcoat": 0.7 * texels["clearcoat"][0],
+        "clearcoat_alpha": (0.9 * texels["clearcoat_roughness"][1]) ** 2,
+    }
+    untouched = {**factors, "base_color": (0.5, 0.8, 1.0), "alpha": 0.81, "metallic": 0.6, "clearcoat_alpha": 0.81}
+    for name, value in expected.items():
+        np.testing.assert_allclose(getattr(surface, name)[..., 0].numpy(), value, rtol=1e-5, err_msg=name)
+        np.testing.assert_allclose(getattr(surface, name)[..., 1].numpy(), untouched[name], rtol=1e-5, err_msg=name)
+
+
+def test_textures_of_what_a_material_has_not_are_left_out():
+    texture = Texture(np.full((1, 1, 3), 0.5, np.float32))
+    slots = ("emission_texture", "transmission_texture", "clearcoat_texture", "clearcoat_roughness_texture")
+    geometry = Geometry(scene([rectangle(0)], [Material("none of it", **dict.fromkeys(slots, texture))]))
+    assert geometry.materials.atlas.texels.shape == (0,)
+    _, surface = found(geometry, [[0.2, 0.1, 1]], [[0, 0, -1]])
+    assert surface.clearcoat is None and surface.transmission.tolist() == [0.0]
+
+
+def test_each_texture_reads_its_own_uv_set():
+    """Set 0 runs as the rectangle's, set 2 the other way; the third rectangle lacks it."""
+    texture = np.array([[[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]], np.float32)
+    uvs = rectangle(0).uvs
+    sets = np.concatenate((uvs, np.zeros_like(uvs), 1.0 - uvs), axis=1)
+    one, other = Material("one", (1.0,) * 3, base_color_texture=Texture(texture)), Texture(texture, 2, ("clamp", "clamp"))
+    two = Material("two", (1.0,) * 3, base_color_texture=other, metallic=1.0, metallic_roughness_texture=Texture(texture))
+    meshes = [replace(rectangle(material, (x, 0, 0)), uvs=sets) for material, x in ((0, 0), (1, 5))] + [rectangle(1, (10, 0, 0))]
+    _, surface = found(Geometry(scene(meshes, [one, two])), [[-0.5, 0, 1], [4.5, 0, 1], [9.5, 0, 1]], [[0, 0, -1]] * 3)
+    assert surface.base_color[0].tolist() == [1.0, 0.0, 1.0]
+    assert surface.metallic.tolist() == [0.0, 1.0, 1.0]
+
+
+def test_vertex_colours_multiply_base_colour_and_opacity():
+    colors = np.random.default_rng(6).uniform(0.1, 1.0, (4, 4)).astype(np.float32)
+    material = Material("painted", (0.5, 0.8, 1.0), opacity=0.5, alpha_mode="blend")
+    geometry = Geometry(scene([rectangle(0, (5, 0, 0)), replace(rectangle(0), colors=colors)], [material]))
+    hit, surface = found(geometry, [[0.5, -0.2, 1], [5, 0, 1]], [[0, 0, -1]] * 2)
+    a, b = 0.75, 0.4  # the corners are (-1, -1), (1, -1), (1, 1), (-1, 1); x > y is the triangle 0 1 2
+    color = np.array([1 - a, a - b, b, 0.0]) @ colors
+    np.testing.assert_allclose(surface.base_color.T.numpy(), [color[:3] * (0.5, 0.8, 1.0), (0.5, 0.8, 1.0)], rtol=1e-5)
+    np.testing.assert_allclose(geometry.opacity(hit).numpy(), [0.5 * color[3], 0.5], rtol=1e-5)
+
+
+@pytest.mark.parametrize("mode", ["opaque", "mask", "blend"])
+def test_opacity_is_factor_times_alpha_and_means_what_the_mode_says(mode):
+    alpha = np.array([0.0, 0.4, 0.7, 1.0])
+    image = np.concatenate((np.ones((1, 4, 3)), alpha[None, :, None]), axis=2).astype(np.float32)
+    material = Material("leaf", base_color_texture=Texture(image), opacity=0.8, alpha_mode=mode, alpha_cutoff=0.5)
+    geometry = Geometry(scene([rectangle(0)], [material]))
+    hit, _ = found(geometry, [[x, 0, 1] for x in (-0.75, -0.25, 0.25, 0.75)], [[0, 0, -1]] * 4)
+    expected = {"opaque": [1, 1, 1, 1], "mask": [0, 0, 1, 1], "blend": 0.8 * alpha}[mode]
+    np.testing.assert_allclose(geometry.opacity(hit).numpy(), expected, atol=1e-3)
+    assert geometry.is_sheer(hit.triangle).tolist() == [mode != "opaque"] * 4
+
+
+def test_materials_without_a_hole_are_opaque():
+    """Full alpha everywhere, or none below the cutoff, costs nothing."""
+    full, half = np.ones((2, 2, 4), np.float32), np.full((2, 2, 4), 0.6, np.float32)
+    solid = [
+        Material("full", base_color_texture=Texture(full), alpha_mode="blend"),
+        Material("above", base_color_texture=Texture(half), alpha_mode="mask"),
+        Material("no alpha", base_color_texture=Texture(half[..., :3].copy()), alpha_mode="blend"),
+    ]
+    sheer = [
+        replace(solid[0], opacity=0.9),
+        replace(solid[1], alpha_cutoff=0.7),
+        replace(solid[0], base_color_texture=Texture(half)),
+        Material("vertices", alpha_mode="blend"),
+    ]
+    clear = np.array([[1, 1, 1, 1]] * 3 + [[1, 1, 1, 0.5]], np.float32)
+    meshes = [rectangle(i) for i in range(6)] + [replace(rectangle(6), colors=clear)]
+    geometry = Geometry(scene(meshes, solid + sheer))
+    assert geometry.materials.sheer.tolist() == [False] * 3 + [True] * 4
+
+
+def punctual_falloff(degrees: float, inner: float, outer: float) -> float:
+    """KHR_lights_punctual's reference code."""
+    scale = 1.0 / max(0.001, math.cos(math.radians(inner)) - math.cos(math.radians(outer)))
+    offset = -math.cos(math.radians(outer)) * scale
+    return min(1.0, max(0.0, math.cos(math.radians(degrees)) * scale + offset)) ** 2
+
+
+def test_a_cone_shapes_the_emission_by_its_direction():
+    axis = np.array([0.3, -0.2, 1.0]) / np.linalg.norm([0.3, -0.2, 1.0])
+    spot = Material("spot", emission=(2.0, 4.0, 8.0), emission_cone=Cone(tuple(axis), 20.0, 35.0))
+    geometry = Geometry(scene([rectangle(0), rectangle(1, (5, 0, 0))], [spot, Material("bulb", emission=(1.0, 1.0, 1.0))]))
+    side = np.cross(axis, [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    angles = np.array([0.0, 15.0, 22.0, 30.0, 34.0, 36.0, 30.0])
+    directions = np.cos(np.radians(angles))[:, None] * axis + np.sin(np.radians(angles))[:, None] * side
+    targets = np.array([[0.1, 0.2, 0.0]] * 6 + [[5.1, 0.2, 0.0]])
+    hit, surface = found(geometry, targets + 2.0 * directions, -directions)
+    expected = [np.array([2.0, 4.0, 8.0]) * punctual_falloff(angle, 20.0, 35.0) for angle in angles[:6]] + [np.ones(3)]
+    np.testing.assert_allclose(geometry.emission(hit, surface.front, surface.outgoing).T.numpy(), expected, rtol=1e-3, atol=1e-4)
+    along = geometry.emission(hit, surface.front, None)
+    np.testing.assert_allclose(along[0].numpy(), [2.0] * 6 + [1.0])

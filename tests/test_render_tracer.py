@@ -67,6 +67,20 @@ def test_a_miss_is_triangle_minus_one_at_the_miss_distance():
     assert found.distance.item() == np.float32(MISS_DISTANCE)
 
 
+def test_nothing_is_hit_beyond_a_limit(soup):
+    vertices, triangles, origins, directions = soup
+    tracer = Tracer(vertices, triangles)
+    rays = torch.from_numpy(origins), torch.from_numpy(directions)
+    free = tracer.intersect(*rays)
+    limits = torch.full((origins.shape[1],), 1.5)
+    found = tracer.intersect(*rays, limits)
+    near = free.distance < 1.5
+    assert near.any() and (free.distance[~near] < MISS_DISTANCE).any()
+    assert torch.equal(found.triangle, torch.where(near, free.triangle, -1))
+    assert torch.equal(found.distance[near], free.distance[near])
+    assert (limits == 1.5).all()
+
+
 def test_visible_until_the_nearest_hit_and_not_beyond(soup):
     vertices, triangles, origins, directions = soup
     tracer = Tracer(vertices, triangles)

@@ -1,0 +1,258 @@
+"""Rays through masks and blended sheets: each crossing against brute force, and light in closed form."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from bokehguide.render import path_tracer
+from bokehguide.render.dielectric import DELTA_PDF
+from bokehguide.render.geometry import Geometry
+from bokehguide.render.opacity import Opacity
+from bokehguide.render.path_tracer import PathTracer
+from bokehguide.render.random import PixelRandom
+from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.scene.types import Material, Mesh, Texture
+from tests.statistical import SIGNIFICANCE, z_test
+from tests.test_render_mis import bsdf_sampling_only, sky_with_a_window
+from tests.test_render_path_tracer import LIGHT, RECTANGLE, polygon_irradiance
+from tests.tracing import DOWN, UP, agreement, estimates, lamp, matte, mean_test, rectangle, scene, sky, trace
+
+
+def sheet(opacity: float, color: float = 0.0, **others) -> Material:
+    return replace(matte(color, **others), opacity=opacity, alpha_mode="blend")
+
+
+def checker(cutoff: float = 0.5) -> Material:
+    """A mask of 4 × 4 fields that starts with a hole at the top left."""
+    image = np.ones((4, 4, 4), np.float32)
+    image[::2, ::2, 3] = image[1::2, 1::2, 3] = 0.0
+    texture = Texture(image, wrap=("clamp", "clamp"))
+    return replace(matte(0.0), base_color_texture=texture, alpha_mode="mask", alpha_cutoff=cutoff)
+
+
+def soup() -> tuple[list[Mesh], list[Material]]:
+    """80 triangles of four materials of opacity 1, 0.3, 0.8 and 0 in a cube."""
+    generator = np.random.default_rng(7)
+    meshes = []
+    for material in (0, 1, 2, 1, 3):
+        corners = generator.uniform(-1, 1, (16, 1, 3)) + generator.normal(0, 0.4, (16, 3, 3))
+        meshes.append(Mesh(corners.reshape(-1, 3).astype(np.float32), np.arange(48, dtype=np.int32).reshape(16, 3), material))
+    return meshes, [matte(), sheet(0.3), sheet(0.8), replace(sheet(0.2), alpha_mode="mask")]
+
+
+OPACITY = np.repeat([1.0, 0.3, 0.8, 0.3, 0.0], 16)
+
+
+def crossings(meshes: list[Mesh], origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Distances `[N, T]` at which rays `[3, N]` meet each triangle in float64, infinite where they do not."""
+    a, b, c = (np.concatenate([m.vertices[m.triangles[:, i]] for m in meshes]).astype(float)[None] for i in range(3))
+    origin, direction = origins.T[:, None].astype(float), directions.T[:, None].astype(float)
+    p = np.cross(direction, c - a)
+    scale = 1.0 / np.sum((b - a) * p, axis=2)
+    u = np.sum((origin - a) * p, axis=2) * scale
+    q = np.cross(origin - a, b - a)
+    v = np.sum(direction * q, axis=2) * scale
+    t = np.sum((c - a) * q, axis=2) * scale
+    return np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
+
+
+def rays(count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """From around the cube to points in it."""
+    generator = np.random.default_rng(8)
+    origins = generator.uniform(-2, 2, (3, count))
+    directions = generator.uniform(-1, 1, (3, count)) - origins
+    directions /= np.linalg.norm(directions, axis=0)
+    return torch.from_numpy(origins).float(), torch.from_numpy(directions).float()
+
+
+def test_transmittance_is_the_product_over_all_crossings():
+    meshes, materials = soup()
+    origins, directions = rays(4000)
+    limit = torch.from_numpy(np.random.default_rng(9).uniform(0.0, 4.0, 4000)).float()
+    opacity = Opacity(Geometry(scene(meshes, materials)), tuple(meshes))
+    found, traced = opacity.transmittance(origins, directions, limit)
+    met = crossings(meshes, origins.numpy(), directions.numpy()) < limit.numpy()[:, None]
+    expected = np.where(met, 1.0 - OPACITY, 1.0).prod(axis=1)
+    assert ((met & (OPACITY < 1.0)).sum(axis=1) > 2).sum() > 100 and traced > 4000
+    assert (np.abs(found.numpy() - expected) < 1e-5).mean() > 0.997  # an edge may fall to either side
+
+
+def test_nearest_stops_at_each_surface_as_often_as_it_is_opaque():
+    meshes, materials = soup()
+    origins, directions = rays(40_000)
+    opacity = Opacity(Geometry(scene(meshes, materials)), tuple(meshes))
+    hit, _ = opacity.nearest(origins, directions, PixelRandom(0, 0, torch.arange(40_000)), 1000)
+    t = crossings(meshes, origins.numpy(), directions.numpy())
+    order = t.argsort(axis=1)
+    crossed = np.isfinite(np.take_along_axis(t, order, axis=1))
+    reached = np.where(crossed, 1.0 - OPACITY[order], 1.0).cumprod(axis=1)
+    reached = np.concatenate((np.ones((len(t), 1)), reached), axis=1)
+    probability = np.zeros((len(t), t.shape[1] + 1))  # of each triangle; the last is a miss
+    np.put_along_axis(probability, order, np.where(crossed, reached[:, :-1] * OPACITY[order], 0.0), axis=1)
+    probability[:, -1] = reached[:, -1]
+    triangle = hit.triangle.numpy()
+    stops = np.eye(t.shape[1] + 1)[triangle]
+    assert (probability[np.arange(len(t)), triangle] > 0.0).mean() > 0.998
+    error = np.sqrt((probability * (1.0 - probability)).sum(axis=0)) + 2e-4 * len(t)
+    used = probability.sum(axis=0) > 20
+    assert z_test((stops - probability).sum(axis=0)[used], error[used]) > SIGNIFICANCE
+    met = triangle >= 0
+    same = probability[np.arange(len(t)), triangle] > 0.0
+    np.testing.assert_allclose(hit.distance.numpy()[met & same], t[np.arange(len(t)), triangle][met & same], rtol=1e-3, atol=1e-4)
+    assert (hit.distance[~met] == MISS_DISTANCE).all()
+
+
+@pytest.mark.parametrize("away", [0.0, 100.0])
+@pytest.mark.parametrize("tilt", [0.0, 80.0, 89.9])
+def test_a_sheet_counts_once_however_it_is_met(away, tilt):
+    plate = rectangle(0, (away, 0.0, -1.0), (0.0, tilt, 0.0), 100.0)
+    origins = torch.tensor([[away], [0.0], [0.0]]) + 0.3 * torch.randn(3, 2000, generator=torch.Generator().manual_seed(1))
+    directions = torch.tensor([[0.0], [0.0], [-1.0]]).repeat(1, 2000)
+    opacity = Opacity(Geometry(scene([plate, rectangle(1, (away, 0, -200.0), scale=9.0)], [sheet(0.4), matte()])), (plate,))
+    found, _ = opacity.transmittance(origins, directions, torch.full((2000,), 150.0))
+    hit = crossings([plate], origins.numpy(), directions.numpy()) < 150.0
+    np.testing.assert_allclose(found.numpy(), 1.0 - 0.4 * hit.sum(axis=1).clip(max=1), rtol=1e-6)
+
+
+def test_a_sheet_before_a_constant_sky():
+    for opacity in (0.0, 0.3, 1.0):
+        seen = scene([rectangle(0)], [sheet(opacity, 0.6)], sky(2.0))
+        samples = estimates(seen, (0, 0, 1), (0.1, 0.2, -1.0))
+        assert mean_test(samples, 2.0 * ((1.0 - opacity) + 0.6 * opacity), tolerance=1e-5) > SIGNIFICANCE
+
+
+def test_a_furnace_full_of_white_sheets_stays_white():
+    meshes = [rectangle(0, (0.0, 0.1 * i, -0.2 * i), (20.0 * i, 30.0 * i, 0.0)) for i in range(6)]
+    samples = estimates(scene(meshes, [sheet(0.5, 1.0)], sky(1.0), max_depth=60), (0, 0, 1), (0.1, 0.05, -1.0))
+    assert mean_test(samples, 1.0, tolerance=1e-4) > SIGNIFICANCE
+
+
+def test_crossings_are_no_segments_and_masks_are_sharp():
+    """Forty sheets, then a lamp, seen by paths of one segment."""
+    panes = [rectangle(0, (0.0, 0.0, -0.01 * i)) for i in range(40)]
+    behind = scene([*panes, rectangle(1, (0.0, 0.0, -1.0))], [sheet(0.02), lamp()], max_depth=1)
+    assert mean_test(estimates(behind, (0, 0, 1), (0, 0, -1), 50_000), 0.98**40 * LIGHT) > SIGNIFICANCE
+    masked = scene([rectangle(0), rectangle(1, (0.0, 0.0, -1.0))], [checker(), lamp()], max_depth=1)
+    for x in (-0.75, -0.26, -0.24, 0.25, 0.75):
+        for y in (-0.75, -0.25, 0.24, 0.26, 0.75):
+            hole = (math.floor(2 * x) + math.floor(2 * y)) % 2 == 1  # u grows with x, v with -y
+            assert (estimates(masked, (x, y, 1), (0, 0, -1), 5)[0] == hole).all()
+
+
+def test_the_surface_that_counts_is_the_one_reported():
+    seen = scene([rectangle(0), rectangle(1, (0, 0, -2.0), (0.0, 0.0, 0.0))], [sheet(0.25, 0.9), matte(0.2)])
+    found = trace(seen, (0.3, 0, 1), (0, 0, -1), 20_000)
+    front = found.albedo[0] > 0.5
+    assert z_test(front.double().mean().item() - 0.25, math.sqrt(0.25 * 0.75 / 20_000)) > SIGNIFICANCE
+    torch.testing.assert_close(found.distance, torch.where(front, 1.0, 3.0))
+    assert found.rays > 20_000 * 1.7
+
+
+def one_technique(technique: str, monkeypatch) -> None:
+    if technique == "bounce rays":
+        bsdf_sampling_only(monkeypatch)
+    elif technique == "light samples":
+        add_emission = PathTracer._add_emission
+
+        def seen_directly(self, paths, hit, surface):
+            if len(paths.pdf) and paths.pdf[0] == DELTA_PDF:
+                add_emission(self, paths, hit, surface)
+
+        monkeypatch.setattr(PathTracer, "_add_emission", seen_directly)
+        monkeypatch.setattr(path_tracer, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
+
+
+HUNG = rectangle(1, (0.3, 1.0, 0.1), DOWN, 0.5)
+DIRECT = 0.7 / math.pi * 5.0 * LIGHT * polygon_irradiance(RECTANGLE, np.array([0.0, 1.0, 0.0]))
+"""What a matte floor of albedo 0.7 shows of that lamp."""
+
+
+def below(meshes: list[Mesh], materials: list[Material]) -> np.ndarray:
+    """Estimates of the floor's radiance at the origin with more meshes, of materials from 2 on, over it."""
+    lit = scene([rectangle(0, rotate=UP, scale=20.0), HUNG, *meshes], [matte(0.7), lamp(5.0), *materials])
+    return estimates(lit, (0.0, 0.02, 0.0), (0.0, -1.0, 0.0), 60_000)
+
+
+@pytest.mark.parametrize("technique", ["both", "bounce rays", "light samples"])
+def test_sheets_before_a_lamp_dim_it(technique, monkeypatch):
+    one_technique(technique, monkeypatch)
+    panes = [rectangle(2, (0, 0.3, 0), UP, 9.0), rectangle(3, (0, 0.5, 0), (60.0, 0.0, 0.0), 9.0)]
+    samples = below(panes, [sheet(0.4), sheet(0.2)])
+    assert mean_test(samples, 0.6 * 0.8 * DIRECT) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("technique", ["both", "bounce rays", "light samples"])
+def test_a_mask_casts_the_shadow_of_its_fields(technique, monkeypatch):
+    """Against the same fields as rectangles."""
+    one_technique(technique, monkeypatch)
+    mask = rectangle(2, (0.2, 0.6, 0.1), UP, 0.4)
+    samples = below([mask], [checker()])
+    centres = (np.arange(4) - 1.5) * 0.2
+    fields = [
+        rectangle(2, (0.2 + x, 0.6, 0.1 + z), UP, 0.1)
+        for i, x in enumerate(centres)
+        for j, z in enumerate(centres)  # v grows with z
+        if (i + j) % 2 == 1
+    ]
+    expected = below(fields, [matte(0.0)])
+    assert agreement(samples, expected) > SIGNIFICANCE
+    assert mean_test(samples, DIRECT) < SIGNIFICANCE
+
+
+@pytest.mark.parametrize("technique", ["both", "bounce rays", "light samples"])
+def test_a_sheer_lamp_shines_as_far_as_it_is_there(technique, monkeypatch):
+    """A lamp of opacity 0.3 before one of half the size that is opaque."""
+    one_technique(technique, monkeypatch)
+    glow = replace(lamp(5.0), opacity=0.3, alpha_mode="blend")
+    over = rectangle(3, (0.3, 1.0, 0.1), DOWN, 0.5)
+    lit = scene([rectangle(0, rotate=UP, scale=20.0), over], [matte(0.7), lamp(5.0), matte(), glow])
+    samples = estimates(lit, (0.0, 0.02, 0.0), (0.0, -1.0, 0.0), 60_000)
+    assert mean_test(samples, 0.3 * DIRECT) > SIGNIFICANCE
+    assert mean_test(estimates(lit, (0.3, 0.5, 0.1), (0, 1, 0)), 0.3 * 5.0 * LIGHT) > SIGNIFICANCE
+
+
+def crowded(material: Material):
+    """Sheets close to a plate, to a lamp and between them, a sheer lamp, a masked one, and a window in the sky."""
+    stars = np.ones((2, 2, 4), np.float32)
+    stars[0, 0, 3] = stars[1, 1, 3] = 0.0
+    masked = replace(lamp(4.0, double_sided=True), base_color_texture=Texture(stars), alpha_mode="mask")
+    meshes = [
+        rectangle(0, rotate=UP, scale=3.0),
+        rectangle(1, (0.0, 0.5, 0.0), (-60.0, 20.0, 0.0), 0.5),
+        rectangle(4, (0.0, 0.505, 0.003), (-60.0, 20.0, 0.0), 0.3),
+        rectangle(2, (0.4, 1.6, 0.3), DOWN, 0.5),
+        rectangle(4, (0.4, 1.599, 0.3), DOWN, 0.4),
+        rectangle(3, (-0.8, 1.0, 0.5), (0.0, 110.0, 0.0), 0.4),
+        rectangle(5, (0.3, 1.0, -0.8), (0.0, 0.0, 0.0), 0.4),
+        rectangle(4, (0.2, 1.1, 0.2), (20.0, 0.0, 10.0), 0.3),
+    ]
+    materials = [matte(0.3), material, lamp(2.0), replace(lamp(3.0), opacity=0.6, alpha_mode="blend"), sheet(0.5, 0.4), masked]
+    return scene(meshes, materials, sky_with_a_window(6.0), max_depth=4)
+
+
+@pytest.mark.parametrize(
+    "material",
+    [matte(0.6), Material("metal", (0.9, 0.7, 0.4), metallic=1.0, roughness=0.3)],
+    ids=["matte", "metal"],
+)
+def test_both_techniques_through_sheets_agree_with_one_alone(material, monkeypatch):
+    ray = ((0.1, 1.3, 1.5), (-0.1, -0.8, -1.5))
+    both = estimates(crowded(material), *ray, count=60_000)
+    bsdf_sampling_only(monkeypatch)
+    alone = estimates(crowded(material), *ray, count=120_000, seed=1)
+    assert both.mean() > 0.01
+    assert agreement(both, alone) > SIGNIFICANCE
+
+
+def test_a_path_through_sheets_does_not_depend_on_those_beside_it():
+    tracer = PathTracer(crowded(matte(0.6)))
+    generator = torch.Generator().manual_seed(1)
+    directions = torch.nn.functional.normalize(torch.randn(3, 3000, generator=generator), dim=0)
+    origins, random = torch.tensor([[0.1], [0.8], [0.4]]).repeat(1, 3000), PixelRandom(0, 1, torch.arange(3000))
+    whole = tracer.trace(origins, directions, random, path_tracer.PhaseTimer())
+    index = torch.arange(0, 3000, 7)
+    part = tracer.trace(origins[:, index], directions[:, index], random.select(index), path_tracer.PhaseTimer())
+    torch.testing.assert_close(part.radiance, whole.radiance[:, index], rtol=1e-5, atol=1e-6)
