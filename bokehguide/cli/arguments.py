@@ -67,6 +67,7 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     lens.add_argument("--f-number", type=float, metavar="N")
     lens.add_argument("--aperture-radius", type=float, metavar="M", help="metres; 0 is a pinhole")
     add("--focus-distance", type=float, metavar="M", help="metres along the optical axis")
+    add("--camera", metavar="NAME", help="one of a model's cameras, by name or number, or `frame` for one that frames it")
     add("--camera-position", type=vector, metavar="X,Y,Z")
     add("--camera-target", type=vector, metavar="X,Y,Z")
     add("--fov", type=float, metavar="DEG", help="horizontal field of view in degrees")

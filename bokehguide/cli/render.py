@@ -19,7 +19,7 @@ from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import RenderLogger, RenderLoop, RenderSettings, describe_render
 from bokehguide.train.logger import run_folder
 
-OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "camera_position", "camera_target", "fov")
+OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "camera_position", "camera_target", "fov", "camera")
 
 
 def run(options: argparse.Namespace) -> int:

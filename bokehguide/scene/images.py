@@ -1,8 +1,10 @@
-"""Environment maps and textures: files into linear float32 arrays `[H, W, 3]`."""
+"""Environment maps and textures: files into linear float32 arrays."""
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,25 +58,61 @@ def _radiance(read: Channels, path: Path) -> np.ndarray:
     raise BokehguideError(f"{path}: has the channels {given}; an environment map needs R, G, B")
 
 
-def load_texture(path: Path, srgb: bool) -> np.ndarray:
-    """Read an 8-bit image, linear float32 `[H, W, 3]`; `srgb` says that it is encoded.
+def load_texture(path: Path, srgb: bool, alpha: bool = False) -> np.ndarray:
+    """Read an image as `decode_texture` does. Raises BokehguideError for a missing or unreadable file."""
+    require_file(path, "texture")
+    return decode_texture(path.read_bytes(), str(path), srgb, alpha)
 
-    Raises BokehguideError for a missing or unreadable file.
+
+def decode_texture(data: bytes, place: str, srgb: bool, alpha: bool = False) -> np.ndarray:
+    """A PNG, JPEG or WebP file as linear float32 `[H, W, 3]`, or `[H, W, 4]` where `alpha` is asked for and there.
+
+    srgb: the colours are encoded. PNGs keep their 16 bits. Raises BokehguideError,
+    naming `place`, for an image that cannot be read.
     """
     from PIL import Image, UnidentifiedImageError
 
-    require_file(path, "texture")
     try:
-        with Image.open(path) as image:
-            return texture_from_image(image, srgb)
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
-        raise BokehguideError(f"{path}: unreadable texture ({error})") from None
+        if data[:8] == b"\x89PNG\r\n\x1a\n" and data[24:25] == b"\x10":
+            return _linear(_sixteen_bits(data), srgb, alpha)
+        with Image.open(BytesIO(data)) as image:
+            return texture_from_image(image, srgb, alpha)
+    except UnidentifiedImageError:
+        raise BokehguideError(f"{place}: unreadable texture; give a PNG, a JPEG or a WebP") from None
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise BokehguideError(f"{place}: unreadable texture ({error})") from None
 
 
-def texture_from_image(image, srgb: bool) -> np.ndarray:
-    """A Pillow image as linear float32 `[H, W, 3]`."""
-    encoded = np.asarray(image.convert("RGB"), dtype=np.float32) / np.float32(255.0)
-    return srgb_to_linear(encoded) if srgb else encoded
+def texture_from_image(image, srgb: bool, alpha: bool = False) -> np.ndarray:
+    """A Pillow image as linear float32 `[H, W, 3]`, or `[H, W, 4]` where `alpha` is asked for and there."""
+    mode = "RGBA" if alpha and image.has_transparency_data else "RGB"
+    return _linear(np.asarray(image.convert(mode)), srgb, alpha)
+
+
+def _sixteen_bits(data: bytes) -> np.ndarray:
+    """A PNG of 16 bits as uint16 `[H, W, 3 or 4]`; Pillow would leave 8 of them."""
+    import OpenImageIO as oiio
+
+    with NamedTemporaryFile(suffix=".png") as file:  # OpenImageIO's Python reads no memory
+        file.write(data)
+        file.flush()
+        wishes = oiio.ImageSpec()
+        wishes.attribute("oiio:UnassociatedAlpha", 1)
+        source = oiio.ImageInput.open(file.name, wishes)
+        pixels = source.read_image(oiio.UINT16) if source is not None else None
+        if pixels is None:
+            raise ValueError((oiio.geterror() if source is None else source.geterror()).splitlines()[0])
+    grey, channels = pixels.shape[2] < 3, pixels.shape[2]
+    return pixels[..., [0, 0, 0, 1][: channels + 2]] if grey else pixels
+
+
+def _linear(texels: np.ndarray, srgb: bool, alpha: bool) -> np.ndarray:
+    """uint8 or uint16 `[H, W, 3 or 4]` as linear float32; the fourth channel is never encoded."""
+    levels = np.linspace(0.0, 1.0, np.iinfo(texels.dtype).max + 1, dtype=np.float32)
+    linear = (srgb_to_linear(levels) if srgb else levels)[texels if alpha else texels[..., :3]]
+    if linear.shape[2] == 4:
+        linear[..., 3] = levels[texels[..., 3]]
+    return linear
 
 
 def srgb_to_linear(encoded: np.ndarray) -> np.ndarray:

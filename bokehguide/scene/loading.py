@@ -19,12 +19,14 @@ def load_scene(spec: str, overrides: Overrides = Overrides()) -> Scene:
     """The scene that `spec` names, ready to render.
 
     spec: the name of a built-in scene, the path of a `.toml` scene file, or the path
-    of a model, which gets a framing camera and, where it brings no light, a sky.
+    of a model, which gets a framing camera and a sky where it brings no camera and no light.
     overrides: take the place of the scene's own values.
 
     Raises BokehguideError for anything missing, malformed or out of range.
     """
     suffix = Path(spec).suffix.lower()
+    if overrides.camera is not None and suffix not in MODEL_SUFFIXES:
+        raise BokehguideError(f"--camera: {overrides.camera!r}: only models bring cameras to choose from, not {spec}")
     if spec in BUILTIN:
         scene = BUILTIN[spec]()
         camera = override_camera(asdict(scene.camera), overrides, scene.name)

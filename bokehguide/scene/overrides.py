@@ -26,6 +26,7 @@ class Overrides:
     none, to the one that gives its field of view on a sensor 36 mm wide.
     aperture_radius, focus_distance, camera_position, camera_target: metres. fov:
     degrees, horizontal; a scene with a focal length keeps its sensor and its f-number.
+    camera: which of a model's cameras, by name or number, or "frame" for one that frames it.
 
     Raises BokehguideError for a value out of range, naming the command line's option.
     """
@@ -39,14 +40,18 @@ class Overrides:
     camera_position: Vector | None = None
     camera_target: Vector | None = None
     fov: float | None = None
+    camera: str | None = None
 
     def __post_init__(self) -> None:
         given = {key: value for key, value in asdict(self).items() if value is not None}
         options = _Options(given, "", "", asdict(self))
         options.exclusive("f_number", "aperture_radius")
+        options.exclusive("camera", "camera_position")
+        options.exclusive("camera", "camera_target")
         options.count("width", 1)
         options.count("height", 1)
         options.text("environment")
+        options.text("camera")
         options.number("f_number", None, POSITIVE)
         options.number("aperture_radius", None, NOT_NEGATIVE)
         options.number("focus_distance", None, IN_FRONT)

@@ -91,21 +91,27 @@ def transformed(mesh: Mesh, matrix: np.ndarray) -> Mesh:
     """`mesh` under the affine `matrix` `[4, 4]`.
 
     Normals go by the inverse transpose, and a mirroring matrix turns the triangles'
-    order round, so that the front stays the front. A singular matrix (a scale of 0)
-    leaves flat shading, as the normals are lost.
+    order and the bitangents' signs round, so that the front stays the front. A singular
+    matrix (a scale of 0) leaves flat shading, as the normals are lost. What becomes too
+    large for single precision becomes infinite.
     """
     linear = np.asarray(matrix, dtype=np.float64)[:3, :3]
-    vertices = mesh.vertices @ linear.T + matrix[:3, 3]
-    determinant = np.linalg.det(linear)
+    with np.errstate(over="ignore", invalid="ignore"):
+        vertices = (mesh.vertices @ linear.T + matrix[:3, 3]).astype(np.float32)
+        determinant = np.linalg.det(linear)
     triangles = mesh.triangles[:, ::-1] if determinant < 0.0 else mesh.triangles
-    normals = mesh.normals
+    normals, tangents = (None, None) if determinant == 0.0 else (mesh.normals, mesh.tangents)
     if normals is not None:
-        normals = None if determinant == 0.0 else _unit(normals @ np.linalg.inv(linear))
+        normals = _unit(normals @ np.linalg.inv(linear))
+    if tangents is not None:
+        signs = np.sign(determinant).astype(np.float32) * tangents[:, 3:]
+        tangents = np.concatenate([_unit(tangents[:, :3] @ linear.T), signs], axis=1)
     return replace(
         mesh,
-        vertices=np.ascontiguousarray(vertices, dtype=np.float32),
+        vertices=np.ascontiguousarray(vertices),
         triangles=np.ascontiguousarray(triangles, dtype=np.int32),
         normals=normals,
+        tangents=tangents,
     )
 
 

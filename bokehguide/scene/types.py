@@ -184,7 +184,10 @@ class Inset:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything a render needs. `warnings` say what of the input was not honoured."""
+    """Everything a render needs.
+
+    `warnings` say what of the input was not honoured, and `honoured` what of its models was.
+    """
 
     name: str
     camera: Camera
@@ -196,3 +199,44 @@ class Scene:
     insets: tuple[Inset, ...] = ()
     description: str = ""
     warnings: tuple[str, ...] = field(default=())
+    honoured: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class LightSizes:
+    """How large the lights of a model become that have no size of their own.
+
+    radius: metres, of the spheres for point and spot lights; None suits the model.
+    sun_angle: diameter of a sun's disc in degrees, by default that of the real one.
+    """
+
+    radius: float | None = None
+    sun_angle: float = 0.53
+
+
+@dataclass(frozen=True)
+class ModelCamera:
+    """A camera that a model brings; forward and up are unit, vertical_fov is in degrees."""
+
+    name: str
+    position: tuple[float, float, float]
+    forward: tuple[float, float, float]
+    up: tuple[float, float, float]
+    vertical_fov: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a model's file holds, in the model's own space.
+
+    lamps: spheres in the place of its lights, which are no part of what is framed.
+    honoured, warnings: what of the file is in the picture and what is not, a line each.
+    """
+
+    meshes: tuple[Mesh, ...]
+    materials: tuple[Material, ...]
+    lamps: tuple[Mesh, ...] = ()
+    suns: tuple[Sun, ...] = ()
+    cameras: tuple[ModelCamera, ...] = ()
+    honoured: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()

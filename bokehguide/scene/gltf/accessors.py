@@ -1,0 +1,94 @@
+"""Accessors: typed arrays in a file's buffers, every offset checked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene.gltf.document import Document, Part
+
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+MAX_COUNT = 2**27
+"""Of elements: an accessor without a buffer view holds zeros and costs its file nothing."""
+
+
+def read_floats(document: Document, index: int, *kinds: str) -> np.ndarray:
+    """Accessor `index` as float32 `[count, width]`; normalised integers become 0 … 1 or -1 … 1.
+
+    kinds: the types that are in order, such as "VEC3". Raises BokehguideError naming the
+    accessor for another type and for what lies outside its buffer.
+    """
+    accessor = document.items("accessors")[index]
+    return as_floats(read_raw(document, index, *kinds), accessor.flag("normalized"))
+
+
+def as_floats(values: np.ndarray, normalized: bool) -> np.ndarray:
+    """Components as glTF 2.0 section 3.11 decodes them, float32."""
+    if values.dtype.kind == "f" or not normalized:
+        with np.errstate(over="ignore"):
+            return np.ascontiguousarray(values, dtype=np.float32)
+    return np.maximum(values / np.float32(np.iinfo(values.dtype).max), np.float32(-1.0))
+
+
+def read_indices(document: Document, index: int) -> np.ndarray:
+    """Accessor `index` as int64 `[count]`. Raises BokehguideError where it is not of unsigned integers."""
+    values = read_raw(document, index, "SCALAR")
+    if values.dtype.kind != "u":
+        document.items("accessors")[index].fail("componentType", "is no unsigned integer, as indices are; repair the file")
+    return values[:, 0].astype(np.int64)
+
+
+def read_raw(document: Document, index: int, *kinds: str) -> np.ndarray:
+    """Accessor `index` as it is stored, `[count, width]`, sparse values put in."""
+    accessor = document.items("accessors")[index]
+    if accessor.values.get("type") not in kinds:
+        accessor.fail("type", f"is not {' or '.join(kinds)}, which is what its use asks for; repair the file")
+    width, count = WIDTHS[accessor.values["type"]], accessor.whole("count", 0, MAX_COUNT)
+    dtype = _dtype(accessor)
+    if "bufferView" in accessor:
+        values = _strided(document, accessor, dtype, count, width)
+    else:
+        values = np.broadcast_to(np.zeros(1, dtype), (count, width))
+    if "sparse" in accessor:
+        values = values.copy()
+        _put_sparse(document, accessor, values)
+    return values
+
+
+def _dtype(part: Part) -> np.dtype:
+    kind = part.whole("componentType")
+    if kind not in COMPONENTS:
+        part.fail("componentType", f"is none of {', '.join(map(str, COMPONENTS))}; repair the file")
+    return np.dtype(COMPONENTS[kind])
+
+
+def _strided(document: Document, part: Part, dtype: np.dtype, count: int, width: int) -> np.ndarray:
+    """`[count, width]` elements where `part` has its `bufferView` and `byteOffset`."""
+    index = document.link(part, "bufferView", "bufferViews")
+    if index is None:
+        part.fail("bufferView", "")
+    data, view = document.view(index), document.items("bufferViews")[index]
+    offset, size = part.whole("byteOffset", 0), dtype.itemsize * width
+    stride = view.whole("byteStride", 0) or size
+    if stride < size:
+        view.fail("byteStride", f"is less than the {size} bytes of an element of {part.path}; repair the file")
+    if count and offset + stride * (count - 1) + size > len(data):
+        raise BokehguideError(
+            f"{part.file}: {part.path}: {count} elements of {size} bytes, {stride} apart from byte {offset} on, "
+            f"reach beyond the {len(data)} bytes of {view.path}; repair the file"
+        )
+    if not count:
+        return np.zeros((0, width), dtype)
+    return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
+
+
+def _put_sparse(document: Document, accessor: Part, values: np.ndarray) -> None:
+    sparse = accessor.part("sparse")
+    count, indices = sparse.whole("count", 0, len(values)), sparse.part("indices")
+    where = _strided(document, indices, _dtype(indices), count, 1)[:, 0]
+    if where.dtype.kind != "u":
+        indices.fail("componentType", "is no unsigned integer; repair the file")
+    if count and where.max() >= len(values):
+        raise BokehguideError(f"{accessor.file}: {indices.path}: {where.max()} is beyond the {len(values)} elements; repair the file")
+    values[where] = _strided(document, sparse.part("values"), values.dtype, count, values.shape[1])

@@ -1,0 +1,225 @@
+"""A glTF file: its JSON, checked as it is read, and its buffers.
+
+The JSON is read as it stands: pygltflib needs a minute for a file of 20,000 nodes and
+checks neither types nor the bounds of a GLB's chunks.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NoReturn
+from urllib.parse import unquote, unquote_to_bytes
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.limits import MAX_INT
+from bokehguide.scene.tables import ANY, Limits, Table, is_number, shown
+
+JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+
+
+class Part(Table):
+    """One JSON object of a glTF file, such as a node; null is as good as absent.
+
+    Its readers raise BokehguideError naming file, object, key and value, and let keys
+    pass that they do not know: the format is open.
+    """
+
+    def __init__(self, values: Any, file: str, path: str):
+        if not isinstance(values, dict):
+            raise BokehguideError(f"{file}: {path}: {shown(values)} is not a JSON object; repair the file")
+        present = {key: value for key, value in values.items() if value is not None}
+        super().__init__(present, file, path, present)
+
+    def fail(self, key: str, problem: str) -> NoReturn:
+        if key not in self:
+            raise BokehguideError(f"{self.place(key)}: missing; repair the file")
+        super().fail(key, problem)
+
+    def whole(self, key: str, default: int | None = None, most: int = MAX_INT) -> int | None:
+        """A whole number from 0 to `most`."""
+        value = self.values.get(key, default)
+        if value is default:
+            return default
+        if not is_number(value) or not 0 <= value <= most or value != int(value):
+            self.fail(key, f"is not a whole number from 0 to {most}; repair the file")
+        return int(value)
+
+    def numbers(self, key: str, count: int, default: tuple | None, limits: Limits = ANY) -> tuple | None:
+        """`count` numbers, each within `limits`."""
+        if key not in self:
+            return default
+        values = self.values[key]
+        if not (isinstance(values, list) and len(values) == count and all(map(is_number, values))):
+            self.fail(key, f"is not a list of {count} numbers; repair the file")
+        if not all(map(limits.hold, values)):
+            self.fail(key, f"is out of range; give {count} values, each {limits.remedy}")
+        return tuple(map(float, values))
+
+    def part(self, key: str) -> Part:
+        """The object `key`, empty where absent."""
+        return Part(self.values.get(key, {}), self.file, f"{self.path}.{key}" if self.path else key)
+
+    def parts(self, key: str) -> list[Part]:
+        """The objects of the list `key`, empty where absent; their paths tell index and name."""
+        values = self.values.get(key, [])
+        if not isinstance(values, list):
+            self.fail(key, "is not a list; repair the file")
+        path = f"{self.path}.{key}" if self.path else key
+        return [Part(value, self.file, f"{path}[{index}]{_named(value)}") for index, value in enumerate(values)]
+
+    @cached_property
+    def extensions(self) -> dict[str, Any]:
+        return self.part("extensions").values
+
+    def extension(self, name: str) -> Part:
+        """The extension `name`, empty where absent."""
+        return Part(self.extensions.get(name, {}), self.file, f"{self.path}.{name}" if self.path else name)
+
+    @property
+    def label(self) -> str:
+        """A name for people: the file's own or, without one, the place in the file."""
+        name = self.values.get("name")
+        return _one_line(name) if isinstance(name, str) and name.strip() else self.path
+
+
+def _named(value: Any) -> str:
+    name = value.get("name") if isinstance(value, dict) else None
+    return f" ({_one_line(name)})" if isinstance(name, str) and name.strip() else ""
+
+
+def _one_line(name: str) -> str:
+    return " ".join(name.split())[:60]
+
+
+@dataclass
+class Document:
+    """A file's JSON, the binary chunk of a `.glb`, and what is to be said about it.
+
+    notes: what is not honoured, with the names of whatever it concerns.
+    """
+
+    path: Path
+    root: Part
+    chunk: bytes | None
+    notes: dict[str, list[str]] = field(default_factory=dict)
+    _items: dict[str, list[Part]] = field(default_factory=dict)
+    _buffers: dict[int, bytes] = field(default_factory=dict)
+
+    @property
+    def file(self) -> str:
+        return str(self.path)
+
+    def note(self, what: str, name: str = "") -> None:
+        """Remember that `what` is not honoured, in the object `name` if that says more."""
+        names = self.notes.setdefault(what, [])
+        if name and name not in names:
+            names.append(name)
+
+    def items(self, section: str) -> list[Part]:
+        """All objects of a top-level list, such as "nodes"."""
+        if section not in self._items:
+            self._items[section] = self.root.parts(section)
+        return self._items[section]
+
+    def link(self, part: Part, key: str, section: str) -> int | None:
+        """The index `key` into `section`, None where absent."""
+        index = part.whole(key)
+        if index is not None and index >= len(self.items(section)):
+            part.fail(key, f"is no index into {section}, which has {len(self.items(section))}; repair the file")
+        return index
+
+    def links(self, part: Part, key: str, section: str) -> list[int]:
+        """The list of indices `key` into `section`."""
+        values = part.values.get(key, [])
+        if not isinstance(values, list):
+            part.fail(key, "is not a list; repair the file")
+        entries = Part(dict(enumerate(values)), part.file, part.place(key).removeprefix(f"{part.file}: "))
+        return [self.link(entries, number, section) for number in range(len(values))]
+
+    def names(self, key: str) -> list[str]:
+        """A list of texts of the file, such as "extensionsRequired"."""
+        values = self.root.values.get(key, [])
+        if not (isinstance(values, list) and all(isinstance(value, str) for value in values)):
+            self.root.fail(key, "is not a list of texts; repair the file")
+        return values
+
+    def view(self, index: int) -> memoryview:
+        """The bytes of a buffer view."""
+        view = self.items("bufferViews")[index]
+        buffer = self.link(view, "buffer", "buffers")
+        if buffer is None:
+            view.fail("buffer", "")
+        data = self._buffer(buffer, view)
+        start, length = view.whole("byteOffset", 0), view.whole("byteLength", 0)
+        if start + length > len(data):
+            view.fail("byteLength", f"from byte {start} on is beyond the {len(data)} bytes of its buffer; repair the file")
+        return memoryview(data)[start : start + length]
+
+    def _buffer(self, index: int, view: Part) -> bytes:
+        if index not in self._buffers:
+            buffer = self.items("buffers")[index]
+            if "uri" in buffer:
+                self._buffers[index] = self.resource(buffer)
+            elif index == 0 and self.chunk is not None:
+                self._buffers[index] = self.chunk
+            else:
+                packed = ", ".join(view.extensions) or "none of the extensions"
+                raise BokehguideError(f"{self.file}: {buffer.path}: has no data ({packed} of {view.path} is read here); save the file without compression")
+            if buffer.whole("byteLength", 0) > len(self._buffers[index]):
+                buffer.fail("byteLength", f"is more than the {len(self._buffers[index])} bytes there are; fetch the file again")
+        return self._buffers[index]
+
+    def resource(self, part: Part) -> bytes:
+        """What the `uri` of a buffer or an image stands for: a data URI, or a file beside the model."""
+        uri = part.text("uri")
+        try:
+            if uri.startswith("data:"):
+                head, _, body = uri.partition(",")
+                return base64.b64decode(unquote(body), validate=True) if head.endswith(";base64") else unquote_to_bytes(body)
+            path = self.path.parent / unquote(uri)
+            if not path.is_file():
+                part.fail("uri", "is no file beside the model; put it there")
+            return path.read_bytes()
+        except (OSError, ValueError) as error:
+            part.fail("uri", f"cannot be read ({error}); repair the file")
+
+
+def read_document(path: Path) -> Document:
+    """The document of a `.gltf` or `.glb`. Raises BokehguideError for what is neither."""
+    data = path.read_bytes()
+    text, chunk = _chunks(data, path) if data[:4] == b"glTF" else (data, None)
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BokehguideError(f"{path}: not a readable {path.suffix} model ({_one_line(str(error))})") from None
+    document = Document(path, Part(values, str(path), ""), chunk)
+    asset = document.root.part("asset")
+    version = asset.text("version") or "2.0"
+    if not version.startswith("2."):
+        asset.fail("version", "is not glTF 2; convert the file")
+    return document
+
+
+def _chunks(data: bytes, path: Path) -> tuple[bytes, bytes | None]:
+    """JSON and binary chunk of a GLB."""
+    chunks: dict[int, bytes] = {}
+    if len(data) < 12 or struct.unpack_from("<I", data, 4)[0] != 2:
+        raise BokehguideError(f"{path}: not a readable {path.suffix} model (no GLB of version 2); convert it")
+    end, position = struct.unpack_from("<I", data, 8)[0], 12
+    while position + 8 <= min(end, len(data)):
+        length, kind = struct.unpack_from("<II", data, position)
+        position += 8
+        if position + length > len(data):
+            raise BokehguideError(f"{path}: not a readable {path.suffix} model (cut short); fetch it again")
+        chunks.setdefault(kind, data[position : position + length])
+        position += length
+    if JSON_CHUNK not in chunks:
+        raise BokehguideError(f"{path}: not a readable {path.suffix} model (no JSON chunk); fetch it again")
+    return chunks[JSON_CHUNK], chunks.get(BINARY_CHUNK)

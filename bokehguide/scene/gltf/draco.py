@@ -1,0 +1,38 @@
+"""KHR_draco_mesh_compression, by way of DracoPy where it is installed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene.gltf.document import Document, Part
+
+DRACO = "KHR_draco_mesh_compression"
+
+
+def read_draco(document: Document, primitive: Part) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Attributes `[V, width]` by their glTF names, as they are packed, and indices int64.
+
+    Raises BokehguideError where DracoPy is missing or the data are damaged.
+    """
+    try:
+        import DracoPy
+    except ImportError:
+        raise BokehguideError(f"{document.file}: uses {DRACO}; to read it, pip install bokehguide[draco]") from None
+    packed = primitive.extension(DRACO)
+    view = document.link(packed, "bufferView", "bufferViews")
+    if view is None:
+        packed.fail("bufferView", "")
+    try:
+        mesh = DracoPy.decode(bytes(document.view(view)))
+    except (DracoPy.FileTypeException, ValueError, RuntimeError) as error:
+        raise BokehguideError(f"{document.file}: {primitive.path}: damaged {DRACO} ({error}); fetch the file again") from None
+    by_id = {attribute["unique_id"]: attribute["data"] for attribute in mesh.attributes}
+    names = packed.part("attributes")
+    arrays = {}
+    for name in names.values:
+        if names.whole(name) not in by_id:
+            names.fail(name, f"is not among the packed attributes {sorted(by_id)}; repair the file")
+        arrays[name] = np.asarray(by_id[names.whole(name)])
+    faces = getattr(mesh, "faces", np.arange(len(mesh.points)))  # a point cloud has none
+    return arrays, np.asarray(faces, dtype=np.int64).reshape(-1)

@@ -1,0 +1,89 @@
+"""KHR_lights_punctual: lights of no size become small spheres and suns of a finite disc.
+
+A light without size could not be seen, and so could not be bokeh. Their photometric units
+are divided by 683 lm/W, as Blender's importer does and its exporter expects: emissive
+surfaces beside them are written in radiometric ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.nodes import Placed
+from bokehguide.scene.shapes import spheres
+from bokehguide.scene.tables import NOT_NEGATIVE, Limits
+from bokehguide.scene.types import Cone, LightSizes, Material, Mesh, Sun
+
+EXTENSION = "KHR_lights_punctual"
+LUMENS_PER_WATT = 683.0
+RADIUS, SHARE = 0.01, 0.01
+RIGHT_ANGLE = Limits("radians between 0 and half of pi", low=0.0, high=math.pi / 2.0 + 1e-6)
+
+
+def default_radius(meshes: Sequence[Mesh]) -> float:
+    """Metres: 0.01, or a hundredth of a small model's longest side."""
+    low = np.min([mesh.vertices.min(axis=0) for mesh in meshes], axis=0)
+    high = np.max([mesh.vertices.max(axis=0) for mesh in meshes], axis=0)
+    return min(RADIUS, SHARE * float((high - low).max()))
+
+
+def read_lights(
+    document: Document, placed: Sequence[Placed], sizes: LightSizes, radius: float
+) -> tuple[list[Mesh], list[Material], list[Sun]]:
+    """Spheres of `radius` metres with materials of their own, and suns.
+
+    A mesh's material counts from the first of these materials. A light of intensity I
+    is a sphere of radiance I / (pi r²), so that it shines as far as the light would.
+    Raises BokehguideError naming the light for values out of range.
+    """
+    lights = document.root.extension(EXTENSION).parts("lights")
+    meshes, materials, suns = [], [], []
+    for node in placed:
+        if EXTENSION not in node.node.extensions:
+            continue
+        link = node.node.extension(EXTENSION)
+        index = link.whole("light", 0)
+        if index >= len(lights):
+            link.fail("light", f"is no index into the file's {len(lights)} lights; repair the file")
+        light, position = lights[index], node.matrix[:3, 3]
+        kind, axis = light.values.get("type"), _axis(node.matrix)
+        if kind not in ("point", "spot", "directional") or axis is None:
+            document.note("lights of an unknown type or without a direction: left out", light.label)
+        elif kind == "directional":
+            irradiance = _power(light, 1.0)
+            suns += [Sun(tuple(-axis), sizes.sun_angle, irradiance)] if any(irradiance) else []
+        elif any(radiance := _power(light, math.pi * radius**2)):
+            cone = _cone(light, axis) if kind == "spot" else None
+            meshes.append(spheres(position[None], radius, len(materials)))
+            materials.append(Material(light.label, base_color=(0.0,) * 3, specular=0.0, emission=radiance, emission_cone=cone))
+        if "range" in light:
+            document.note("the range of lights: light falls off with the squared distance for ever", light.label)
+    return meshes, materials, suns
+
+
+def _axis(matrix: np.ndarray) -> np.ndarray | None:
+    """Where a node's -z points, unit; None where it points nowhere."""
+    length = np.linalg.norm(matrix[:3, 2])
+    return -matrix[:3, 2] / length if 0.0 < length < np.inf else None
+
+
+def _power(light: Part, area: float) -> tuple[float, ...]:
+    """Colour times intensity, from photometric units, over `area`."""
+    intensity = light.number("intensity", 1.0, NOT_NEGATIVE) / (LUMENS_PER_WATT * area)
+    power = tuple(intensity * channel for channel in light.vector("color", (1.0, 1.0, 1.0), NOT_NEGATIVE))
+    if not all(map(NOT_NEGATIVE.hold, power)):
+        light.fail("intensity", f"makes a radiance of {max(power):g}; give less, it ends at {NOT_NEGATIVE.high:g}")
+    return power
+
+
+def _cone(light: Part, axis: np.ndarray) -> Cone:
+    spot = light.part("spot")
+    inner = spot.number("innerConeAngle", 0.0, RIGHT_ANGLE)
+    outer = spot.number("outerConeAngle", math.pi / 4.0, RIGHT_ANGLE)
+    if inner >= outer:
+        spot.fail("outerConeAngle", f"is not above innerConeAngle, {inner:g}; repair the file")
+    return Cone(tuple(map(float, axis)), math.degrees(inner), min(math.degrees(outer), 90.0))

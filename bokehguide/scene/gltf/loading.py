@@ -1,0 +1,108 @@
+"""The parts of a glTF file put together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.limits import MAX_TRIANGLES
+from bokehguide.scene.gltf.cameras import read_cameras
+from bokehguide.scene.gltf.document import Document, read_document
+from bokehguide.scene.gltf.extensions import check_required, note_ignored, warnings
+from bokehguide.scene.gltf.lights import default_radius, read_lights
+from bokehguide.scene.gltf.materials import DEFAULT, read_materials
+from bokehguide.scene.gltf.nodes import Placed, instance_matrices, place_nodes
+from bokehguide.scene.gltf.primitives import read_primitive
+from bokehguide.scene.gltf.telling import honoured
+from bokehguide.scene.gltf.textures import Textures
+from bokehguide.scene.shapes import joined, transformed
+from bokehguide.scene.types import LightSizes, Material, Mesh, Model
+from bokehguide.scene.validation import check_mesh
+
+
+def load_gltf(path: Path, sizes: LightSizes) -> Model:
+    """The default scene of a glTF file, instances flattened.
+
+    Raises BokehguideError naming file and object for whatever is damaged, out of range
+    or required and not supported, and where all instances together have more than
+    MAX_TRIANGLES triangles.
+    """
+    document = read_document(path)
+    check_required(document)
+    placed = place_nodes(document)
+    textures = Textures(document)
+    materials = read_materials(document, textures)
+    meshes = _place(document, materials, placed)
+    if not meshes:
+        return Model((), ())
+    if any(mesh.material == len(materials) for mesh in meshes):
+        materials.append(DEFAULT)
+    radius = default_radius(meshes) if sizes.radius is None else sizes.radius
+    lamps, glowing, suns = read_lights(document, placed, sizes, radius)
+    cameras = read_cameras(document, placed)
+    note_ignored(document)
+    return Model(
+        meshes=tuple(meshes),
+        materials=(*materials, *glowing),
+        lamps=tuple(replace(lamp, material=lamp.material + len(materials)) for lamp in lamps),
+        suns=tuple(suns),
+        cameras=tuple(cameras),
+        honoured=tuple(honoured(document, meshes, materials, textures, glowing, suns, cameras, radius)),
+        warnings=tuple(warnings(document)),
+    )
+
+
+def _place(document: Document, materials: Sequence[Material], placed: Sequence[Placed]) -> list[Mesh]:
+    """World-space meshes; those of primitives without a material have the number after the last."""
+    read: dict[int, list[Mesh]] = {}
+    parts: list[tuple[Mesh, np.ndarray, str]] = []
+    for node in placed:
+        index = document.link(node.node, "mesh", "meshes")
+        if index is None:
+            continue
+        if index not in read:
+            read[index] = _primitives(document, index, materials)
+        matrices = instance_matrices(document, node)
+        parts += [(mesh, matrices, f"{document.file}: {node.node.path}") for mesh in read[index]]
+    triangles = sum(len(mesh.triangles) * len(matrices) for mesh, matrices, _ in parts)
+    if triangles > MAX_TRIANGLES:
+        raise BokehguideError(
+            f"{document.file}: its instances have {triangles:,} triangles in all; give a file of at most {MAX_TRIANGLES:,}"
+        )
+    meshes = []
+    for mesh, matrices, place in parts:
+        with np.errstate(over="ignore", invalid="ignore"):
+            flat = np.linalg.det(matrices[:, :3, :3]) == 0.0
+        if flat.any() and len(matrices) > 1:
+            document.note(f"instances of size 0: {flat.sum()} are left out")
+            matrices = matrices[~flat]
+        if len(matrices):
+            instances = joined([transformed(mesh, matrix) for matrix in matrices])
+            check_mesh(instances, place, len(materials) + 1)
+            meshes.append(instances)
+    return meshes
+
+
+def _primitives(document: Document, index: int, materials: Sequence[Material]) -> list[Mesh]:
+    """The primitives of one mesh in its own space, checked."""
+    source, meshes = document.items("meshes")[index], []
+    for primitive in source.parts("primitives"):
+        number = document.link(primitive, "material", "materials")
+        material = DEFAULT if number is None else materials[number]
+        mesh = read_primitive(document, primitive, source.label, len(materials) if number is None else number, material)
+        if mesh is not None:
+            check_mesh(mesh, f"{document.file}: {primitive.path}", len(materials) + 1)
+            _note_unlit(document, number, mesh, source.label)
+            meshes.append(mesh)
+    return meshes
+
+
+def _note_unlit(document: Document, number: int | None, mesh: Mesh, name: str) -> None:
+    if number is None or mesh.colors is None:
+        return
+    if "KHR_materials_unlit" in document.items("materials")[number].extensions:
+        document.note("vertex colours of unlit materials: have no effect", name)

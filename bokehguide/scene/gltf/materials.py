@@ -1,0 +1,126 @@
+"""Materials of a glTF file, in core and extensions."""
+
+from __future__ import annotations
+
+import math
+
+from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.textures import Textures
+from bokehguide.scene.tables import ANY, IOR, NOT_NEGATIVE, POSITIVE, SHARE
+from bokehguide.scene.types import Material
+
+WHITE = (1.0, 1.0, 1.0)
+DEFAULT = Material("default", base_color=WHITE, metallic=1.0)
+"""glTF's own, for primitives without a material: every factor is 1."""
+ALPHA_MODES = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
+
+
+def read_materials(document: Document, textures: Textures) -> list[Material]:
+    """All materials in the file's order.
+
+    Raises BokehguideError naming file, material and key for factors out of range.
+    """
+    return [_material(part, textures) for part in document.items("materials")]
+
+
+def _material(part: Part, textures: Textures) -> Material:
+    pbr = part.part("pbrMetallicRoughness")
+    *base_color, opacity = pbr.numbers("baseColorFactor", 4, (*WHITE, 1.0), SHARE)
+    mode = part.values.get("alphaMode", "OPAQUE")
+    if mode not in ALPHA_MODES:
+        part.fail("alphaMode", f"is none of {', '.join(ALPHA_MODES)}; repair the file")
+    normal = part.part("normalTexture")
+    material = Material(
+        name=part.label,
+        base_color=tuple(base_color),
+        metallic=pbr.number("metallicFactor", 1.0, SHARE),
+        roughness=pbr.number("roughnessFactor", 1.0, SHARE),
+        ior=_ior(part, textures.document),
+        emission=_emission(part),
+        double_sided=part.flag("doubleSided"),
+        opacity=opacity,
+        alpha_mode=ALPHA_MODES[mode],
+        alpha_cutoff=part.number("alphaCutoff", Material.alpha_cutoff, NOT_NEGATIVE),
+        normal_scale=normal.number("scale", 1.0, ANY),
+        base_color_texture=textures.read(pbr, "baseColorTexture", srgb=True, alpha=mode != "OPAQUE"),
+        metallic_roughness_texture=textures.read(pbr, "metallicRoughnessTexture"),
+        emission_texture=textures.read(part, "emissiveTexture", srgb=True),
+        normal_texture=textures.read(part, "normalTexture"),
+        **_specular(part, textures),
+        **_clearcoat(part, textures),
+        **_transmission(part, textures),
+    )
+    return _unlit(material) if "KHR_materials_unlit" in part.extensions else material
+
+
+def _ior(part: Part, document: Document) -> float:
+    ior = part.extension("KHR_materials_ior")
+    # 0 is the extension's way to say: reflect everything. There is no such solid.
+    if ior.number("ior", 1.5) == 0.0:
+        document.note("ior 0: 1.5 is used", part.label)
+        return 1.5
+    return ior.number("ior", 1.5, IOR)
+
+
+def _emission(part: Part) -> tuple[float, ...]:
+    factor = part.vector("emissiveFactor", (0.0, 0.0, 0.0), NOT_NEGATIVE)
+    strong = part.extension("KHR_materials_emissive_strength")
+    strength = strong.number("emissiveStrength", 1.0, NOT_NEGATIVE)
+    emission = tuple(strength * channel for channel in factor)
+    if not all(map(NOT_NEGATIVE.hold, emission)):
+        strong.fail("emissiveStrength", f"times emissiveFactor is out of range; give {NOT_NEGATIVE.remedy}")
+    return emission
+
+
+def _specular(part: Part, textures: Textures) -> dict[str, object]:
+    specular = part.extension("KHR_materials_specular")
+    return {
+        "specular": specular.number("specularFactor", 1.0, SHARE),
+        "specular_color": specular.vector("specularColorFactor", WHITE, NOT_NEGATIVE),
+        "specular_texture": textures.read(specular, "specularTexture", alpha=True),
+        "specular_color_texture": textures.read(specular, "specularColorTexture", srgb=True),
+    }
+
+
+def _clearcoat(part: Part, textures: Textures) -> dict[str, object]:
+    coat = part.extension("KHR_materials_clearcoat")
+    if "clearcoatNormalTexture" in coat:
+        textures.document.note("normal maps of clear coats: the coat is smooth", part.label)
+    return {
+        "clearcoat": coat.number("clearcoatFactor", 0.0, SHARE),
+        "clearcoat_roughness": coat.number("clearcoatRoughnessFactor", 0.0, SHARE),
+        "clearcoat_texture": textures.read(coat, "clearcoatTexture"),
+        "clearcoat_roughness_texture": textures.read(coat, "clearcoatRoughnessTexture"),
+    }
+
+
+def _transmission(part: Part, textures: Textures) -> dict[str, object]:
+    """Without a thickness the surface is a thin sheet; how thick, the geometry itself says."""
+    transmission, volume = part.extension("KHR_materials_transmission"), part.extension("KHR_materials_volume")
+    return {
+        "transmission": transmission.number("transmissionFactor", 0.0, SHARE),
+        "transmission_texture": textures.read(transmission, "transmissionTexture"),
+        "thin": volume.number("thicknessFactor", 0.0, NOT_NEGATIVE) == 0.0,
+        "attenuation_color": volume.vector("attenuationColor", WHITE, SHARE),
+        "attenuation_distance": volume.number("attenuationDistance", math.inf, POSITIVE),
+    }
+
+
+def _unlit(material: Material) -> Material:
+    """Emission of the base colour, from a surface that reflects nothing.
+
+    The base colour's texture stays where its alpha is needed.
+    """
+    return Material(
+        name=material.name,
+        base_color=(0.0, 0.0, 0.0),
+        specular=0.0,
+        emission=material.base_color,
+        emission_texture=material.base_color_texture,
+        double_sided=material.double_sided,
+        opacity=material.opacity,
+        alpha_mode=material.alpha_mode,
+        alpha_cutoff=material.alpha_cutoff,
+        base_color_texture=None if material.alpha_mode == "opaque" else material.base_color_texture,
+    )
+

@@ -1,0 +1,102 @@
+"""The node tree in world space, and where the instances of a node stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene.gltf.accessors import read_floats
+from bokehguide.scene.gltf.document import Document, Part
+
+INSTANCING = "EXT_mesh_gpu_instancing"
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A node and the `[4, 4]` matrix from its space into the world's."""
+
+    node: Part
+    matrix: np.ndarray
+
+
+def place_nodes(document: Document) -> list[Placed]:
+    """All nodes of the default scene, parents first, in the file's order.
+
+    Raises BokehguideError for a node that can be reached twice: one with two parents,
+    or its own ancestor.
+    """
+    nodes = document.items("nodes")
+    placed, seen = [], set()
+    waiting = [(index, np.eye(4)) for index in reversed(_roots(document))]
+    while waiting:
+        index, parent = waiting.pop()
+        node = nodes[index]
+        if index in seen:
+            raise BokehguideError(f"{document.file}: {node.path}: has two parents or is its own ancestor; repair the file")
+        seen.add(index)
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrix = parent @ local_matrix(node)
+        placed.append(Placed(node, matrix))
+        waiting += [(child, matrix) for child in reversed(document.links(node, "children", "nodes"))]
+    return placed
+
+
+def _roots(document: Document) -> list[int]:
+    scenes = document.items("scenes")
+    if scenes:
+        index = document.link(document.root, "scene", "scenes") or 0
+        if len(scenes) > 1:
+            document.note(f"scenes: only {scenes[index].label} of {len(scenes)} is drawn")
+        return document.links(scenes[index], "nodes", "nodes")
+    children = {child for node in document.items("nodes") for child in document.links(node, "children", "nodes")}
+    return [index for index in range(len(document.items("nodes"))) if index not in children]
+
+
+def local_matrix(node: Part) -> np.ndarray:
+    """A node's own `[4, 4]` matrix, from `matrix` or from translation, rotation and scale."""
+    if "matrix" in node:
+        return np.reshape(node.numbers("matrix", 16, None), (4, 4)).T
+    rotation = np.array(node.numbers("rotation", 4, (0.0, 0.0, 0.0, 1.0)))
+    if not rotation.any():
+        node.fail("rotation", "is no rotation; give a quaternion of length 1")
+    translation = np.array(node.numbers("translation", 3, (0.0, 0.0, 0.0)))
+    scale = np.array(node.numbers("scale", 3, (1.0, 1.0, 1.0)))
+    return _matrices(translation[None], rotation[None], scale[None])[0]
+
+
+def instance_matrices(document: Document, placed: Placed) -> np.ndarray:
+    """World matrices `[N, 4, 4]` of the node's instances: one, or those of EXT_mesh_gpu_instancing."""
+    if INSTANCING not in placed.node.extensions:
+        return placed.matrix[None]
+    attributes = placed.node.extension(INSTANCING).part("attributes")
+    given = {}
+    for name, kind in (("TRANSLATION", "VEC3"), ("ROTATION", "VEC4"), ("SCALE", "VEC3")):
+        index = document.link(attributes, name, "accessors")
+        if index is not None:
+            given[name] = read_floats(document, index, kind).astype(np.float64)
+    if len({len(values) for values in given.values()}) != 1:
+        counts = ", ".join(f"{len(values)} of {name}" for name, values in given.items()) or "none"
+        raise BokehguideError(f"{document.file}: {attributes.path}: counts must agree ({counts}); repair the file")
+    count = len(next(iter(given.values())))
+    rotation = given.get("ROTATION", np.tile((0.0, 0.0, 0.0, 1.0), (count, 1)))
+    if not rotation.any(axis=1).all():
+        raise BokehguideError(f"{document.file}: {attributes.path}.ROTATION: holds a quaternion of length 0; repair the file")
+    local = _matrices(given.get("TRANSLATION", np.zeros((count, 3))), rotation, given.get("SCALE", np.ones((count, 3))))
+    return placed.matrix @ local
+
+
+def _matrices(translation: np.ndarray, rotation: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """`[N, 4, 4]` from translations, quaternions xyzw and scales, `[N, 3 or 4]`."""
+    x, y, z, w = np.moveaxis(rotation / np.linalg.norm(rotation, axis=1, keepdims=True), 1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    matrices = np.zeros((len(translation), 4, 4))
+    matrices[:, :3, :3] = np.moveaxis(np.array(rows), 2, 0) * scale[:, None, :]
+    matrices[:, :3, 3] = translation
+    matrices[:, 3, 3] = 1.0
+    return matrices
