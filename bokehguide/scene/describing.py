@@ -26,6 +26,7 @@ def describe(scene: Scene) -> str:
     }
     title = f"{scene.name}: {scene.description}" if scene.description else scene.name
     lines = [title, *(f"  {name + ':':<14}{fact}" for name, fact in facts.items())]
+    lines += [f"  {'honoured:':<14}{line}" for line in scene.honoured]
     lines += [f"  {'ignored:':<14}{warning}" for warning in scene.warnings]
     return "\n".join(lines)
 
@@ -39,6 +40,8 @@ def _lights(scene: Scene, lamps: Lamps) -> str:
     emitting = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
     triangles = sum(len(mesh.triangles) for mesh in emitting)
     near = f"{triangles:,} emissive triangles in {(~lamps.infinite).sum()} lamps"
+    if scene.suns:
+        near += f"; {len(scene.suns)} sun" + ("s" if len(scene.suns) > 1 else "")
     if scene.environment is None:
         return f"{near}; no environment"
     height, width = scene.environment.radiance.shape[:2]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,15 @@ import numpy as np
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST
 from bokehguide.scene.images import load_environment_map, load_texture, require_file
-from bokehguide.scene.models import Model, load_model
+from bokehguide.scene.models import load_model
 from bokehguide.scene.overrides import Overrides, constant_radiance, override_camera
+from bokehguide.scene.placing import place_lamps, place_suns
 from bokehguide.scene.shapes import SHAPES, transform, transformed
-from bokehguide.scene.tables import ANY, IOR, NOT_NEGATIVE, SHARE, Table, did_you_mean, is_number
-from bokehguide.scene.types import Environment, Film, Material, Mesh, Scene, Texture
+from bokehguide.scene.tables import ANY, IOR, NOT_NEGATIVE, POSITIVE, SHARE, SUN_ANGLE, Table, did_you_mean, is_number
+from bokehguide.scene.types import Environment, Film, LightSizes, Material, Mesh, Model, Scene, Sun, Texture
 from bokehguide.scene.validation import check_mesh
 
-SCENE_KEYS = ("camera", "film", "environment", "materials", "object")
+SCENE_KEYS = ("camera", "film", "environment", "lights", "materials", "object")
 MATERIAL_KEYS = (
     *("base_color", "metallic", "roughness", "specular", "transmission", "thin", "ior"),
     *("emission", "base_color_texture", "metallic_roughness_texture", "emission_texture"),
@@ -38,15 +39,17 @@ def read_scene_file(path: Path, overrides: Overrides) -> Scene:
         raise BokehguideError(f"{path}: camera: missing; add [camera] with position and target")
     warnings: list[str] = []
     materials = _read_materials(root, path.parent)
-    meshes, materials = _read_objects(root, path.parent, materials, warnings)
+    objects = _read_objects(root, path.parent, materials)
     return Scene(
         name=path.stem,
         camera=override_camera(root.values["camera"], overrides, str(path)),
-        meshes=tuple(meshes),
-        materials=tuple(materials),
+        meshes=tuple(objects.meshes),
+        materials=tuple(objects.materials),
         film=_read_film(root),
         environment=_read_environment(root, path.parent, warnings),
-        warnings=tuple(warnings),
+        suns=tuple(objects.suns),
+        warnings=(*objects.lines("warnings"), *warnings),
+        honoured=tuple(objects.lines("honoured")),
     )
 
 
@@ -128,29 +131,61 @@ def _read_material(table: Table, folder: Path) -> Material:
     )
 
 
-def _read_objects(
-    root: Table, folder: Path, materials: list[Material], warnings: list[str]
-) -> tuple[list[Mesh], list[Material]]:
-    """World-space meshes, and `materials` followed by those the models brought."""
+@dataclass
+class _Objects:
+    """What the objects of a file put into the scene; each model is loaded once.
+
+    models: with the place of their first material among `materials`.
+    """
+
+    materials: list[Material]
+    sizes: LightSizes
+    meshes: list[Mesh] = field(default_factory=list)
+    suns: list[Sun] = field(default_factory=list)
+    models: dict[Path, tuple[Model, int]] = field(default_factory=dict)
+
+    def load(self, path: Path) -> tuple[Model, int]:
+        if path not in self.models:
+            self.models[path] = load_model(path, self.sizes), len(self.materials)
+            self.materials.extend(self.models[path][0].materials)
+        return self.models[path]
+
+    def lines(self, kind: str) -> list[str]:
+        """The `warnings` of the models, or what was `honoured`."""
+        return [line for model, _ in self.models.values() for line in getattr(model, kind)]
+
+
+def _read_lights(root: Table) -> LightSizes:
+    table = Table(root.values.get("lights", {}), root.file, "lights", ("radius", "sun_angle"))
+    return LightSizes(
+        radius=table.number("radius", None, POSITIVE),
+        sun_angle=table.number("sun_angle", LightSizes.sun_angle, SUN_ANGLE),
+    )
+
+
+def _read_objects(root: Table, folder: Path, materials: list[Material]) -> _Objects:
+    """World-space meshes, suns, and `materials` followed by those the models brought."""
     values = root.values.get("object", [])
     if not isinstance(values, list):
         root.fail("object", "is not a list of tables; write [[object]]")
-    materials = list(materials)
+    objects = _Objects(list(materials), _read_lights(root))
     named = {material.name: index for index, material in enumerate(materials)}
-    models: dict[Path, tuple[Model, int]] = {}
-    meshes: list[Mesh] = []
     for number, entry in enumerate(values):
         table = Table(entry, root.file, f"object[{number}]", OBJECT_KEYS)
         material = _named_material(table, named)
         matrix = _read_transform(table)
-        for mesh in _read_surface(table, folder, models, materials):
-            index = mesh.material if material is None else material
-            placed = transformed(replace(mesh, material=index), matrix)
-            check_mesh(placed, f"{root.file}: {table.path}", len(materials))
-            meshes.append(placed)
-    for model, _ in models.values():
-        warnings += model.warnings
-    return meshes, materials
+        placed = [
+            replace(transformed(mesh, matrix), material=mesh.material if material is None else material)
+            for mesh in _read_surface(table, folder, objects)
+        ]
+        if "file" in table:
+            model, first = objects.load(folder / table.text("file"))
+            placed += place_lamps(model, first, matrix, objects.materials)
+            objects.suns += place_suns(model, matrix)
+        for mesh in placed:
+            check_mesh(mesh, f"{root.file}: {table.path}", len(objects.materials))
+        objects.meshes += placed
+    return objects
 
 
 def _named_material(table: Table, named: dict[str, int]) -> int | None:
@@ -161,18 +196,12 @@ def _named_material(table: Table, named: dict[str, int]) -> int | None:
     table.fail("material", f"is not a material of this file; {known}")
 
 
-def _read_surface(
-    table: Table, folder: Path, models: dict[Path, tuple[Model, int]], materials: list[Material]
-) -> list[Mesh]:
-    """Untransformed meshes of one object; a model is loaded once and adds its materials."""
+def _read_surface(table: Table, folder: Path, objects: _Objects) -> list[Mesh]:
+    """Untransformed meshes of one object."""
     table.exclusive("shape", "file")
     if "file" in table:
-        path = folder / table.text("file")
-        if path not in models:
-            models[path] = load_model(path), len(materials)
-            materials.extend(models[path][0].materials)
-        model, offset = models[path]
-        return [replace(mesh, material=mesh.material + offset) for mesh in model.meshes]
+        model, first = objects.load(folder / table.text("file"))
+        return [replace(mesh, material=mesh.material + first) for mesh in model.meshes]
     shape = table.text("shape")
     if shape is None:
         raise BokehguideError(f"{table.place('shape')}: missing; give a shape or a file")
