@@ -14,6 +14,7 @@ import math
 import pickle
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,23 +32,28 @@ from bokehguide.scene import BUILTIN, Overrides, Scene, load_scene
 from bokehguide.train import MODES, RenderLoop, RenderSettings
 
 
-def experiment_parser(doc: str, frame: str, default_modes: str) -> argparse.ArgumentParser:
-    """A parser with the options that every experiment has; `frame` is the default `--size`."""
+def builtin(text: str) -> str:
+    if text not in BUILTIN:
+        raise argparse.ArgumentTypeError(f"{text!r} is not built in; choose from {', '.join(BUILTIN)}")
+    return text
+
+
+def experiment_parser(
+    doc: str, frame: str, default_modes: str, scene: Callable[[str], str] = builtin
+) -> argparse.ArgumentParser:
+    """A parser with the options that every experiment has; `frame` is the default `--size`.
+
+    scene: reads one scene's name.
+    """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
-    add("scenes", nargs="*", default=list(BUILTIN), type=builtin, metavar="SCENE", help="built-in scenes, default all")
+    add("scenes", nargs="*", default=list(BUILTIN), type=scene, metavar="SCENE", help="default: all built-in ones")
     add("--size", type=size, default=size(frame), metavar="WxH", help=f"default {frame}")
     add("--modes", type=modes, default=modes(default_modes), help=f"default {default_modes}")
     add("--threads", type=threads, help="default: one per core")
     limit = "start no new render after so many seconds; the same command goes on"
     add("--time-limit", type=float, default=math.inf, metavar="SECONDS", help=limit)
     return parser
-
-
-def builtin(text: str) -> str:
-    if text not in BUILTIN:
-        raise argparse.ArgumentTypeError(f"{text!r} is not built in; choose from {', '.join(BUILTIN)}")
-    return text
 
 
 def modes(text: str) -> list[str]:
@@ -85,11 +91,28 @@ class LongRender:
         return LongRender(radiance, variance, total, self.chunks + 1)
 
 
-def accumulate(path: Path, scene: Scene, settings: RenderSettings, chunk: int, deadline: float) -> LongRender:
+def render(scene: Scene, settings: RenderSettings, bar: tqdm) -> Film:
+    """The film of one whole render."""
+    loop = RenderLoop(scene, settings)
+    for _ in range(settings.spp):
+        loop.step()
+        bar.update()
+    return loop.film
+
+
+def accumulate(
+    path: Path,
+    scene: Scene,
+    settings: RenderSettings,
+    chunk: int,
+    deadline: float,
+    render: Callable[[Scene, RenderSettings, tqdm], Film] = render,
+) -> LongRender:
     """Go on with the render kept at `path` until it has `settings.spp` samples a pixel or time is up.
 
     chunk: SPP of one render; the first has the seed `settings.seed`, the next ones those
-    after it. deadline: no chunk begins after it, in seconds of `time.monotonic`.
+    after it. deadline: no chunk begins after it, in seconds of `time.monotonic`. render:
+    makes one chunk.
     Raises BokehguideError where the file cannot be written or was made from something else.
     """
     check_writable(path)
@@ -105,15 +128,6 @@ def accumulate(path: Path, scene: Scene, settings: RenderSettings, chunk: int, d
             layers = {"beauty": kept.radiance.numpy(), "variance": kept.variance.numpy()}
             write_exr(path, layers, facts | {"spp": kept.spp, "chunks": kept.chunks})
     return kept
-
-
-def render(scene: Scene, settings: RenderSettings, bar: tqdm) -> Film:
-    """The film of one whole render."""
-    loop = RenderLoop(scene, settings)
-    for _ in range(settings.spp):
-        loop.step()
-        bar.update()
-    return loop.film
 
 
 def progress(title: str, spp: int, done: int = 0) -> tqdm:
@@ -153,5 +167,5 @@ def read_long_render(path: Path, origin: str) -> LongRender:
 
 def fingerprint(scene: Scene, settings: RenderSettings) -> str:
     """A digest of all that decides what a long render converges to, and of its random numbers."""
-    seen = (scene.camera, scene.meshes, scene.materials, scene.film, scene.environment)
+    seen = (scene.camera, scene.meshes, scene.materials, scene.film, scene.environment, scene.suns)
     return hashlib.sha256(pickle.dumps((seen, settings.mode, settings.seed), protocol=5)).hexdigest()

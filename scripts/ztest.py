@@ -102,7 +102,7 @@ def main() -> int:
                 print(f"{scene.name} {mode}: time is up")
                 unfinished += 1
                 continue
-            runs = guided_runs(scene, mode, args)
+            runs = independent_runs(scene, mode, args.runs, args.spp, args.threads, args.mutate)
             outcomes += judge(scene, mode, runs, uniform, args.cache)
     return 1 if report(outcomes) or unfinished else 0
 
@@ -124,22 +124,29 @@ def at_least_two(text: str) -> int:
     return int(text)
 
 
-def guided_runs(scene: Scene, mode: str, args: argparse.Namespace) -> Runs:
-    """The runs of one mode, mutated if so asked."""
+def independent_runs(
+    scene: Scene, mode: str, count: int, spp: int, threads: int | None, mutation: str | None = None
+) -> Runs:
+    """So many renders of one mode, mutated if so asked."""
     films = []
-    with progress(f"{scene.name} {mode}", args.runs * args.spp) as bar, Mutation(args.mutate):
-        for seed in range(args.runs):
-            films.append(render(scene, RenderSettings(mode, args.spp, seed, threads=args.threads), bar))
-            if args.mutate is None:
+    with progress(f"{scene.name} {mode}", count * spp) as bar, Mutation(mutation):
+        for seed in range(count):
+            films.append(render(scene, RenderSettings(mode, spp, seed, threads=threads), bar))
+            if mutation is None:
                 warn_of_bad_samples(films[-1], f"{scene.name} {mode}, seed {seed}")
     means = [brightness(film.radiance().cpu()) for film in films]
     return Runs(torch.stack(means), torch.stack([film.variance().cpu().double() for film in films]))
 
 
-def judge(scene: Scene, mode: str, runs: Runs, uniform: LongRender, folder: Path) -> list[Outcome]:
-    """All tests of one mode on one scene; leaves a picture of the pixels' z-values behind."""
+def judge(
+    scene: Scene, mode: str, runs: Runs, uniform: LongRender, folder: Path, rounding: float = ROUNDING
+) -> list[Outcome]:
+    """All tests of one mode on one scene; leaves a picture of the pixels' z-values behind.
+
+    rounding: relative error that is granted to every pixel.
+    """
     expected = brightness(uniform.radiance)
-    granted = (ROUNDING * expected).square()
+    granted = (rounding * expected).square()
     z = (runs.mean.mean(0) - expected) / (runs.variance.mean(0) / len(runs.mean) + uniform.variance + granted).sqrt()
     z = z.nan_to_num(0.0)
     p = 2.0 * stats.norm.sf(z.abs().numpy())

@@ -1,0 +1,169 @@
+"""Does bokehguide render what Mitsuba 3 renders?
+
+    pip install '.[peers]'
+    python scripts/compare_mitsuba.py studies glitter
+    python scripts/compare_mitsuba.py scene.toml --modes lis-o --size 160x90 --json out/scene.json
+
+SCENE is a built-in scene, a scene file, a model, one of the studies (STUDIES), or "studies"
+for all of them. Both sides get the scene with materials that both have (`mitsuba_scene.comparable`);
+Mitsuba renders it with its `path` integrator through a thin lens of its own.
+
+Each mode renders R independent runs, at four times the width and height: a box filter over
+4 × 4 pixels is a box filter over one. All means must lie within 0.5 % of Mitsuba's with a
+standard error of at most 0.15 %, from the spread among the runs and the variance that
+Mitsuba reports; pixels, blocks, insets and frame must pass the tests of `ztest.py`. Mitsuba's
+render, kept in `--cache`, should have many more samples than ours: where a pixel's samples
+all missed the lamps, its variance is 0. Mitsuba adds up in single precision, which the
+pixels are granted. Without an LLVM library (Debian: libllvm19) Mitsuba runs its slower `scalar_rgb`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from experiment import LongRender, accumulate, experiment_parser
+from mitsuba_scene import MitsubaFilm, MitsubaRenderer, comparable
+from studies import STUDIES
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+from tqdm import tqdm
+from ztest import Outcome, Runs, at_least_two, brightness, independent_runs, judge, report
+
+from bokehguide.cli.arguments import positive
+from bokehguide.errors import BokehguideError
+from bokehguide.image import check_writable, replacing
+from bokehguide.scene import Overrides, Scene, load_scene
+from bokehguide.train import RenderSettings
+
+FINE = 4
+"""Our pixels to one that is compared, across and down."""
+CHUNK_SAMPLES = 1 << 22
+"""Of one chunk of Mitsuba's: it keeps them all in memory."""
+ROUNDING = 1e-4
+"""Relative error granted to pixels that Mitsuba added up."""
+MEANS_WITHIN, STANDARD_ERROR = 5e-3, 1.5e-3
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One mode on one scene. ratio: of our mean luminance to Mitsuba's; outcomes: of the tests."""
+
+    scene: str
+    mode: str
+    ratio: float
+    standard_error: float
+    spp: int
+    mitsuba_spp: int
+    outcomes: list[Outcome]
+
+    @property
+    def means_agree(self) -> bool:
+        return abs(self.ratio - 1.0) <= MEANS_WITHIN and self.standard_error <= STANDARD_ERROR
+
+
+def main() -> int:
+    args = parse()
+    deadline = time.monotonic() + args.time_limit
+    comparisons = []
+    for scene in scenes(args.scenes, *args.size):
+        reference = mitsuba_reference(scene, args.mitsuba_spp, args.cache, deadline)
+        for mode in args.modes:
+            if reference.spp < args.mitsuba_spp or time.monotonic() > deadline:
+                print(f"{scene.name} {mode}: time is up; Mitsuba has {reference.spp} of {args.mitsuba_spp} SPP")
+                return 1
+            runs = our_runs(scene, mode, args.runs, args.spp, args.threads)
+            comparisons.append(compare(scene, mode, runs, reference, args.spp * args.runs, args.cache))
+    failed = tell(comparisons)
+    if args.json:
+        check_writable(args.json)
+        with replacing(args.json) as temporary:
+            temporary.write_text(json.dumps([asdict(one) for one in comparisons], indent=2) + "\n")
+    return 1 if failed else 0
+
+
+def parse():
+    parser = experiment_parser(__doc__, "96x54", "uniform,lis-o", scene=str)
+    add = parser.add_argument
+    add("--spp", type=positive, default=4096, metavar="S", help="of one run, a multiple of 16, default 4096")
+    add("--runs", type=at_least_two, default=16, metavar="R", help="of each mode, default 16")
+    add("--mitsuba-spp", type=positive, default=65536, metavar="N", help="default 65536")
+    add("--cache", type=Path, default=Path("out/mitsuba"), metavar="DIR", help="Mitsuba's renders, default out/mitsuba")
+    add("--json", type=Path, metavar="PATH", help="write all numbers as a JSON list")
+    args = parser.parse_args()
+    if args.spp % FINE**2:
+        parser.error(f"--spp: {args.spp} is not a multiple of {FINE**2}")
+    return args
+
+
+def scenes(names: list[str], width: int, height: int) -> list[Scene]:
+    """The scenes of these names, comparable and at this size."""
+    names = [name for given in names for name in (STUDIES if given == "studies" else [given])]
+    found = []
+    for name in names:
+        scene = STUDIES[name]() if name in STUDIES else load_scene(name, Overrides())
+        found.append(comparable(replace(scene, film=replace(scene.film, width=width, height=height))))
+    return found
+
+
+def mitsuba_reference(scene: Scene, spp: int, folder: Path, deadline: float = math.inf) -> LongRender:
+    """Mitsuba's render, begun or continued."""
+    film = scene.film
+    path = folder / f"{scene.name}-{film.width}x{film.height}-{film.max_depth}-mitsuba.exr"
+    chunk = max(2, CHUNK_SAMPLES // (film.width * film.height))
+    return accumulate(path, scene, RenderSettings("uniform", spp), chunk, deadline, by_mitsuba(scene))
+
+
+def by_mitsuba(scene: Scene) -> Callable[[Scene, RenderSettings, tqdm], MitsubaFilm]:
+    """What renders chunks of this scene."""
+    renderer = MitsubaRenderer(scene)
+
+    def render(_: Scene, settings: RenderSettings, bar: tqdm) -> MitsubaFilm:
+        film = renderer.render(settings.spp, settings.seed)
+        bar.update(settings.spp)
+        return film
+
+    return render
+
+
+def our_runs(scene: Scene, mode: str, count: int, spp: int, threads: int | None = None) -> Runs:
+    """Independent renders of `spp` samples a pixel, made with finer pixels."""
+    film = replace(scene.film, width=FINE * scene.film.width, height=FINE * scene.film.height)
+    runs = independent_runs(replace(scene, film=film), mode, count, spp // FINE**2, threads)
+    return Runs(avg_pool2d(runs.mean, FINE), avg_pool2d(runs.variance, FINE) / FINE**2)
+
+
+def compare(scene: Scene, mode: str, runs: Runs, reference: LongRender, spp: int, folder: Path) -> Comparison:
+    """Ratio and tests; leaves a picture of the pixels' z-values behind."""
+    expected = brightness(reference.radiance)
+    means: Tensor = runs.mean.mean((1, 2)) / expected.mean()
+    others = reference.variance.sum().sqrt() / expected.sum()
+    error = (means.var() / len(means) + (means.mean() * others).square()).sqrt()
+    outcomes = judge(scene, mode, runs, reference, folder, ROUNDING)
+    return Comparison(scene.name, mode, float(means.mean()), float(error), spp, reference.spp, outcomes)
+
+
+def tell(comparisons: list[Comparison]) -> int:
+    """Print the tables; returns how much failed."""
+    failed = report([outcome for one in comparisons for outcome in one.outcomes])
+    print("\n| scene | mode | ours / Mitsuba | SPP, Mitsuba's | pixels within | means |\n" + "| --- " * 2 + "| ---: " * 3 + "| --- |")
+    for one in comparisons:
+        within = next(outcome.within for outcome in one.outcomes if outcome.within is not None)
+        verdict = "passes" if one.means_agree else "FAILS"
+        ratio = f"{one.ratio:.5f} ± {one.standard_error:.5f}"
+        print(f"| {one.scene} | {one.mode} | {ratio} | {one.spp}, {one.mitsuba_spp} | {within:.3%} | {verdict} |")
+    return failed + sum(not one.means_agree for one in comparisons)
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except BokehguideError as error:
+        sys.exit(f"compare_mitsuba: error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("compare_mitsuba: interrupted; the same command goes on with Mitsuba's render")

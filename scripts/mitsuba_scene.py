@@ -1,0 +1,243 @@
+"""A scene in Mitsuba 3, as far as both renderers mean the same by it.
+
+`comparable` reduces a scene to what has an exact counterpart. Left out: coats over a base,
+specular lobes of dielectrics, normal maps, attenuation and spotlights' cones. Metals and
+rough glass are made smooth enough that Mitsuba's separable Smith term and the
+height-correlated one differ by less than a thousandth up to 85° from the normal.
+
+Mitsuba counts cut-outs that a path passes as segments, and its light samples are blocked by
+them; scenes with opacity need a `max_depth` beyond which there is no light to speak of.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import torch
+from scipy.ndimage import map_coordinates
+from torch import Tensor
+
+from bokehguide.errors import BokehguideError
+from bokehguide.render.vector import luminance
+from bokehguide.scene.types import Camera, Environment, Material, Mesh, Scene, Texture
+
+mi.set_variant("llvm_ad_rgb", "scalar_rgb")  # the second where no LLVM library is found
+
+METAL_ROUGHNESS = (0.05, 0.2)
+GLASS_ROUGHNESS = (0.1, 0.2)
+"""Ranges that roughness is brought into; glass below 0.063 is smooth."""
+SMOOTH_GLASS = 0.063
+FINE_MASK = 32
+"""Texels of a cut-out's image to one of the texture, across and down."""
+NEAR, FAR = 1e-4, 1e5
+"""Clipping planes of Mitsuba's camera, metres."""
+APART = 1e-5
+"""The back of a lamp that emits from both faces lies this far behind its front, in scene sizes."""
+
+
+def comparable(scene: Scene) -> Scene:
+    """`scene` with materials that Mitsuba has too; lamps are shaded flat, as their radiance is."""
+    if scene.suns:
+        raise BokehguideError(f"{scene.name}: suns have no counterpart in Mitsuba; remove them to compare")
+    materials = tuple(_comparable_material(material) for material in scene.materials)
+    meshes = tuple(
+        replace(mesh, normals=None if materials[mesh.material].emits else mesh.normals, tangents=None, colors=None)
+        for mesh in scene.meshes
+    )
+    return replace(scene, meshes=meshes, materials=materials)
+
+
+def _comparable_material(material: Material) -> Material:
+    """A Lambertian surface, a metal or glass, whichever comes closest."""
+    kept = ("name", "base_color", "ior", "thin", "emission", "double_sided", "opacity", "alpha_mode", "alpha_cutoff")
+    terms = {name: getattr(material, name) for name in (*kept, "base_color_texture", "emission_texture")}
+    if material.transmission >= 0.5:
+        smooth = material.thin or material.roughness < SMOOTH_GLASS
+        roughness = 0.0 if smooth else float(np.clip(material.roughness, *GLASS_ROUGHNESS))
+        return Material(**terms, transmission=1.0, roughness=roughness)
+    if material.metallic >= 0.5:
+        return Material(**terms, metallic=1.0, roughness=float(np.clip(material.roughness, *METAL_ROUGHNESS)))
+    return Material(**terms, specular=0.0)
+
+
+@dataclass(frozen=True)
+class MitsubaFilm:
+    """What one render of Mitsuba brought: as much of a `Film` as a comparison needs."""
+
+    mean: Tensor
+    second_moment: Tensor
+    spp: int
+    bad_count = 0
+
+    def radiance(self) -> Tensor:
+        """Mean radiance, float64 `[H, W, 3]`."""
+        return self.mean
+
+    def variance(self) -> Tensor:
+        """Estimated variance of the mean luminance, float64 `[H, W]`."""
+        mean = luminance(self.mean.movedim(-1, 0))
+        return (self.second_moment - mean.square()).clamp(min=0.0) / (self.spp - 1)
+
+
+class MitsubaRenderer:
+    """A comparable scene in Mitsuba."""
+
+    def __init__(self, scene: Scene):
+        self._scene = mi.load_dict(_described(scene))
+
+    def render(self, spp: int, seed: int) -> MitsubaFilm:
+        """An independent render of `spp` samples a pixel, at least 2."""
+        # Channels: RGB of the mean, then X, Y, Z of the mean and of the squares.
+        image = np.array(mi.render(self._scene, spp=spp, seed=seed), np.float64)
+        if not np.isfinite(image).all():
+            raise BokehguideError(f"Mitsuba: NaN or infinite pixels with seed {seed} at {spp} SPP")
+        return MitsubaFilm(torch.from_numpy(image[..., :3].copy()), torch.from_numpy(image[..., 7].copy()), spp)
+
+
+def _described(scene: Scene) -> dict[str, Any]:
+    described: dict[str, Any] = {
+        "type": "scene",
+        # No roulette: paths end at the last segment.
+        "integrator": {"type": "moment", "path": {"type": "path", "max_depth": scene.film.max_depth, "rr_depth": 100}},
+        "sensor": _sensor(scene),
+    }
+    materials = [mi.load_dict(_bsdf(material)) for material in scene.materials]
+    size = max(float(np.ptp(mesh.vertices, axis=0).max()) for mesh in scene.meshes)
+    for number, mesh in enumerate(scene.meshes):
+        material = scene.materials[mesh.material]
+        described[f"mesh{number}"] = _shape(mesh, material, materials[mesh.material])
+        if material.emits and material.double_sided:
+            described[f"mesh{number}back"] = _shape(_back(mesh, APART * size), material, materials[mesh.material])
+    if scene.environment is not None:
+        described["environment"] = _environment(scene.environment)
+    return described
+
+
+def _sensor(scene: Scene) -> dict[str, Any]:
+    camera: Camera = scene.camera
+    lens = {"type": "perspective"}  # thinlens refuses a radius of 0
+    if camera.aperture_radius > 0.0:
+        lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": camera.focus_distance}
+    film = {"type": "hdrfilm", "width": scene.film.width, "height": scene.film.height, "rfilter": {"type": "box"}}
+    place = mi.ScalarTransform4f().look_at(list(camera.position), list(camera.target), list(camera.up))
+    return lens | {
+        "to_world": place,
+        "fov": camera.fov,
+        "fov_axis": "x",
+        "near_clip": NEAR,
+        "far_clip": FAR,
+        "film": film | {"pixel_format": "rgb", "component_format": "float32"},
+        "sampler": {"type": "independent"},
+    }
+
+
+def _bsdf(material: Material) -> dict[str, Any]:
+    color = _color(material.base_color, material.base_color_texture)
+    alpha = material.roughness**2
+    if material.transmission > 0.0:
+        index = {"int_ior": material.ior, "ext_ior": 1.0, "specular_transmittance": color}
+        if material.thin:
+            bsdf = {"type": "thindielectric"} | index
+        elif alpha == 0.0:
+            bsdf = {"type": "dielectric"} | index
+        else:
+            bsdf = {"type": "roughdielectric", "distribution": "ggx", "alpha": alpha} | index
+    elif material.metallic > 0.0:  # Schlick's Fresnel term, as glTF has it
+        metal = {"type": "principled", "base_color": color, "metallic": 1.0, "roughness": material.roughness}
+        bsdf = {"type": "twosided", "bsdf": metal}
+    else:
+        bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": color}}
+    return bsdf if material.alpha_mode == "opaque" else {"type": "mask", "bsdf": bsdf, "opacity": _opacity(material)}
+
+
+def _color(factor: tuple[float, float, float], texture: Texture | None) -> dict[str, Any]:
+    """A colour, or an image of which it is a factor."""
+    if texture is None:
+        return {"type": "rgb", "value": list(factor)}
+    return _bitmap(texture.image[..., :3] * np.asarray(factor, np.float32), texture)
+
+
+def _opacity(material: Material) -> dict[str, Any] | float:
+    """The opacity of a material that is not opaque. Mitsuba cuts nothing out by itself: a fine image does."""
+    texture, cuts = material.base_color_texture, material.alpha_mode == "mask"
+    if texture is None or texture.image.shape[2] < 4:
+        return float(material.opacity >= material.alpha_cutoff) if cuts else material.opacity
+    image = material.opacity * texture.image[..., 3]
+    if not cuts:
+        return _bitmap(image, texture)
+    places = np.meshgrid(*((np.arange(FINE_MASK * size) + 0.5) / FINE_MASK - 0.5 for size in image.shape), indexing="ij")
+    beyond = {"repeat": "grid-wrap", "clamp": "nearest", "mirror": "reflect"}[texture.wrap[0]]
+    cut = map_coordinates(image, places, order=1, mode=beyond) >= material.alpha_cutoff
+    return _bitmap(cut, texture) | {"filter_type": "nearest"}
+
+
+def _bitmap(image: np.ndarray, texture: Texture) -> dict[str, Any]:
+    a, b, c, d, e, f = texture.transform
+    if len(set(texture.wrap)) > 1:
+        raise BokehguideError(f"texture: Mitsuba wraps u and v alike, not {' and '.join(texture.wrap)}")
+    return {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(np.ascontiguousarray(image, np.float32)),
+        "raw": True,
+        "filter_type": "bilinear",
+        "wrap_mode": texture.wrap[0],
+        "to_uv": mi.ScalarTransform4f([[a, b, 0.0, c], [d, e, 0.0, f], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),
+    }
+
+
+def _shape(mesh: Mesh, material: Material, bsdf: mi.BSDF) -> mi.Mesh:
+    parts = mi.Properties()
+    parts["bsdf"] = bsdf
+    if material.emits:
+        radiance = _color(material.emission, material.emission_texture)
+        parts["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
+    uv_set = next((t.uv_set for t in (material.base_color_texture, material.emission_texture) if t is not None), 0)
+    arrays = {"vertex_positions": mesh.vertices, "faces": mesh.triangles.astype(np.uint32)}
+    if mesh.normals is not None:
+        arrays["vertex_normals"] = mesh.normals
+    if mesh.uvs is not None:
+        arrays["vertex_texcoords"] = mesh.uvs[:, uv_set]
+    shape = mi.Mesh(
+        material.name,
+        *(len(mesh.vertices), len(mesh.triangles)),
+        has_vertex_normals=mesh.normals is not None,
+        has_vertex_texcoords=mesh.uvs is not None,
+        props=parts,
+    )
+    parameters = mi.traverse(shape)
+    for name, array in arrays.items():
+        parameters[name] = np.ascontiguousarray(array).ravel()
+    parameters.update()
+    return shape
+
+
+def _back(mesh: Mesh, distance: float) -> Mesh:
+    """The other face of every triangle of a flat mesh, `distance` behind it."""
+    corners = mesh.vertices[mesh.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-30)
+    vertices = (corners - distance * normals[:, None])[:, ::-1].reshape(-1, 3)
+    triangles = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    uvs = None if mesh.uvs is None else mesh.uvs[mesh.triangles][:, ::-1].reshape(len(vertices), -1, 2)
+    return Mesh(vertices, triangles, mesh.material, uvs=uvs)
+
+
+def _environment(environment: Environment) -> dict[str, Any]:
+    """The map with Mitsuba's rows, and turned: its centre lies at +z where ours lies at -z.
+
+    Mitsuba's first and last rows are the poles and its columns are texels; with twice as
+    many rows and one, its bilinear interpolant is ours.
+    """
+    if not environment.visible:
+        raise BokehguideError("environment: Mitsuba has none that light but cannot be seen")
+    radiance = np.asarray(environment.radiance, np.float32)
+    if radiance.shape[:2] == (1, 1):
+        return {"type": "constant", "radiance": {"type": "rgb", "value": radiance[0, 0].tolist()}}
+    padded = np.pad(radiance, ((1, 1), (0, 0), (0, 0)), mode="edge")
+    rows = np.empty((2 * len(radiance) + 1, *radiance.shape[1:]), np.float32)
+    rows[1::2], rows[0::2] = radiance, 0.5 * (padded[1:] + padded[:-1])
+    turn = mi.ScalarTransform4f().rotate([0, 1, 0], 180.0 + environment.rotation)
+    return {"type": "envmap", "bitmap": mi.Bitmap(rows), "to_world": turn}
