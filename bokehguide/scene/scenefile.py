@@ -16,7 +16,7 @@ from bokehguide.scene.models import load_model
 from bokehguide.scene.overrides import Overrides, constant_radiance, override_camera
 from bokehguide.scene.placing import place_lamps, place_suns
 from bokehguide.scene.shapes import SHAPES, transform, transformed
-from bokehguide.scene.tables import ANY, IOR, NOT_NEGATIVE, POSITIVE, SHARE, SUN_ANGLE, Table, did_you_mean, is_number
+from bokehguide.scene.tables import ANY, IOR, LAMP_RADIUS, NOT_NEGATIVE, SHARE, SUN_ANGLE, Table, did_you_mean, is_number
 from bokehguide.scene.types import Environment, Film, LightSizes, Material, Mesh, Model, Scene, Sun, Texture
 from bokehguide.scene.validation import check_mesh
 
@@ -158,7 +158,7 @@ class _Objects:
 def _read_lights(root: Table) -> LightSizes:
     table = Table(root.values.get("lights", {}), root.file, "lights", ("radius", "sun_angle"))
     return LightSizes(
-        radius=table.number("radius", None, POSITIVE),
+        radius=table.number("radius", None, LAMP_RADIUS),
         sun_angle=table.number("sun_angle", LightSizes.sun_angle, SUN_ANGLE),
     )
 

@@ -32,6 +32,7 @@ IN_FRONT = Limits(
 NOT_NEGATIVE = Limits(f"a number of 0 or more, up to {LARGEST:g}", low=0.0)
 SHARE = Limits("a number between 0 and 1", low=0.0, high=1.0)
 ANGLE_OF_VIEW = Limits("degrees between 0 and 180 (from 0.001 to 179.999)", low=1e-3, high=179.999)
+LAMP_RADIUS = Limits("metres from 1e-6 to 1e6", low=1e-6, high=1e6)
 SUN_ANGLE = Limits("degrees from 0.001 to 90", low=1e-3, high=90.0)
 IOR = Limits(f"a number of 1 or more, up to {LARGEST:g}", low=1.0)
 COUNT = Limits(f"a whole number of 1 or more, up to {MAX_SIDE}", low=1, high=MAX_SIDE)

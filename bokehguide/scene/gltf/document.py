@@ -138,8 +138,8 @@ class Document:
     def links(self, part: Part, key: str, section: str) -> list[int]:
         """The list of indices `key` into `section`."""
         values = part.values.get(key, [])
-        if not isinstance(values, list):
-            part.fail(key, "is not a list; repair the file")
+        if not isinstance(values, list) or None in values:
+            part.fail(key, "is not a list of indices; repair the file")
         entries = Part(dict(enumerate(values)), part.file, part.place(key).removeprefix(f"{part.file}: "))
         return [self.link(entries, number, section) for number in range(len(values))]
 

@@ -15,7 +15,7 @@ import numpy as np
 from bokehguide.scene.gltf.document import Document, Part
 from bokehguide.scene.gltf.nodes import Placed
 from bokehguide.scene.shapes import spheres
-from bokehguide.scene.tables import NOT_NEGATIVE, Limits
+from bokehguide.scene.tables import LAMP_RADIUS, NOT_NEGATIVE, Limits
 from bokehguide.scene.types import Cone, LightSizes, Material, Mesh, Sun
 
 EXTENSION = "KHR_lights_punctual"
@@ -28,7 +28,7 @@ def default_radius(meshes: Sequence[Mesh]) -> float:
     """Metres: 0.01, or a hundredth of a small model's longest side."""
     low = np.min([mesh.vertices.min(axis=0) for mesh in meshes], axis=0)
     high = np.max([mesh.vertices.max(axis=0) for mesh in meshes], axis=0)
-    return min(RADIUS, SHARE * float((high - low).max()))
+    return max(LAMP_RADIUS.low, min(RADIUS, SHARE * float((high - low).max())))
 
 
 def read_lights(

@@ -26,7 +26,7 @@ def read_materials(document: Document, textures: Textures) -> list[Material]:
 def _material(part: Part, textures: Textures) -> Material:
     pbr = part.part("pbrMetallicRoughness")
     *base_color, opacity = pbr.numbers("baseColorFactor", 4, (*WHITE, 1.0), SHARE)
-    mode = part.values.get("alphaMode", "OPAQUE")
+    mode = part.text("alphaMode") or "OPAQUE"
     if mode not in ALPHA_MODES:
         part.fail("alphaMode", f"is none of {', '.join(ALPHA_MODES)}; repair the file")
     normal = part.part("normalTexture")
