@@ -111,10 +111,14 @@ def test_a_sheet_counts_once_however_it_is_met(away, tilt):
     plate = rectangle(0, (away, 0.0, -1.0), (0.0, tilt, 0.0), 100.0)
     origins = torch.tensor([[away], [0.0], [0.0]]) + 0.3 * torch.randn(3, 2000, generator=torch.Generator().manual_seed(1))
     directions = torch.tensor([[0.0], [0.0], [-1.0]]).repeat(1, 2000)
-    opacity = Opacity(Geometry(scene([plate, rectangle(1, (away, 0, -200.0), scale=9.0)], [sheet(0.4), matte()])), (plate,))
-    found, _ = opacity.transmittance(origins, directions, torch.full((2000,), 150.0))
-    hit = crossings([plate], origins.numpy(), directions.numpy()) < 150.0
-    np.testing.assert_allclose(found.numpy(), 1.0 - 0.4 * hit.sum(axis=1).clip(max=1), rtol=1e-6)
+    meshes = (plate, rectangle(1, (away, 0.0, 200.0), scale=9.0))
+    opacity = Opacity(Geometry(scene(meshes, [sheet(0.4), matte()])), meshes)
+    met = crossings([plate], origins.numpy(), directions.numpy()) < 150.0
+    share, _ = opacity.transmittance(origins, directions, torch.full((2000,), 150.0))
+    np.testing.assert_allclose(share.numpy(), 1.0 - 0.4 * met.any(axis=1), rtol=1e-6)
+    random = PixelRandom(0, 0, torch.arange(2000))
+    hit, _ = opacity.nearest(origins, directions, random, 1000)
+    assert (hit.triangle.numpy() >= 0).tolist() == (met.any(axis=1) & (random.uniform(1000, 1)[0].numpy() < 0.4)).tolist()
 
 
 def test_a_sheet_before_a_constant_sky():
@@ -256,3 +260,17 @@ def test_a_path_through_sheets_does_not_depend_on_those_beside_it():
     index = torch.arange(0, 3000, 7)
     part = tracer.trace(origins[:, index], directions[:, index], random.select(index), path_tracer.PhaseTimer())
     torch.testing.assert_close(part.radiance, whole.radiance[:, index], rtol=1e-5, atol=1e-6)
+
+
+def test_no_random_number_is_used_twice(monkeypatch):
+    """Crossings draw from dimensions of their own, whatever the segment."""
+    drawn, uniform = [], PixelRandom.uniform
+
+    def recorded(self, dimension, count):
+        drawn.extend(range(dimension, dimension + count))
+        return uniform(self, dimension, count)
+
+    monkeypatch.setattr(PixelRandom, "uniform", recorded)
+    estimates(crowded(matte(0.6)), (0.1, 1.3, 1.5), (-0.1, -0.8, -1.5), 500)
+    assert len(drawn) > 40
+    assert len(set(drawn)) == len(drawn)

@@ -23,15 +23,15 @@ OFFSET = 1e-5
 MIN_FACING = 1e-4
 """Least cosine between a shading normal and the direction to the viewer."""
 TARGETS = {
-    "base_color": (("base_color", slice(0, 3), 1),),
-    "metallic_roughness": (("alpha", 1, 2), ("metallic", 2, 1)),
-    "specular": (("specular", 3, 1),),
-    "specular_color": (("specular_color", slice(0, 3), 1),),
-    "transmission": (("transmission", 0, 1),),
-    "clearcoat": (("clearcoat", 0, 1),),
-    "clearcoat_roughness": (("clearcoat_alpha", 1, 2),),
+    "base_color": (("base_color", slice(0, 3), False),),
+    "metallic_roughness": (("alpha", 1, True), ("metallic", 2, False)),
+    "specular": (("specular", 3, False),),
+    "specular_color": (("specular_color", slice(0, 3), False),),
+    "transmission": (("transmission", 0, False),),
+    "clearcoat": (("clearcoat", 0, False),),
+    "clearcoat_roughness": (("clearcoat_alpha", 1, True),),
 }
-"""What the texture in a slot multiplies: fields of `Surface`, by which channels and to which power (α = roughness²)."""
+"""What the texture in a slot multiplies: fields of `Surface`, by which channels, and whether by their squares (α = roughness²)."""
 
 
 @dataclass
@@ -87,6 +87,7 @@ class Geometry:
         self.material = torch.repeat_interleave(numbers, counts).to(self.device)
         """Material of each triangle, int32 `[T]`."""
         self._normals = self._rows(triangles.normal_rows(meshes))
+        self._targets = [(slot, targets) for slot, targets in TARGETS.items() if slot in self.materials.slots]
         self._uvs = self._colors = self._tangents = None
         if self.materials.atlas.uv_sets:
             self._uvs = self._rows(triangles.uv_rows(meshes, self.materials.atlas.uv_sets)).flatten(1)
@@ -148,28 +149,29 @@ class Geometry:
         """Multiply the factors by what vertex colours and textures say, and bend the normals, in place."""
         if self._colors is not None:
             surface.base_color *= self._color(hit)[0:3]
-        for slot, targets in TARGETS.items():
+        for slot, targets in self._targets:
             index, texel = self._texels(slot, hit, material)
-            if len(index) > 0:
-                for field, channels, power in targets:
-                    getattr(surface, field)[..., index] *= texel[channels] ** power
+            for field, channels, squared in targets if len(index) > 0 else ():
+                factor = texel[channels].square() if squared else texel[channels]
+                values = getattr(surface, field)
+                values.index_copy_(-1, index, values.index_select(-1, index) * factor)
         index, texel = self._texels("normal", hit, material)
         if len(index) > 0:
             texel[0:2] *= self.materials.normal_scale.index_select(1, material.index_select(0, index))
-            surface.normal[:, index] = self._bent_normals(surface, hit, index, texel)
+            surface.normal.index_copy_(1, index, self._bent_normals(surface, hit, index, texel))
 
     def _bent_normals(self, surface: Surface, hit: Hit, index: Tensor, tangent_space: Tensor) -> Tensor:
         """Shading normals `[3, K]` of the hits at `index`, given in tangent space `[.., K]`."""
         rows = self._tangents.index_select(1, hit.triangle.index_select(0, index))
         normal = surface.normal.index_select(1, index)
         tangent = _interpolate(rows[0:9], hit.u.index_select(0, index), hit.v.index_select(0, index))
-        tangent = normalize(tangent - normal * dot(normal, tangent))
+        tangent = normalize(tangent - normal * dot(normal, tangent))  # none stays 0 and leaves the normal as it is
         # On the back the whole vector turns round; `normal` has, and so has the bitangent with it.
         side = 2.0 * surface.front.index_select(0, index) - 1.0
         x, y, z = tangent_space[0] * side, tangent_space[1] * rows[9], tangent_space[2]
         bent = normalize(x * tangent + y * cross(normal, tangent) + z * normal)
-        usable = (dot(bent, surface.outgoing.index_select(1, index)) > MIN_FACING) & (dot(tangent, tangent) > 0.5)
-        return normal + (bent - normal) * usable
+        facing = (dot(bent, surface.outgoing.index_select(1, index)) > MIN_FACING).to(torch.float32)
+        return bent * facing + normal * (1.0 - facing)
 
     def _color(self, hit: Hit) -> Tensor:
         """Vertex colours `[4, N]`."""

@@ -47,6 +47,8 @@ class Materials:
             if any(textures):
                 numbers = [atlas.add(texture, signed=slot == "normal") for texture in textures]
                 self._numbers[slot] = torch.tensor(numbers, device=device)
+        self.slots = frozenset(self._numbers)
+        """Those of SLOTS in which some material has a texture."""
         self.atlas = atlas.build(device)
         self.parameters = table(
             [(*m.base_color, m.metallic, m.roughness**2, m.specular, m.transmission, float(m.thin), m.ior) for m in materials]

@@ -105,7 +105,7 @@ def _halves(image: np.ndarray, signed: bool) -> tuple[Tensor, float]:
     values = torch.from_numpy(np.ascontiguousarray(image, np.float32)).reshape(len(texels), -1)
     if signed:
         values = 2.0 * values - 1.0
-    peak = float(values.abs().max())
+    peak = max(abs(float(extreme)) for extreme in torch.aminmax(values))
     scale = peak / HALF_MAX if peak > HALF_MAX else 1.0
     texels[:] = 1.0 / scale
     texels[:, : values.shape[1]] = values if scale == 1.0 else values / scale
