@@ -71,7 +71,7 @@ def replaced(document: dict, place: str, value: object) -> dict:
         ("accessors/0/type", "VEC2", "'VEC2' is not VEC3"),
         ("accessors/0/type", None, "accessors[0].type: missing"),
         ("accessors/0/bufferView", 99, "bufferView: 99 is no index into bufferViews"),
-        ("bufferViews/1/byteLength", 10**6, "bufferViews[1].byteLength: 1000000 from byte"),
+        ("bufferViews/1/byteLength", 10**6, "byteLength: 1000000 from byte"),
         ("bufferViews/1/byteStride", 4, "byteStride: 4 is less than the 12 bytes"),
         ("bufferViews/1/buffer", 1, "buffer: 1 is no index"),
         ("bufferViews/1/buffer", None, "buffer: missing"),

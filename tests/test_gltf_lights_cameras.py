@@ -68,7 +68,8 @@ def test_a_spotlight_has_a_cone(tmp_path):
 
 
 def test_a_directional_light_becomes_a_sun(tmp_path):
-    scene = load_scene(lit({"type": "directional", "intensity": 6830, "color": [1, 1, 0.5]}, rotation=DOWN).save(tmp_path / "sun.glb"))
+    light = {"type": "directional", "intensity": 6830, "color": [1, 1, 0.5]}
+    scene = load_scene(lit(light, rotation=DOWN).save(tmp_path / "sun.glb"))
     (sun,) = scene.suns
     np.testing.assert_allclose(sun.direction, [0, 1, 0], atol=1e-7)
     assert sun.irradiance == pytest.approx((10.0, 10.0, 5.0)) and sun.angle == 0.53

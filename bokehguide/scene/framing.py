@@ -85,7 +85,9 @@ def _choose(cameras: tuple[ModelCamera, ...], overrides: Overrides, file: str) -
     known |= {camera.name: camera for camera in reversed(cameras)}
     if wanted not in known and wanted != FRAME:
         names = ", ".join(f"{number} ({camera.name})" for number, camera in enumerate(cameras)) or "none"
-        raise BokehguideError(f"--camera: {wanted!r} is no camera of {file}; it has {names}, and {FRAME!r} frames it all")
+        raise BokehguideError(
+            f"--camera: {wanted!r} is no camera of {file}; it has {names}, and {FRAME!r} frames it all"
+        )
     return known.get(wanted)
 
 

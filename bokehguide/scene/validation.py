@@ -68,8 +68,13 @@ def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
 
 def _without_degenerate(mesh: Mesh) -> Mesh:
     a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.triangles], 1, 0)
-    doubled_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    longest = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=0)
+    doubled_area = np.sqrt(_squares(np.cross(b - a, c - a)))
+    longest = np.maximum(np.maximum(_squares(b - a), _squares(c - b)), _squares(a - c))
     # Below this, single precision computes a normal that is noise or whose square is 0.
-    kept = doubled_area > np.maximum(1e-7 * longest**2, 1e-18)
+    kept = doubled_area > np.maximum(1e-7 * longest, 1e-18)
     return mesh if kept.all() else replace(mesh, triangles=mesh.triangles[kept])
+
+
+def _squares(vectors: np.ndarray) -> np.ndarray:
+    """Squared lengths `[N]` of `[N, 3]`."""
+    return np.einsum("ij,ij->i", vectors, vectors)

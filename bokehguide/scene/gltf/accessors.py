@@ -35,7 +35,7 @@ def read_indices(document: Document, index: int) -> np.ndarray:
     """Accessor `index` as int64 `[count]`. Raises BokehguideError where it is not of unsigned integers."""
     values = read_raw(document, index, "SCALAR")
     if values.dtype.kind != "u":
-        document.items("accessors")[index].fail("componentType", "is no unsigned integer, as indices are; repair the file")
+        document.items("accessors")[index].fail("componentType", "is no unsigned integer; repair the file")
     return values[:, 0].astype(np.int64)
 
 
@@ -90,5 +90,7 @@ def _put_sparse(document: Document, accessor: Part, values: np.ndarray) -> None:
     if where.dtype.kind != "u":
         indices.fail("componentType", "is no unsigned integer; repair the file")
     if count and where.max() >= len(values):
-        raise BokehguideError(f"{accessor.file}: {indices.path}: {where.max()} is beyond the {len(values)} elements; repair the file")
+        raise BokehguideError(
+            f"{accessor.file}: {indices.path}: {where.max()} is beyond the {len(values)} elements; repair the file"
+        )
     values[where] = _strided(document, sparse.part("values"), values.dtype, count, values.shape[1])

@@ -159,7 +159,7 @@ class Document:
         data = self._buffer(buffer, view)
         start, length = view.whole("byteOffset", 0), view.whole("byteLength", 0)
         if start + length > len(data):
-            view.fail("byteLength", f"from byte {start} on is beyond the {len(data)} bytes of its buffer; repair the file")
+            view.fail("byteLength", f"from byte {start} on is beyond its buffer's {len(data)} bytes; repair the file")
         return memoryview(data)[start : start + length]
 
     def _buffer(self, index: int, view: Part) -> bytes:
@@ -170,10 +170,11 @@ class Document:
             elif index == 0 and self.chunk is not None:
                 self._buffers[index] = self.chunk
             else:
-                packed = ", ".join(view.extensions) or "none of the extensions"
-                raise BokehguideError(f"{self.file}: {buffer.path}: has no data ({packed} of {view.path} is read here); save the file without compression")
-            if buffer.whole("byteLength", 0) > len(self._buffers[index]):
-                buffer.fail("byteLength", f"is more than the {len(self._buffers[index])} bytes there are; fetch the file again")
+                packed = f", and {', '.join(view.extensions)} is not read" if view.extensions else ""
+                raise BokehguideError(f"{self.file}: {buffer.path}: has no data{packed}; save the file uncompressed")
+            length = len(self._buffers[index])
+            if buffer.whole("byteLength", 0) > length:
+                buffer.fail("byteLength", f"is more than the {length} bytes there are; fetch the file again")
         return self._buffers[index]
 
     def resource(self, part: Part) -> bytes:
@@ -182,7 +183,9 @@ class Document:
         try:
             if uri.startswith("data:"):
                 head, _, body = uri.partition(",")
-                return base64.b64decode(unquote(body), validate=True) if head.endswith(";base64") else unquote_to_bytes(body)
+                if head.endswith(";base64"):
+                    return base64.b64decode(unquote(body), validate=True)
+                return unquote_to_bytes(body)
             path = self.path.parent / unquote(uri)
             if not path.is_file():
                 part.fail("uri", "is no file beside the model; put it there")

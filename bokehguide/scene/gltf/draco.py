@@ -26,7 +26,8 @@ def read_draco(document: Document, primitive: Part) -> tuple[dict[str, np.ndarra
     try:
         mesh = DracoPy.decode(bytes(document.view(view)))
     except (DracoPy.FileTypeException, ValueError, RuntimeError) as error:
-        raise BokehguideError(f"{document.file}: {primitive.path}: damaged {DRACO} ({error}); fetch the file again") from None
+        place = f"{document.file}: {primitive.path}"
+        raise BokehguideError(f"{place}: damaged {DRACO} ({error}); fetch the file again") from None
     by_id = {attribute["unique_id"]: attribute["data"] for attribute in mesh.attributes}
     names = packed.part("attributes")
     arrays = {}

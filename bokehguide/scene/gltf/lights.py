@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -59,7 +60,8 @@ def read_lights(
         elif any(radiance := _power(light, math.pi * radius**2)):
             cone = _cone(light, axis) if kind == "spot" else None
             meshes.append(spheres(position[None], radius, len(materials)))
-            materials.append(Material(light.label, base_color=(0.0,) * 3, specular=0.0, emission=radiance, emission_cone=cone))
+            black = Material(light.label, base_color=(0.0, 0.0, 0.0), specular=0.0)
+            materials.append(replace(black, emission=radiance, emission_cone=cone))
         if "range" in light:
             document.note("the range of lights: light falls off with the squared distance for ever", light.label)
     return meshes, materials, suns

@@ -71,7 +71,8 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
     triangles = sum(len(mesh.triangles) * len(matrices) for mesh, matrices, _ in parts)
     if triangles > MAX_TRIANGLES:
         raise BokehguideError(
-            f"{document.file}: its instances have {triangles:,} triangles in all; give a file of at most {MAX_TRIANGLES:,}"
+            f"{document.file}: its instances have {triangles:,} triangles in all; "
+            f"give a file of at most {MAX_TRIANGLES:,}"
         )
     meshes = []
     for mesh, matrices, place in parts:

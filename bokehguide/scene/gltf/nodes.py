@@ -34,7 +34,8 @@ def place_nodes(document: Document) -> list[Placed]:
         index, parent = waiting.pop()
         node = nodes[index]
         if index in seen:
-            raise BokehguideError(f"{document.file}: {node.path}: has two parents or is its own ancestor; repair the file")
+            problem = "has two parents or is its own ancestor; repair the file"
+            raise BokehguideError(f"{document.file}: {node.path}: {problem}")
         seen.add(index)
         with np.errstate(over="ignore", invalid="ignore"):
             matrix = parent @ local_matrix(node)
@@ -82,9 +83,10 @@ def instance_matrices(document: Document, placed: Placed) -> np.ndarray:
     count = len(next(iter(given.values())))
     rotation = given.get("ROTATION", np.tile((0.0, 0.0, 0.0, 1.0), (count, 1)))
     if not rotation.any(axis=1).all():
-        raise BokehguideError(f"{document.file}: {attributes.path}.ROTATION: holds a quaternion of length 0; repair the file")
-    local = _matrices(given.get("TRANSLATION", np.zeros((count, 3))), rotation, given.get("SCALE", np.ones((count, 3))))
-    return placed.matrix @ local
+        problem = "holds a quaternion of length 0; repair the file"
+        raise BokehguideError(f"{document.file}: {attributes.path}.ROTATION: {problem}")
+    translation, scale = given.get("TRANSLATION", np.zeros((count, 3))), given.get("SCALE", np.ones((count, 3)))
+    return placed.matrix @ _matrices(translation, rotation, scale)
 
 
 def _matrices(translation: np.ndarray, rotation: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -41,7 +41,9 @@ def read_primitive(document: Document, primitive: Part, name: str, number: int, 
         return None
     if any(len(array) != len(vertices) for array in arrays.values()):
         counts = ", ".join(f"{len(array)} of {key}" for key, array in arrays.items())
-        raise BokehguideError(f"{document.file}: {primitive.path}: attributes differ in their counts ({counts}); repair the file")
+        raise BokehguideError(
+            f"{document.file}: {primitive.path}: attributes differ in their counts ({counts}); repair the file"
+        )
     normals = _unit(document, arrays.get("NORMAL"), "normals of length 0: shaded flat", name)
     tangents = arrays.get("TANGENT") if normals is not None else None
     mesh = Mesh(
@@ -86,7 +88,8 @@ def _triangles(primitive: Part, indices: np.ndarray) -> np.ndarray:
     indices = np.minimum(indices, np.iinfo(np.int32).max).astype(np.int32)
     if mode == TRIANGLES:
         if len(indices) % 3:
-            raise BokehguideError(f"{primitive.file}: {primitive.path}: {len(indices)} indices are no whole number of triangles; repair the file")
+            problem = f"{len(indices)} indices are no whole number of triangles; repair the file"
+            raise BokehguideError(f"{primitive.file}: {primitive.path}: {problem}")
         return indices.reshape(-1, 3)
     start = np.arange(max(len(indices) - 2, 0))
     if mode == STRIP:
