@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bokehguide.render.environment import EnvironmentLight
+from bokehguide.render.environment import EnvironmentMap
 from bokehguide.render.random import PixelRandom
 from bokehguide.scene.types import Environment
 from tests.sphere import SphereGrid
@@ -58,7 +58,7 @@ def histogram(directions: torch.Tensor, factor: int, rotation: float) -> np.ndar
 
 @pytest.mark.parametrize("rotation", [0.0, 37.0, -200.0])
 def test_draws_follow_the_density(rotation):
-    light = EnvironmentLight(Environment(peaked_map(), rotation))
+    light = EnvironmentMap(Environment(peaked_map(), rotation))
     directions, pdf = light.sample(uniforms(1_000_000))
     assert torch.allclose(directions.norm(dim=0), torch.ones(()), atol=1e-5)
     assert (pdf > 0.0).all()
@@ -69,13 +69,13 @@ def test_draws_follow_the_density(rotation):
 
 
 def test_the_density_given_with_a_draw_is_the_one_looked_up():
-    light = EnvironmentLight(Environment(peaked_map(), 37.0))
+    light = EnvironmentMap(Environment(peaked_map(), 37.0))
     directions, pdf = light.sample(uniforms(100_000))
     apart = (light.pdf(directions) / pdf - 1.0).abs() > 1e-4
     assert apart.float().mean() < 1e-4  # rounding puts a draw across the edge of its texel
 
 
-def texel_means(light: EnvironmentLight) -> tuple[np.ndarray, float]:
+def texel_means(light: EnvironmentMap) -> tuple[np.ndarray, float]:
     """Mean luminance of the interpolated map over each texel `[N]`, and over the sphere."""
     centres, _ = cells(16, 0.0)
     red, green, blue = light.radiance(centres).double().numpy().reshape(3, HEIGHT, 16, WIDTH, 16).mean((2, 4))
@@ -84,7 +84,7 @@ def texel_means(light: EnvironmentLight) -> tuple[np.ndarray, float]:
 
 
 def test_the_density_is_the_share_of_what_a_texel_exceeds_the_mean_by():
-    light = EnvironmentLight(Environment(peaked_map()))
+    light = EnvironmentMap(Environment(peaked_map()))
     texels, solid_angle = cells(1, 0.0)
     mean, whole = texel_means(light)
     excess = np.maximum(mean - whole, 0.0)
@@ -93,7 +93,7 @@ def test_the_density_is_the_share_of_what_a_texel_exceeds_the_mean_by():
 
 
 def test_the_density_is_positive_wherever_there_is_more_light_than_the_mean():
-    light = EnvironmentLight(Environment(peaked_map()))
+    light = EnvironmentMap(Environment(peaked_map()))
     mean, whole = texel_means(light)
     density = light.pdf(cells(1, 0.0)[0]).numpy()
     assert (density[mean > 1.02 * whole] > 0.0).all()
@@ -121,7 +121,7 @@ def test_orientation(u, v, rotation, expected):
     radiance[max(0, int(v * 64) - 2) : int(v * 64) + 2, columns] = 1.0
     if v in (0.0, 1.0):
         radiance[[0, -1][int(v)]] = 1.0
-    light = EnvironmentLight(Environment(radiance, rotation))
+    light = EnvironmentMap(Environment(radiance, rotation))
     there = torch.tensor(expected, dtype=torch.float32)[:, None]
     assert light.radiance(there)[0].item() == pytest.approx(1.0, abs=1e-4)
     assert light.radiance(-there)[0].item() == 0.0
@@ -131,7 +131,7 @@ def test_orientation(u, v, rotation, expected):
 
 def test_radiance_is_bilinear_and_wraps_around():
     radiance, rotation = peaked_map(), 37.0
-    light = EnvironmentLight(Environment(radiance, rotation))
+    light = EnvironmentMap(Environment(radiance, rotation))
     points = np.random.default_rng(2).uniform(size=(200, 2))
     points[:8] = [[0.001, 0.5], [0.999, 0.5], [0.3, 0.001], [0.3, 0.999], [0.999, 0.999], [0.0, 0.3], [0.23, 0.28], [0.6, 0.01]]
     directions = np.array([map_direction(u, v, rotation) for u, v in points])
@@ -149,7 +149,7 @@ def test_radiance_is_bilinear_and_wraps_around():
 
 
 def test_the_weighted_mean_of_draws_is_the_light_of_where_they_fall():
-    light = EnvironmentLight(Environment(peaked_map(), 5.625))
+    light = EnvironmentMap(Environment(peaked_map(), 5.625))
     directions, pdf = light.sample(uniforms(200_000, seed=4))
     estimates = (light.radiance(directions) / pdf).double().numpy()
     grid, solid_angle = cells(32, 5.625)
@@ -160,10 +160,10 @@ def test_the_weighted_mean_of_draws_is_the_light_of_where_they_fall():
 
 def test_a_constant_map_is_of_one_radiance_and_has_nothing_to_sample():
     for shape in ((1, 1, 3), (4, 8, 3)):
-        light = EnvironmentLight(Environment(np.full(shape, 0.7, np.float32)))
+        light = EnvironmentMap(Environment(np.full(shape, 0.7, np.float32)))
         assert torch.allclose(light.radiance(SphereGrid().directions), torch.full((), 0.7))
         assert light.power == 0.0
 
 
 def test_a_black_map_has_no_power():
-    assert EnvironmentLight(Environment(np.zeros((4, 8, 3), np.float32))).power == 0.0
+    assert EnvironmentMap(Environment(np.zeros((4, 8, 3), np.float32))).power == 0.0

@@ -19,7 +19,8 @@ def samples(radiance: torch.Tensor, weight=1.0, alpha=1.0, depth=2.0) -> FilmSam
 
     normal = torch.zeros_like(radiance)
     normal[2] = 1.0
-    return FilmSamples(whole(weight), radiance, whole(alpha), whole(depth), normal, 0.5 * torch.ones_like(radiance))
+    alpha, albedo = whole(alpha), torch.tensor([[0.2], [0.4], [0.6]])
+    return FilmSamples(whole(weight), radiance, alpha, whole(depth), normal * alpha, albedo * alpha, 0.25 * radiance)
 
 
 def random(step: int, count: int) -> torch.Tensor:
@@ -122,21 +123,49 @@ def test_layers_are_contiguous_float32_of_the_frames_shape():
     film.add(0, samples(random(1, 20)[:3]), 1)
     layers = film.layers()
     for name, layer in layers.items():
-        colored = name in ("beauty", "normal", "albedo")
+        colored = name in ("beauty", "normal", "albedo", "emission")
         assert layer.shape == ((4, 5, 3) if colored else (4, 5)), name
         assert layer.dtype == np.float32 and layer.flags.c_contiguous, name
 
 
-def test_depth_normal_and_albedo_are_means_over_the_samples_that_met_a_surface():
+def test_depth_is_the_mean_over_the_samples_that_met_a_surface():
     film = Film(3, 1)
     radiance = torch.zeros(3, 3)
     film.add(0, samples(radiance, torch.tensor([1.0, 1.0, 1.0]), 1.0, torch.tensor([2.0, 4.0, NO_DEPTH])), 1)
     film.add(0, samples(radiance, torch.tensor([3.0, 0.0, 1.0]), 1.0, torch.tensor([6.0, 9.0, NO_DEPTH])), 2)
     film.add(0, samples(radiance, torch.tensor([1.0, 1.0, 1.0]), 0.0, NO_DEPTH), 3)
+    np.testing.assert_allclose(film.layers()["depth"], [[5.0, 4.0, NO_DEPTH]])
+
+
+def test_what_is_the_same_in_every_sample_comes_out_so_whatever_the_weights():
+    film = Film(8, 8)
+    for step in range(1, 30):
+        uniforms = random(step, 64)
+        film.add(0, samples(uniforms[:3], 1.0 if step == 1 else 5.0 * uniforms[3].square()), step)
     layers = film.layers()
-    np.testing.assert_allclose(layers["depth"], [[5.0, 4.0, NO_DEPTH]])
-    np.testing.assert_allclose(layers["normal"][0, :2], [[0.0, 0.0, 1.0]] * 2)
-    np.testing.assert_allclose(layers["albedo"], [[[0.5] * 3, [0.5] * 3, [0.0] * 3]])
+    np.testing.assert_allclose(layers["albedo"], np.broadcast_to([0.2, 0.4, 0.6], (8, 8, 3)), rtol=1e-5)
+    np.testing.assert_array_equal(layers["normal"], np.broadcast_to([0.0, 0.0, 1.0], (8, 8, 3)))
+
+
+def test_emission_has_the_weights_of_the_beauty():
+    film = Film(8, 8)
+    for step in range(1, 9):
+        uniforms = random(step, 64)
+        film.add(0, samples(uniforms[:3], 2.0 * uniforms[3]), step)
+    layers = film.layers()
+    np.testing.assert_allclose(layers["emission"], 0.25 * layers["beauty"], rtol=1e-6)
+
+
+def test_a_sample_that_is_not_finite_leaves_alpha_exact_even_if_it_is_the_first():
+    film = Film(4, 1)
+    for step in range(1, 6):
+        radiance = random(step, 4)[:3]
+        if step == 1:
+            radiance[:] = math.nan
+        film.add(0, samples(radiance, 1.0 if step == 1 else 3.0 * random(step, 4)[3]), step)
+    layers = film.layers()
+    np.testing.assert_array_equal(layers["alpha"], 1.0)
+    assert np.isfinite(layers["emission"]).all() and layers["sample_count"].max() == 4.0
 
 
 def test_alpha_is_unbiased_when_draws_favour_what_is_opaque():
@@ -149,5 +178,23 @@ def test_alpha_is_unbiased_when_draws_favour_what_is_opaque():
         if step == 1:
             covered, weight = draw < 0.5, torch.ones(8192)
         film.add(0, samples(torch.zeros(3, 8192), weight, covered.float()), step)
-    alpha = film.layers()["alpha"].astype(float)
-    assert z_test(alpha.mean() - 0.5, alpha.std() / math.sqrt(alpha.size)) > SIGNIFICANCE
+    layers = film.layers()
+    expected = {"alpha": 0.5, "albedo": (0.1, 0.2, 0.3), "normal": (0.0, 0.0, 0.5)}
+    for name, value in expected.items():
+        layer = layers[name].astype(float).reshape(8192, -1)
+        assert z_test(layer.mean(0) - value, layer.std(0) / math.sqrt(8192)) > SIGNIFICANCE, name
+
+
+@pytest.mark.parametrize("lamp", [0.01, 0.3])
+def test_alpha_is_nearly_as_smooth_with_a_guide_as_without(lamp):
+    """Opaque lamps before nothing, which cover `lamp` of the lens and get four draws of five: what is left for the rest is a fifth."""
+    plain, guided = Film(128, 64), Film(128, 64)
+    for step in range(1, 17):
+        draw = random(step, 8192)[0]
+        plain.add(0, samples(torch.zeros(3, 8192), 1.0, (draw < lamp).float()), step)
+        share = lamp if step == 1 else 0.8 + 0.2 * lamp
+        covered = draw < share
+        weight = torch.where(covered, lamp / share, (1.0 - lamp) / (1.0 - share))
+        guided.add(0, samples(torch.zeros(3, 8192), weight, covered.float()), step)
+    errors = [float(np.sqrt(np.square(film.layers()["alpha"] - lamp).mean())) for film in (plain, guided)]
+    assert errors[1] < 2.0 * errors[0]

@@ -77,7 +77,7 @@ def unoccluded(light, geometry: Geometry, place=ORIGIN) -> torch.Tensor:
 
 def environment_share(lights: Lights, points: torch.Tensor) -> torch.Tensor:
     """Share of the draws at `points` `[3, N]` that go to the environment."""
-    direction, pdf = lights.environment.sample(torch.full((4, 1), 0.3))
+    direction, pdf = lights.environment.sample(torch.full((5, 1), 0.3))
     return lights.environment_pdf(points, direction.expand_as(points)) / pdf
 
 

@@ -14,13 +14,16 @@ from bokehguide.image.reading import read_channels
 
 HALF_MAX = float(np.finfo(np.float16).max)
 
-# Alpha is associated (the beauty is already multiplied by it), as EXR has it.
+# Alpha is associated (the beauty is already multiplied by it), as EXR has it. R, G, B and A
+# without a layer are Blender's "Combined" and Nuke's "rgba"; layer.channel is a pass of its own in
+# Blender and a layer in Nuke, whose depth layer has the name `depth.Z`.
 CHANNELS = {
     "beauty": ("R", "G", "B"),
     "alpha": ("A",),
     "depth": ("depth.Z",),
     "normal": ("normal.X", "normal.Y", "normal.Z"),
     "albedo": ("albedo.R", "albedo.G", "albedo.B"),
+    "emission": ("emission.R", "emission.G", "emission.B"),
     "variance": ("variance.Y",),
     "sample_count": ("samples.Y",),
 }

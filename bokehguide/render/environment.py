@@ -1,4 +1,4 @@
-"""Light from infinitely far away: an equirectangular radiance map."""
+"""Light from infinitely far away: an equirectangular radiance map, and suns."""
 
 from __future__ import annotations
 
@@ -9,11 +9,62 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
+from bokehguide.render.suns import SunDisc
 from bokehguide.scene.lamps import LUMINANCE
-from bokehguide.scene.types import Environment
+from bokehguide.scene.types import Environment, Sun
 
 
 class EnvironmentLight:
+    """The map, the suns or both: their radiances add up, and `sample` chooses between them by power.
+
+    visible: whether camera rays see it. power: luminance that `sample` accounts for,
+    integrated over the sphere; where it is 0 there is nothing to sample.
+    """
+
+    def __init__(
+        self, environment: Environment | None, suns: tuple[Sun, ...] = (), device: torch.device | str = "cpu"
+    ):
+        self.visible = environment is None or environment.visible
+        self._map = EnvironmentMap(environment, device) if environment is not None else None
+        self._suns = [disc for disc in (SunDisc(sun, device) for sun in suns) if disc.power > 0.0]
+        powers = np.array([self._map.power if self._map else 0.0, *(disc.power for disc in self._suns)])
+        self.power = float(powers.sum())
+        self._share = powers / self.power if self.power > 0.0 else powers
+
+    def radiance(self, directions: Tensor) -> Tensor:
+        """Radiance `[3, N]` from unit directions `[3, N]`."""
+        color = torch.zeros_like(directions) if self._map is None else self._map.radiance(directions)
+        for disc in self._suns:
+            color = color + disc.color * disc.contains(directions)
+        return color
+
+    def alpha(self, directions: Tensor) -> Tensor:
+        """What hides the background of camera rays `[3, N]`: all of a map, but of suns alone their discs; `[N]`."""
+        if self._map is not None:
+            return torch.ones_like(directions[0])
+        return sum((disc.contains(directions) for disc in self._suns), torch.zeros_like(directions[0])).clamp(max=1.0)
+
+    def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor]:
+        """Unit directions `[3, N]` and their solid-angle densities `[N]` from uniform numbers `[5, N]`."""
+        if not self._suns:
+            return self._map.sample(uniforms[0:4])
+        edges = np.cumsum(self._share).tolist()
+        direction = self._suns[-1].sample(uniforms[0:2])
+        for disc, edge in zip(self._suns[-2::-1], edges[-2:0:-1]):
+            direction = torch.where(uniforms[4] < edge, disc.sample(uniforms[0:2]), direction)
+        if self._share[0] > 0.0:
+            direction = torch.where(uniforms[4] < edges[0], self._map.sample(uniforms[0:4])[0], direction)
+        return direction, self.pdf(direction)
+
+    def pdf(self, directions: Tensor) -> Tensor:
+        """Solid-angle density `[N]` of `sample` at unit directions `[3, N]`."""
+        density = self._map.pdf(directions) * self._share[0] if self._share[0] > 0.0 else torch.zeros_like(directions[0])
+        for disc, share in zip(self._suns, self._share[1:]):
+            density = density + share * disc.density * disc.contains(directions)
+        return density
+
+
+class EnvironmentMap:
     """Bilinear radiance over directions, sampled by texel.
 
     The map's centre lies at -z and u grows towards +x. `sample` and `pdf` are densities

@@ -28,11 +28,11 @@ class BadSample(NamedTuple):
 
 @dataclass
 class FilmSamples:
-    """One sample for each pixel of a batch.
+    """One sample for each pixel of a batch, not yet weighted.
 
     weight: W/q = 1/(A q) of Eq. 11, 0 for a draw outside the aperture, `[N]`.
-    radiance: `[3, N]`, not yet weighted; alpha, depth (along the axis): `[N]`; normal,
-    albedo: `[3, N]`.
+    radiance: `[3, N]`. What the first surface is, 0 where there is none: alpha `[N]`,
+    normal, albedo, emission `[3, N]`. depth: along the axis, NO_DEPTH without a surface, `[N]`.
     """
 
     weight: Tensor
@@ -41,25 +41,30 @@ class FilmSamples:
     depth: Tensor
     normal: Tensor
     albedo: Tensor
+    emission: Tensor
 
 
 class Film:
     """Running sums of a frame; batches of different pixels may be added side by side.
 
-    Radiance is summed in double precision. Alpha is estimated as w (α - c) + c, where c
-    is the mean of the pixel's earlier samples: the weights' mean is 1, so the mean is
-    kept, and a pixel that is opaque (or empty) throughout gets exactly 1 (or 0).
+    Radiance and emission are means of w x, in double precision. Alpha, normal and albedo
+    are smooth where the weights w are not: their estimate is the mean of w (x - c) + c,
+    unbiased because the weights' mean is 1 and c comes from the pixel's earlier samples. Where
+    x is the same throughout, it comes out exactly: alpha is 1 where all is opaque.
+    c = Σ w² x / Σ w² is a mean of values seen and near the best constant, which is
+    (E[w² x] - E[x]) / (E[w²] - 1).
     """
 
     def __init__(self, width: int, height: int, seed: int = 0, device: torch.device | str = "cpu"):
         self.width, self.height, self.seed = width, height, seed
         pixels = width * height
         self._radiance = torch.zeros(3, pixels, dtype=torch.float64, device=device)
+        self._emission = torch.zeros(3, pixels, dtype=torch.float64, device=device)
         self._square = torch.zeros(pixels, dtype=torch.float64, device=device)
         self._count = torch.zeros(pixels, device=device)
-        self._alpha = torch.zeros(pixels, device=device)
-        self._seen = torch.zeros(2, pixels, device=device)  # samples inside the lens, and their alpha
-        self._hits = torch.zeros(8, pixels, device=device)  # weight, depth, normal and albedo of the hits
+        self._features = torch.zeros(7, pixels, device=device)  # alpha, normal, albedo
+        self._control = torch.zeros(8, pixels, device=device)  # w², and w² times each feature
+        self._depth = torch.zeros(2, pixels, device=device)  # of the hits: w, and w times depth
         self.bad_count = 0
         self._bad_samples: list[BadSample] = []
         self._lock = threading.Lock()
@@ -67,33 +72,31 @@ class Film:
     def add(self, first: int, samples: FilmSamples, step: int) -> Tensor:
         """Add one sample to each of the pixels from `first` on; returns the finite ones, bool `[N]`."""
         pixels = slice(first, first + samples.weight.shape[0])
-        weight, radiance = samples.weight, samples.radiance
+        weight, radiance, emission = samples.weight, samples.radiance, samples.emission
         good = (radiance * weight).sum(0).isfinite()
         if not bool(good.all()):
             self._report_bad((~good).nonzero()[:, 0] + first, step)
-            weight, radiance = weight.nan_to_num(0.0, 0.0, 0.0), radiance.nan_to_num(0.0, 0.0, 0.0)
+            weight, radiance, emission = (x.nan_to_num(0.0, 0.0, 0.0) for x in (weight, radiance, emission))
         kept = good.to(torch.float32)
+        self._add_features(pixels, weight, torch.cat((samples.alpha[None], samples.normal, samples.albedo)), kept)
         weight = weight * kept
         value = radiance * weight
         self._radiance[:, pixels] += value
+        self._emission[:, pixels] += emission * weight
         self._square[pixels] += luminance(value.double()).square()
         self._count[pixels] += kept
-        self._add_alpha(pixels, weight, samples.alpha, kept)
         hit_weight = weight * (samples.depth < NO_DEPTH)
-        sums = self._hits
-        sums[0, pixels] += hit_weight
-        sums[1, pixels] += hit_weight * samples.depth
-        sums[2:5, pixels] += hit_weight * samples.normal
-        sums[5:8, pixels] += hit_weight * samples.albedo
+        self._depth[0, pixels] += hit_weight
+        self._depth[1, pixels] += hit_weight * samples.depth
         return good
 
-    def _add_alpha(self, pixels: slice, weight: Tensor, alpha: Tensor, kept: Tensor) -> None:
-        seen = self._seen[:, pixels]
-        control = seen[1] / seen[0].clamp(min=1.0)
-        self._alpha[pixels] += kept * (weight * (alpha - control) + control)
-        inside = kept * (weight > 0.0)
-        seen[0] += inside
-        seen[1] += inside * alpha
+    def _add_features(self, pixels: slice, weight: Tensor, features: Tensor, kept: Tensor) -> None:
+        seen = self._control[:, pixels]
+        control = seen[1:] / seen[0].clamp(min=1e-30)
+        self._features[:, pixels] += torch.lerp(control, features, weight).mul_(kept)  # w (x - c) + c
+        square = weight * weight
+        seen[0] += square
+        seen[1:].addcmul_(features, square)
 
     def _report_bad(self, pixels: Tensor, step: int) -> None:
         found = [BadSample(p % self.width, p // self.width, step, self.seed) for p in pixels.tolist()]
@@ -132,18 +135,20 @@ class Film:
     def layers(self) -> dict[str, np.ndarray]:
         """The frame as contiguous float32 arrays `[H, W]` or `[H, W, 3]` by name.
 
-        depth, normal and albedo are weighted means over the samples that met a surface.
+        beauty, normal, albedo and emission are premultiplied: samples that met nothing count
+        as 0 in them. depth is the weighted mean over the samples that met a surface.
         """
         shape = (self.height, self.width)
-        weight = self._hits[0]
-        means = self._hits[1:] / weight.clamp(min=1e-20)
-        depth = means[0] + (weight <= 0.0) * NO_DEPTH
+        count = self._count.clamp(min=1.0)
+        features = self._features / count
+        weight, depth = self._depth
         layers = {
             "beauty": self.radiance(),
-            "alpha": (self._alpha / self._count.clamp(min=1.0)).reshape(shape),
-            "depth": depth.reshape(shape),
-            "normal": means[1:4].T.reshape(*shape, 3),
-            "albedo": means[4:7].T.reshape(*shape, 3),
+            "alpha": features[0].reshape(shape),
+            "depth": torch.where(weight > 0.0, depth / weight, NO_DEPTH).reshape(shape),
+            "normal": features[1:4].T.reshape(*shape, 3),
+            "albedo": features[4:7].T.reshape(*shape, 3),
+            "emission": (self._emission / count).T.reshape(*shape, 3),
             "variance": self.variance(),
             "sample_count": self._count.reshape(shape),
         }

@@ -31,7 +31,7 @@ class LightSample(NamedTuple):
 
 
 class Lights:
-    """Emissive triangles (chosen by a `LightGrid`) and the environment map.
+    """Emissive triangles (chosen by a `LightGrid`) and what lies at infinity: environment map and suns.
 
     Each cell of the grid chooses between the two kinds by how much light it may get from
     either. All densities are per unit solid angle at the shaded point and include the choice.
@@ -40,7 +40,8 @@ class Lights:
     def __init__(self, scene: Scene, geometry: Geometry):
         self._geometry = geometry
         device = geometry.device
-        self.environment = EnvironmentLight(scene.environment, device) if scene.environment else None
+        at_infinity = scene.environment is not None or len(scene.suns) > 0
+        self.environment = EnvironmentLight(scene.environment, scene.suns, device) if at_infinity else None
         triangles = geometry.materials.emissive.index_select(0, geometry.material).nonzero()[:, 0]
         power = _triangle_powers(geometry, triangles)
         triangles, power = triangles[power > 0.0], power[power > 0.0]
@@ -96,7 +97,7 @@ class Lights:
         return LightSample(*(torch.cat(pair, dim=-1).index_select(-1, back) for pair in pairs))
 
     def _sample_environment(self, share: Tensor, uniforms: Tensor) -> LightSample:
-        direction, pdf = self.environment.sample(uniforms[0:4])
+        direction, pdf = self.environment.sample(uniforms[0:5])
         distance = torch.full_like(pdf, MISS_DISTANCE)
         return LightSample(direction, distance, self.environment.radiance(direction), pdf * share)
 

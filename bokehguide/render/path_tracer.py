@@ -36,15 +36,33 @@ FIRST_CROSSING = 1 << 20
 class PathSamples:
     """What N camera rays brought back, all `[.., N]` float32.
 
-    radiance, normal, albedo: `[3, N]`; distance: to the first surface, MISS_DISTANCE
-    where there is none; rays: number of rays traced.
+    radiance, and of the first surface normal, albedo and emission: `[3, N]`; distance to it,
+    MISS_DISTANCE where there is none; alpha: 1 where the camera sees a surface or what lies
+    at infinity, else 0; rays: number of rays traced.
     """
 
     radiance: Tensor
     distance: Tensor
     normal: Tensor
     albedo: Tensor
+    emission: Tensor
+    alpha: Tensor
     rays: int = 0
+
+    @classmethod
+    def empty(cls, count: int, device: torch.device) -> PathSamples:
+        """Rays that met nothing."""
+        vectors = torch.zeros(4, 3, count, device=device)
+        distance = torch.full((count,), MISS_DISTANCE, device=device)
+        return cls(vectors[0], distance, *vectors[1:], torch.zeros(count, device=device))
+
+    def spread(self, index: Tensor, count: int) -> PathSamples:
+        """`count` samples, of which these are the ones at `index` and the others met nothing."""
+        spread = PathSamples.empty(count, self.radiance.device)
+        for name in ("radiance", "distance", "normal", "albedo", "emission", "alpha"):
+            getattr(spread, name)[..., index] = getattr(self, name)
+        spread.rays = self.rays
+        return spread
 
 
 @dataclass
@@ -90,7 +108,7 @@ class PathTracer:
         """Trace rays with world origins and unit directions `[3, N]`; one path a ray."""
         count = origin.shape[1]
         ones = torch.ones(count, device=origin.device)
-        result = PathSamples(torch.zeros_like(origin), ones * MISS_DISTANCE, torch.zeros_like(origin), torch.zeros_like(origin))
+        result = PathSamples.empty(count, origin.device)
         index = torch.arange(count, device=origin.device)
         paths = _Paths(
             index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random
@@ -107,7 +125,7 @@ class PathTracer:
             dimension = FIRST_CROSSING + MAX_CROSSINGS * depth
             hit, rays = self._opacity.nearest(paths.origin, paths.direction, paths.random, dimension)
         result.rays += rays
-        paths, hit = self._end_in_environment(paths, hit, result)
+        paths, hit = self._end_in_environment(paths, hit, depth, result)
         if len(paths.index) == 0:
             return paths
         surface = self.geometry.surface(paths.origin, paths.direction, hit)
@@ -115,29 +133,36 @@ class PathTracer:
             result.distance[paths.index] = hit.distance
             result.normal[:, paths.index] = surface.normal
             result.albedo[:, paths.index] = surface.base_color
+            result.alpha[paths.index] = 1.0
         transmittance = self.geometry.transmittance(hit, surface.front)
         if transmittance is not None:
             paths.throughput *= transmittance
         self._add_emission(paths, hit, surface)
+        if depth == 1:
+            result.emission[:, paths.index] = paths.radiance
         if depth == self.max_depth:
             return _finish(paths, result)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
-        choice = paths.random.uniform(dimension, 1)[0] if self.geometry.materials.has_transmission else None
+        draw = paths.random.stratified if depth == 1 else paths.random.uniform
+        choice = draw(dimension, 1)[0] if self.geometry.materials.has_transmission else None
         scattering = Scattering(surface, choice)
         if not self.lights.empty:
-            uniforms = paths.random.uniform(dimension + 5, 6)
+            uniforms = draw(dimension + 5, 6)
             result.rays += self._add_direct_light(paths, surface, scattering, uniforms, timer)
-        return self._scatter(paths, surface, scattering, paths.random.uniform(dimension + 1, 4), depth, result)
+        return self._scatter(paths, surface, scattering, draw(dimension + 1, 4), depth, result)
 
-    def _end_in_environment(self, paths: _Paths, hit: Hit, result: PathSamples) -> tuple[_Paths, Hit]:
+    def _end_in_environment(self, paths: _Paths, hit: Hit, depth: int, result: PathSamples) -> tuple[_Paths, Hit]:
         """Add the environment's radiance to the paths that left the scene, and end them."""
         missed = (hit.triangle < 0).nonzero()[:, 0]
         if len(missed) == 0:
             return paths, hit
         gone = paths.select(missed)
-        if self.lights.environment is not None:
+        environment = self.lights.environment
+        if environment is not None and (depth > 1 or environment.visible):
             weight = power_heuristic(gone.pdf, self.lights.environment_pdf(gone.vertex, gone.direction))
-            gone.radiance += gone.throughput * self.lights.environment.radiance(gone.direction) * weight
+            gone.radiance += gone.throughput * environment.radiance(gone.direction) * weight
+            if depth == 1:
+                result.alpha[gone.index] = environment.alpha(gone.direction)
         _finish(gone, result)
         kept = (hit.triangle >= 0).nonzero()[:, 0]
         return paths.select(kept), Hit(*(field.index_select(0, kept) for field in hit))

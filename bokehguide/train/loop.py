@@ -120,17 +120,17 @@ class RenderLoop:
         with timer.measure("guiding"):
             pixels = torch.arange(first, end, device=self.settings.device)
             random = PixelRandom(self.settings.seed, self.step_number, pixels)
-            uniforms = random.uniform(0, 7)
             corner = torch.stack((pixels % camera.width, pixels // camera.width))
-            raster = corner + uniforms[0:2]
+            raster = corner + random.stratified(0, 2)
+            uniforms = random.uniform(2, 5)  # independent: what a lens point is used for is learnt
             focus = camera.focus_points(raster)
             may_guide = self.guide is not None and self.step_number > 1  # the first step is uniform
             batch = self.guide.distribution(first, raster, focus) if may_guide else None
             if batch is None:
-                points, at = UniformLensDistribution(camera.lens).sample(uniforms[2:4]), None
+                points, at = UniformLensDistribution(camera.lens).sample(uniforms[0:2]), None
                 weight = torch.ones_like(points[0])
             else:
-                points = batch.distribution.sample(uniforms[2:7])
+                points = batch.distribution.sample(uniforms)
                 at = batch.distribution.evaluate(points)
                 weight = camera.lens.contains(points) / (camera.lens.area * at.density).clamp(min=1e-20)  # W / q, Eq. 11
         with timer.measure("shading"):
@@ -157,23 +157,15 @@ class RenderLoop:
         if len(inside) == len(weight):
             return self.tracer.trace(origins, directions, random, timer), directions
         traced = self.tracer.trace(origins[:, inside], directions[:, inside], random.select(inside), timer)
-        samples = PathSamples(
-            torch.zeros_like(origins),
-            torch.full_like(weight, MISS_DISTANCE),
-            torch.zeros_like(origins),
-            torch.zeros_like(origins),
-            traced.rays,
-        )
-        for name in ("radiance", "distance", "normal", "albedo"):
-            getattr(samples, name)[..., inside] = getattr(traced, name)
-        return samples, directions
+        return traced.spread(inside, len(weight)), directions
 
     def _film_samples(self, samples: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
         hit = samples.distance < MISS_DISTANCE
         axis = self.camera.axes[:, 2]
         depth = torch.where(hit, samples.distance * (axis @ directions), NO_DEPTH)
-        opaque = hit if self.scene.environment is None else torch.ones_like(hit)
-        return FilmSamples(weight, samples.radiance, opaque.float(), depth, samples.normal, samples.albedo)
+        return FilmSamples(
+            weight, samples.radiance, samples.alpha, depth, samples.normal, samples.albedo, samples.emission
+        )
 
     def _study(
         self, batch: GuidedBatch | None, weight: Tensor, light: Tensor, at: LensDensity | None

@@ -1,0 +1,53 @@
+"""Suns: discs of constant radiance at infinity."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.vector import dot
+from bokehguide.scene.lamps import LUMINANCE
+from bokehguide.scene.types import Sun
+
+
+class SunDisc:
+    """One sun; `sample` draws directions evenly per unit solid angle within its disc.
+
+    A surface that faces the whole disc gets radiance · π sin² of half its angle, the sun's irradiance.
+    power: luminance integrated over solid angle.
+    """
+
+    def __init__(self, sun: Sun, device: torch.device | str = "cpu"):
+        half = math.radians(sun.angle) / 2.0
+        self._height = 2.0 * math.sin(half / 2.0) ** 2  # 1 - cos half, which would lose a small disc's digits
+        self._chord = 2.0 * self._height  # squared, from the centre to the rim
+        self.density = 1.0 / (2.0 * math.pi * self._height)
+        """Of `sample`, per unit solid angle."""
+        self.color = torch.tensor(sun.irradiance, device=device)[:, None] / (math.pi * math.sin(half) ** 2)
+        self.power = float(LUMINANCE @ sun.irradiance) / (math.pi * math.sin(half) ** 2 * self.density)
+        self._frame = _frame(sun.direction).to(device)
+
+    def contains(self, directions: Tensor) -> Tensor:
+        """Whether unit directions `[3, N]` lie within the disc, float32 `[N]` of 0 or 1."""
+        offset = directions - self._frame[:, 2:]
+        return (dot(offset, offset) <= self._chord).to(torch.float32)
+
+    def sample(self, uniforms: Tensor) -> Tensor:
+        """Unit directions `[3, N]` from uniform numbers `[2, N]`."""
+        height = self._height * uniforms[0]
+        sine = (height * (2.0 - height)).sqrt()
+        phi = 2.0 * math.pi * uniforms[1]
+        return self._frame @ torch.stack((sine * phi.cos(), sine * phi.sin(), 1.0 - height))
+
+
+def _frame(direction: tuple[float, float, float]) -> Tensor:
+    """A right-handed orthonormal basis with `direction` as its third column, `[3, 3]`."""
+    z = torch.tensor(direction, dtype=torch.float64)
+    z = z / z.norm()
+    across = torch.zeros(3, dtype=torch.float64)
+    across[int(z.abs().argmin())] = 1.0
+    x = torch.linalg.cross(across, z)
+    x = x / x.norm()
+    return torch.stack((x, torch.linalg.cross(z, x), z), dim=1).float()
