@@ -167,6 +167,8 @@ def test_a_glb_that_is_cut_or_of_another_version(tmp_path):
     for length in range(0, len(whole), 7):
         path.write_bytes(whole[:length])
         message(path)
+    path.write_bytes(whole[:-20])
+    assert "cut short" in message(path)
     path.write_bytes(whole[:4] + struct.pack("<I", 1) + whole[8:])
     assert "no GLB of version 2" in message(path)
 
