@@ -184,7 +184,8 @@ def test_each_texture_reads_its_own_uv_set():
     texture = np.array([[[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]], np.float32)
     uvs = rectangle(0).uvs
     sets = np.concatenate((uvs, np.zeros_like(uvs), 1.0 - uvs), axis=1)
-    one, other = Material("one", (1.0,) * 3, base_color_texture=Texture(texture)), Texture(texture, 2, ("clamp", "clamp"))
+    one = Material("one", (1.0,) * 3, base_color_texture=Texture(texture))
+    other = Texture(texture, 2, ("clamp", "clamp"))
     two = Material("two", (1.0,) * 3, base_color_texture=other, metallic=1.0, metallic_roughness_texture=Texture(texture))
     meshes = [replace(rectangle(material, (x, 0, 0)), uvs=sets) for material, x in ((0, 0), (1, 5))] + [rectangle(1, (10, 0, 0))]
     _, surface = found(Geometry(scene(meshes, [one, two])), [[-0.5, 0, 1], [4.5, 0, 1], [9.5, 0, 1]], [[0, 0, -1]] * 3)

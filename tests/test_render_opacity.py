@@ -264,13 +264,19 @@ def test_a_path_through_sheets_does_not_depend_on_those_beside_it():
 
 def test_no_random_number_is_used_twice(monkeypatch):
     """Crossings draw from dimensions of their own, whatever the segment."""
-    drawn, uniform = [], PixelRandom.uniform
+    drawn = []
 
-    def recorded(self, dimension, count):
-        drawn.extend(range(dimension, dimension + count))
-        return uniform(self, dimension, count)
+    def record(kind: str) -> None:
+        draw = getattr(PixelRandom, kind)
 
-    monkeypatch.setattr(PixelRandom, "uniform", recorded)
+        def recorded(self, dimension, count):
+            drawn.extend(range(dimension, dimension + count))
+            return draw(self, dimension, count)
+
+        monkeypatch.setattr(PixelRandom, kind, recorded)
+
+    record("uniform")
+    record("stratified")
     estimates(crowded(matte(0.6)), (0.1, 1.3, 1.5), (-0.1, -0.8, -1.5), 500)
-    assert len(drawn) > 40
+    assert len(drawn) > 30
     assert len(set(drawn)) == len(drawn)

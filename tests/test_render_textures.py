@@ -70,9 +70,11 @@ def test_each_axis_wraps_in_its_own_way():
 
 def test_transforms_come_before_wrapping():
     turn, scale = 0.7, (2.0, -0.5)
-    rotated = (scale[0] * math.cos(turn), scale[1] * math.sin(turn), 0.3, -scale[0] * math.sin(turn), scale[1] * math.cos(turn), -0.2)
+    cosine, sine = math.cos(turn), math.sin(turn)
+    rotated = (scale[0] * cosine, scale[1] * sine, 0.3, -scale[0] * sine, scale[1] * cosine, -0.2)
     first, second = images((5, 3, 3), (4, 4, 4))
-    check([Texture(first, wrap=("clamp", "mirror"), transform=rotated), Texture(first), Texture(second, transform=(1, 0, 0.5, 0, 1, 0))])
+    moved = Texture(second, transform=(1.0, 0.0, 0.5, 0.0, 1.0, 0.0))
+    check([Texture(first, wrap=("clamp", "mirror"), transform=rotated), Texture(first), moved])
 
 
 def test_alpha_is_the_fourth_channel_and_1_where_there_is_none():

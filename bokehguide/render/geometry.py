@@ -31,7 +31,8 @@ TARGETS = {
     "clearcoat": (("clearcoat", 0, False),),
     "clearcoat_roughness": (("clearcoat_alpha", 1, True),),
 }
-"""What the texture in a slot multiplies: fields of `Surface`, by which channels, and whether by their squares (α = roughness²)."""
+"""What the texture in a slot multiplies: fields of `Surface`, by which channels, and whether by
+their squares, as α = roughness² needs it."""
 
 
 @dataclass

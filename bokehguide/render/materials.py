@@ -56,7 +56,8 @@ class Materials:
         """base colour, metallic, α, specular, transmission, thin, ior."""
         colored = "specular_color" in self._numbers or any(m.specular_color != WHITE for m in materials)
         self.specular_color = optional([m.specular_color for m in materials], colored)
-        self.clearcoat = optional([(m.clearcoat, m.clearcoat_roughness**2) for m in materials], any(m.clearcoat > 0.0 for m in materials))
+        coated = any(m.clearcoat > 0.0 for m in materials)
+        self.clearcoat = optional([(m.clearcoat, m.clearcoat_roughness**2) for m in materials], coated)
         self.normal_scale = optional([(m.normal_scale,) for m in materials], "normal" in self._numbers)
         self.has_transmission = any(m.transmission > 0.0 for m in materials)
         self.emissive = torch.tensor([m.emits for m in materials], device=device)
