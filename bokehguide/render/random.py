@@ -2,6 +2,18 @@
 
 Each number is a hash of its key, so it does not depend on threads, on batches, on the
 order of tracing or on which other pixels are rendered.
+
+Numbers come in two kinds. Those of `uniform` are independent. Those of `stratified` fill
+the unit cube evenly over the steps of a pixel: they are a Sobol' sequence, scrambled for
+every pixel and dimension by a random I-binomial matrix (Tezuka and Faure 2003) and a random
+digital shift, whose variance is that of Owen's nested scrambling (Owen 2003). Each of them is
+uniform and those of one step are independent, but given a pixel's earlier steps they are
+not: nothing that was learnt from those may decide what a number is used for.
+
+Lens points whose density is learnt therefore take independent numbers. The film position
+x and the first bounce b may be stratified all the same: given them and the past, the
+average of f(x, l, b) / q(l | x) over the lens point l is the integral of f over the lens,
+whatever q has become, and nothing of the past is left in it.
 """
 
 from __future__ import annotations
@@ -10,6 +22,9 @@ import torch
 from torch import Tensor
 
 _MASK = 0xFFFFFFFF
+_BITS = 31
+_DIRECTIONS = (torch.quasirandom.SobolEngine(8).sobolstate << 1).tolist()
+"""Sobol' direction numbers of _BITS bits (Joe and Kuo 2008), by dimension and bit of the index."""
 
 
 def hash_int(x: int) -> int:
@@ -37,22 +52,43 @@ def hash_tensor(x: Tensor) -> Tensor:
     return x
 
 
+def shuffle_index(index: int, key: int) -> int:
+    """A random reordering of 0, 1, 2, … that keeps every aligned block of 2^k together, and 2^k … 2^(k+1) - 1 in place."""
+    bits = [hash_int(key + hash_int((index >> bit) * 32 + bit)) & 1 for bit in range(1, index.bit_length())]
+    return index ^ sum(flip << bit for bit, flip in enumerate(bits))
+
+
+def sobol_point(index: int, dimension: int) -> int:
+    """Coordinate of the Sobol' point `index`, as an integer of _BITS bits."""
+    value = 0
+    for bit in range(index.bit_length()):
+        value ^= _DIRECTIONS[dimension][bit] * (index >> bit & 1)
+    return value
+
+
+def _to_unit(bits: Tensor) -> Tensor:
+    """Float32 in (0, 1) from the upper 23 of the _BITS lower bits of int32 values, which it overwrites."""
+    return bits.bitwise_right_shift_(8).bitwise_and_(0x7FFFFF).to(torch.float32).add_(0.5).mul_(2.0**-23)
+
+
 class PixelRandom:
     """Uniform numbers for the paths of some pixels at one step.
 
-    seed, step: any integers. pixels: int32 `[N]`, flat pixel indices. `select` follows
-    the compaction of ended paths.
+    seed, step: any integers; the first step is 1. pixels: int32 `[N]`, flat pixel indices.
+    `select` follows the compaction of ended paths.
     """
 
     def __init__(self, seed: int, step: int, pixels: Tensor):
         self.pixel_keys = hash_tensor(pixels.to(torch.int32) ^ _signed(hash_int(seed)))
         self.step_key = hash_int(hash_int(seed ^ 0x9E3779B9) + step)
+        self.seed_key = hash_int(seed ^ 0x2545F491)
+        self.index = (step - 1) & 0x3FFFFFFF
 
     def select(self, index: Tensor) -> PixelRandom:
         """The generator of the paths at `index`, int64 `[M]`."""
         chosen = object.__new__(PixelRandom)
         chosen.pixel_keys = self.pixel_keys.index_select(0, index)
-        chosen.step_key = self.step_key
+        chosen.step_key, chosen.seed_key, chosen.index = self.step_key, self.seed_key, self.index
         return chosen
 
     def uniform(self, dimension: int, count: int) -> Tensor:
@@ -62,5 +98,23 @@ class PixelRandom:
         """
         keys = [_signed(hash_int(self.step_key + 0x3C6EF372 * (dimension + i))) for i in range(count)]
         keys = torch.tensor(keys, dtype=torch.int32, device=self.pixel_keys.device)[:, None]
-        bits = hash_tensor(self.pixel_keys ^ keys)
-        return bits.bitwise_right_shift_(9).bitwise_and_(0x7FFFFF).to(torch.float32).add_(0.5).mul_(2.0**-23)
+        return _to_unit(hash_tensor(self.pixel_keys ^ keys).bitwise_right_shift_(1))
+
+    def stratified(self, dimension: int, count: int) -> Tensor:
+        """Like `uniform`, with numbers that are one point of a `count`-dimensional sequence over the steps.
+
+        `dimension` names the sequence; at most 8 dimensions. Sequences of different names
+        are independent but for being evenly spread each.
+        """
+        key = hash_int(self.seed_key + 0x3C6EF372 * dimension)
+        index = shuffle_index(self.index, key)
+        values = torch.empty(count, len(self.pixel_keys), dtype=torch.int32, device=self.pixel_keys.device)
+        for i in range(count):
+            shift = hash_tensor(self.pixel_keys ^ _signed(hash_int(key + i)))
+            column = (shift * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)
+            point = sobol_point(index, i)
+            for place in range(_BITS):
+                if point >> (_BITS - 1 - place) & 1:
+                    shift ^= column >> place
+            values[i] = shift
+        return _to_unit(values)
