@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length
 from bokehguide.scene.lamps import Lamps, find_lamps, lens_coverage
-from bokehguide.scene.types import Camera, Scene
+from bokehguide.scene.types import Camera, Environment, Scene, Sun
 
 
 def describe(scene: Scene) -> str:
@@ -12,7 +14,7 @@ def describe(scene: Scene) -> str:
     camera, film, lamps = scene.camera, scene.film, find_lamps(scene)
     facts = {
         "triangles": f"{sum(len(mesh.triangles) for mesh in scene.meshes):,}",
-        "materials": f"{len(scene.materials)} ({_names(scene)})",
+        "materials": _materials(scene),
         "lights": _lights(scene, lamps),
         "camera": f"at {_vector(camera.position)} towards {_vector(camera.target)}, "
         f"{camera.fov:.4g}° across",
@@ -31,26 +33,37 @@ def describe(scene: Scene) -> str:
     return "\n".join(lines)
 
 
-def _names(scene: Scene) -> str:
+def _materials(scene: Scene) -> str:
     names = [material.name for material in scene.materials]
-    return ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
+    shown = ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
+    counts = {
+        "masked": sum(material.alpha_mode == "mask" for material in scene.materials),
+        "blended": sum(material.alpha_mode == "blend" for material in scene.materials),
+        "clear-coated": sum(material.clearcoat > 0.0 for material in scene.materials),
+        "absorbing": sum(math.isfinite(material.attenuation_distance) for material in scene.materials),
+    }
+    return "; ".join([f"{len(names)} ({shown})", *(f"{count} {name}" for name, count in counts.items() if count)])
 
 
 def _lights(scene: Scene, lamps: Lamps) -> str:
     emitting = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
     triangles = sum(len(mesh.triangles) for mesh in emitting)
     near = f"{triangles:,} emissive triangles in {(~lamps.infinite).sum()} lamps"
-    if scene.suns:
-        near += f"; {len(scene.suns)} sun" + ("s" if len(scene.suns) > 1 else "")
-    if scene.environment is None:
-        return f"{near}; no environment"
-    height, width = scene.environment.radiance.shape[:2]
+    return "; ".join([near, *map(_sun, scene.suns), _environment(scene.environment, lamps.infinite.sum() - len(scene.suns))])
+
+
+def _sun(sun: Sun) -> str:
+    return f"sun {sun.angle:g}° across, irradiance {_vector(sun.irradiance)}, towards {_vector(sun.direction)}"
+
+
+def _environment(environment: Environment | None, spots: int) -> str:
+    if environment is None:
+        return "no environment"
+    height, width = environment.radiance.shape[:2]
+    hidden = "" if environment.visible else ", not visible to the camera"
     if (height, width) == (1, 1):
-        return f"{near}; environment of colour {_vector(scene.environment.radiance[0, 0])}"
-    return (
-        f"{near}; environment map of {width} × {height} texels with "
-        f"{lamps.infinite.sum()} bright spots"
-    )
+        return f"environment of colour {_vector(environment.radiance[0, 0])}{hidden}"
+    return f"environment map of {width} × {height} texels with {spots} bright spots{hidden}"
 
 
 def _lens(camera: Camera) -> str:

@@ -29,12 +29,13 @@ class Lamps:
 
 
 def find_lamps(scene: Scene) -> Lamps:
-    """All emissive components of the geometry and all bright peaks of the environment."""
+    """All emissive components of the geometry, all bright peaks of the environment, and all suns."""
     emitting = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
     parts = [_components(mesh) for mesh in emitting]
     near = sum(len(radii) for _, radii in parts)
     if scene.environment is not None:
         parts.append(_peaks(scene.environment.radiance, scene.environment.rotation))
+    parts += [(np.array([sun.direction]), np.tan(np.radians([0.5 * sun.angle]))) for sun in scene.suns]
     parts.append((np.zeros((0, 3)), np.zeros(0)))
     centres, radii = (np.concatenate(arrays) for arrays in zip(*parts))
     return Lamps(centres, radii, np.arange(len(radii)) >= near)
@@ -59,6 +60,8 @@ def lens_coverage(scene: Scene, lamps: Lamps | None = None) -> float | None:
         share = (lamps.radii * camera.focus_distance / gap / camera.aperture_radius) ** 2
         seen = depth > 0.0
         seen &= _touches_frame(x / depth, y / depth, np.where(lamps.infinite, np.inf, depth), scene)
+    if scene.environment is not None and not scene.environment.visible:
+        seen &= ~lamps.infinite
     return float(np.median(np.minimum(share[seen], 1.0))) if seen.any() else None
 
 

@@ -11,21 +11,17 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST
-from bokehguide.scene.images import load_environment_map, load_texture, require_file
+from bokehguide.scene.images import load_environment_map, require_file
 from bokehguide.scene.models import load_model
 from bokehguide.scene.overrides import Overrides, constant_radiance, override_camera
 from bokehguide.scene.placing import place_lamps, place_suns
+from bokehguide.scene.scenefile_materials import read_materials
 from bokehguide.scene.shapes import SHAPES, transform, transformed
-from bokehguide.scene.tables import ANY, IOR, LAMP_RADIUS, NOT_NEGATIVE, SHARE, SUN_ANGLE, Table, did_you_mean, is_number
-from bokehguide.scene.types import Environment, Film, LightSizes, Material, Mesh, Model, Scene, Sun, Texture
+from bokehguide.scene.tables import ANY, LAMP_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
+from bokehguide.scene.types import Environment, Film, LightSizes, Material, Mesh, Model, Scene, Sun
 from bokehguide.scene.validation import check_mesh
 
-SCENE_KEYS = ("camera", "film", "environment", "lights", "materials", "object")
-MATERIAL_KEYS = (
-    *("base_color", "metallic", "roughness", "specular", "transmission", "thin", "ior"),
-    *("emission", "base_color_texture", "metallic_roughness_texture", "emission_texture"),
-    "double_sided",
-)
+SCENE_KEYS = ("camera", "film", "environment", "sun", "lights", "materials", "object")
 OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
 
 
@@ -38,7 +34,7 @@ def read_scene_file(path: Path, overrides: Overrides) -> Scene:
     if "camera" not in root:
         raise BokehguideError(f"{path}: camera: missing; add [camera] with position and target")
     warnings: list[str] = []
-    materials = _read_materials(root, path.parent)
+    materials = read_materials(root, path.parent)
     objects = _read_objects(root, path.parent, materials)
     return Scene(
         name=path.stem,
@@ -47,7 +43,7 @@ def read_scene_file(path: Path, overrides: Overrides) -> Scene:
         materials=tuple(objects.materials),
         film=_read_film(root),
         environment=_read_environment(root, path.parent, warnings),
-        suns=tuple(objects.suns),
+        suns=(*_read_suns(root), *objects.suns),
         warnings=(*objects.lines("warnings"), *warnings),
         honoured=tuple(objects.lines("honoured")),
     )
@@ -75,7 +71,7 @@ def _read_film(root: Table) -> Film:
 def _read_environment(root: Table, folder: Path, warnings: list[str]) -> Environment | None:
     if "environment" not in root:
         return None
-    keys = ("color", "map", "intensity", "rotation")
+    keys = ("color", "map", "intensity", "rotation", "visible")
     table = Table(root.values["environment"], root.file, "environment", keys)
     table.exclusive("color", "map")
     if "map" in table:
@@ -89,46 +85,22 @@ def _read_environment(root: Table, folder: Path, warnings: list[str]) -> Environ
     brightest = float(radiance.max()) * intensity
     if not NOT_NEGATIVE.hold(brightest):
         table.fail("intensity", f"makes the brightest radiance {brightest:g}; give less, it ends at {LARGEST:g}")
-    return Environment(radiance * np.float32(intensity), table.number("rotation", 0.0))
+    visible = table.flag("visible", Environment.visible)
+    return Environment(radiance * np.float32(intensity), table.number("rotation", 0.0), visible)
 
 
-def _read_materials(root: Table, folder: Path) -> list[Material]:
-    values = root.values.get("materials", {})
-    if not isinstance(values, dict):
-        root.fail("materials", "is not a table; write [materials.NAME]")
-    return [
-        _read_material(Table(values[name], root.file, f"materials.{name}", MATERIAL_KEYS), folder)
-        for name in values
-    ]
-
-
-def _read_material(table: Table, folder: Path) -> Material:
-    """A texture multiplies its factors, which are 1 where they are left out."""
-    textures = {}
-    for key, srgb in (
-        ("base_color_texture", True),
-        ("metallic_roughness_texture", False),
-        ("emission_texture", True),
-    ):
-        name = table.text(key)
-        textures[key] = None if name is None else Texture(load_texture(folder / name, srgb))
-    if "emission_texture" in table and "emission" not in table:
-        table.fail("emission_texture", "multiplies emission, which is missing; give emission")
-    base_color = (1.0, 1.0, 1.0) if "base_color_texture" in table else Material.base_color
-    metallic = 1.0 if "metallic_roughness_texture" in table else Material.metallic
-    return Material(
-        name=table.path.removeprefix("materials."),
-        base_color=table.vector("base_color", base_color, SHARE),
-        metallic=table.number("metallic", metallic, SHARE),
-        roughness=table.number("roughness", Material.roughness, SHARE),
-        specular=table.number("specular", Material.specular, SHARE),
-        transmission=table.number("transmission", Material.transmission, SHARE),
-        thin=table.flag("thin"),
-        ior=table.number("ior", Material.ior, IOR),
-        emission=table.vector("emission", Material.emission, NOT_NEGATIVE),
-        double_sided=table.flag("double_sided"),
-        **textures,
-    )
+def _read_suns(root: Table) -> list[Sun]:
+    values = root.values.get("sun", [])
+    if not isinstance(values, list):
+        root.fail("sun", "is not a list of tables; write [[sun]]")
+    suns = []
+    for number, entry in enumerate(values):
+        table = Table(entry, root.file, f"sun[{number}]", ("direction", "irradiance", "angle"))
+        if "irradiance" not in table:
+            raise BokehguideError(f"{table.place('irradiance')}: missing; give [r, g, b] on a surface that faces the sun")
+        irradiance = table.vector("irradiance", None, NOT_NEGATIVE)
+        suns.append(Sun(table.direction("direction"), table.number("angle", LightSizes.sun_angle, SUN_ANGLE), irradiance))
+    return suns
 
 
 @dataclass

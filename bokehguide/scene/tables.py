@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -33,7 +34,8 @@ NOT_NEGATIVE = Limits(f"a number of 0 or more, up to {LARGEST:g}", low=0.0)
 SHARE = Limits("a number between 0 and 1", low=0.0, high=1.0)
 ANGLE_OF_VIEW = Limits("degrees between 0 and 180 (from 0.001 to 179.999)", low=1e-3, high=179.999)
 LAMP_RADIUS = Limits("metres from 1e-6 to 1e6", low=1e-6, high=1e6)
-SUN_ANGLE = Limits("degrees from 0.001 to 90", low=1e-3, high=90.0)
+SUN_ANGLE = Limits("degrees from 0.01 to 90", low=0.01, high=90.0)
+CONE_ANGLE = Limits("degrees from 0 to 90", low=0.0, high=90.0)
 IOR = Limits(f"a number of 1 or more, up to {LARGEST:g}", low=1.0)
 COUNT = Limits(f"a whole number of 1 or more, up to {MAX_SIDE}", low=1, high=MAX_SIDE)
 
@@ -124,14 +126,24 @@ class Table:
             self.fail(key, f"is out of range; give three values, each {limits.remedy}")
         return tuple(float(component) for component in value)
 
+    def direction(self, key: str) -> tuple[float, float, float]:
+        """A unit vector, which must be given, of any length above 0."""
+        if key not in self:
+            raise BokehguideError(f"{self.place(key)}: missing; give [x, y, z]")
+        vector = self.vector(key, None)
+        length = math.hypot(*vector)
+        if length < SMALLEST:
+            self.fail(key, "has no direction; give [x, y, z] other than 0")
+        return tuple(component / length for component in vector)
+
     def text(self, key: str) -> str | None:
         """A string that is not empty, or None."""
         if key in self and not (isinstance(self.values[key], str) and self.values[key]):
             self.fail(key, 'is not a text; write it in quotes, as in "name"')
         return self.values.get(key)
 
-    def flag(self, key: str) -> bool:
-        """True or false, false where absent."""
+    def flag(self, key: str, default: bool = False) -> bool:
+        """True or false."""
         if key in self and not isinstance(self.values[key], bool):
             self.fail(key, "is neither true nor false; give one of them")
-        return self.values.get(key, False)
+        return self.values.get(key, default)
