@@ -6,7 +6,8 @@
 
 PYTHON ?= python3
 VENV := .venv
-READY := $(VENV)/.ready
+EXTRAS ?= test
+READY := $(VENV)/.ready-$(EXTRAS)
 
 .PHONY: render test clean help
 
@@ -27,5 +28,5 @@ $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("bokehguide needs Python 3.11 or newer, and " \
 	    "$(PYTHON) is " + sys.version.split()[0] + "; try make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install --quiet -c constraints.txt -e '.[test]'
+	$(VENV)/bin/python -m pip install --quiet -c constraints.txt -e '.[$(EXTRAS)]'
 	@touch $@

@@ -112,7 +112,7 @@ def _described(scene: Scene) -> dict[str, Any]:
         if material.emits and material.double_sided:
             described[f"mesh{number}back"] = _shape(_back(mesh, APART * size), material, materials[mesh.material])
     if scene.environment is not None:
-        described["environment"] = _environment(scene.environment)
+        described["environment"] = environment_emitter(scene.environment)
     return described
 
 
@@ -225,7 +225,7 @@ def _back(mesh: Mesh, distance: float) -> Mesh:
     return Mesh(vertices, triangles, mesh.material, uvs=uvs)
 
 
-def _environment(environment: Environment) -> dict[str, Any]:
+def environment_emitter(environment: Environment) -> dict[str, Any]:
     """The map with Mitsuba's rows, and turned: its centre lies at +z where ours lies at -z.
 
     Mitsuba's first and last rows are the poles and its columns are texels; with twice as

@@ -153,6 +153,8 @@ def judge(
     within = float((p > corrected(LEVEL, z.numel())).mean())
     outcomes = [Outcome(scene.name, mode, "pixels", z.numel(), largest(z), within=within)]
     for group, sums in REGIONS.items():
+        if group == "insets" and not scene.insets:
+            continue
         count = sums(torch.ones_like(expected)[None], scene)[0]
         difference = (sums(runs.mean, scene) - sums(expected[None], scene)) / count
         w = sums((uniform.variance + granted)[None], scene)[0] / count.square()

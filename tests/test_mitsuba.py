@@ -1,0 +1,168 @@
+"""What Mitsuba 3 renders, where it is installed: the studies, two built-in scenes, and mistakes that must show.
+
+Mitsuba's random numbers differ between its variants, so these checks hold for other seeds too.
+"""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+from statistical import SIGNIFICANCE, sidak
+
+mi = pytest.importorskip("mitsuba")
+
+from compare_mitsuba import Comparison, compare, mitsuba_reference, our_runs
+from mitsuba_scene import METAL_ROUGHNESS, comparable, environment_emitter
+from studies import STUDIES
+from ztest import PIXELS_WITHIN
+
+from bokehguide.errors import BokehguideError
+from bokehguide.render.environment import EnvironmentLight
+from bokehguide.scene import Overrides, load_scene
+from bokehguide.scene.types import Environment, Material, Scene, Sun, Texture
+
+SIZE = (48, 27)
+SPP, RUNS, MITSUBA_SPP = 256, 4, 2048
+STANDARD_ERROR = 0.005
+"""Of the ratio of means: what so few samples allow."""
+
+
+def small(scene: Scene) -> Scene:
+    width, height = SIZE
+    return comparable(replace(scene, film=replace(scene.film, width=width, height=height)))
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """Mitsuba's render of a small scene, made once."""
+    folder = tmp_path_factory.mktemp("mitsuba")
+    return lambda scene: mitsuba_reference(scene, MITSUBA_SPP, folder)
+
+
+def comparison(scene: Scene, mode: str, reference, folder) -> Comparison:
+    return compare(scene, mode, our_runs(scene, mode, RUNS, SPP), reference, SPP * RUNS, folder)
+
+
+def agrees(found: Comparison) -> bool:
+    """Whether pixels and regions pass and the means are as near as their error lets them be."""
+    pixels, *regions = found.outcomes
+    p_values = [outcome.p for outcome in regions]
+    p_values.append(2.0 * stats.norm.sf(abs(found.ratio - 1.0) / found.standard_error))
+    return pixels.within >= PIXELS_WITHIN and sidak(np.array(p_values)) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("mode", ["uniform", "lis-o"])
+@pytest.mark.parametrize("name", STUDIES)
+def test_studies_are_mitsubas(name, mode, reference, tmp_path):
+    scene = small(STUDIES[name]())
+    found = comparison(scene, mode, reference(scene), tmp_path)
+    assert agrees(found), found
+    assert found.standard_error < STANDARD_ERROR
+
+
+@pytest.mark.parametrize("name", ["daylight", "chrome"])
+def test_built_in_scenes_are_mitsubas(name, reference, tmp_path):
+    """Through a pinhole, where few samples tell much of the materials and lights."""
+    scene = small(load_scene(name, Overrides(aperture_radius=0.0)))
+    found = comparison(scene, "uniform", reference(scene), tmp_path)
+    assert agrees(found), found
+
+
+def with_material(scene: Scene, name: str, **terms) -> Scene:
+    materials = (replace(m, **terms) if m.name == name else m for m in scene.materials)
+    return replace(scene, materials=tuple(materials))
+
+
+def with_sky(scene: Scene, **terms) -> Scene:
+    return replace(scene, environment=replace(scene.environment, **terms))
+
+
+def with_lens(scene: Scene, **terms) -> Scene:
+    return replace(scene, camera=replace(scene.camera, **terms))
+
+
+def flipped(scene: Scene, name: str, slot: str, axis: int) -> Scene:
+    """A material's picture upside down, or mirrored."""
+    texture = next(getattr(m, slot) for m in scene.materials if m.name == name)
+    return with_material(scene, name, **{slot: replace(texture, image=np.flip(texture.image, axis).copy())})
+
+
+MISTAKES = {
+    "environment mirrored": ("environment-lamps", lambda s: with_sky(s, radiance=s.environment.radiance[:, ::-1])),
+    "environment turned the wrong way": ("environment-lamps", lambda s: with_sky(s, rotation=-37.0)),
+    "v upwards": ("textured-emitter", lambda s: flipped(s, "screen", "emission_texture", 0)),
+    "u leftwards": ("diffuse", lambda s: flipped(s, "ground", "base_color_texture", 1)),
+    "the back of a lamp is dark": ("textured-emitter", lambda s: with_material(s, "board", double_sided=False)),
+    "a diameter for a radius": ("textured-emitter", lambda s: with_lens(s, aperture_radius=0.16)),
+    "focus behind the picture": ("textured-emitter", lambda s: with_lens(s, focus_distance=9.0)),
+    "glass of another index": ("smooth-glass", lambda s: with_material(s, "tinted", ior=1.6)),
+    "gold too dark by a fiftieth": ("metal", lambda s: with_material(s, "gold", base_color=(0.98, 0.755, 0.333))),
+    "five segments fewer": ("smooth-glass", lambda s: replace(s, film=replace(s.film, max_depth=s.film.max_depth - 5))),
+    "leaves are opaque": ("alpha-mask", lambda s: with_material(s, "veil", alpha_mode="opaque")),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistakes_show(mistake, reference, tmp_path):
+    name, mutate = MISTAKES[mistake]
+    scene = small(STUDIES[name]())
+    found = comparison(mutate(scene), "uniform", reference(scene), tmp_path)
+    assert not agrees(found), found
+
+
+@pytest.mark.parametrize("rotation", [0.0, 37.0, -120.0])
+def test_environment_by_direction(rotation):
+    """Bilinear, turned, and up to the poles."""
+    random = np.random.default_rng(0)
+    environment = Environment(random.uniform(0.0, 5.0, (5, 8, 3)).astype(np.float32), rotation)
+    directions = random.normal(size=(3, 200))
+    directions[:, :2] = [[1e-3, -1e-3], [1.0, -1.0], [1e-3, 1e-3]]
+    directions /= np.linalg.norm(directions, axis=0)
+    emitter = mi.load_dict(environment_emitter(environment))
+    theirs = []
+    for direction in directions.T:
+        interaction = mi.SurfaceInteraction3f()
+        interaction.wi = mi.Vector3f(*(-direction).tolist())
+        theirs.append(np.array(emitter.eval(interaction)).ravel())
+    ours = EnvironmentLight(environment).radiance(torch.from_numpy(directions).float())
+    np.testing.assert_allclose(ours.T.numpy(), np.array(theirs), rtol=1e-3, atol=1e-3)
+
+
+def test_comparable_materials():
+    """Each comes out as one of three kinds, with what both renderers have."""
+    picture = Texture(np.ones((2, 2, 3), np.float32))
+    materials = (
+        Material("coat", (0.1, 0.2, 0.3), clearcoat=1.0, base_color_texture=picture, normal_texture=picture),
+        Material("metal", metallic=0.7, roughness=0.9, metallic_roughness_texture=picture),
+        Material("glass", transmission=0.9, roughness=0.05, metallic=0.1, attenuation_distance=1.0),
+    )
+    coat, metal, glass = comparable(replace(STUDIES["diffuse"](), materials=materials, meshes=())).materials
+    assert coat == Material("coat", (0.1, 0.2, 0.3), specular=0.0, base_color_texture=picture)
+    assert metal == Material("metal", metallic=1.0, roughness=METAL_ROUGHNESS[1])
+    assert glass == Material("glass", transmission=1.0, roughness=0.0)
+
+
+def test_suns_are_refused():
+    scene = replace(STUDIES["diffuse"](), suns=(Sun((0.0, 1.0, 0.0), 0.5, (1.0, 1.0, 1.0)),))
+    with pytest.raises(BokehguideError, match="diffuse: suns have no counterpart"):
+        comparable(scene)
+
+
+def test_script_tells_and_keeps(lamps_file, tmp_path):
+    script = Path(__file__).parent.parent / "scripts/compare_mitsuba.py"
+    options = "--size 16x10 --spp 32 --runs 2 --mitsuba-spp 64 --modes uniform --cache kept --json found.json"
+    command = [sys.executable, str(script), str(lamps_file), *options.split()]
+    finished = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert finished.returncode == 1, finished.stderr  # far too few samples for the means
+    assert "| lamps | uniform |" in finished.stdout and "FAILS" in finished.stdout
+    (found,) = json.loads((tmp_path / "found.json").read_text())
+    assert (found["scene"], found["mode"], found["spp"], found["mitsuba_spp"]) == ("lamps", "uniform", 64, 64)
+    assert 0.5 < found["ratio"] < 2.0 and 0.0 < found["standard_error"] < 1.0
+    kept = sorted(path.name for path in (tmp_path / "kept").iterdir())
+    assert kept == ["lamps-16x10-3-mitsuba.exr", "lamps-uniform-z.png"]
