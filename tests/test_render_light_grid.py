@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from bokehguide.render.light_grid import DEFENSIVE, LEVELS, LightGrid
+from bokehguide.render.light_grid import DEFENSIVE, LEVELS, GridLamps, LightGrid
 from bokehguide.render.random import PixelRandom
 from tests.statistical import SIGNIFICANCE, chi_square
 
@@ -15,12 +15,14 @@ DRAWS = 200_000
 DOWN = (0.0, -1.0, 0.0)
 
 
-def grid_of(centers, normals, power, double_sided=False) -> LightGrid:
+def grid_of(centers, normals, power, double_sided=False, axis=(0.0, 0.0, 0.0), outer=np.pi) -> LightGrid:
     """A grid of lamps; what is given once holds for all."""
     centers = np.asarray(centers, np.float32)
-    normals = np.broadcast_to(np.asarray(normals, np.float32), centers.shape)
-    power, double_sided = (np.broadcast_to(np.asarray(v), len(centers)) for v in (power, double_sided))
-    return LightGrid(centers, normals, power.astype(np.float32), double_sided, torch.device("cpu"))
+    count = len(centers)
+    normals, axis = (np.broadcast_to(np.asarray(v, np.float32), (count, 3)) for v in (normals, axis))
+    power, double_sided, outer = (np.broadcast_to(np.asarray(v), count) for v in (power, double_sided, outer))
+    lamps = GridLamps(centers, normals, power.astype(np.float32), double_sided, axis, outer)
+    return LightGrid(lamps, torch.device("cpu"))
 
 
 def crowd(count: int = 400) -> LightGrid:
@@ -173,3 +175,19 @@ def test_direct_light_near_one_of_many_lamps_is_far_less_noisy_than_by_power():
         guided += (irradiance**2 / choice(grid, place, 200)).sum() - irradiance.sum() ** 2
         by_power += (irradiance**2 * power.sum() / power).sum() - irradiance.sum() ** 2
     assert 0.0 < guided < 0.1 * by_power
+
+
+def test_spotlights_are_left_to_the_places_in_their_cones():
+    """A spotlight that looks down and one that looks aside, from one place, with a dim lamp beside them."""
+    centers = [(0.0, 4.0, 0.0), (0.0, 4.0, 0.0), (4.0, 0.0, 0.0)]
+    axes = [DOWN, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)]
+    outer = np.array([0.3, 0.3, np.pi])
+    grid = grid_of(centers, [DOWN, (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)], [1e4, 1e4, 1.0], False, axes, outer)
+    by_power = DEFENSIVE * np.array([1e4, 1e4, 1.0]) / 20001.0
+    for place, lit in (((0.0, 0.5, 0.0), 0), ((3.0, 4.0, 0.0), 1), ((3.0, 0.5, 0.0), 2)):
+        found = choice(grid, place, 3)
+        assert found[lit] > 0.8, place
+        for dark in {0, 1} - {lit}:
+            assert found[dark] == pytest.approx(by_power[dark], rel=1e-4), place
+    dark, lit = grid.light[grid.cells(points((3.0, 0.5, 0.0), (0.0, 0.5, 0.0)))]
+    assert lit > 100.0 * dark

@@ -8,6 +8,7 @@ each cell knows how much light each cluster could send to it, unshadowed.
 from __future__ import annotations
 
 import heapq
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -33,33 +34,69 @@ class _Layout(NamedTuple):
 
     def middles(self) -> np.ndarray:
         """Centres of all cells, `[cells, 3]`."""
-        return self.low + (np.indices(self.shape).reshape(3, -1).T + 0.5) * self.cell
+        return self.low + (self._indices() + 0.5) * self.cell
+
+    def is_outer(self) -> np.ndarray:
+        """Which cells lie at the grid's sides, and so stand for all that lies beyond, bool `[cells]`."""
+        index = self._indices()
+        return ((index == 0) | (index == self.shape - 1)).any(axis=1)
+
+    def _indices(self) -> np.ndarray:
+        return np.indices(self.shape).reshape(3, -1).T
+
+
+class GridLamps(NamedTuple):
+    """K emissive triangles.
+
+    center, normal: `[K, 3]`; power: `[K]`, area times luminance, positive; double_sided:
+    bool `[K]`. axis `[K, 3]` and outer `[K]`, radians, of the cones they emit into; those
+    without have π.
+    """
+
+    center: np.ndarray
+    normal: np.ndarray
+    power: np.ndarray
+    double_sided: np.ndarray
+    axis: np.ndarray
+    outer: np.ndarray
+
+
+class _Clusters(NamedTuple):
+    """Lamps of C clusters together.
+
+    total: power `[C]`; place, facing, axis `[C, 3]` and both `[C]`: means of centres,
+    normals, cone axes and double-sidedness, by power. extent: how far centres lie from
+    `place`; outer: the widest cone, radians, `[C]`.
+    """
+
+    total: np.ndarray
+    place: np.ndarray
+    facing: np.ndarray
+    axis: np.ndarray
+    both: np.ndarray
+    extent: np.ndarray
+    outer: np.ndarray
 
 
 class LightGrid:
     """A choice among K triangles that depends on the shaded point; the measure is counting.
 
-    centers, normals: `[K, 3]`; power: `[K]`, area times luminance, positive; double_sided:
-    bool `[K]`. light: `[cells]`, how much each cell may get of it, as luminance integrated
-    over solid angle.
+    light: `[cells]`, how much each cell may get of it, as luminance integrated over solid angle.
     """
 
-    def __init__(
-        self, centers: np.ndarray, normals: np.ndarray, power: np.ndarray, double_sided: np.ndarray, device: torch.device
-    ):
-        cluster, count = _cluster(np.concatenate((centers, normals * _direction_scale(centers)), axis=1), power)
+    def __init__(self, lamps: GridLamps, device: torch.device):
+        features = np.concatenate((lamps.center, lamps.normal * _direction_scale(lamps.center)), axis=1)
+        cluster, count = _cluster(features, lamps.power)
         order = np.argsort(cluster, kind="stable")
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
-        self._table = AliasTable(power[order], device, np.searchsorted(cluster[order], np.arange(count + 1)))
+        self._table = AliasTable(lamps.power[order], device, np.searchsorted(cluster[order], np.arange(count + 1)))
         self._order, self._place, self._cluster = (torch.from_numpy(a).to(device) for a in (order, place, cluster))
-        self._layout = _layout(centers)
-        total = np.bincount(cluster, power, count)
-        fields = np.concatenate((centers, normals, double_sided[:, None]), axis=1)
-        means = np.stack([np.bincount(cluster, power * field, count) for field in fields.T], axis=1) / total[:, None]
-        light = _cell_light(self._layout, total, means[:, 0:3], means[:, 3:6], means[:, 6])
+        self._layout = _layout(lamps.center)
+        clusters = _gathered(lamps, cluster, count)
+        light = _cell_light(self._layout, clusters)
         self.light = torch.from_numpy(light.sum(axis=1).astype(np.float32)).to(device)
-        cumulative = np.cumsum(_defensive(light, total), axis=1).astype(np.float32)
+        cumulative = np.cumsum(_defensive(light, clusters.total), axis=1).astype(np.float32)
         cumulative[:, -1] = 1.0
         self._probability = torch.from_numpy(np.diff(cumulative, axis=1, prepend=np.float32(0.0)).reshape(-1)).to(device)
         padded = np.pad(cumulative, ((0, 0), (0, 2**LEVELS - count)), constant_values=1.0)
@@ -131,17 +168,39 @@ def _layout(centers: np.ndarray) -> _Layout:
     return _Layout(low, cell, np.maximum(np.ceil((high - low) / cell), 1).astype(np.int64))
 
 
-def _cell_light(layout: _Layout, total: np.ndarray, place: np.ndarray, facing: np.ndarray, both: np.ndarray) -> np.ndarray:
-    """Light that every cluster could send to every cell, unshadowed, `[cells, clusters]`.
+def _gathered(lamps: GridLamps, cluster: np.ndarray, count: int) -> _Clusters:
+    """The lamps by cluster."""
+    total = np.bincount(cluster, lamps.power, count)
+    fields = np.concatenate((lamps.center, lamps.normal, lamps.axis, lamps.double_sided[:, None]), axis=1)
+    means = np.stack([np.bincount(cluster, lamps.power * field, count) for field in fields.T], axis=1) / total[:, None]
+    extent, outer = np.zeros(count), np.zeros(count)
+    np.maximum.at(extent, cluster, np.linalg.norm(lamps.center - means[cluster, 0:3], axis=1))
+    np.maximum.at(outer, cluster, lamps.outer)
+    return _Clusters(total, means[:, 0:3], means[:, 3:6], means[:, 6:9], means[:, 9], extent, outer)
 
-    total: power of each cluster; place, facing, both: means of its triangles' centres,
-    normals and double-sidedness.
-    """
-    offset = layout.middles()[:, None] - place[None]
+
+def _cell_light(layout: _Layout, clusters: _Clusters) -> np.ndarray:
+    """Light that every cluster could send to every cell, unshadowed, `[cells, clusters]`."""
+    offset = layout.middles()[:, None] - clusters.place[None]
     squared = np.maximum(np.square(offset).sum(axis=2), 0.25 * layout.cell**2)
-    cosine = np.einsum("ckd,kd->ck", offset, facing) / np.sqrt(squared)
-    width = 1.0 - np.linalg.norm(facing, axis=1) + 0.5 * layout.cell / np.sqrt(squared)  # spread of normals and cell
-    return total * np.clip(cosine + width + 2.0 * both, 0.0, 1.0) / squared
+    distance = np.sqrt(squared)
+    cosine = np.einsum("ckd,kd->ck", offset, clusters.facing) / distance
+    width = 1.0 - np.linalg.norm(clusters.facing, axis=1) + 0.5 * layout.cell / distance  # spread of normals and cell
+    light = clusters.total * np.clip(cosine + width + 2.0 * clusters.both, 0.0, 1.0) / squared
+    spots = np.flatnonzero(clusters.outer < np.pi)
+    lit = _in_cones(layout.cell, offset[:, spots], distance[:, spots], _Clusters(*(field[spots] for field in clusters)))
+    light[:, spots] *= lit | layout.is_outer()[:, None]
+    return light
+
+
+def _in_cones(cell: float, offset: np.ndarray, distance: np.ndarray, spots: _Clusters) -> np.ndarray:
+    """Whether some of a cell at `offset` `[cells, spots, 3]` may lie in the cones of a cluster, bool `[cells, spots]`."""
+    straight = np.linalg.norm(spots.axis, axis=1)
+    cosine = np.einsum("ckd,kd->ck", offset, spots.axis) / (distance * np.maximum(straight, 1e-12))
+    spread = 2.0 * np.arccos(np.clip(straight, 0.0, 1.0))  # of the axes
+    reach = (0.5 * math.sqrt(3.0) * cell + spots.extent) / distance
+    size = np.where(reach < 1.0, np.arcsin(np.minimum(reach, 1.0)), np.pi)
+    return np.arccos(np.clip(cosine, -1.0, 1.0)) <= spots.outer + spread + size
 
 
 def _defensive(weights: np.ndarray, power: np.ndarray) -> np.ndarray:

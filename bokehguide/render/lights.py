@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from bokehguide.render.environment import EnvironmentLight
 from bokehguide.render.geometry import Geometry
-from bokehguide.render.light_grid import LightGrid
+from bokehguide.render.light_grid import GridLamps, LightGrid
+from bokehguide.render.suns import cap_directions, frame_about
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import dot, luminance
 from bokehguide.scene.types import Scene
@@ -19,6 +21,9 @@ MIN_SHARE = 0.1
 """Neither kind of light gets fewer than this share of the light samples."""
 POWER_GRID = 4
 """The power of a textured triangle is averaged over this many squared points."""
+CONE_DIRECTIONS = 64
+"""That of a spotlight over this many directions within its cone."""
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 class LightSample(NamedTuple):
@@ -43,7 +48,7 @@ class Lights:
         at_infinity = scene.environment is not None or len(scene.suns) > 0
         self.environment = EnvironmentLight(scene.environment, scene.suns, device) if at_infinity else None
         triangles = geometry.materials.emissive.index_select(0, geometry.material).nonzero()[:, 0]
-        power = _triangle_powers(geometry, triangles)
+        power = _triangle_powers(geometry, triangles) * _cone_cosines(scene, geometry, triangles)
         triangles, power = triangles[power > 0.0], power[power > 0.0]
         self._sky = self.environment.power if self.environment else 0.0
         self._triangles = triangles
@@ -53,9 +58,7 @@ class Lights:
             corners, normals = geometry.corners(triangles), geometry.face_normals(triangles)
             rows = (corners[0], corners[1] - corners[0], corners[2] - corners[0], normals)
             self._rows = torch.cat((*rows, 1.0 / geometry.areas(triangles)[None]))  # [13, lamps]
-            both = geometry.is_double_sided(triangles) > 0.0
-            host = (corners.mean(0).T, normals.T, power, both)
-            self._grid = LightGrid(*(array.cpu().numpy() for array in host), device)
+            self._grid = LightGrid(_grid_lamps(scene, geometry, triangles, power), device)
 
     @property
     def empty(self) -> bool:
@@ -136,6 +139,40 @@ class Lights:
         if self._sky == 0.0:
             return torch.zeros_like(directions[0])
         return self.environment_share(self._cells(points)) * self.environment.pdf(directions)
+
+
+def _grid_lamps(scene: Scene, geometry: Geometry, triangles: Tensor, power: Tensor) -> GridLamps:
+    material = geometry.material.index_select(0, triangles).cpu().numpy()
+    cones = [m.emission_cone for m in scene.materials]
+    return GridLamps(
+        center=geometry.corners(triangles).mean(0).T.cpu().numpy(),
+        normal=geometry.face_normals(triangles).T.cpu().numpy(),
+        power=power.cpu().numpy(),
+        double_sided=(geometry.is_double_sided(triangles) > 0.0).cpu().numpy(),
+        axis=np.array([cone.axis if cone else (0.0, 0.0, 0.0) for cone in cones])[material],
+        outer=np.array([math.radians(cone.outer) if cone else math.pi for cone in cones])[material],
+    )
+
+
+def _cone_cosines(scene: Scene, geometry: Geometry, triangles: Tensor) -> Tensor:
+    """Mean cosine `[K]` under which light leaves triangles of spotlights for their cones, 1 for all others.
+
+    So the far side of a spherical spotlight, which shines nowhere, has no power.
+    """
+    material = geometry.material.index_select(0, triangles)
+    cosines = torch.ones(len(triangles), device=geometry.device)
+    spots = [(number, m.emission_cone) for number, m in enumerate(scene.materials) if m.emission_cone]
+    places = (torch.arange(CONE_DIRECTIONS, device=geometry.device) + 0.5) / CONE_DIRECTIONS
+    places = torch.stack((places, places * (CONE_DIRECTIONS * GOLDEN) % 1.0))
+    for number, cone in spots:
+        height = 2.0 * math.sin(math.radians(cone.outer) / 2.0) ** 2
+        directions = cap_directions(frame_about(cone.axis).to(geometry.device), height, places)
+        share = geometry.materials.cone(torch.full((CONE_DIRECTIONS,), number, device=geometry.device), directions)
+        index = (material == number).nonzero()[:, 0]
+        leaving = geometry.face_normals(triangles[index]).T @ directions
+        leaving = leaving.abs() if scene.materials[number].double_sided else leaving.clamp(min=0.0)
+        cosines[index] = leaving @ (share / share.sum())
+    return cosines
 
 
 def _triangle_powers(geometry: Geometry, triangles: Tensor) -> Tensor:

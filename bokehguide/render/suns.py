@@ -27,7 +27,7 @@ class SunDisc:
         """Of `sample`, per unit solid angle."""
         self.color = torch.tensor(sun.irradiance, device=device)[:, None] / (math.pi * math.sin(half) ** 2)
         self.power = float(LUMINANCE @ sun.irradiance) / (math.pi * math.sin(half) ** 2 * self.density)
-        self._frame = _frame(sun.direction).to(device)
+        self._frame = frame_about(sun.direction).to(device)
 
     def contains(self, directions: Tensor) -> Tensor:
         """Whether unit directions `[3, N]` lie within the disc, float32 `[N]` of 0 or 1."""
@@ -36,13 +36,21 @@ class SunDisc:
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Unit directions `[3, N]` from uniform numbers `[2, N]`."""
-        height = self._height * uniforms[0]
-        sine = (height * (2.0 - height)).sqrt()
-        phi = 2.0 * math.pi * uniforms[1]
-        return self._frame @ torch.stack((sine * phi.cos(), sine * phi.sin(), 1.0 - height))
+        return cap_directions(self._frame, self._height, uniforms)
 
 
-def _frame(direction: tuple[float, float, float]) -> Tensor:
+def cap_directions(frame: Tensor, height: float, uniforms: Tensor) -> Tensor:
+    """Unit directions `[3, N]`, even per unit solid angle, over the cap of the sphere about `frame`'s third column.
+
+    height: 1 minus the cosine of the cap's half angle. uniforms: `[2, N]`.
+    """
+    down = height * uniforms[0]
+    sine = (down * (2.0 - down)).sqrt()
+    phi = 2.0 * math.pi * uniforms[1]
+    return frame @ torch.stack((sine * phi.cos(), sine * phi.sin(), 1.0 - down))
+
+
+def frame_about(direction: tuple[float, float, float]) -> Tensor:
     """A right-handed orthonormal basis with `direction` as its third column, `[3, 3]`."""
     z = torch.tensor(direction, dtype=torch.float64)
     z = z / z.norm()
