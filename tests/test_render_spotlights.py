@@ -79,12 +79,19 @@ def test_spotlights_in_one_place_add_up():
         assert mean_test(seen_at(lit, point, 50_000), expected, 2e-2) > SIGNIFICANCE
 
 
-def test_draws_within_a_cone_are_not_wasted_on_the_lamps_far_side():
-    lit = lit_floor([spot((0.0, -1.0, 0.0), 20.0, 30.0)])
+@pytest.mark.parametrize("axis", [(0.0, -1.0, 0.0), (0.5, -1.0, 0.4)])
+@pytest.mark.parametrize("distance", [0.1, 1.0, 3.0])
+def test_draws_within_a_cone_are_not_wasted_on_what_shines_elsewhere(axis, distance):
+    """At all sides of the cone, however far beyond the grid of cells."""
+    light = spot(axis, 20.0, 30.0)
+    lit = lit_floor([light])
     lights = Lights(lit, Geometry(lit))
-    points = torch.tensor([[0.4], [0.0], [-0.3]]).repeat(1, 10_000)
-    light = lights.sample(points, PixelRandom(0, 0, torch.arange(10_000)).uniform(0, 6))
-    assert (light.radiance[0] > 0.0).float().mean() > 0.9
+    along, uniforms = np.asarray(light.emission_cone.axis), PixelRandom(0, 0, torch.arange(2000)).uniform(0, 6)
+    for aside in np.random.default_rng(3).normal(size=(12, 3)):
+        aside = np.cross(along, aside / np.linalg.norm(aside))
+        point = torch.from_numpy((PLACE + distance * (along + 0.3 * aside)).astype(np.float32))
+        light = lights.sample(point[:, None].repeat(1, 2000), uniforms)
+        assert (light.radiance[0] > 0.0).float().mean() > 0.95
 
 
 def test_both_techniques_together_agree_with_one_alone(monkeypatch):
