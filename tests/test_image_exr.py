@@ -15,7 +15,7 @@ HEIGHT, WIDTH = 5, 7
 @pytest.fixture
 def layers():
     random = np.random.default_rng(1)
-    sizes = {"beauty": 3, "alpha": 0, "depth": 0, "normal": 3, "albedo": 3, "variance": 0, "sample_count": 0}
+    sizes = {"beauty": 3, "alpha": 0, "depth": 0, "normal": 3, "albedo": 3, "emission": 3, "variance": 0, "sample_count": 0}
     return {
         name: random.standard_normal((HEIGHT, WIDTH, 3) if count else (HEIGHT, WIDTH)).astype(np.float32)
         for name, count in sizes.items()
@@ -31,6 +31,7 @@ def test_every_channel_comes_back_bit_by_bit(tmp_path, layers):
         "depth.Z": layers["depth"],
         **{f"normal.{axis}": layers["normal"][..., i] for i, axis in enumerate("XYZ")},
         **{f"albedo.{axis}": layers["albedo"][..., i] for i, axis in enumerate("RGB")},
+        **{f"emission.{axis}": layers["emission"][..., i] for i, axis in enumerate("RGB")},
         "variance.Y": layers["variance"],
         "samples.Y": layers["sample_count"],
     }

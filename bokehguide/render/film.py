@@ -136,7 +136,8 @@ class Film:
         """The frame as contiguous float32 arrays `[H, W]` or `[H, W, 3]` by name.
 
         beauty, normal, albedo and emission are premultiplied: samples that met nothing count
-        as 0 in them. depth is the weighted mean over the samples that met a surface.
+        as 0 in them. depth is the weighted mean over the samples that met a surface, a quotient
+        that is biased by a little at low SPP where a pixel sees several depths.
         """
         shape = (self.height, self.width)
         count = self._count.clamp(min=1.0)
