@@ -96,9 +96,13 @@ class PixelRandom:
 
         Multiples of 2^-23 shifted by half a step: never 0 and never 1.
         """
-        keys = [_signed(hash_int(self.step_key + 0x3C6EF372 * (dimension + i))) for i in range(count)]
-        keys = torch.tensor(keys, dtype=torch.int32, device=self.pixel_keys.device)[:, None]
-        return _to_unit(hash_tensor(self.pixel_keys ^ keys).bitwise_right_shift_(1))
+        keys = [hash_int(self.step_key + 0x3C6EF372 * (dimension + i)) for i in range(count)]
+        return _to_unit(self._hash(keys).bitwise_right_shift_(1))
+
+    def _hash(self, keys: list[int]) -> Tensor:
+        """A hash of every key and pixel, int32 `[keys, N]`."""
+        keys = torch.tensor([_signed(key) for key in keys], dtype=torch.int32, device=self.pixel_keys.device)
+        return hash_tensor(self.pixel_keys ^ keys[:, None])
 
     def stratified(self, dimension: int, count: int) -> Tensor:
         """Like `uniform`, with numbers that are one point of a `count`-dimensional sequence over the steps.
@@ -108,13 +112,12 @@ class PixelRandom:
         """
         key = hash_int(self.seed_key + 0x3C6EF372 * dimension)
         index = shuffle_index(self.index, key)
-        values = torch.empty(count, len(self.pixel_keys), dtype=torch.int32, device=self.pixel_keys.device)
-        for i in range(count):
-            shift = hash_tensor(self.pixel_keys ^ _signed(hash_int(key + i)))
-            column = (shift * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)
+        values = self._hash([hash_int(key + i) for i in range(count)])
+        columns = (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)
+        moved = torch.empty_like(self.pixel_keys)
+        for i, (value, column) in enumerate(zip(values, columns)):
             point = sobol_point(index, i)
             for place in range(_BITS):
                 if point >> (_BITS - 1 - place) & 1:
-                    shift ^= column >> place
-            values[i] = shift
+                    value ^= torch.bitwise_right_shift(column, place, out=moved)
         return _to_unit(values)
