@@ -187,7 +187,7 @@ def test_alpha_is_unbiased_when_draws_favour_what_is_opaque():
 
 @pytest.mark.parametrize("lamp", [0.01, 0.3])
 def test_alpha_is_nearly_as_smooth_with_a_guide_as_without(lamp):
-    """Opaque lamps before nothing, which cover `lamp` of the lens and get four draws of five: what is left for the rest is a fifth."""
+    """Opaque lamps before nothing, which cover `lamp` of the lens and get four draws of five."""
     plain, guided = Film(128, 64), Film(128, 64)
     for step in range(1, 17):
         draw = random(step, 8192)[0]

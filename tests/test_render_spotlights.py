@@ -71,7 +71,11 @@ def test_irradiance_falls_off_as_the_extension_has_it(axis, turn):
 
 
 def test_spotlights_in_one_place_add_up():
-    spots = [spot((0.0, -1.0, 0.0), 20.0, 40.0), spot((0.8, -1.0, 0.0), 10.0, 30.0, 3000.0), spot((-1.0, -1.0, 0.1), 0.0, 20.0)]
+    spots = [
+        spot((0.0, -1.0, 0.0), 20.0, 40.0),
+        spot((0.8, -1.0, 0.0), 10.0, 30.0, 3000.0),
+        spot((-1.0, -1.0, 0.1), 0.0, 20.0),
+    ]
     lit = lit_floor(spots)
     for point in ((0.3, 0.0, -0.2), (0.9, 0.0, -0.3), (1.9, 0.0, -0.2), (-1.5, 0.0, 0.0)):
         expected = 0.5 / math.pi * sum(irradiance(light, point) for light in spots) * np.array([1.0, 2.0, 3.0])

@@ -51,12 +51,13 @@ def test_draws_spread_evenly_over_the_disc(direction, angle):
     drawn = disc.sample(uniforms(200_000, 2))
     assert torch.allclose(drawn.norm(dim=0), torch.ones(()), atol=1e-6)
     assert disc.contains(drawn).mean() > 0.999  # rounding takes a few across the rim
-    offset = drawn.double() - torch.tensor(direction, dtype=torch.float64)[:, None]
+    towards = torch.tensor(direction, dtype=torch.float64)
+    offset = drawn.double() - towards[:, None]
     height = 0.5 * (offset**2).sum(0) / (1.0 - math.cos(math.radians(0.5 * angle)))
     assert -1e-3 < height.min() and height.max() < 1.0 + 1e-3
-    across = torch.linalg.cross(torch.tensor(direction, dtype=torch.float64), torch.tensor([0.3, 0.5, 0.6], dtype=torch.float64))
+    across = torch.linalg.cross(towards, torch.tensor([0.3, 0.5, 0.6], dtype=torch.float64))
     across = across / across.norm()
-    other = torch.linalg.cross(torch.tensor(direction, dtype=torch.float64), across)
+    other = torch.linalg.cross(towards, across)
     phi = torch.atan2(other @ offset, across @ offset) / (2.0 * math.pi) + 0.5
     cell = (height * 8).long().clamp(0, 7) * 16 + (phi * 16).long().clamp(0, 15)
     assert chi_square(np.bincount(cell, minlength=128), np.full(128, 1.0 / 128.0)) > SIGNIFICANCE
@@ -161,7 +162,8 @@ def test_an_environment_that_is_not_visible_lights_the_scene_all_the_same(suns):
 
 def test_what_is_not_visible_is_seen_in_a_mirror():
     mirror = Material("mirror", (1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
-    found = trace(floor([], Environment(sky(2.0).radiance, visible=False), mirror), (0.0, 1.0, 0.0), (0.3, -1.0, 0.0), 100)
+    lit = floor([], Environment(sky(2.0).radiance, visible=False), mirror)
+    found = trace(lit, (0.0, 1.0, 0.0), (0.3, -1.0, 0.0), 100)
     np.testing.assert_allclose(found.radiance.mean(1), 2.0, rtol=0.02)
 
 
@@ -178,12 +180,13 @@ def sunset(width: int, height: int):
 
 
 def test_the_guide_finds_the_sun():
-    loops = {mode: RenderLoop(sunset(160, 96), RenderSettings(mode, seed=1, threads=1)) for mode in ("uniform", "lis-o")}
+    modes = ("uniform", "lis-o")
+    loops = {mode: RenderLoop(sunset(160, 96), RenderSettings(mode, seed=1, threads=1)) for mode in modes}
     for loop in loops.values():
         for _ in range(24):
             stats = loop.step()
     assert stats.gaussians > 0
-    means = {mode: luminance(loop.film.radiance().reshape(-1, 3).T).reshape(96, 160).numpy() for mode, loop in loops.items()}
+    means = {mode: luminance(loop.film.radiance().permute(2, 0, 1)).numpy() for mode, loop in loops.items()}
     variances = {mode: loop.film.variance().numpy() for mode, loop in loops.items()}
     difference = block_means(means["lis-o"] - means["uniform"], 16)
     error = np.sqrt(block_means(variances["lis-o"] + variances["uniform"], 16)) / 16

@@ -58,7 +58,9 @@ class EnvironmentLight:
 
     def pdf(self, directions: Tensor) -> Tensor:
         """Solid-angle density `[N]` of `sample` at unit directions `[3, N]`."""
-        density = self._map.pdf(directions) * self._share[0] if self._share[0] > 0.0 else torch.zeros_like(directions[0])
+        density = torch.zeros_like(directions[0])
+        if self._share[0] > 0.0:
+            density = self._map.pdf(directions) * self._share[0]
         for disc, share in zip(self._suns, self._share[1:]):
             density = density + share * disc.density * disc.contains(directions)
         return density

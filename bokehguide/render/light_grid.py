@@ -98,7 +98,8 @@ class LightGrid:
         self.light = torch.from_numpy(light.sum(axis=1).astype(np.float32)).to(device)
         cumulative = np.cumsum(_defensive(light, clusters.total), axis=1).astype(np.float32)
         cumulative[:, -1] = 1.0
-        self._probability = torch.from_numpy(np.diff(cumulative, axis=1, prepend=np.float32(0.0)).reshape(-1)).to(device)
+        probability = np.diff(cumulative, axis=1, prepend=np.float32(0.0))
+        self._probability = torch.from_numpy(probability.reshape(-1)).to(device)
         padded = np.pad(cumulative, ((0, 0), (0, 2**LEVELS - count)), constant_values=1.0)
         self._cumulative = torch.from_numpy(padded.reshape(-1)).to(device)
         self._count = count
@@ -194,7 +195,7 @@ def _cell_light(layout: _Layout, clusters: _Clusters) -> np.ndarray:
 
 
 def _in_cones(cell: float, offset: np.ndarray, distance: np.ndarray, spots: _Clusters) -> np.ndarray:
-    """Whether some of a cell at `offset` `[cells, spots, 3]` may lie in the cones of a cluster, bool `[cells, spots]`."""
+    """Whether some of a cell at `offset` `[cells, spots, 3]` may lie in a cone of a cluster, bool `[cells, spots]`."""
     straight = np.linalg.norm(spots.axis, axis=1)
     cosine = np.einsum("ckd,kd->ck", offset, spots.axis) / (distance * np.maximum(straight, 1e-12))
     spread = 2.0 * np.arccos(np.clip(straight, 0.0, 1.0))  # of the axes

@@ -49,7 +49,8 @@ def _lights(scene: Scene, lamps: Lamps) -> str:
     emitting = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
     triangles = sum(len(mesh.triangles) for mesh in emitting)
     near = f"{triangles:,} emissive triangles in {(~lamps.infinite).sum()} lamps"
-    return "; ".join([near, *map(_sun, scene.suns), _environment(scene.environment, lamps.infinite.sum() - len(scene.suns))])
+    spots = lamps.infinite.sum() - len(scene.suns)
+    return "; ".join([near, *map(_sun, scene.suns), _environment(scene.environment, spots)])
 
 
 def _sun(sun: Sun) -> str:

@@ -97,9 +97,10 @@ def _read_suns(root: Table) -> list[Sun]:
     for number, entry in enumerate(values):
         table = Table(entry, root.file, f"sun[{number}]", ("direction", "irradiance", "angle"))
         if "irradiance" not in table:
-            raise BokehguideError(f"{table.place('irradiance')}: missing; give [r, g, b] on a surface that faces the sun")
+            raise BokehguideError(f"{table.place('irradiance')}: missing; give [r, g, b] on a surface that faces it")
         irradiance = table.vector("irradiance", None, NOT_NEGATIVE)
-        suns.append(Sun(table.direction("direction"), table.number("angle", LightSizes.sun_angle, SUN_ANGLE), irradiance))
+        angle = table.number("angle", LightSizes.sun_angle, SUN_ANGLE)
+        suns.append(Sun(table.direction("direction"), angle, irradiance))
     return suns
 
 
