@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from bokehguide.render.random import PixelRandom, shuffle_index, sobol_point
-from tests.statistical import SIGNIFICANCE, chi_square, z_test
+from tests.statistical import SIGNIFICANCE, chi_square, sidak, z_test
 from tests.test_render_random import independence, uniformity
 
 PIXELS = 1 << 17
@@ -45,9 +45,8 @@ def test_every_dimension_is_stratified(sequence, count):
 
 @pytest.mark.parametrize("step", [0, 1, 2, 64, 1000])
 def test_uniform_over_pixels_at_any_step(step):
-    for sequence, count in SEQUENCES:
-        for numbers in at_step(sequence, count, step):
-            assert uniformity(numbers) > SIGNIFICANCE
+    drawn = np.concatenate([at_step(sequence, count, step) for sequence, count in SEQUENCES])
+    assert sidak([uniformity(numbers) for numbers in drawn]) > SIGNIFICANCE
 
 
 @pytest.mark.parametrize("step", [1, 2, 64, 1000])
@@ -63,9 +62,8 @@ def test_one_pixel_is_uniform_over_seeds(step):
 def test_the_dimensions_of_a_step_are_pairwise_independent(step):
     numbers = np.concatenate([at_step(sequence, count, step) for sequence, count in SEQUENCES])
     independent = PixelRandom(0, step, torch.arange(PIXELS)).uniform(2, 5).numpy()
-    for i, a in enumerate(numbers):
-        for b in (*numbers[i + 1 :], *independent):
-            assert independence(a, b) > SIGNIFICANCE
+    pairs = [(a, b) for i, a in enumerate(numbers) for b in (*numbers[i + 1 :], *independent)]
+    assert sidak([independence(a, b) for a, b in pairs]) > SIGNIFICANCE
 
 
 @pytest.mark.parametrize("apart", [1, 320, 1024, 1920])
