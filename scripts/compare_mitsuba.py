@@ -97,7 +97,7 @@ def parse() -> argparse.Namespace:
     add = parser.add_argument
     add("--spp", type=positive, default=4096, metavar="S", help="of one run, a multiple of 16, default 4096")
     add("--runs", type=at_least_two, default=16, metavar="R", help="of each mode, default 16")
-    add("--mitsuba-spp", type=positive, default=65536, metavar="N", help="default 65536")
+    add("--mitsuba-spp", type=positive, default=131072, metavar="N", help="default 131072")
     add("--cache", type=Path, default=Path("out/mitsuba"), metavar="DIR", help="Mitsuba's renders, default out/mitsuba")
     add("--json", type=Path, metavar="PATH", help="write all numbers as a JSON list")
     args = parser.parse_args()

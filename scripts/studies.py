@@ -48,13 +48,16 @@ def rough_glass() -> Scene:
 
 
 def textured_emitter() -> Scene:
-    """A picture that shines, out of focus, and a small one that shines to both sides."""
+    """A picture that shines, two small ones out of focus, and one that shines to both sides."""
     picture = Texture(_picture(6, 8), wrap=("clamp", "clamp"))
     screen = Material("screen", (0.0, 0.0, 0.0), specular=0.0, emission=(3.0, 3.0, 3.0), emission_texture=picture)
     board = replace(screen, name="board", emission=(2.0, 1.0, 3.0), double_sided=True)
-    far = _placed(unit_rectangle(), (0.2, 1.0, -3.0), (0.0, -15.0, 0.0), (1.2, 0.7, 1.0))
+    sign = replace(screen, name="sign", emission=(40.0, 25.0, 15.0))
+    above = _placed(unit_rectangle(), (0.7, 2.2, 0.5), (60.0, -15.0, 0.0), (1.0, 0.7, 1.0))
     near = _placed(unit_rectangle(), (-0.5, 0.3, 0.0), (0.0, 60.0, 5.0), (0.3, 0.25, 1.0))
-    return _stage("textured-emitter", [(far, screen), (near, board), (_ball(0.45), WHITE)], lamps=False)
+    signs = [_placed(unit_rectangle(), (x, 1.15, -2.5), (0.0, -20.0, 0.0), (0.06, 0.04, 1.0)) for x in (-0.6, 0.5)]
+    bodies = [(above, screen), (near, board), (_ball(0.45), WHITE), *((mesh, sign) for mesh in signs)]
+    return _stage("textured-emitter", bodies, lamps=False)
 
 
 def environment_lamps() -> Scene:
