@@ -7,15 +7,16 @@ Each mode renders R independent runs of S SPP, each learning from nothing. All t
 mean luminances with those of one long uniform render, kept in `--cache`.
 
 Pixels: z = (m - u) / sqrt(v + w). m is the mean of the runs; v the mean of their films'
-variances over R; u and w the uniform film's mean and variance. A film's estimate is
-unbiased while the guide learns: what a step draws from depends on earlier steps only, so the
-samples of a pixel are uncorrelated and have one mean. A pixel passes if its two-sided
+variances over R; u and w the uniform film's mean and variance. A film's estimate takes the
+steps of a pixel for uncorrelated. Learning leaves them so: what a step draws from depends on
+earlier steps only, and all have one mean. Their stratified film positions and first bounces
+make the estimate a little too large. A pixel passes if its two-sided
 normal p exceeds 1 - 0.99^(1 / pixels) (Šidák); 99.75 % of the pixels must pass, the rest
 allowing for variances that a film underestimates.
 
 Blocks of 16 × 16 pixels, insets, frame: Welch's t = (m - u) / sqrt(s² / R + w), with s² the
 variance of the region's mean among the runs, which trusts no film of a guided render. w
-adds up the uniform film's variances: its samples are all independent, and there are
+adds up the uniform film's variances: its pixels are independent, and there are
 millions to a region, so it has no degrees of freedom to speak of. A group of regions passes
 if its smallest p, corrected for the number of regions, exceeds the level at which one test
 in a hundred *calls of this script* would fail by chance.

@@ -121,7 +121,10 @@ class Film:
         return float(total / max(1.0, self._count.cpu().numpy().sum()))
 
     def variance(self) -> Tensor:
-        """Estimated variance of the mean luminance, float32 `[H, W]`; 0 before the second sample."""
+        """Estimated variance of the mean luminance, float32 `[H, W]`; 0 before the second sample.
+
+        That of independent samples: a little more than it is, as a pixel's steps are stratified.
+        """
         count = self._count.double().clamp(min=1.0)
         mean = luminance(self._radiance) / count
         spread = (self._square / count - mean * mean).clamp(min=0.0) / (count - 1.0).clamp(min=1.0)
