@@ -27,7 +27,7 @@ from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.types import Environment, Material, Scene, Sun, Texture
 
 SIZE = (48, 27)
-SPP, RUNS, MITSUBA_SPP = 256, 4, 2048
+SPP, RUNS, MITSUBA_SPP = 192, 8, 2048
 STANDARD_ERROR = 0.005
 """Of the ratio of means: what so few samples allow."""
 
@@ -44,8 +44,8 @@ def reference(tmp_path_factory):
     return lambda scene: mitsuba_reference(scene, MITSUBA_SPP, folder)
 
 
-def comparison(scene: Scene, mode: str, reference, folder) -> Comparison:
-    return compare(scene, mode, our_runs(scene, mode, RUNS, SPP), reference, SPP * RUNS, folder)
+def comparison(scene: Scene, mode: str, reference, folder, spp: int = SPP) -> Comparison:
+    return compare(scene, mode, our_runs(scene, mode, RUNS, spp), reference, spp * RUNS, folder)
 
 
 def agrees(found: Comparison) -> bool:
@@ -109,7 +109,7 @@ MISTAKES = {
 def test_mistakes_show(mistake, reference, tmp_path):
     name, mutate = MISTAKES[mistake]
     scene = small(STUDIES[name]())
-    found = comparison(mutate(scene), "uniform", reference(scene), tmp_path)
+    found = comparison(mutate(scene), "uniform", reference(scene), tmp_path, SPP // 2)
     assert not agrees(found), found
 
 
