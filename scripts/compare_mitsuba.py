@@ -37,7 +37,7 @@ from mitsuba_scene import MitsubaFilm, MitsubaRenderer, comparable
 from studies import STUDIES
 from torch.nn.functional import avg_pool2d
 from tqdm import tqdm
-from ztest import Outcome, Runs, at_least_two, brightness, independent_runs, judge, report
+from ztest import FINE, Outcome, Runs, at_least_two, brightness, independent_runs, judge, report
 
 from bokehguide.cli.arguments import positive
 from bokehguide.errors import BokehguideError
@@ -45,8 +45,6 @@ from bokehguide.image import check_writable, replacing
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import RenderSettings
 
-FINE = 4
-"""Our pixels to one that is compared, across and down."""
 CHUNK_SAMPLES = 1 << 22
 """Of one chunk of Mitsuba's: it keeps them all in memory."""
 ROUNDING = 1e-4
@@ -156,7 +154,8 @@ def compare(scene: Scene, mode: str, runs: Runs, reference: LongRender, spp: int
 def tell(comparisons: list[Comparison]) -> int:
     """Print the tables; returns how much failed."""
     failed = report([outcome for one in comparisons for outcome in one.outcomes])
-    print("\n| scene | mode | ours / Mitsuba | SPP, Mitsuba's | pixels within | means |\n" + "| --- " * 2 + "| ---: " * 3 + "| --- |")
+    print("\n| scene | mode | ours / Mitsuba | SPP, Mitsuba's | pixels within | means |")
+    print("| --- " * 2 + "| ---: " * 3 + "| --- |")
     for one in comparisons:
         within = next(outcome.within for outcome in one.outcomes if outcome.within is not None)
         verdict = "passes" if one.means_agree else "FAILS"

@@ -168,7 +168,8 @@ def _opacity(material: Material) -> dict[str, Any] | float:
     image = material.opacity * texture.image[..., 3]
     if not cuts:
         return _bitmap(image, texture)
-    places = np.meshgrid(*((np.arange(FINE_MASK * size) + 0.5) / FINE_MASK - 0.5 for size in image.shape), indexing="ij")
+    axes = ((np.arange(FINE_MASK * size) + 0.5) / FINE_MASK - 0.5 for size in image.shape)
+    places = np.meshgrid(*axes, indexing="ij")
     beyond = {"repeat": "grid-wrap", "clamp": "nearest", "mirror": "reflect"}[texture.wrap[0]]
     cut = map_coordinates(image, places, order=1, mode=beyond) >= material.alpha_cutoff
     return _bitmap(cut, texture) | {"filter_type": "nearest"}
