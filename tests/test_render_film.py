@@ -162,10 +162,13 @@ def test_a_sample_that_is_not_finite_leaves_alpha_exact_even_if_it_is_the_first(
         radiance = random(step, 4)[:3]
         if step == 1:
             radiance[:] = math.nan
-        film.add(0, samples(radiance, 1.0 if step == 1 else 3.0 * random(step, 4)[3]), step)
+        one = samples(radiance, 1.0 if step == 1 else 3.0 * random(step, 4)[3])
+        if step == 1:
+            one.normal[:] = math.nan
+        film.add(0, one, step)
     layers = film.layers()
     np.testing.assert_array_equal(layers["alpha"], 1.0)
-    assert np.isfinite(layers["emission"]).all() and layers["sample_count"].max() == 4.0
+    assert all(np.isfinite(layer).all() for layer in layers.values()) and layers["sample_count"].max() == 4.0
 
 
 def test_alpha_is_unbiased_when_draws_favour_what_is_opaque():

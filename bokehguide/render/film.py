@@ -73,12 +73,14 @@ class Film:
         """Add one sample to each of the pixels from `first` on; returns the finite ones, bool `[N]`."""
         pixels = slice(first, first + samples.weight.shape[0])
         weight, radiance, emission = samples.weight, samples.radiance, samples.emission
+        features = torch.cat((samples.alpha[None], samples.normal, samples.albedo))
         good = (radiance * weight).sum(0).isfinite()
         if not bool(good.all()):
             self._report_bad((~good).nonzero()[:, 0] + first, step)
-            weight, radiance, emission = (x.nan_to_num(0.0, 0.0, 0.0) for x in (weight, radiance, emission))
+            every = (weight, radiance, emission, features)
+            weight, radiance, emission, features = (x.nan_to_num(0.0, 0.0, 0.0) for x in every)
         kept = good.to(torch.float32)
-        self._add_features(pixels, weight, torch.cat((samples.alpha[None], samples.normal, samples.albedo)), kept)
+        self._add_features(pixels, weight, features, kept)
         weight = weight * kept
         value = radiance * weight
         self._radiance[:, pixels] += value

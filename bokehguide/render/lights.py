@@ -178,7 +178,7 @@ def _cone_cosines(scene: Scene, geometry: Geometry, triangles: Tensor) -> Tensor
 def _triangle_powers(geometry: Geometry, triangles: Tensor) -> Tensor:
     """Area times mean emitted luminance of each triangle, both faces of a double-sided one."""
     if len(triangles) == 0:
-        return torch.zeros(0)
+        return torch.zeros(0, device=geometry.device)
     grid = (torch.arange(POWER_GRID, device=geometry.device) + 0.5) / POWER_GRID
     total = torch.zeros(len(triangles), device=geometry.device)
     ones = torch.ones_like(total)
