@@ -13,7 +13,7 @@ from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.train import RenderSettings
-from bokehguide.train.guide import BLEND_RATE, LensGuide
+from bokehguide.train.guide import BLEND_RATE, BatchLesson, LensGuide
 
 WIDTH, HEIGHT = 32, 18
 
@@ -107,9 +107,12 @@ def test_blend_weight_starts_at_0_8_and_keeps_its_bounds():
 
 def test_blend_weight_takes_12_bytes_a_pixel_with_its_optimiser():
     guide = LensGuide(camera(), RenderSettings("lis-b"))
-    optimizer = guide._blend_optimizer
-    optimizer.step()
-    tensors = [guide.blend.logit, *(value for value in optimizer.state[guide.blend.logit].values() if value.numel() > 1)]
+    pixels = slice(0, WIDTH * HEIGHT)
+    guide.update(1, [BatchLesson(0.0, pixels, torch.ones(WIDTH * HEIGHT), None)], 1.0)
+    logit = guide.blend.logit
+    assert (logit < BlendWeightMap(1).logit).all(), "the gradient was followed"
+    assert logit.grad is None
+    tensors = [logit, *(value for value in guide._blend_optimizer.state[logit].values() if value.numel() > 1)]
     assert sum(tensor.numel() * tensor.element_size() for tensor in tensors) == 12 * WIDTH * HEIGHT
 
 
