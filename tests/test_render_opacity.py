@@ -121,6 +121,17 @@ def test_a_sheet_counts_once_however_it_is_met(away, tilt):
     assert (hit.triangle.numpy() >= 0).tolist() == (met.any(axis=1) & (random.uniform(1000, 1)[0].numpy() < 0.4)).tolist()
 
 
+def test_a_wall_close_behind_a_sheet_is_met():
+    """Half a millimetre behind it, seen from 50 m, by camera rays and by shadow rays."""
+    meshes = (rectangle(0, scale=30.0), rectangle(1, (0.0, 0.0, -5e-4), scale=30.0))
+    opacity = Opacity(Geometry(scene(meshes, [sheet(0.0), matte()])), meshes)
+    direction = torch.nn.functional.normalize(torch.tensor([[0.05], [0.02], [-1.0]]), dim=0).repeat(1, 100)
+    origins = torch.tensor([[0.3], [0.2], [50.0]]).repeat(1, 100)
+    hit, _ = opacity.nearest(origins, direction, PixelRandom(0, 0, torch.arange(100)), 1000)
+    assert (hit.triangle >= 2).all()
+    assert not opacity.transmittance(origins, direction, torch.full((100,), 90.0))[0].any()
+
+
 def test_a_sheet_before_a_constant_sky():
     for opacity in (0.0, 0.3, 1.0):
         seen = scene([rectangle(0)], [sheet(opacity, 0.6)], sky(2.0))

@@ -18,6 +18,8 @@ from bokehguide.scene.types import Mesh
 
 MAX_CROSSINGS = 256
 """A ray that went through this many surfaces stops at the next one."""
+SHORT = 1.0 / 16.0
+"""Beyond a sheer surface rays start this much nearer to it than scattered ones: a wall may be close behind a decal."""
 
 
 class Opacity:
@@ -54,12 +56,13 @@ class Opacity:
             found = Hit(*(field[index] for field in hit))
             uniform = random.select(index).uniform(dimension + crossing, 1)[0]
             # A straight ray meets a triangle once: what it meets again is where it just was.
-            goes_on = (uniform >= geometry.opacity(found)) | (found.triangle == last[index])
+            again = found.triangle == last[index]
+            goes_on = (uniform >= geometry.opacity(found)) | again
             index = index[goes_on]
             if len(index) == 0:
                 break
             last[index] = hit.triangle[index]
-            start, origin = _beyond(origins[:, index], directions[:, index], hit.distance[index])
+            start, origin = _beyond(origins[:, index], directions[:, index], hit.distance[index], again[goes_on])
             found = tracer.intersect(origin, directions[:, index])
             rays += len(index)
             for field, value in zip(hit, found._replace(distance=found.distance + start)):
@@ -84,8 +87,9 @@ class Opacity:
             index, found = index[met], Hit(*(field[met] for field in found))
             triangle = self._numbers.index_select(0, found.triangle)
             opacity = self._geometry.opacity(found._replace(triangle=triangle))
-            share[index] *= 1.0 - opacity * (triangle != last[met])
-            start, origin = _beyond(origins[:, index], directions[:, index], found.distance + start[met])
+            again = triangle == last[met]
+            share[index] *= 1.0 - opacity * ~again
+            start, origin = _beyond(origins[:, index], directions[:, index], found.distance + start[met], again)
             goes_on = ((share[index] > 0.0) & (start < distances[index])).nonzero()[:, 0]
             index, last, start, origin = index[goes_on], triangle[goes_on], start[goes_on], origin[:, goes_on]
             if len(index) == 0:
@@ -94,9 +98,13 @@ class Opacity:
         return share, rays
 
 
-def _beyond(origins: Tensor, directions: Tensor, distance: Tensor) -> tuple[Tensor, Tensor]:
-    """Distances `[N]` just beyond surfaces at `distance` along rays `[3, N]`, and the points there."""
-    start = distance + leaving_distance(origins + distance * directions, distance)
+def _beyond(origins: Tensor, directions: Tensor, distance: Tensor, again: Tensor) -> tuple[Tensor, Tensor]:
+    """Distances `[N]` just beyond surfaces at `distance` along rays `[3, N]`, and the points there.
+
+    again: bool `[N]`, whether the short step did not lead beyond.
+    """
+    step = SHORT + (1.0 - SHORT) * again
+    start = distance + step * leaving_distance(origins + distance * directions, distance)
     return start, origins + start * directions
 
 
