@@ -72,7 +72,7 @@ def test_quantised_positions(tmp_path, dtype, normalized, stored, meant):
     [
         (np.array([[255, 51, 0, 102]] * 4, np.uint8), [1.0, 0.2, 0.0, 0.4]),
         (np.array([[65535, 13107, 0]] * 4, np.uint16), [1.0, 0.2, 0.0, 1.0]),
-        (np.array([[2.0, 0.5, 0.25]] * 4, np.float32), [2.0, 0.5, 0.25, 1.0]),
+        (np.array([[2.0, 0.5, -0.25]] * 4, np.float32), [1.0, 0.5, 0.0, 1.0]),
     ],
 )
 def test_vertex_colours(tmp_path, colors, meant):

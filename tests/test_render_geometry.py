@@ -121,6 +121,20 @@ def test_emission_is_textured_and_leaves_the_front():
     np.testing.assert_allclose(geometry.emission(hit, surface.front, surface.outgoing).T.numpy(), expected, atol=1e-5)
 
 
+def test_a_clear_coat_dims_what_shines_through_it():
+    """By one minus Schlick's reflectance under the viewer's angle, with the coat's weight and texture."""
+    halves = Texture(np.array([[[1.0, 0.0, 0.0], [0.5, 0.0, 0.0]]], np.float32))
+    coated = Material("neon", emission=(2.0, 4.0, 8.0), clearcoat=0.8, clearcoat_texture=halves, double_sided=True)
+    geometry = Geometry(scene([rectangle(0), rectangle(1, (5, 0, 0))], [coated, replace(coated, clearcoat=0.0)]))
+    targets = np.array([[-0.5, 0, 0], [-0.5, 0, 0], [0.5, 0, 0], [-0.5, 0, 0], [4.5, 0, 0]])
+    directions = np.array([[0, 0, -1], [0.96, 0, -0.28], [0.96, 0, -0.28], [0, 0.96, 0.28], [0.96, 0, -0.28]])
+    hit, surface = found(geometry, targets - directions, directions)
+    weights, cosines = np.array([0.8, 0.8, 0.4, 0.8, 0.0]), np.abs(directions[:, 2])
+    passing = 1.0 - weights * (0.04 + 0.96 * (1.0 - cosines) ** 5)
+    emission = geometry.emission(hit, surface.front, surface.outgoing).T.numpy()
+    np.testing.assert_allclose(emission, passing[:, None] * (2.0, 4.0, 8.0), rtol=1e-4)
+
+
 def test_materials_belong_to_their_meshes():
     materials = [Material("a", (0.1, 0.1, 0.1), ior=1.2), Material("b", (0.2, 0.2, 0.2), transmission=0.7, thin=True)]
     geometry = Geometry(scene([rectangle(1), rectangle(0, (5, 0, 0)), sphere(1, (10, 0, 0))], materials))
@@ -202,6 +216,16 @@ def test_vertex_colours_multiply_base_colour_and_opacity():
     color = np.array([1 - a, a - b, b, 0.0]) @ colors
     np.testing.assert_allclose(surface.base_color.T.numpy(), [color[:3] * (0.5, 0.8, 1.0), (0.5, 0.8, 1.0)], rtol=1e-5)
     np.testing.assert_allclose(geometry.opacity(hit).numpy(), [0.5 * color[3], 0.5], rtol=1e-5)
+
+
+def test_vertex_colours_multiply_the_emission_where_the_material_says_so():
+    colors = np.array([[1.0, 0.5, 0.25, 0.1]] * 4, np.float32)
+    plain = Material("lamp", emission=(2.0, 2.0, 2.0))
+    meshes = [replace(rectangle(number, (5 * number, 0, 0)), colors=colors) for number in range(2)]
+    geometry = Geometry(scene(meshes, [plain, replace(plain, tint_emission=True)]))
+    hit, surface = found(geometry, [[0.5, 0, 1], [5.5, 0, 1]], [[0, 0, -1]] * 2)
+    emission = geometry.emission(hit, surface.front, surface.outgoing).T.numpy()
+    np.testing.assert_allclose(emission, [[2, 2, 2], [2, 1, 0.5]], rtol=1e-6)
 
 
 @pytest.mark.parametrize("mode", ["opaque", "mask", "blend"])

@@ -38,6 +38,11 @@ def checkered() -> Material:
     return lamp(4.0, emission_texture=Texture(texture), double_sided=True)
 
 
+def neon() -> Material:
+    """A lamp beneath a clear coat, dimmer at grazing angles."""
+    return lamp(4.0, clearcoat=1.0, double_sided=True)
+
+
 def room(material: Material, environment: Environment | None, light: Material):
     """A floor and a slanted plate of `material`, a rectangular lamp and a ball lamp over a rough floor."""
     meshes = [
@@ -55,11 +60,11 @@ def bsdf_sampling_only(monkeypatch) -> None:
     monkeypatch.setattr(path_tracer, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
 
 
-@pytest.mark.parametrize("light", ["plain", "checkered", "sky", "lamps and sky"])
+@pytest.mark.parametrize("light", ["plain", "checkered", "neon", "sky", "lamps and sky"])
 @pytest.mark.parametrize("name", MATERIALS)
 def test_both_techniques_together_agree_with_one_alone(name, light, monkeypatch):
     environment = sky_with_a_window(6.0) if "sky" in light else None
-    lamps = {"checkered": checkered(), "sky": matte(0.2)}.get(light, lamp(2.0))
+    lamps = {"checkered": checkered(), "neon": neon(), "sky": matte(0.2)}.get(light, lamp(2.0))
     ray = ((0.1, 1.3, 1.5), (-0.1, -0.8, -1.5))
     both = estimates(room(MATERIALS[name], environment, lamps), *ray, count=60_000)
     bsdf_sampling_only(monkeypatch)

@@ -27,7 +27,8 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.geometry import Surface
-from bokehguide.render.vector import dot, luminance, normalize
+from bokehguide.render.materials import CLEARCOAT_F0
+from bokehguide.render.vector import dot, fifth_power, luminance, normalize
 
 
 def ggx_density(half: Tensor, alpha: Tensor) -> Tensor:
@@ -62,15 +63,6 @@ def coat_spread(alpha: Tensor) -> Tensor:
 
 TRACE = 0.006
 """What the fit of `coat_spread` leaves at steep angles, where rough coats reflect more than Schlick's f0."""
-
-
-CLEARCOAT_F0 = 0.04
-"""Reflectance of a clearcoat head-on: an index of 1.5."""
-
-
-def fifth_power(x: Tensor) -> Tensor:
-    """x⁵, the shape of Schlick's rise."""
-    return x.square().square() * x
 
 
 def smith_root(cosine: Tensor, a2: Tensor) -> Tensor:

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from bokehguide.render import triangles
-from bokehguide.render.materials import Materials
+from bokehguide.render.materials import CLEARCOAT_F0, Materials
 from bokehguide.render.tracer import Hit, Tracer
-from bokehguide.render.vector import cross, dot, length, normalize
+from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
 from bokehguide.scene.types import Scene
 
 MIN_ALPHA = 1e-3
@@ -192,8 +192,9 @@ class Geometry:
     def emission(self, hit: Hit, front: Tensor, direction: Tensor | None) -> Tensor:
         """Radiance `[3, N]` that hits emit towards unit `direction` `[3, N]`, the viewer.
 
-        It leaves the front, or both faces of a double-sided material. direction None asks
-        for what cones emit along their axes. Opacity is the caller's to apply.
+        It leaves the front, or both faces of a double-sided material, through the clear coat
+        if there is one. direction None asks for what cones emit along their axes and what is
+        beneath coats. Opacity is the caller's to apply.
         """
         material = self.material.index_select(0, hit.triangle)
         rows = self.materials.emission.index_select(1, material)
@@ -201,7 +202,23 @@ class Geometry:
         index, texel = self._texels("emission", hit, material)
         if len(index) > 0:
             radiance[:, index] *= texel[0:3]
+        if self._colors is not None:
+            index = self.materials.tinted.index_select(0, material).nonzero()[:, 0]
+            if len(index) > 0:
+                radiance[:, index] *= self._color(Hit(*(field[index] for field in hit)))[0:3]
+        if self.materials.clearcoat is not None and direction is not None:
+            radiance *= self._through_clearcoat(hit, material, direction)
         return radiance
+
+    def _through_clearcoat(self, hit: Hit, material: Tensor, direction: Tensor) -> Tensor:
+        """Share `[N]` of the emission that passes the clear coat, 1 where there is none (KHR_materials_clearcoat)."""
+        weight = self.materials.clearcoat[0].index_select(0, material)
+        index, texel = self._texels("clearcoat", hit, material)
+        if len(index) > 0:
+            weight[index] *= texel[0]
+        normal = normalize(_interpolate(self._normals[3:12].index_select(1, hit.triangle), hit.u, hit.v))
+        grazing = fifth_power(1.0 - dot(normal, direction).abs().clamp(max=1.0))
+        return 1.0 - weight * (CLEARCOAT_F0 + (1.0 - CLEARCOAT_F0) * grazing)
 
     def is_sheer(self, triangle: Tensor) -> Tensor:
         """Whether triangles `[N]` let light through somewhere, bool `[N]`."""

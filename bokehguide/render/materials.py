@@ -25,6 +25,8 @@ SLOTS = (
 )
 """What a material may have a texture of."""
 WHITE = (1.0, 1.0, 1.0)
+CLEARCOAT_F0 = 0.04
+"""Reflectance of a clearcoat head-on: an index of 1.5."""
 
 
 class Materials:
@@ -62,6 +64,8 @@ class Materials:
         self.has_transmission = any(m.transmission > 0.0 for m in materials)
         self.emissive = torch.tensor([m.emits for m in materials], device=device)
         self.emission = table([(*m.emission, float(m.double_sided)) for m in materials])
+        self.tinted = torch.tensor([m.tint_emission for m in materials], device=device)
+        """Whose emission vertex colours multiply, bool `[M]`."""
         self._cones = optional([_cone_row(m.emission_cone) for m in materials], any(m.emission_cone for m in materials))
         sheer = list(map(_is_sheer, materials, _least_colors(materials, meshes)))
         self.has_sheer = any(sheer)

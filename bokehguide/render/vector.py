@@ -38,6 +38,11 @@ def luminance(color: Tensor) -> Tensor:
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
+def fifth_power(x: Tensor) -> Tensor:
+    """x⁵, the shape of Schlick's rise."""
+    return x.square().square() * x
+
+
 def tangent_frame(normal: Tensor) -> tuple[Tensor, Tensor]:
     """Two unit tangents `[3, N]` that complete `normal` to a right-handed frame.
 

@@ -79,7 +79,8 @@ class Material:
     alpha_mode: "opaque" ignores opacity; "mask" leaves out what is below `alpha_cutoff`;
     "blend" lets the share 1 - opacity of the light through, unbent.
     attenuation_color is what is left of white light after `attenuation_distance` metres
-    inside (KHR_materials_volume). emission_cone: None emits to all sides.
+    inside (KHR_materials_volume). emission_cone: None emits to all sides. A clear coat dims
+    the emission beneath it; tint_emission: the mesh's colours multiply it, as unlit materials want.
     """
 
     name: str
@@ -97,6 +98,7 @@ class Material:
     clearcoat_roughness: float = 0.0
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     emission_cone: Cone | None = None
+    tint_emission: bool = False
     double_sided: bool = False
     opacity: float = 1.0
     alpha_mode: str = "opaque"

@@ -97,13 +97,5 @@ def _primitives(document: Document, index: int, materials: Sequence[Material]) -
         mesh = read_primitive(document, primitive, source.label, len(materials) if number is None else number, material)
         if mesh is not None:
             check_mesh(mesh, f"{document.file}: {primitive.path}", len(materials) + 1)
-            _note_unlit(document, number, mesh, source.label)
             meshes.append(mesh)
     return meshes
-
-
-def _note_unlit(document: Document, number: int | None, mesh: Mesh, name: str) -> None:
-    if number is None or mesh.colors is None:
-        return
-    if "KHR_materials_unlit" in document.items("materials")[number].extensions:
-        document.note("vertex colours of unlit materials: have no effect", name)

@@ -116,6 +116,7 @@ def _unlit(material: Material) -> Material:
         base_color=(0.0, 0.0, 0.0),
         specular=0.0,
         emission=material.base_color,
+        tint_emission=True,
         emission_texture=material.base_color_texture,
         double_sided=material.double_sided,
         opacity=material.opacity,

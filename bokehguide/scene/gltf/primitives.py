@@ -127,9 +127,11 @@ def _uvs(document: Document, arrays: dict[str, np.ndarray], sets: int, name: str
 
 
 def _colors(colors: np.ndarray | None) -> np.ndarray | None:
-    if colors is None or colors.shape[1] == 4:
-        return colors
-    return np.concatenate([colors, np.ones((len(colors), 1), np.float32)], axis=1)
+    """RGBA within 0 … 1, to which glTF 2.0 section 3.7.2.1 clamps them."""
+    if colors is None:
+        return None
+    opaque = np.ones((len(colors), 4 - colors.shape[1]), np.float32)
+    return np.concatenate([colors, opaque], axis=1).clip(0.0, 1.0)
 
 
 def _compact(mesh: Mesh) -> Mesh:
