@@ -8,8 +8,9 @@ import pytest
 
 from bokehguide.scene.types import Material
 from tests.statistical import SIGNIFICANCE
+from tests.test_render_mis import bsdf_sampling_only
 from tests.test_render_path_tracer import LIGHT, glass, reflectance
-from tests.tracing import estimates, lamp, mean_test, rectangle, scene, sky, sphere
+from tests.tracing import agreement, estimates, lamp, mean_test, rectangle, scene, sky, sphere
 
 COLOR = (0.9, 0.5, 0.2)
 WATER = {"attenuation_color": COLOR, "attenuation_distance": 0.3}
@@ -58,6 +59,15 @@ def test_a_ball_that_bends_nothing_absorbs_along_each_chord():
 def test_a_camera_inside_looks_through_what_is_left_of_the_way_out():
     ball = scene([sphere(0)], [glass(ior=1.0, **WATER)], sky(1.0), max_depth=2)
     assert mean_test(estimates(ball, (0.0, 0.0, 0.5), (0.0, 0.0, -1.0), 100), left(1.5), tolerance=0.01) > SIGNIFICANCE
+
+
+def test_both_techniques_agree_within_a_glowing_solid(monkeypatch):
+    """Whose inner side is a lamp, seen through what it absorbs."""
+    glow = replace(glass(**WATER), roughness=0.5, emission=(1.0, 1.0, 1.0), double_sided=True)
+    ball, ray = scene([sphere(0)], [glow], max_depth=4), ((0.0, 0.0, 0.9), (0.1, 0.2, -1.0))
+    both = estimates(ball, *ray, 50_000)
+    bsdf_sampling_only(monkeypatch)
+    assert agreement(both, estimates(ball, *ray, 50_000, 1)) > SIGNIFICANCE
 
 
 def test_a_black_channel_lets_nothing_through():

@@ -115,7 +115,11 @@ class Lights:
         direction = offset / distance
         cosine = -dot(rows[9:12], direction)
         hit = Hit(self._triangles.index_select(0, lamp), distance, u, v)
-        radiance = self._geometry.emission(hit, (cosine > 0.0).to(torch.float32), -direction)
+        front = (cosine > 0.0).to(torch.float32)
+        radiance = self._geometry.emission(hit, front, -direction)
+        transmittance = self._geometry.transmittance(hit, front)
+        if transmittance is not None:
+            radiance = radiance * transmittance
         if self._geometry.materials.has_sheer:
             radiance = radiance * self._geometry.opacity(hit)
         share = share * self._grid.pdf(cells, lamp)
