@@ -66,9 +66,31 @@ def brdf(
     beneath = (1.0 - metallic) * dielectric + metallic * metal
     if clearcoat == 0.0:
         return beneath
-    alpha = max(clearcoat_roughness**2, 1e-3)
-    passing = np.minimum(*[1.0 - clearcoat * stopped(cosine, 0.04, 1.0, alpha) for cosine in cosines])
-    return beneath * passing + clearcoat * (0.04 + 0.96 * schlick) * mirrors(outgoing, incoming, alpha)
+    passing, over = clearcoat_layer(outgoing, incoming, clearcoat, clearcoat_roughness)
+    return beneath * passing + over
+
+
+def clearcoat_layer(outgoing: np.ndarray, incoming: np.ndarray, weight: float, roughness: float) -> tuple[np.ndarray, np.ndarray]:
+    """What counts of the layers beneath a clearcoat, and its own BRDF, `[N]` each, in its own frame."""
+    alpha = max(roughness**2, 1e-3)
+    cosines = (outgoing[2], np.maximum(incoming[2], 0.0))
+    passing = np.minimum(*[1.0 - weight * stopped(cosine, 0.04, 1.0, alpha) for cosine in cosines])
+    half = outgoing + incoming
+    schlick = (1.0 - (outgoing * half).sum(0) / np.linalg.norm(half, axis=0)) ** 5
+    return passing, weight * (0.04 + 0.96 * schlick) * mirrors(outgoing, incoming, alpha)
+
+
+def tilted_clearcoat(
+    outgoing: np.ndarray, incoming: np.ndarray, frame: np.ndarray, clearcoat=1.0, clearcoat_roughness=0.0, **beneath
+) -> np.ndarray:
+    """`brdf` times cosine `[3, N]` where the clearcoat has a frame of its own: rows x, y, normal.
+
+    Each layer has the cosine to its own normal, and nothing from below its own horizon.
+    """
+    passing, over = clearcoat_layer(frame @ outgoing, frame @ incoming, clearcoat, clearcoat_roughness)
+    lower = np.where(incoming[2] > 0.0, brdf(outgoing, incoming, **beneath) * incoming[2], 0.0)
+    cosine = frame[2] @ incoming
+    return lower * passing + np.where(cosine > 0.0, over * cosine, 0.0)
 
 
 def reflectance(cosine: np.ndarray, eta: float) -> np.ndarray:

@@ -135,6 +135,7 @@ def surface(
     specular_color=None,
     clearcoat=None,
     clearcoat_roughness=0.0,
+    clearcoat_normal=None,
     front=1.0,
     outgoing: Tensor | None = None,
     normal=(0.0, 0.0, 1.0),
@@ -165,4 +166,5 @@ def surface(
         specular_color=None if specular_color is None else vector(specular_color),
         clearcoat=None if clearcoat is None else whole(clearcoat),
         clearcoat_alpha=None if clearcoat is None else whole(max(clearcoat_roughness**2, MIN_ALPHA)),
+        clearcoat_normal=None if clearcoat_normal is None else vector(clearcoat_normal),
     )

@@ -75,6 +75,11 @@ def test_what_is_told_of_the_sunglasses():
     assert model.warnings == ("SunglassesKhronos.glb: KHR_materials_iridescence: has no effect",)
 
 
+def test_all_of_the_clear_coats_is_honoured():
+    model = load_model(MODELS / "ClearCoatTest.glb")
+    assert model.warnings == () and any("clearcoat normal (2)" in line for line in model.honoured)
+
+
 def test_transmission_and_volume_of_the_conformance_files():
     def by_name(name):
         return {m.name: m for m in load_model(MODELS / "conformance" / name / f"{name}.gltf").materials}

@@ -154,11 +154,15 @@ def test_nodes_in_matrices_and_parts(tmp_path):
     )
 
 
-def test_a_mirror_keeps_front_and_bitangent(tmp_path):
+@pytest.mark.parametrize("coat", [False, True])
+def test_a_mirror_keeps_front_and_bitangent(tmp_path, coat):
+    """Tangents are there for a normal map of either layer."""
     builder = Builder()
     normals, tangents = np.tile(np.float32([0, 0, 2]), (4, 1)), np.tile(np.float32([1, 0, 0, 1]), (4, 1))
     texture = builder.texture(png())
-    material = builder.material(normalTexture=pygltflib.NormalMaterialTexture(index=texture))
+    clearcoat = {"KHR_materials_clearcoat": {"clearcoatFactor": 1, "clearcoatNormalTexture": {"index": texture}}}
+    normal = pygltflib.NormalMaterialTexture(index=texture)
+    material = builder.material(**{"extensions": clearcoat} if coat else {"normalTexture": normal})
     mesh = builder.mesh(NORMAL=normals, TANGENT=tangents, TEXCOORD_0=UVS, material=material)
     builder.node(mesh=mesh, scale=[-1, 1, 1])
     loaded = only_mesh(builder, tmp_path / "mirror.glb")

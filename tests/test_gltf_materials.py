@@ -47,6 +47,7 @@ def test_every_term_of_the_extensions(tmp_path):
             "KHR_materials_clearcoat": {
                 "clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.1,
                 "clearcoatTexture": texture, "clearcoatRoughnessTexture": texture,
+                "clearcoatNormalTexture": texture | {"scale": -0.6},
             },
             "KHR_materials_specular": {
                 "specularFactor": 0.4, "specularColorFactor": [1.5, 0.5, 0],
@@ -61,16 +62,18 @@ def test_every_term_of_the_extensions(tmp_path):
     (m,) = scene.materials
     assert scene.warnings == ()
     assert (m.metallic, m.alpha_mode, m.alpha_cutoff, m.normal_scale) == (0.25, "mask", 0.3, 0.7)
+    assert m.clearcoat_normal_scale == -0.6
     assert (m.clearcoat, m.clearcoat_roughness, m.specular, m.specular_color) == (0.5, 0.1, 0.4, (1.5, 0.5, 0.0))
     assert (m.transmission, m.thin, m.ior) == (0.6, False, 1.7)
     assert (m.attenuation_distance, m.attenuation_color) == (3.0, (1.0, 0.5, 0.0))
-    for texture in (m.normal_texture, m.clearcoat_texture, m.clearcoat_roughness_texture, m.transmission_texture):
+    coat = (m.clearcoat_texture, m.clearcoat_roughness_texture, m.clearcoat_normal_texture)
+    for texture in (m.normal_texture, *coat, m.transmission_texture):
         np.testing.assert_allclose(texture.image, 188 / 255, rtol=1e-6)
         assert texture.image is m.normal_texture.image, "decoded once"
     np.testing.assert_allclose(m.specular_color_texture.image, GREY, atol=1e-4)
     np.testing.assert_allclose(m.specular_texture.image[..., 3], 0.2, rtol=1e-6)
     said = describe(scene)
-    for part in ("clearcoat (1)", "transmission (1)", "alpha modes: mask (1)", "textures from 1 images", "normal (1)"):
+    for part in ("clearcoat (1)", "transmission (1)", "alpha modes: mask (1)", "textures from 1 images", "normal (1)", "clearcoat normal (1)"):
         assert part in said, said
 
 

@@ -186,11 +186,12 @@ def test_every_slot_multiplies_its_factor_by_its_channels():
 
 def test_textures_of_what_a_material_has_not_are_left_out():
     texture = Texture(np.full((1, 1, 3), 0.5, np.float32))
-    slots = ("emission_texture", "transmission_texture", "clearcoat_texture", "clearcoat_roughness_texture")
-    geometry = Geometry(scene([rectangle(0)], [Material("none of it", **dict.fromkeys(slots, texture))]))
+    slots = ("emission", "transmission", "clearcoat", "clearcoat_roughness", "clearcoat_normal")
+    textures = {f"{slot}_texture": texture for slot in slots}
+    geometry = Geometry(scene([rectangle(0)], [Material("none of it", **textures)]))
     assert geometry.materials.atlas.texels.shape == (0,)
     _, surface = found(geometry, [[0.2, 0.1, 1]], [[0, 0, -1]])
-    assert surface.clearcoat is None and surface.transmission.tolist() == [0.0]
+    assert surface.clearcoat is None and surface.clearcoat_normal is None and surface.transmission.tolist() == [0.0]
 
 
 def test_each_texture_reads_its_own_uv_set():

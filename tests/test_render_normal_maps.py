@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from bokehguide.render.geometry import Geometry
 from bokehguide.scene.types import Material, Mesh, Texture
@@ -86,6 +87,44 @@ def test_bent_normals_are_those_of_the_slow_way(tangents):
     np.testing.assert_allclose(surface.normal.T.numpy(), expected, atol=2e-4)
 
 
+def test_a_clear_coats_normals_are_those_of_its_own_map():
+    """Maps with different scales and uv sets: each has the tangents of its own."""
+    mesh, local = patches(60), np.array([0.3, -0.2, 0.9]) / np.linalg.norm([0.3, -0.2, 0.9])
+    turned = {"uv_set": 1, "transform": (1.0, -2.0, 0.3, 0.5, 1.0, 0.0)}
+    under = Material("under", normal_texture=normal_map(*local), normal_scale=0.7)
+    over = Material("over", normal_texture=normal_map(*local, **turned), normal_scale=-0.5)
+    coated = replace(under, clearcoat=1.0, clearcoat_normal_texture=over.normal_texture, clearcoat_normal_scale=-0.5)
+    centres = mesh.vertices[mesh.triangles].mean(axis=1).astype(float)
+    _, surface = found(Geometry(scene([mesh], [coated])), centres + [0.0, 0.0, 3.0], np.tile([[0, 0, -1]], (60, 1)))
+    for normals, material in ((surface.normal, under), (surface.clearcoat_normal, over)):
+        expected = [reference(mesh, i, surface.position[:, i].numpy().astype(float), local, material) for i in range(60)]
+        np.testing.assert_allclose(normals.T.numpy(), expected, atol=2e-4)
+
+
+def test_a_clear_coat_has_normals_of_its_own_only_where_some_coats_differ_from_what_is_beneath():
+    texture = normal_map(0.6, 0.0, 0.8)
+    bent, maps = {"normal_texture": texture}, {"clearcoat_normal_texture": texture}
+    shared, plain = Material("shared", clearcoat=1.0, **bent, **maps), Material("plain", clearcoat=0.5)
+    beneath, above = Material("beneath", clearcoat=1.0, **bent), Material("above", clearcoat=1.0, **maps)
+    uncoated, scaled = Material("uncoated", **bent, **maps), replace(shared, clearcoat_normal_scale=0.0)
+    tilt, none = [0.6, 0.0, 0.8], [0.0, 0.0, 1.0]
+    for materials, expected in (
+        ((shared, plain, uncoated), None),
+        ((shared, uncoated, beneath), [tilt, none, none]),
+        ((above, plain, beneath), [tilt, none, none]),
+        ((plain, shared, scaled), [none, tilt, none]),
+    ):
+        plates = [rectangle(number, (5.0 * number, 0, 0)) for number in range(3)]
+        rays = [[5.0 * number + 0.1, 0.2, 1] for number in range(3)], [[0, 0, -1]] * 3
+        _, surface = found(Geometry(scene(plates, materials)), *rays)
+        assert (surface.clearcoat_normal is None) == (expected is None)
+        bases = [tilt if material.normal_texture else none for material in materials]
+        np.testing.assert_allclose(surface.normal.T.numpy(), bases, atol=1e-3)
+        if expected is not None:
+            np.testing.assert_allclose(surface.clearcoat_normal.T.numpy(), expected, atol=1e-3)
+            assert torch.equal(surface.select(torch.tensor([2])).clearcoat_normal, surface.clearcoat_normal[:, 2:])
+
+
 def test_red_tilts_to_the_right_of_a_texture_and_green_to_its_top():
     for local, expected in (((0.6, 0.0, 0.8), (0.6, 0.0, 0.8)), ((0.0, 0.6, 0.8), (0.0, 0.6, 0.8))):
         geometry = Geometry(scene([rectangle(0)], [Material("bent", normal_texture=normal_map(*local))]))
@@ -110,16 +149,18 @@ def test_a_bent_normal_that_faces_away_from_the_viewer_gives_way():
 
 
 METAL = Material("metal", (0.9, 0.7, 0.4), metallic=1.0, roughness=0.4)
+COAT = Material("coat", (0.0, 0.0, 0.0), specular=0.0, clearcoat=1.0, clearcoat_roughness=0.4)
 
 
-@pytest.mark.parametrize("material", [matte(0.7), METAL], ids=["matte", "metal"])
+@pytest.mark.parametrize("material", [matte(0.7), METAL, COAT], ids=["matte", "metal", "coat"])
 def test_a_map_of_one_tilt_shines_like_a_tilted_rectangle(material):
     """Both seen at their common middle, under a lamp above both horizons."""
     degrees = 25.0
     angle = math.radians(degrees)
     light = rectangle(1, (1.0, 0.4, 2.0), (180.0, 0.0, 0.0), 0.3)
     ray = ((0.02, 0.01, 1.0), (-0.02, -0.01, -1.0))
-    bent = replace(material, normal_texture=normal_map(math.sin(angle), 0.0, math.cos(angle)))
+    slot = "clearcoat_normal_texture" if material.clearcoat else "normal_texture"
+    bent = replace(material, **{slot: normal_map(math.sin(angle), 0.0, math.cos(angle))})
     mapped = estimates(scene([rectangle(0), light], [bent, lamp(5.0)]), *ray, count=40_000)
     turned = rectangle(0, rotate=(0.0, degrees, 0.0))
     tilted = estimates(scene([turned, light], [material, lamp(5.0)]), *ray, count=40_000, seed=1)

@@ -118,6 +118,8 @@ def test_the_scene_that_is_broken_below_is_good(tmp_path):
         ("roughness = 0.2", 'emission_texture = "a.png"', ["gold.emission_texture", "without emission"]),
         ("roughness = 0.2", "clearcoat = 1.5", ["materials.gold.clearcoat", "1.5", "between 0 and 1"]),
         ("roughness = 0.2", "clearcoat_roughness = 0.5", ["gold.clearcoat_roughness", "without clearcoat"]),
+        ("roughness = 0.2", 'clearcoat_normal_texture = "a.png"', ["gold.clearcoat_normal_texture", "without clearcoat"]),
+        ("roughness = 0.2", "clearcoat_normal_scale = 2", ["clearcoat_normal_scale", "without clearcoat_normal_texture"]),
         ("roughness = 0.2", "attenuation_color = [1, 1, 1]", ["gold.attenuation_color", "without attenuation_distance"]),
         (
             "roughness = 0.2",

@@ -14,7 +14,7 @@ from tests.test_scene_toml import BALL, CAMERA, load
 
 TEXTURES = (
     *("base_color", "metallic_roughness", "emission", "normal", "specular", "specular_color"),
-    *("transmission", "clearcoat", "clearcoat_roughness"),
+    *("transmission", "clearcoat", "clearcoat_roughness", "clearcoat_normal"),
 )
 
 
@@ -47,6 +47,8 @@ def test_every_term_reaches_the_material(folder):
         alpha_cutoff = 0.25
         normal_scale = -2.0
         normal_texture = "plain.png"
+        clearcoat_normal_scale = 3.0
+        clearcoat_normal_texture = "plain.png"
         """,
     )
     assert found.specular_color == (0.5, 1.5, 1.0) and found.transmission == 0.9
@@ -54,7 +56,7 @@ def test_every_term_reaches_the_material(folder):
     assert (found.clearcoat, found.clearcoat_roughness) == (0.75, 0.125)
     assert found.emission_cone == Cone((0.0, -1.0, 0.0), 10.0, 30.0)
     assert (found.opacity, found.alpha_mode, found.alpha_cutoff) == (0.5, "mask", 0.25)
-    assert found.normal_scale == -2.0
+    assert (found.normal_scale, found.clearcoat_normal_scale) == (-2.0, 3.0)
 
 
 def test_terms_that_are_left_out_have_their_defaults(folder):

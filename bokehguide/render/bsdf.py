@@ -17,6 +17,7 @@ Where f0 is coloured T is that of the largest channel.
 
 A clearcoat lies over all of that. What is beneath counts min(1 - T(outgoing), 1 - T(incoming)),
 T its own: what glTF has under a mirror, reciprocal, and never more than is let through.
+Its cosines and its horizon are those of its own normal, where it has one.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from torch import Tensor
 
 from bokehguide.render.geometry import Surface
 from bokehguide.render.materials import CLEARCOAT_F0
-from bokehguide.render.vector import dot, fifth_power, luminance, normalize
+from bokehguide.render.vector import dot, fifth_power, luminance, normalize, tangent_frame, to_local, to_world
 
 
 def ggx_density(half: Tensor, alpha: Tensor) -> Tensor:
@@ -86,9 +87,16 @@ class _Microfacets:
 
 
 class _Clearcoat:
-    """The layer of KHR_materials_clearcoat, seen under `cosine` `[N]`."""
+    """The layer of KHR_materials_clearcoat.
 
-    def __init__(self, cosine: Tensor, surface: Surface):
+    normal: its own, local `[3, N]`; None: that of what is beneath.
+    """
+
+    def __init__(self, outgoing: Tensor, surface: Surface, normal: Tensor | None):
+        self._frame = None if normal is None else (*tangent_frame(normal), normal)
+        self.outgoing = self._to_own(outgoing)
+        """In the frame of its own normal."""
+        cosine = self.outgoing[2].clamp(min=1e-6)
         self._weight = surface.clearcoat
         self.facets = _Microfacets(cosine, surface.clearcoat_alpha)
         self._held = self._weight * (CLEARCOAT_F0 + TRACE * (1.0 - CLEARCOAT_F0))
@@ -97,24 +105,39 @@ class _Clearcoat:
         self.reflectance = self._weight * (CLEARCOAT_F0 + (1.0 - CLEARCOAT_F0) * fifth_power(1.0 - cosine))
         """About its albedo, for the choice of what to sample."""
 
+    def _to_own(self, direction: Tensor) -> Tensor:
+        return direction if self._frame is None else to_local(direction, *self._frame)
+
+    def from_own(self, direction: Tensor) -> Tensor:
+        """`[3, N]` out of the frame of its own normal."""
+        return direction if self._frame is None else to_world(direction, *self._frame)
+
     def _passing(self, cosine: Tensor) -> Tensor:
         """1 - T: the share of light under `cosine` `[N]` that passes."""
         return 1.0 - self._held - self._spread * fifth_power(1.0 - cosine)
 
-    def evaluate(self, half: Tensor, cosine: Tensor, grazing: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """BRDF, density, and what counts of the layers beneath, each `[N]`; grazing: (1 - outgoing · half)⁵."""
+    def evaluate(self, incoming: Tensor, half: Tensor, grazing: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """BRDF times cosine, density, what counts of the layers beneath, and 1 above its horizon, each `[N]`.
+
+        grazing: (1 - outgoing · half)⁵.
+        """
+        incoming, half = self._to_own(incoming), self._to_own(half)
+        above = (incoming[2] > 0.0).to(torch.float32)
+        cosine = incoming[2].clamp(min=1e-6)
         visibility, pdf = self.facets.evaluate(half, cosine)
-        fresnel = CLEARCOAT_F0 + (1.0 - CLEARCOAT_F0) * grazing
-        return self._weight * visibility * fresnel, pdf, torch.minimum(self._leaving, self._passing(cosine))
+        value = self._weight * visibility * (CLEARCOAT_F0 + (1.0 - CLEARCOAT_F0) * grazing)
+        beneath = torch.minimum(self._leaving, self._passing(cosine))
+        return value * (cosine * above), pdf * (half[2] > 0.0).to(torch.float32), beneath, above
 
 
 class OpaqueBSDF:
     """Mixture of a Lambertian base under a dielectric coat, and a metal; a clearcoat over both if there is any.
 
-    outgoing: local `[3, N]` above the surface; surface: the parameters.
+    outgoing: local `[3, N]` above the surface; surface: the parameters. clearcoat_normal:
+    local `[3, N]`, None where the clearcoat has no normal of its own.
     """
 
-    def __init__(self, outgoing: Tensor, surface: Surface):
+    def __init__(self, outgoing: Tensor, surface: Surface, clearcoat_normal: Tensor | None = None):
         self._outgoing = outgoing
         self._surface = surface
         self._cosine = outgoing[2].clamp(min=1e-6)
@@ -125,7 +148,7 @@ class OpaqueBSDF:
             peak = self._f0.amax(0)
         self._f90 = surface.specular
         self._facets = _Microfacets(self._cosine, surface.alpha)
-        self._clearcoat = None if surface.clearcoat is None else _Clearcoat(self._cosine, surface)
+        self._clearcoat = None if surface.clearcoat is None else _Clearcoat(outgoing, surface, clearcoat_normal)
         self._choose_shares(peak)
         rise = self._f90 - peak
         self._held, self._spread = peak + TRACE * rise, coat_spread(surface.alpha) * rise
@@ -169,21 +192,28 @@ class OpaqueBSDF:
         value = surface.base_color * scaled + white
         share = self._specular_share
         pdf = share * microfacet + (1.0 - share) * cosine * (1.0 / math.pi)
+        value = value * (cosine * above)
         if self._clearcoat is not None:
-            over, microfacet, beneath = self._clearcoat.evaluate(half, cosine, grazing)
+            over, microfacet, beneath, above_coat = self._clearcoat.evaluate(incoming, half, grazing)
             value = value * beneath + over
+            # Between the two horizons each lobe has the draws that miss its own, if not what they would carry.
+            pdf = pdf * (half[2] > 0.0).to(torch.float32)
             pdf = pdf + (microfacet - pdf) * self._clearcoat_share
-        return value * (cosine * above), pdf * above
+            above = torch.maximum(above, above_coat)
+        return value, pdf * above
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Incoming directions `[3, N]`, possibly below the surface, from uniform numbers `[3, N]`."""
-        alpha, microfacet_share = self._surface.alpha, self._specular_share
+        outgoing, alpha, microfacet_share = self._outgoing, self._surface.alpha, self._specular_share
         if self._clearcoat is not None:
             share = self._clearcoat_share
             over = (uniforms[0] < share).to(torch.float32)
             alpha = alpha + (self._clearcoat.facets.alpha - alpha) * over
             microfacet_share = share + (1.0 - share) * microfacet_share
-        half = sample_visible_normal(self._outgoing, alpha, uniforms[1:])
+            outgoing = outgoing + (self._clearcoat.outgoing - outgoing) * over
+        half = sample_visible_normal(outgoing, alpha, uniforms[1:])
+        if self._clearcoat is not None:
+            half = half + (self._clearcoat.from_own(half) - half) * over
         mirrored = 2.0 * dot(self._outgoing, half) * half - self._outgoing
         radius, angle = uniforms[1].sqrt(), 2.0 * math.pi * uniforms[2]
         height = (1.0 - uniforms[1]).sqrt()

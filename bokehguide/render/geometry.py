@@ -43,7 +43,8 @@ class Surface:
     the ray. front: whether that is the triangle's front, float32 of 0 or 1.
     offset: distance by which new rays leave along ±geometric_normal. alpha and
     clearcoat_alpha are GGX's α. A field that may be None is so where no material of the
-    scene has the term: specular colours other than white, a clear coat.
+    scene has the term: specular colours other than white, a clear coat. clearcoat_normal
+    is as normal, and None also where every coat's is that of what is beneath.
     """
 
     position: Tensor
@@ -62,6 +63,7 @@ class Surface:
     specular_color: Tensor | None = None
     clearcoat: Tensor | None = None
     clearcoat_alpha: Tensor | None = None
+    clearcoat_normal: Tensor | None = None
 
     def select(self, index: Tensor) -> Surface:
         """The surfaces at `index`, int64 `[M]`."""
@@ -89,13 +91,15 @@ class Geometry:
         """Material of each triangle, int32 `[T]`."""
         self._normals = self._rows(triangles.normal_rows(meshes))
         self._targets = [(slot, targets) for slot, targets in TARGETS.items() if slot in self.materials.slots]
-        self._uvs = self._colors = self._tangents = None
+        self._uvs = self._colors = None
         if self.materials.atlas.uv_sets:
             self._uvs = self._rows(triangles.uv_rows(meshes, self.materials.atlas.uv_sets)).flatten(1)
         if any(mesh.colors is not None for mesh in meshes):
             self._colors = self._rows(triangles.color_rows(meshes))
-        if self.materials.normal_scale is not None:
-            self._tangents = self._rows(triangles.tangent_rows(meshes, scene.materials))
+        self._tangents = {}
+        for slot in self.materials.normal_scales:
+            normal_maps = [getattr(material, f"{slot}_texture") for material in scene.materials]
+            self._tangents[slot] = self._rows(triangles.tangent_rows(meshes, normal_maps))
 
     def _rows(self, rows: np.ndarray) -> Tensor:
         return torch.from_numpy(rows).to(self.device)
@@ -140,6 +144,8 @@ class Geometry:
             surface.specular_color = self.materials.specular_color.index_select(1, material)
         if self.materials.clearcoat is not None:
             surface.clearcoat, surface.clearcoat_alpha = self.materials.clearcoat.index_select(1, material)
+        if self.materials.tilts_coats:
+            surface.clearcoat_normal = normal.clone()
         self._paint(surface, hit, material)
         surface.alpha.clamp_(min=MIN_ALPHA)
         if surface.clearcoat_alpha is not None:
@@ -156,15 +162,16 @@ class Geometry:
                 factor = texel[channels].square() if squared else texel[channels]
                 values = getattr(surface, field)
                 values.index_copy_(-1, index, values.index_select(-1, index) * factor)
-        index, texel = self._texels("normal", hit, material)
-        if len(index) > 0:
-            texel[0:2] *= self.materials.normal_scale.index_select(1, material.index_select(0, index))
-            surface.normal.index_copy_(1, index, self._bent_normals(surface, hit, index, texel))
+        for slot, scales in self.materials.normal_scales.items():
+            index, texel = self._texels(slot, hit, material)
+            if len(index) > 0:
+                texel[0:2] *= scales.index_select(1, material.index_select(0, index))
+                getattr(surface, slot).index_copy_(1, index, self._bent_normals(slot, surface, hit, index, texel))
 
-    def _bent_normals(self, surface: Surface, hit: Hit, index: Tensor, tangent_space: Tensor) -> Tensor:
-        """Shading normals `[3, K]` of the hits at `index`, given in tangent space `[.., K]`."""
-        rows = self._tangents.index_select(1, hit.triangle.index_select(0, index))
-        normal = surface.normal.index_select(1, index)
+    def _bent_normals(self, slot: str, surface: Surface, hit: Hit, index: Tensor, tangent_space: Tensor) -> Tensor:
+        """Shading normals `[3, K]` of the hits at `index`, given in the tangent space `[.., K]` of the slot's maps."""
+        rows = self._tangents[slot].index_select(1, hit.triangle.index_select(0, index))
+        normal = getattr(surface, slot).index_select(1, index)
         tangent = _interpolate(rows[0:9], hit.u.index_select(0, index), hit.v.index_select(0, index))
         tangent = normalize(tangent - normal * dot(normal, tangent))  # none stays 0 and leaves the normal as it is
         # On the back the whole vector turns round; `normal` has, and so has the bitangent with it.

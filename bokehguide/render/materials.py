@@ -22,8 +22,11 @@ SLOTS = (
     "transmission",
     "clearcoat",
     "clearcoat_roughness",
+    "clearcoat_normal",
 )
 """What a material may have a texture of."""
+NORMAL_MAPS = ("normal", "clearcoat_normal")
+"""Those of SLOTS whose textures are normal maps; `Surface` has fields of the same names."""
 WHITE = (1.0, 1.0, 1.0)
 CLEARCOAT_F0 = 0.04
 """Reflectance of a clearcoat head-on: an index of 1.5."""
@@ -43,12 +46,12 @@ class Materials:
             return table(rows) if needed else None
 
         atlas = TextureAtlas()
-        self._numbers = {}
-        for slot in SLOTS:
-            textures = [_texture(material, slot) for material in materials]
-            if any(textures):
-                numbers = [atlas.add(texture, signed=slot == "normal") for texture in textures]
-                self._numbers[slot] = torch.tensor(numbers, device=device)
+        numbers = {slot: [atlas.add(_texture(m, slot), signed=slot in NORMAL_MAPS) for m in materials] for slot in SLOTS}
+        self.tilts_coats = _tilts_coats(materials, numbers)
+        """Whether some clear coat's normals are not those of what is beneath."""
+        if not self.tilts_coats:
+            del numbers["clearcoat_normal"]
+        self._numbers = {slot: torch.tensor(row, device=device) for slot, row in numbers.items() if max(row) >= 0}
         self.slots = frozenset(self._numbers)
         """Those of SLOTS in which some material has a texture."""
         self.atlas = atlas.build(device)
@@ -60,7 +63,9 @@ class Materials:
         self.specular_color = optional([m.specular_color for m in materials], colored)
         coated = any(m.clearcoat > 0.0 for m in materials)
         self.clearcoat = optional([(m.clearcoat, m.clearcoat_roughness**2) for m in materials], coated)
-        self.normal_scale = optional([(m.normal_scale,) for m in materials], "normal" in self._numbers)
+        bending = [slot for slot in NORMAL_MAPS if slot in self._numbers]
+        self.normal_scales = {slot: table([(getattr(m, f"{slot}_scale"),) for m in materials]) for slot in bending}
+        """Of the x and y of those normal maps that there are."""
         self.has_transmission = any(m.transmission > 0.0 for m in materials)
         self.emissive = torch.tensor([m.emits for m in materials], device=device)
         self.emission = table([(*m.emission, float(m.double_sided)) for m in materials])
@@ -115,8 +120,16 @@ def _texture(material: Material, slot: str) -> Texture | None:
         "transmission": material.transmission == 0.0,
         "clearcoat": material.clearcoat == 0.0,
         "clearcoat_roughness": material.clearcoat == 0.0,
+        "clearcoat_normal": material.clearcoat == 0.0,
     }
     return None if unseen.get(slot, False) else getattr(material, f"{slot}_texture")
+
+
+def _tilts_coats(materials: tuple[Material, ...], numbers: dict[str, list[int]]) -> bool:
+    """Whether a clear-coated material's two normal maps, by the atlas's numbers, or their scales differ."""
+    base = zip(numbers["normal"], [m.normal_scale for m in materials])
+    coat = zip(numbers["clearcoat_normal"], [m.clearcoat_normal_scale for m in materials])
+    return any(m.clearcoat > 0.0 and below != above for m, below, above in zip(materials, base, coat))
 
 
 def _cone_row(cone: Cone | None) -> tuple[float, ...]:

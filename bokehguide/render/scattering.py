@@ -23,7 +23,8 @@ class Scattering:
         self._surface = surface
         self._frame = (*tangent_frame(surface.normal), surface.normal)
         outgoing = to_local(surface.outgoing, *self._frame)
-        self._opaque = OpaqueBSDF(outgoing, surface)
+        coat = surface.clearcoat_normal
+        self._opaque = OpaqueBSDF(outgoing, surface, None if coat is None else to_local(coat, *self._frame))
         self._glass = None
         if choice is not None:
             index = (choice < surface.transmission * (1.0 - surface.metallic)).nonzero()[:, 0]
@@ -32,7 +33,15 @@ class Scattering:
                 self._glass = DielectricBSDF(outgoing.index_select(1, index), surface.select(index))
 
     def _allowed(self, direction: Tensor, above: Tensor) -> Tensor:
-        """1 where shading and geometric normal agree on the side of `direction`, else 0."""
+        """1 where shading and geometric normal agree on the side of `direction`, else 0.
+
+        above: the direction's cosine to the shading normal. Where a clear coat has a normal of
+        its own either may agree: each lobe ends at its own horizon.
+        """
+        if self._surface.clearcoat_normal is not None:
+            cosine, above = above, torch.maximum(above, dot(self._surface.clearcoat_normal, direction))
+            if self._glass is not None:
+                above[self._glass_index] = cosine[self._glass_index]
         return ((dot(self._surface.geometric_normal, direction) > 0.0) == (above > 0.0)).to(torch.float32)
 
     def evaluate(self, direction: Tensor) -> tuple[Tensor, Tensor]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bokehguide.scene.types import Material, Mesh
+from bokehguide.scene.types import Mesh, Texture
 
 
 def spans(meshes: tuple[Mesh, ...]) -> Iterator[tuple[Mesh, slice]]:
@@ -65,14 +65,14 @@ def color_rows(meshes: tuple[Mesh, ...]) -> np.ndarray:
     return rows
 
 
-def tangent_rows(meshes: tuple[Mesh, ...], materials: tuple[Material, ...]) -> np.ndarray:
-    """Tangents to interpolate and the bitangent's sign for normal maps: `[10, T]`.
+def tangent_rows(meshes: tuple[Mesh, ...], normal_maps: list[Texture | None]) -> np.ndarray:
+    """Tangents to interpolate and the bitangent's sign for the materials' `normal_maps`: `[10, T]`.
 
     A tangent is 0 where there is no normal map, or no direction in which its u grows.
     """
     rows = np.zeros((10, sum(len(mesh.triangles) for mesh in meshes)), np.float32)
     for mesh, span in spans(meshes):
-        texture = materials[mesh.material].normal_texture
+        texture = normal_maps[mesh.material]
         if texture is None:
             continue
         if mesh.tangents is not None:

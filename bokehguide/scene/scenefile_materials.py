@@ -19,21 +19,25 @@ ENCODED = {
     "transmission_texture": False,
     "clearcoat_texture": False,
     "clearcoat_roughness_texture": False,
+    "clearcoat_normal_texture": False,
 }
 """The textures, and whether their colours are sRGB."""
 KEYS = (
     *("base_color", "metallic", "roughness", "specular", "specular_color", "transmission", "thin", "ior"),
     *("attenuation_color", "attenuation_distance", "clearcoat", "clearcoat_roughness", "emission"),
-    *("emission_cone", "double_sided", "opacity", "alpha_mode", "alpha_cutoff", "normal_scale", *ENCODED),
+    *("emission_cone", "double_sided", "opacity", "alpha_mode", "alpha_cutoff", "normal_scale"),
+    *("clearcoat_normal_scale", *ENCODED),
 )
 NEEDS = {
     "emission_texture": ("emission",),
     "emission_cone": ("emission",),
     "normal_scale": ("normal_texture",),
+    "clearcoat_normal_scale": ("clearcoat_normal_texture",),
     "attenuation_color": ("attenuation_distance",),
     "attenuation_distance": ("attenuation_color",),
     "clearcoat_roughness": ("clearcoat", "clearcoat_texture"),
     "clearcoat_roughness_texture": ("clearcoat", "clearcoat_texture"),
+    "clearcoat_normal_texture": ("clearcoat", "clearcoat_texture"),
     "opacity": ("alpha_mode",),
     "alpha_cutoff": ("alpha_mode",),
 }
@@ -84,6 +88,7 @@ def _material(table: Table, folder: Path) -> Material:
         alpha_mode=_alpha_mode(table),
         alpha_cutoff=table.number("alpha_cutoff", Material.alpha_cutoff, SHARE),
         normal_scale=table.number("normal_scale", Material.normal_scale, ANY),
+        clearcoat_normal_scale=table.number("clearcoat_normal_scale", Material.clearcoat_normal_scale, ANY),
         **textures,
     )
 

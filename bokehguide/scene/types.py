@@ -74,7 +74,8 @@ class Material:
     four channels), (unused, roughness, metallic) as glTF packs them, emission (RGB),
     specular (A), specular colour (RGB), transmission (R), clearcoat (R) and
     clearcoat roughness (G). A normal map's texels are tangent-space normals scaled to
-    0 … 1; `normal_scale` multiplies their x and y.
+    0 … 1; `normal_scale` multiplies their x and y. A clear coat has a normal map and a
+    scale of its own: without them it is as smooth as the geometry, whatever lies beneath.
 
     alpha_mode: "opaque" ignores opacity; "mask" leaves out what is below `alpha_cutoff`;
     "blend" lets the share 1 - opacity of the light through, unbent.
@@ -104,6 +105,7 @@ class Material:
     alpha_mode: str = "opaque"
     alpha_cutoff: float = 0.5
     normal_scale: float = 1.0
+    clearcoat_normal_scale: float = 1.0
     base_color_texture: Texture | None = None
     metallic_roughness_texture: Texture | None = None
     emission_texture: Texture | None = None
@@ -113,6 +115,7 @@ class Material:
     transmission_texture: Texture | None = None
     clearcoat_texture: Texture | None = None
     clearcoat_roughness_texture: Texture | None = None
+    clearcoat_normal_texture: Texture | None = None
 
     @property
     def emits(self) -> bool:

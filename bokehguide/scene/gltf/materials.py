@@ -84,13 +84,13 @@ def _specular(part: Part, textures: Textures) -> dict[str, object]:
 
 def _clearcoat(part: Part, textures: Textures) -> dict[str, object]:
     coat = part.extension("KHR_materials_clearcoat")
-    if "clearcoatNormalTexture" in coat:
-        textures.document.note("normal maps of clear coats: the coat is smooth", part.label)
     return {
         "clearcoat": coat.number("clearcoatFactor", 0.0, SHARE),
         "clearcoat_roughness": coat.number("clearcoatRoughnessFactor", 0.0, SHARE),
+        "clearcoat_normal_scale": coat.part("clearcoatNormalTexture").number("scale", 1.0, ANY),
         "clearcoat_texture": textures.read(coat, "clearcoatTexture"),
         "clearcoat_roughness_texture": textures.read(coat, "clearcoatRoughnessTexture"),
+        "clearcoat_normal_texture": textures.read(coat, "clearcoatNormalTexture"),
     }
 
 

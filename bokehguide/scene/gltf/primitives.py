@@ -29,7 +29,7 @@ def read_primitive(document: Document, primitive: Part, name: str, number: int, 
     if primitive.values.get("targets"):
         document.note("morph targets: the model is drawn at rest", name)
     wanted = KINDS | {f"TEXCOORD_{set_}": ("VEC2",) for set_ in range(max(uv_sets(material), 1))}
-    if material.normal_texture is not None:
+    if material.normal_texture is not None or material.clearcoat_normal_texture is not None:
         wanted |= {"TANGENT": ("VEC4",)}
     arrays, indices = _arrays(document, primitive, wanted)
     if "POSITION" not in arrays:
