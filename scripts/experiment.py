@@ -11,11 +11,10 @@ from __future__ import annotations
 import argparse
 import hashlib
 import math
-import pickle
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -168,4 +167,27 @@ def read_long_render(path: Path, origin: str) -> LongRender:
 def fingerprint(scene: Scene, settings: RenderSettings) -> str:
     """A digest of all that decides what a long render converges to, and of its random numbers."""
     seen = (scene.camera, scene.meshes, scene.materials, scene.film, scene.environment, scene.suns)
-    return hashlib.sha256(pickle.dumps((seen, settings.mode, settings.seed), protocol=5)).hexdigest()
+    digest = hashlib.sha256()
+    for part in contents((*seen, settings.mode, settings.seed)):
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def contents(value: object) -> Iterator[bytes]:
+    """The bytes of plain scene data. A field that has its default is left out: a new one changes no old digest."""
+    if is_dataclass(value):
+        yield type(value).__name__.encode()
+        for field in fields(value):
+            part = getattr(value, field.name)
+            if isinstance(part, np.ndarray) or part != field.default:
+                yield field.name.encode()
+                yield from contents(part)
+    elif isinstance(value, np.ndarray):
+        yield f"{value.dtype}{value.shape}".encode()
+        yield value.tobytes()
+    elif isinstance(value, tuple):
+        yield f"tuple of {len(value)}".encode()
+        for part in value:
+            yield from contents(part)
+    else:
+        yield repr(value).encode()

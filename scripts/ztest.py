@@ -37,6 +37,7 @@ from pathlib import Path
 
 import torch
 from experiment import LongRender, accumulate, experiment_parser, load_scenes, progress, render, warn_of_bad_samples
+from mutations import MUTATIONS, Mutation
 from scipy import stats
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
@@ -44,9 +45,6 @@ from torch.nn.functional import avg_pool2d
 from bokehguide.cli.arguments import positive
 from bokehguide.errors import BokehguideError
 from bokehguide.image import write_png
-from bokehguide.models import lens_distribution
-from bokehguide.render import path_tracer
-from bokehguide.render.film import Film
 from bokehguide.render.vector import luminance
 from bokehguide.scene import Scene
 from bokehguide.train import RenderSettings
@@ -239,67 +237,6 @@ def report(outcomes: list[Outcome]) -> int:
     failed = sum(not outcome.passes(level) for outcome in outcomes)
     print(f"\n{failed} of {len(outcomes)} tests fail (pixels within < {PIXELS_WITHIN:.2%}, or p < {level:.2g})")
     return failed
-
-
-def drop_zero(add: Callable) -> Callable:
-    """Leave draws outside the aperture out of N: the film skips what is not finite."""
-
-    def mutated(film: Film, first: int, samples, step: int):
-        samples.radiance[:, samples.weight == 0.0] = math.nan
-        return add(film, first, samples, step)
-
-    return mutated
-
-
-def drop_weight(add: Callable) -> Callable:
-    """Forget 1 / (A q)."""
-
-    def mutated(film: Film, first: int, samples, step: int):
-        samples.weight = (samples.weight > 0.0).float()
-        return add(film, first, samples, step)
-
-    return mutated
-
-
-def drop_cosine(density: Callable) -> Callable:
-    """Forget cosθ in the density on the lens."""
-
-    def mutated(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
-        ray = torch.cat((lens_points - focus[:2], -focus[2:3]))
-        return density(lens_points, focus, mean, sigma) * ray.square().sum(0).sqrt() / focus[2]
-
-    return mutated
-
-
-def drop_mis(heuristic: Callable) -> Callable:
-    """Count light that both techniques find twice."""
-    return lambda pdf, other: torch.ones_like(heuristic(pdf, other))
-
-
-MUTATIONS = {
-    "drop-zero": (Film, "add", drop_zero),
-    "drop-weight": (Film, "add", drop_weight),
-    "drop-cosine": (lens_distribution, "lens_density", drop_cosine),
-    "drop-mis": (path_tracer, "power_heuristic", drop_mis),
-}
-
-
-class Mutation:
-    """A context in which a part of the renderer is replaced by a broken one."""
-
-    def __init__(self, name: str | None):
-        self.name = name
-
-    def __enter__(self) -> None:
-        if self.name:
-            owner, attribute, mutate = MUTATIONS[self.name]
-            self.original = getattr(owner, attribute)
-            setattr(owner, attribute, mutate(self.original))
-
-    def __exit__(self, *_: object) -> None:
-        if self.name:
-            owner, attribute, _ = MUTATIONS[self.name]
-            setattr(owner, attribute, self.original)
 
 
 if __name__ == "__main__":

@@ -79,6 +79,18 @@ def test_vertex_colours(tmp_path, colors, meant):
     np.testing.assert_allclose(only_mesh(simple(COLOR_0=colors), tmp_path / "c.glb").colors, [meant] * 4, rtol=1e-6)
 
 
+@pytest.mark.parametrize(("line", "kept"), [('material = "clay"', False), ("", True)])
+def test_a_material_in_a_models_place_leaves_no_vertex_colours(tmp_path, line, kept):
+    simple(COLOR_0=np.full((4, 4), 0.5, np.float32)).save(tmp_path / "square.glb")
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        "[camera]\nposition = [0, 0, 3]\ntarget = [0, 0, 0]\nfov = 40\naperture_radius = 0.1\nfocus_distance = 3\n"
+        f'[materials.clay]\nbase_color = [1, 1, 1]\n[[object]]\nfile = "square.glb"\n{line}\n'
+    )
+    (mesh,) = load_scene(str(scene)).meshes
+    assert (mesh.colors is not None) == kept
+
+
 def test_interleaved_and_sparse(tmp_path):
     builder = Builder()
     both = np.concatenate([SQUARE, UVS], axis=1)

@@ -147,10 +147,9 @@ def _read_objects(root: Table, folder: Path, materials: list[Material]) -> _Obje
         table = Table(entry, root.file, f"object[{number}]", OBJECT_KEYS)
         material = _named_material(table, named)
         matrix = _read_transform(table)
-        placed = [
-            replace(transformed(mesh, matrix), material=mesh.material if material is None else material)
-            for mesh in _read_surface(table, folder, objects)
-        ]
+        placed = [transformed(mesh, matrix) for mesh in _read_surface(table, folder, objects)]
+        if material is not None:  # in place of all that the model looked like, its vertex colours too
+            placed = [replace(mesh, material=material, colors=None) for mesh in placed]
         if "file" in table:
             model, first = objects.load(folder / table.text("file"))
             placed += place_lamps(model, first, matrix, objects.materials)
