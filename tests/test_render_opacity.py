@@ -15,6 +15,7 @@ from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.scene.types import Material, Mesh, Texture
+from tests.brute_force import every_hit
 from tests.statistical import SIGNIFICANCE, z_test
 from tests.test_render_mis import bsdf_sampling_only, sky_with_a_window
 from tests.test_render_path_tracer import LIGHT, RECTANGLE, polygon_irradiance
@@ -48,15 +49,7 @@ OPACITY = np.repeat([1.0, 0.3, 0.8, 0.3, 0.0], 16)
 
 def crossings(meshes: list[Mesh], origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Distances `[N, T]` at which rays `[3, N]` meet each triangle in float64, infinite where they do not."""
-    a, b, c = (np.concatenate([m.vertices[m.triangles[:, i]] for m in meshes]).astype(float)[None] for i in range(3))
-    origin, direction = origins.T[:, None].astype(float), directions.T[:, None].astype(float)
-    p = np.cross(direction, c - a)
-    scale = 1.0 / np.sum((b - a) * p, axis=2)
-    u = np.sum((origin - a) * p, axis=2) * scale
-    q = np.cross(origin - a, b - a)
-    v = np.sum(direction * q, axis=2) * scale
-    t = np.sum((c - a) * q, axis=2) * scale
-    return np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
+    return every_hit(np.concatenate([m.vertices[m.triangles] for m in meshes]), origins, directions)[0]
 
 
 def rays(count: int) -> tuple[torch.Tensor, torch.Tensor]:

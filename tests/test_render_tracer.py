@@ -5,20 +5,12 @@ import pytest
 import torch
 
 from bokehguide.render.tracer import MISS_DISTANCE, Tracer
+from tests.brute_force import every_hit
 
 
-def moller_trumbore(vertices, triangles, origins, directions):
+def nearest_hits(vertices, triangles, origins, directions):
     """Nearest hits in float64: triangle (-1 for a miss), distance, u, v, all `[N]`."""
-    a, b, c = (vertices[triangles[:, i]].astype(np.float64)[None] for i in range(3))
-    origin, direction = origins.T[:, None].astype(np.float64), directions.T[:, None].astype(np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        p = np.cross(direction, c - a)
-        scale = 1.0 / np.sum((b - a) * p, axis=2)
-        u = np.sum((origin - a) * p, axis=2) * scale
-        q = np.cross(origin - a, b - a)
-        v = np.sum(direction * q, axis=2) * scale
-        t = np.sum((c - a) * q, axis=2) * scale
-    t = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
+    t, u, v = every_hit(vertices[triangles], origins, directions)
     nearest, rays = t.argmin(axis=1), np.arange(len(t))
     hit = np.isfinite(t[rays, nearest])
     return np.where(hit, nearest, -1), t[rays, nearest], u[rays, nearest], v[rays, nearest]
@@ -39,7 +31,7 @@ def soup():
 
 def test_nearest_hits_are_those_of_brute_force(soup):
     vertices, triangles, origins, directions = soup
-    triangle, distance, u, v = moller_trumbore(vertices, triangles, origins, directions)
+    triangle, distance, u, v = nearest_hits(vertices, triangles, origins, directions)
     found = Tracer(vertices, triangles).intersect(torch.from_numpy(origins), torch.from_numpy(directions))
     same = found.triangle.numpy() == triangle
     assert (triangle >= 0).sum() > 1000
