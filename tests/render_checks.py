@@ -62,7 +62,8 @@ def put_in(loop: RenderLoop, count: int, seed: int) -> None:
     k = focus_distance / (focus_distance - depth).abs()
     sigma = loop.camera.lens.radius * (0.2 + 0.4 * torch.rand(count, generator=generator)) / k
     loop.guide.field.assign(mean, 2.0 * sigma, sigma, torch.exp(torch.randn(count, generator=generator)) * sigma * sigma)
-    loop.guide.refit = lambda mean_luminance: None
+    loop.guide.refit = lambda mean_luminance: loop.guide.set_candidates()
+    loop.guide.held.zero_()
     loop.guide.set_candidates()
 
 

@@ -144,3 +144,15 @@ def test_averages_over_64_steps_are_unbiased_and_less_noisy(name):
     values = integrand(fine[:, None], fine[None])
     assert z_test(means.mean() - values.mean(), np.sqrt(means.var(ddof=1) / 4096) + 1e-6) > SIGNIFICANCE
     assert means.var() < share * values.var() / 64
+
+
+def test_a_sequence_may_begin_at_any_step():
+    """One that begins later is as even from there on, and knows nothing of the others."""
+    pixels = torch.arange(PIXELS)
+    late = np.stack([PixelRandom(0, step, pixels[:16]).stratified(2, 2, first=9).numpy() for step in range(9, 41)])
+    assert (np.sort((late * 32).astype(int), axis=0) == np.arange(32)[:, None, None]).all()
+    numbers = PixelRandom(0, 20, pixels).stratified(2, 2, first=9).numpy()
+    assert sidak([uniformity(row) for row in numbers]) > SIGNIFICANCE
+    for step, first in ((20, 17), (20, 1), (8, 5), (8, 1)):
+        others = PixelRandom(0, step, pixels).stratified(2, 2, first=first).numpy()
+        assert sidak([independence(a, b) for a in numbers for b in others]) > SIGNIFICANCE

@@ -39,10 +39,13 @@ class CandidateList:
         return start - low, self.gaussian[low:high].long()
 
 
-def draw_candidates(field: GaussianField, camera: ThinLensCamera, slack: float = 0.0) -> CandidateList:
+def draw_candidates(
+    field: GaussianField, camera: ThinLensCamera, slack: float = 0.0, without: Tensor | None = None
+) -> CandidateList:
     """List the Gaussians that each pixel may see, by drawing their discs on the raster.
 
-    slack: by how many σ the means may still move (polynomial offsets).
+    slack: by how many σ the means may still move (polynomial offsets). without: pixels to
+    leave out, bool `[pixels]`.
     """
     center, radius = field.footprints(camera)
     lens = camera.lens
@@ -50,7 +53,10 @@ def draw_candidates(field: GaussianField, camera: ThinLensCamera, slack: float =
     strength = field.lens_weights(lens.focus_distance)
     order = strength.argsort(descending=True)
     center, radius = center[:, order], (radius + extra + PIXEL_MARGIN)[order]
-    pixel, drawn = _draw(center, radius, camera.width, camera.height)
+    full = torch.zeros(camera.width * camera.height, dtype=torch.int64, device=center.device)
+    if without is not None:
+        full[without] = MAX_CANDIDATES
+    pixel, drawn = _draw(center, radius, camera.width, camera.height, full)
     pixel, by_pixel = torch.sort(pixel, stable=True)  # keeps the strongest first
     numbers = torch.arange(camera.width * camera.height + 1, device=pixel.device, dtype=pixel.dtype)
     start = torch.searchsorted(pixel, numbers)
@@ -61,15 +67,15 @@ def draw_candidates(field: GaussianField, camera: ThinLensCamera, slack: float =
     return CandidateList(start, order[drawn[by_pixel[kept]].long()].int())
 
 
-def _draw(center: Tensor, radius: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+def _draw(center: Tensor, radius: Tensor, width: int, height: int, full: Tensor) -> tuple[Tensor, Tensor]:
     """Pixels and numbers of discs, int32 `[M]`, in the discs' order; few beyond MAX_CANDIDATES for a pixel.
 
+    full: int64 `[pixels]`, how many candidates each pixel has already; it is counted on.
     Discs are drawn DRAWN_TOGETHER pixels at a time, and not where pixels are full already,
     so memory is bounded however many discs lie over one another.
     """
     area = (4.0 * (radius + 1.0).square()).clamp(max=float(width * height))
     part = (area.double().cumsum(0) / DRAWN_TOGETHER).long()
-    full = torch.zeros(width * height, dtype=torch.int64, device=center.device)
     pieces = []
     for first, last in _runs(part):
         pixel, disc = _fill_discs(center[:, first:last], radius[first:last], width, height)

@@ -14,6 +14,10 @@ Lens points whose density is learnt therefore take independent numbers. The film
 x and the first bounce b may be stratified all the same: given them and the past, the
 average of f(x, l, b) / q(l | x) over the lens point l is the integral of f over the lens,
 whatever q has become, and nothing of the past is left in it.
+
+Lens points of a uniform density may be stratified too, over a block of steps for which
+the density was settled before the block began: the block's scramble is its own, so that it
+knows nothing of the past that settled it.
 """
 
 from __future__ import annotations
@@ -104,14 +108,14 @@ class PixelRandom:
         keys = torch.tensor([_signed(key) for key in keys], dtype=torch.int32, device=self.pixel_keys.device)
         return hash_tensor(self.pixel_keys ^ keys[:, None])
 
-    def stratified(self, dimension: int, count: int) -> Tensor:
-        """Like `uniform`, with numbers that are one point of a `count`-dimensional sequence over the steps.
+    def stratified(self, dimension: int, count: int, first: int = 1) -> Tensor:
+        """Like `uniform`, with numbers that are one point of a `count`-dimensional sequence over the steps from `first` on.
 
-        `dimension` names the sequence; at most 8 dimensions. Sequences of different names
-        are independent but for being evenly spread each.
+        `dimension` and `first` name the sequence; at most 8 dimensions. Sequences of different
+        names are independent but for being evenly spread each.
         """
-        key = hash_int(self.seed_key + 0x3C6EF372 * dimension)
-        index = shuffle_index(self.index, key)
+        key = hash_int(self.seed_key + 0x3C6EF372 * dimension + 0x61C88647 * (first - 1))
+        index = shuffle_index(self.index - (first - 1), key)
         values = self._hash([hash_int(key + i) for i in range(count)])
         columns = (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)
         moved = torch.empty_like(self.pixel_keys)

@@ -14,16 +14,25 @@ from bokehguide.models.kl import blend_gradient, offset_gradient, one_sample_kl
 from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.random import PixelRandom
 from bokehguide.train.fitting import fit_gaussians
 from bokehguide.train.record_buffer import RecordBuffer
 from bokehguide.train.settings import RenderSettings
 
 FITS = 8
-"""With polynomials the field is fitted after steps 1 to 8 and then frozen."""
+"""With polynomials the field is fitted after steps 1 to 8 and then frozen, or, where nothing was found,
+at the end of a later block."""
 BLEND_RATE, OFFSET_RATE = 0.1, 0.01
 """Learning rates of β's logit and of the polynomial coefficients (section 6.1)."""
+LENS_DIMENSION = 2
+"""Random dimensions of a lens point: from this one on five."""
 OFFSET_SLACK = 2.0
 """Pixels up to 2σ beyond a frozen Gaussian's disc keep it as a candidate: its mean may move."""
+
+
+def starts_block(step: int) -> bool:
+    """Whether a block of steps begins: 1, 2, 3, 5, 9, 17, … so that their lengths are powers of two."""
+    return step == 1 or (step - 1) & (step - 2) == 0
 
 
 @dataclass
@@ -50,7 +59,9 @@ class LensGuide(nn.Module):
     """Learns, step by step, where on the lens each pixel should look.
 
     `distribution` and `study` work on batches of pixels, side by side; `update` ends a
-    step. What a step draws from depends on earlier steps only.
+    step. What a step draws from depends on earlier steps only; a pixel without candidates
+    at the start of a block of steps stays uniform until it ends, so that its lens points may
+    be stratified over the block (see `render/random.py`).
     """
 
     def __init__(self, camera: ThinLensCamera, settings: RenderSettings):
@@ -63,6 +74,10 @@ class LensGuide(nn.Module):
         self.record = RecordBuffer(camera)
         self.offsets: PolynomialOffset | None = None
         self.to(settings.device)
+        self.register_buffer("held", torch.zeros(camera.width * camera.height, dtype=torch.bool, device=settings.device))
+        """Pixels that stay uniform until their block of steps ends, whatever is found meanwhile, bool `[pixels]`."""
+        self.register_buffer("block", torch.tensor(1))
+        """First step of that block."""
         self.spotlights = torch.zeros(0, dtype=torch.int64, device=settings.device)
         self.candidates: CandidateList | None = None
         self._blend_optimizer = torch.optim.Adam([self.blend.logit], lr=BLEND_RATE, fused=True)
@@ -113,9 +128,27 @@ class LensGuide(nn.Module):
             self.offsets.coefficients.grad = sum(gradients, torch.zeros_like(self.offsets.coefficients))
             self._offset_optimizer.step()
         if self.offsets is None:
+            opens = starts_block(step + 1)
+            if opens:
+                self.held.zero_()
             self.refit(mean_luminance)
-            if self.learns_offsets and step >= FITS and len(self.field):
+            if opens and self.learns_offsets and step >= FITS and len(self.field):
                 self.freeze()
+            if opens:
+                self._hold_unguided(step + 1)
+
+    def _hold_unguided(self, step: int) -> None:
+        """Begin a block of steps: pixels without candidates stay so, and their lens points are stratified over it."""
+        self.block.fill_(step)
+        self.held.fill_(True)
+        if self.candidates is not None:
+            self.held.copy_(self.candidates.start[1:] == self.candidates.start[:-1])
+
+    def stratify(self, first: int, random: PixelRandom, uniforms: Tensor) -> None:
+        """Replace, in numbers `[5, N]` for pixels from `first` on, those of the held pixels' lens points."""
+        held = self.held[first : first + uniforms.shape[1]].nonzero()[:, 0]
+        if len(held) > 0:
+            uniforms[2:4, held] = random.select(held).stratified(LENS_DIMENSION, 2, int(self.block))
 
     @torch.no_grad()
     def refit(self, mean_luminance: float) -> None:
@@ -124,8 +157,8 @@ class LensGuide(nn.Module):
         self.set_candidates()
 
     def set_candidates(self, slack: float = 0.0) -> None:
-        """List each pixel's candidates; to be called after any change of the field."""
-        self.candidates = draw_candidates(self.field, self.camera, slack) if len(self.field) else None
+        """List the candidates of the pixels that are not held; to be called after any change of the field."""
+        self.candidates = draw_candidates(self.field, self.camera, slack, self.held) if len(self.field) else None
 
     def freeze(self) -> None:
         """Keep the Gaussians from now on, and let polynomial offsets learn."""
@@ -140,6 +173,7 @@ class LensGuide(nn.Module):
         """
         field = {name.removeprefix("field."): value for name, value in state_dict.items() if name.startswith("field.")}
         self.field.load_state_dict(field)
+        self.held.copy_(state_dict["held"])
         self.set_candidates()
         if "offsets.coefficients" in state_dict:
             self.freeze()

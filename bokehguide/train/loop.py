@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from bokehguide.models.lens_distribution import LensDensity, UniformLensDistribution
+from bokehguide.models.lens_distribution import LensDensity
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import NO_DEPTH, Film, FilmSamples
 from bokehguide.render.path_tracer import PathSamples, PathTracer
@@ -21,7 +21,7 @@ from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
-from bokehguide.train.guide import BatchLesson, GuidedBatch, LensGuide
+from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensGuide
 from bokehguide.train.settings import RenderSettings
 
 BATCH = 65536
@@ -122,17 +122,8 @@ class RenderLoop:
             random = PixelRandom(self.settings.seed, self.step_number, pixels)
             corner = torch.stack((pixels % camera.width, pixels // camera.width))
             raster = corner + random.stratified(0, 2)
-            uniforms = random.uniform(2, 5)  # independent: what a lens point is used for is learnt
             focus = camera.focus_points(raster)
-            may_guide = self.guide is not None and self.step_number > 1  # the first step is uniform
-            batch = self.guide.distribution(first, raster, focus) if may_guide else None
-            if batch is None:
-                points, at = UniformLensDistribution(camera.lens).sample(uniforms[0:2]), None
-                weight = torch.ones_like(points[0])
-            else:
-                points = batch.distribution.sample(uniforms)
-                at = batch.distribution.evaluate(points)
-                weight = camera.lens.contains(points) / (camera.lens.area * at.density).clamp(min=1e-20)  # W / q, Eq. 11
+            points, weight, batch, at = self._lens_points(first, raster, focus, random)
         with timer.measure("shading"):
             samples, directions = self._trace(focus, points, weight, random, timer)
         with timer.measure("output"):
@@ -147,6 +138,24 @@ class RenderLoop:
             records = self._records(points, directions, samples.distance, weight, light)
         guided, outside, beta = _count(batch, weight)
         return _BatchResult(samples.rays, guided, outside, beta, lesson, records, timer)
+
+    def _lens_points(
+        self, first: int, raster: Tensor, focus: Tensor, random: PixelRandom
+    ) -> tuple[Tensor, Tensor, GuidedBatch | None, LensDensity | None]:
+        """Lens points `[2, N]`, their weights W/q of Eq. 11 `[N]`, and what they were guided by; uniform in the first step."""
+        lens = self.camera.lens
+        if self.guide is None or self.step_number == 1:
+            points = lens.sample(random.stratified(LENS_DIMENSION, 2))
+            return points, torch.ones_like(points[0]), None, None
+        uniforms = random.uniform(LENS_DIMENSION, 5)  # independent: what a lens point is used for is learnt
+        self.guide.stratify(first, random, uniforms)
+        batch = self.guide.distribution(first, raster, focus)
+        if batch is None:
+            points = lens.sample(uniforms[2:4])
+            return points, torch.ones_like(points[0]), None, None
+        points = batch.distribution.sample(uniforms)
+        at = batch.distribution.evaluate(points)
+        return points, lens.contains(points) / (lens.area * at.density).clamp(min=1e-20), batch, at
 
     def _trace(
         self, focus: Tensor, points: Tensor, weight: Tensor, random: PixelRandom, timer: PhaseTimer
