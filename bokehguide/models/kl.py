@@ -28,7 +28,8 @@ def blend_gradient(guide: GuidedLensDistribution, ratio: Tensor, at: LensDensity
     A rim draw that rounding puts outside has q = 0, and ratio 0.
     """
     slope = BlendWeightMap.slope(guide.beta) * guide.guided
-    return -ratio * (at.mixture - 1.0 / guide.lens.area) / at.density.clamp(min=1e-20) * slope
+    uniform = guide.lens.transmission(at.points) * (1.0 / guide.lens.area)
+    return -ratio * (at.mixture - uniform) / at.density.clamp(min=1e-20) * slope
 
 
 def offset_gradient(

@@ -17,7 +17,7 @@ from bokehguide.render.lens import Lens
 
 
 class UniformLensDistribution:
-    """p_U = 1/A on the aperture (Eq. 9), for N pixels."""
+    """p_U = W/A on the aperture, 1/A on a round one (Eq. 9), for N pixels."""
 
     def __init__(self, lens: Lens):
         self.lens = lens
@@ -27,8 +27,8 @@ class UniformLensDistribution:
         return self.lens.sample(uniforms)
 
     def pdf(self, points: Tensor) -> Tensor:
-        """1/A inside the aperture, 0 outside, `[N]`."""
-        return self.lens.contains(points) / self.lens.area
+        """W/A as it is on the axis, 0 outside the aperture, `[N]`."""
+        return self.lens.transmission(points) / self.lens.area
 
     def log_prob(self, points: Tensor) -> Tensor:
         """Logarithm of `pdf`, -inf outside."""
@@ -48,7 +48,7 @@ class LensDensity(NamedTuple):
 
 
 class GuidedLensDistribution:
-    """q = β p_GMM + (1 - β) / A (Eq. 26), one mixture of projected Gaussians for each of N pixels.
+    """q = β p_GMM + (1 - β) W / A (Eq. 26), one mixture of projected Gaussians for each of N pixels.
 
     Candidates are packed: those of pixel i stand at `start[i] : start[i + 1]`. The support
     is the whole lens plane, because a projected Gaussian reaches beyond the aperture: draws
@@ -123,7 +123,7 @@ class GuidedLensDistribution:
 
     def blend(self, points: Tensor, mixture: Tensor) -> Tensor:
         """q of Eq. 26, `[N]`, from p_GMM `[N]`."""
-        return self.beta * mixture + (1.0 - self.beta) * self.lens.contains(points) / self.lens.area
+        return self.beta * mixture + (1.0 - self.beta) * self.lens.transmission(points) / self.lens.area
 
     def pdf(self, points: Tensor) -> Tensor:
         """q at one lens point for each pixel, `[N]`."""

@@ -12,7 +12,9 @@ import math
 import torch
 from torch import Tensor
 
-from bokehguide.render.lens import Lens
+from bokehguide.render.film import NO_DEPTH
+from bokehguide.render.lens import make_lens
+from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import normalize
 from bokehguide.scene import types
 
@@ -22,7 +24,6 @@ class ThinLensCamera:
 
     def __init__(self, camera: types.Camera, width: int, height: int, device: torch.device | str = "cpu"):
         self.width, self.height = width, height
-        self.lens = Lens(camera.aperture_radius, camera.focus_distance)
         position = torch.tensor(camera.position, dtype=torch.float64)
         forward = normalize((torch.tensor(camera.target, dtype=torch.float64) - position)[:, None])[:, 0]
         right = normalize(torch.linalg.cross(forward, torch.tensor(camera.up, dtype=torch.float64))[:, None])[:, 0]
@@ -31,6 +32,7 @@ class ThinLensCamera:
         self.axes = torch.stack((right, up, forward), dim=1).float().to(device)  # camera to world, [3, 3]
         self.pixel_slope = 2.0 * math.tan(math.radians(camera.fov) / 2.0) / width
         """Width of a pixel at unit distance: s / d_s of Eq. 24."""
+        self.lens = make_lens(camera, 0.5 * math.hypot(width, height) * self.pixel_slope, device)
 
     def slopes(self, raster: Tensor) -> Tensor:
         """Pinhole slopes (x/z, y/z) `[2, N]` of raster positions `[2, N]`."""
@@ -54,6 +56,10 @@ class ThinLensCamera:
         origin = torch.cat((lens_points, torch.zeros_like(lens_points[:1])))
         direction = normalize(focus - origin)
         return self.axes @ origin + self.position, self.axes @ direction
+
+    def depth(self, distance: Tensor, directions: Tensor) -> Tensor:
+        """Metres along the axis `[N]` to what world `directions` `[3, N]` met at `distance` `[N]`, NO_DEPTH for a miss."""
+        return torch.where(distance < MISS_DISTANCE, distance * (self.axes[:, 2] @ directions), NO_DEPTH)
 
     def coc_diameter(self, depth: Tensor) -> Tensor:
         """Diameter in pixels of the circle of confusion at `depth` (metres along the axis), Eq. 23.

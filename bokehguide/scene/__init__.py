@@ -5,9 +5,9 @@ from bokehguide.scene.describing import describe
 from bokehguide.scene.lamps import lens_coverage
 from bokehguide.scene.loading import load_scene
 from bokehguide.scene.overrides import Overrides
-from bokehguide.scene.types import Camera, Cone, Environment, Film, Inset, Material, Mesh, Scene, Sun, Texture
+from bokehguide.scene.types import Aperture, Camera, Cone, Environment, Film, Inset, Material, Mesh, Scene, Sun, Texture
 
 __all__ = [
-    *("BUILTIN", "DESCRIPTIONS", "Camera", "Cone", "Environment", "Film", "Inset", "Material", "Mesh"),
+    *("BUILTIN", "DESCRIPTIONS", "Aperture", "Camera", "Cone", "Environment", "Film", "Inset", "Material", "Mesh"),
     *("Overrides", "Scene", "Sun", "Texture", "describe", "lens_coverage", "load_scene"),
 ]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import BokehguideError
+from bokehguide.scene.apertures import read_aperture
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
 from bokehguide.scene.types import Camera
 
@@ -16,7 +17,7 @@ SENSOR_WIDTH = 36.0
 
 CAMERA_KEYS = (
     *("position", "target", "up", "fov", "focal_length", "sensor_width"),
-    *("aperture_radius", "f_number", "focus_distance", "focus_point"),
+    *("aperture_radius", "f_number", "focus_distance", "focus_point", "aperture"),
 )
 
 
@@ -44,6 +45,7 @@ def read_camera(values: dict[str, Any], file: str) -> Camera:
         fov=_field_of_view(table),
         aperture_radius=_aperture_radius(table),
         focus_distance=_focus_distance(table, position, target, forward),
+        aperture=read_aperture(table),
     )
 
 

@@ -6,7 +6,7 @@ import math
 
 from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length
 from bokehguide.scene.lamps import Lamps, find_lamps, lens_coverage
-from bokehguide.scene.types import Camera, Environment, Scene, Sun
+from bokehguide.scene.types import Aperture, Camera, Environment, Scene, Sun
 
 
 def describe(scene: Scene) -> str:
@@ -19,6 +19,7 @@ def describe(scene: Scene) -> str:
         "camera": f"at {_vector(camera.position)} towards {_vector(camera.target)}, "
         f"{camera.fov:.4g}° across",
         "lens": _lens(camera),
+        "aperture": _aperture(camera.aperture),
         "film": f"{film.width} × {film.height} pixels, paths of up to {film.max_depth} segments",
         "insets": "; ".join(
             f"{inset.x:g}, {inset.y:g}, {inset.width:g}, {inset.height:g}" for inset in scene.insets
@@ -75,6 +76,27 @@ def _lens(camera: Camera) -> str:
         f"radius {camera.aperture_radius:.4g} m, focused at {camera.focus_distance:.4g} m "
         f"(f/{f_number:.2g} on a sensor {SENSOR_WIDTH:g} mm wide)"
     )
+
+
+def _aperture(aperture: Aperture | None) -> str:
+    if aperture is None:
+        return "round"
+    if aperture.image is not None:
+        height, width = aperture.image.shape
+        facts = [f"a mask of {width} × {height} texels"]
+    elif aperture.blades:
+        facts = [f"{aperture.blades} blades of curvature {aperture.curvature:g}"]
+    else:
+        facts = ["round"]
+    if aperture.rotation:
+        facts.append(f"turned by {aperture.rotation:g}°")
+    if aperture.ratio != 1.0:
+        facts.append(f"its width divided by {aperture.ratio:g}")
+    if aperture.edge:
+        facts.append(f"{'rim' if aperture.edge > 0.0 else 'centre'} brighter by {abs(aperture.edge):g}")
+    if aperture.cat_eye:
+        facts.append(f"cat's eyes of {aperture.cat_eye:g} radii towards the corners")
+    return ", ".join(facts)
 
 
 def _coverage(scene: Scene, lamps: Lamps) -> str:

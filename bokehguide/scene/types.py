@@ -13,12 +13,36 @@ import numpy as np
 
 
 @dataclass(frozen=True)
+class Aperture:
+    """What the opening of a lens looks like from behind the camera, and in the bokeh of what is behind the focal plane.
+
+    Its size is the lens radius r: that of the circle that its corners lie on, of half its
+    height, or of half a mask's longer side.
+
+    blades: of its iris, 0 for a round one; the middle of an edge lies to the right. curvature: of
+    their edges, 0 straight, 1 round. image: a mask in place of blades, its transmission as linear
+    float32 `[H, W]`, top row first. edge: how much brighter the rim is than the centre, -1 … 1.
+    rotation: degrees, anticlockwise. ratio: then the width is divided by it, as Blender has it.
+    cat_eye: how far, in r, a second opening lies beside the first for the frame's corners.
+    """
+
+    blades: int = 0
+    rotation: float = 0.0
+    curvature: float = 0.0
+    ratio: float = 1.0
+    image: np.ndarray | None = None
+    cat_eye: float = 0.0
+    edge: float = 0.0
+
+
+@dataclass(frozen=True)
 class Camera:
     """A thin-lens camera that looks from `position` to `target`.
 
     fov: horizontal field of view in degrees.
     aperture_radius: lens radius in metres, 0 for a pinhole.
     focus_distance: metres from the lens to the focal plane, along the optical axis.
+    aperture: its shape; None is round.
     """
 
     position: tuple[float, float, float]
@@ -27,6 +51,7 @@ class Camera:
     fov: float = 40.0
     aperture_radius: float = 0.0
     focus_distance: float = 1.0
+    aperture: Aperture | None = None
 
 
 @dataclass(frozen=True)

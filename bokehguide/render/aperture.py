@@ -1,0 +1,164 @@
+"""Shapes of the aperture: what each part of it lets through, and draws that follow it exactly.
+
+Points are `[2, N]` in units of the pupil's radius, x right and y up, before the shape is
+turned and squeezed (see `lens.py`). Each shape has its `area`, its farthest point from the
+centre at `reach`, and a transmission W of mean 1 over that area, so that W / area is the
+density of `sample`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+RIM = 1.0 - 1e-6
+"""Draws end so far from the centre that rounding leaves them in the shape."""
+
+
+class Iris:
+    """An opening whose corners lie on the unit circle, between `blades` equal arcs; 0: the whole disc.
+
+    The middle of one arc lies to the right. curvature: of the arcs, as a share of the circle's:
+    0 straight, 1 the circle itself. edge: W = 1 + edge · (2t² - 1), where t is the distance
+    from the centre as a share of that to the rim; -1 is dark at the rim, 1 in the centre.
+
+    The shape consists of `blades` × 2 mirrored sectors between an arc's middle and its end.
+    """
+
+    reach = 1.0
+
+    def __init__(self, blades: int = 0, curvature: float = 0.0, edge: float = 0.0):
+        self.edge = edge
+        self._blades, c = (blades, curvature) if blades else (2, 1.0)  # two half circles
+        self._half = math.pi / self._blades
+        height = math.sin(self._half)
+        self._curvature = c
+        self._middle = math.cos(self._half) + c * height**2 / (1.0 + math.sqrt(1.0 - (c * height) ** 2))
+        """Distance of an arc's middle from the centre."""
+        self._end = math.asin(c * height) / c if c > 0.0 else height
+        """Half an arc's length."""
+        self._sector = self._swept(self._end)
+        self.area = 2 * self._blades * self._sector
+
+    def sample(self, uniforms: Tensor) -> Tensor:
+        """Points with density W / area from uniform numbers `[2, N]`."""
+        place = uniforms[0] * (2 * self._blades)
+        sector = place.floor()
+        arc = self._arc_length(place - sector)
+        x = self._middle - 0.5 * self._curvature * (arc * torch.sinc(arc * (0.5 * self._curvature / math.pi))).square()
+        y = arc * torch.sinc(arc * (self._curvature / math.pi))
+        t = RIM * self._share(uniforms[1]).sqrt()
+        blade = (0.5 * sector).floor()
+        mirror = 1.0 - 2.0 * (sector - 2.0 * blade)
+        cos, sin = (2.0 * self._half * blade).cos(), (2.0 * self._half * blade).sin()
+        return t * torch.stack((cos * x - sin * mirror * y, sin * x + cos * mirror * y))
+
+    def transmission(self, points: Tensor) -> Tensor:
+        """W, `[N]`."""
+        x, y = points.unbind(0)
+        angle = torch.atan2(y, x)
+        angle = angle - 2.0 * self._half * (angle / (2.0 * self._half)).round()
+        # The arc in polar coordinates, in a form that holds for a straight one too.
+        c, m = self._curvature, self._middle
+        flat = 1.0 - c * m
+        rim = m * (1.0 + flat) / (flat * angle.cos() + (1.0 - (flat * angle.sin()).square()).sqrt())
+        share = (x * x + y * y) / (rim * rim)
+        return torch.where(share <= 1.0, 1.0 + self.edge * (2.0 * share - 1.0), 0.0)
+
+    def _swept(self, arc):
+        """Area between the centre and an arc from its middle to so far along it; a number or a Tensor.
+
+        ½ [m s + d (s - R sin(s / R))], with the arc's radius R = 1 / curvature about a centre
+        at -d = m - R, as a series in s / R that takes straight blades in.
+        """
+        z = (self._curvature * arc) ** 2
+        series = 1.0 - z / 20.0 * (1.0 - z / 42.0 * (1.0 - z / 72.0 * (1.0 - z / 110.0)))
+        bend = self._curvature - self._middle * self._curvature**2
+        return 0.5 * arc * (self._middle + bend * arc**2 / 6.0 * series)
+
+    def _arc_length(self, share: Tensor) -> Tensor:
+        """How far along its arc a sector has swept this share of its area.
+
+        Two Newton steps: the area is nearly linear in the length, and exactly so for straight
+        blades and for the circle.
+        """
+        arc = share * self._end
+        c, bend = self._curvature, self._curvature - self._middle * self._curvature**2
+        for _ in range(2 if bend > 0.0 and c > 0.0 else 0):
+            slope = 0.5 * (self._middle + 0.5 * bend * (arc * torch.sinc(arc * (0.5 * c / math.pi))).square())
+            arc = arc - (self._swept(arc) - share * self._sector) / slope
+        return arc
+
+    def _share(self, uniforms: Tensor) -> Tensor:
+        """t², the share of a sector's area within t, distributed as W has it."""
+        even = 1.0 - self.edge
+        return 2.0 * uniforms / (even + (even * even + 4.0 * self.edge * uniforms).sqrt())
+
+
+class Mask:
+    """A picture of the transmission, its longer side 2 units long, bilinear between the middles of its texels.
+
+    image: float `[H, W]`, not negative and not all 0, top row first. Around it all is dark, so
+    that its border fades over a texel. The area is that of the cells between texels of which one
+    lets light through.
+
+    Bilinear interpolation is a sum of tents, one a texel, and so are the draws: a texel in
+    proportion to its value, and a point of its tent.
+    """
+
+    def __init__(self, image: np.ndarray, device: torch.device | str = "cpu"):
+        self._height, self._width = image.shape
+        self._pitch = 2.0 / max(image.shape)
+        padded = np.pad(image.astype(np.float64), 1)
+        lit = padded > 0.0
+        open_cells = lit[1:, 1:] | lit[1:, :-1] | lit[:-1, 1:] | lit[:-1, :-1]
+        rows, columns = np.nonzero(open_cells)
+        self.area = len(rows) * self._pitch**2
+        farthest_y = np.abs(rows - 0.5 * self._height) + 0.5
+        self.reach = float(np.hypot(np.abs(columns - 0.5 * self._width) + 0.5, farthest_y).max()) * self._pitch
+        values = padded * (len(rows) / padded.sum())
+        self._values = torch.from_numpy(values.astype(np.float32)).to(device)
+        self._cumulative = torch.from_numpy(image.astype(np.float64).ravel().cumsum()).to(device)
+        self._rows = self._cumulative[self._width - 1 :: self._width].contiguous()
+
+    def sample(self, uniforms: Tensor) -> Tensor:
+        """Points with density W / area from uniform numbers `[2, N]`."""
+        width, cumulative = self._width, self._cumulative
+        row, down = _choose(self._rows, 0.0, self._rows[-1], uniforms[1])
+        low = _before(cumulative, row * width)
+        texel, right = _choose(cumulative, low, self._rows[row], uniforms[0])
+        x = (texel - row * width) + 0.5 - 0.5 * width + _tent(right)
+        y = 0.5 * self._height - row - 0.5 - _tent(down)
+        return (self._pitch * torch.stack((x, y))).float()
+
+    def transmission(self, points: Tensor) -> Tensor:
+        """W, `[N]`."""
+        column = (points[0] / self._pitch + 0.5 * self._width + 0.5).clamp(0.0, self._width + 1.0)
+        row = (0.5 * self._height - points[1] / self._pitch + 0.5).clamp(0.0, self._height + 1.0)
+        left, top = column.floor().clamp(max=self._width).long(), row.floor().clamp(max=self._height).long()
+        right, down = column - left, row - top
+        upper = torch.lerp(self._values[top, left], self._values[top, left + 1], right)
+        lower = torch.lerp(self._values[top + 1, left], self._values[top + 1, left + 1], right)
+        return torch.lerp(upper, lower, down)
+
+
+def _before(cumulative: Tensor, index: Tensor) -> Tensor:
+    """The sum of all before each index."""
+    return torch.where(index > 0, cumulative[(index - 1).clamp(min=0)], 0.0)
+
+
+def _choose(cumulative: Tensor, low: Tensor | float, high: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
+    """Indices drawn where the cumulative sum passes from low to high, and what is left of the uniform numbers."""
+    target = low + (high - low) * uniforms.double()
+    index = torch.searchsorted(cumulative, target, right=True).clamp(max=len(cumulative) - 1)
+    start = _before(cumulative, index)
+    return index, ((target - start) / (cumulative[index] - start)).clamp(0.0, 1.0)
+
+
+def _tent(uniforms: Tensor) -> Tensor:
+    """Numbers in -1 … 1 with density 1 - |x|."""
+    half = 1.0 - (1.0 - (2.0 * uniforms - 1.0).abs()).sqrt()
+    return torch.where(uniforms < 0.5, -half, half)
