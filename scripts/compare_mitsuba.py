@@ -32,7 +32,7 @@ from pathlib import Path
 if importlib.util.find_spec("mitsuba") is None:
     sys.exit("compare_mitsuba: error: Mitsuba is not installed; pip install '.[peers]'")
 
-from experiment import LongRender, accumulate, experiment_parser
+from experiment import experiment_parser
 from mitsuba_scene import MitsubaFilm, MitsubaRenderer, comparable
 from studies import STUDIES
 from torch.nn.functional import avg_pool2d
@@ -41,6 +41,7 @@ from ztest import FINE, Outcome, Runs, at_least_two, brightness, independent_run
 
 from bokehguide.cli.arguments import positive
 from bokehguide.errors import BokehguideError
+from bokehguide.evaluation import LongRender, accumulate
 from bokehguide.image import check_writable, replacing
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import RenderSettings

@@ -21,33 +21,24 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import torch
-from experiment import (
-    LongRender,
-    accumulate,
-    between_halves,
-    experiment_parser,
-    load_scenes,
-    progress,
-    warn_of_bad_samples,
-)
+from experiment import experiment_parser, load_scenes
 from torch import Tensor
 
 from bokehguide.cli.arguments import natural, positive
 from bokehguide.errors import BokehguideError
+from bokehguide.evaluation import LongRender, accumulate, between_halves, errors, markdown, progress, regions, warn_of_bad_samples
+from bokehguide.evaluation.references import CHUNK, rendered_halves
 from bokehguide.image import check_writable, replacing, tone_map, write_png
-from bokehguide.metrics import mape, relmse
 from bokehguide.render.vector import luminance
 from bokehguide.scene import Scene
 from bokehguide.train import MODES, RenderLoop, RenderSettings
 from bokehguide.train.guide import FITS
 
-CHUNK = 256
-FIRST_SEED, SECOND_SEED, UNIFORM_SEED, TEST_SEED = 1_000_000, 2_000_000, 3_000_000, 0
-"""Seeds of the reference's halves and of the uniform check (one a chunk from there on), and of the test renders."""
+UNIFORM_SEED, TEST_SEED = 3_000_000, 0
+"""Seeds of the uniform check (one a chunk from there on) and of the test renders."""
 REGIONS = ("frame", "insets")
 
 
@@ -100,18 +91,11 @@ def numbers(text: str) -> list[int]:
 
 def long_renders(scene: Scene, args: argparse.Namespace, deadline: float) -> list[LongRender]:
     """The two halves of the reference and the uniform render, as far as time allows."""
-    half = RenderSettings(args.reference_mode, args.reference_spp // 2, FIRST_SEED, threads=args.threads)
+    half = RenderSettings(args.reference_mode, args.reference_spp // 2, threads=args.threads)
     uniform = RenderSettings("uniform", args.uniform_spp, UNIFORM_SEED, threads=args.threads)
-    kinds = {
-        f"{args.reference_mode}-first": half,
-        f"{args.reference_mode}-second": replace(half, seed=SECOND_SEED),
-        "uniform": uniform,
-    }
-    stem = f"{scene.name}-{scene.film.width}x{scene.film.height}"
-    return [
-        accumulate(args.references / f"{stem}-{kind}.exr", scene, settings, CHUNK, deadline)
-        for kind, settings in kinds.items()
-    ]
+    path = args.references / f"{scene.name}-{scene.film.width}x{scene.film.height}-uniform.exr"
+    halves = rendered_halves(args.references, scene, half, deadline)
+    return [*halves, accumulate(path, scene, uniform, CHUNK, deadline)]
 
 
 def judge_reference(
@@ -139,11 +123,10 @@ def judge_modes(scene: Scene, reference: Tensor, args: argparse.Namespace) -> di
     check_writable(folder / "reference.png")
     write_png(folder / "reference.png", tone_map(reference))
     images = {mode: render_mode(scene, mode, args) for mode in args.modes}
-    regions = masks(scene).items()
     results = {}
     for mode, by_spp in images.items():
         results[mode] = {
-            spp: {region: errors(image, reference, mask) for region, mask in regions} for spp, image in by_spp.items()
+            spp: {region: errors(image, reference, mask) for region, mask in masks(scene).items()} for spp, image in by_spp.items()
         }
         for spp, image in by_spp.items():
             write_png(folder / f"{mode}-{spp}.png", tone_map(image))
@@ -194,18 +177,9 @@ def inject(loop: RenderLoop, count: int) -> None:
 
 
 def masks(scene: Scene) -> dict[str, Tensor]:
-    """The pixels of each region, bool `[H, W]`: the whole frame, and all insets together."""
-    width, height = scene.film.width, scene.film.height
-    insets = torch.zeros(height, width, dtype=torch.bool)
-    for inset in scene.insets:
-        insets[inset.pixels(width, height)] = True
-    return dict(zip(REGIONS, (torch.ones_like(insets), insets)))
-
-
-def errors(image: Tensor, reference: Tensor, mask: Tensor) -> dict[str, float]:
-    """MAPE and relMSE over the pixels of a mask."""
-    pixels, expected = image[mask][None], reference[mask][None]
-    return {"mape": mape(pixels, expected), "relmse": relmse(pixels, expected)}
+    """The pixels of each of REGIONS, bool `[H, W]`."""
+    found = regions(scene)
+    return {region: found[region] for region in REGIONS}
 
 
 def tables(results: dict[str, dict], args: argparse.Namespace) -> list[str]:
@@ -228,12 +202,6 @@ def tables(results: dict[str, dict], args: argparse.Namespace) -> list[str]:
                 rows.append([name, f"{mapes[0]:.5f}", *cells])
             made.append(f"MAPE over the {region} at {spp} SPP (ratio to uniform)\n\n{markdown(rows)}")
     return made
-
-
-def markdown(rows: list[list[str]]) -> str:
-    """A table whose first row is the heading."""
-    rule = ["---"] + ["---:"] * (len(rows[0]) - 1)
-    return "\n".join("| " + " | ".join(row) + " |" for row in [rows[0], rule, *rows[1:]])
 
 
 if __name__ == "__main__":

@@ -13,11 +13,11 @@ import argparse
 import json
 import sys
 
-from experiment import between_halves, progress, render, warn_of_bad_samples
 from torch import Tensor
 
 from bokehguide.cli.arguments import Parser, exr, natural, positive, size
 from bokehguide.errors import BokehguideError
+from bokehguide.evaluation import between_halves, progress, render, warn_of_bad_samples
 from bokehguide.image import check_writable, write_exr
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import MODES, RenderSettings

@@ -36,7 +36,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from experiment import LongRender, accumulate, experiment_parser, load_scenes, progress, render, warn_of_bad_samples
+from experiment import experiment_parser, load_scenes
 from mutations import MUTATIONS, Mutation
 from scipy import stats
 from torch import Tensor
@@ -44,6 +44,7 @@ from torch.nn.functional import avg_pool2d
 
 from bokehguide.cli.arguments import positive
 from bokehguide.errors import BokehguideError
+from bokehguide.evaluation import LongRender, accumulate, progress, render, warn_of_bad_samples
 from bokehguide.image import write_png
 from bokehguide.render.vector import luminance
 from bokehguide.scene import Scene

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from experiment import contents, fingerprint
 
+from bokehguide.evaluation.fingerprint import contents, fingerprint
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.types import Material
 from bokehguide.train import RenderSettings

@@ -34,6 +34,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--version", action="version", version=f"bokehguide {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_render(commands)
+    _add_compare(commands)
     _add_metrics(commands)
     info = commands.add_parser("info", help="tell what a scene holds and what of it was ignored")
     info.add_argument("scene", metavar="SCENE", help=SCENE_HELP)
@@ -57,6 +58,27 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as one JSON object")
     add("--exposure", type=exposure, default=0.0, metavar="EV", help="of PNG and TensorBoard pictures (default: 0)")
     _add_overrides(render)
+
+
+def _add_compare(commands: argparse._SubParsersAction) -> None:
+    compare = commands.add_parser("compare", help="compare modes on a scene: errors, convergence, crops")
+    add = compare.add_argument
+    add("scene", metavar="SCENE", help=SCENE_HELP)
+    add("--modes", type=modes, default="uniform,lis,lis-b,lis-o", metavar="A,B,...", help="default: uniform,lis,lis-b,lis-o")
+    add("--spp", type=positive, default=256, metavar="N", help="samples per pixel of each mode (default: 256)")
+    add("--out", type=Path, required=True, metavar="DIR", help="where all goes; what is there already is not rendered again")
+    reference = compare.add_mutually_exclusive_group()
+    reference.add_argument("--reference", type=Path, metavar="REF.exr", help="compare with this image (default: one is made)")
+    spp = "of the reference that is made (default: 16 times --spp)"
+    reference.add_argument("--reference-spp", type=positive, metavar="N", help=spp)
+    add("--cache", type=Path, metavar="DIR", help="where such references are kept (default: the user's cache folder)")
+    box = "measure in this box, in fractions of the frame from its top left, not in the scene's own; may be repeated"
+    add("--inset", type=inset, action="append", default=[], metavar="X,Y,W,H", help=box)
+    add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
+    add("--device", choices=("cpu", "cuda"), default="cpu", help="where tensors live (default: cpu)")
+    add("--threads", type=threads, metavar="N", help="threads that trace and shade (default: one per core)")
+    add("--exposure", type=exposure, default=0.0, metavar="EV", help="of the pictures (default: 0)")
+    _add_overrides(compare)
 
 
 def _add_overrides(command: argparse.ArgumentParser) -> None:
@@ -92,6 +114,14 @@ def natural(text: str) -> int:
 
 def threads(text: str) -> int:
     return _whole(text, 1, MAX_THREADS)
+
+
+def modes(text: str) -> tuple[str, ...]:
+    """Names between commas; whether there are such modes is for RenderSettings to say."""
+    names = tuple(text.split(","))
+    if len(set(names)) < len(names):
+        raise argparse.ArgumentTypeError(f"{text!r} names a mode twice; give each once")
+    return names
 
 
 def exposure(text: str) -> float:

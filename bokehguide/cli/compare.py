@@ -1,0 +1,68 @@
+"""`bokehguide compare`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+
+from bokehguide.cli.render import check_device, overrides_from
+from bokehguide.errors import BokehguideError
+from bokehguide.evaluation import compare, given_reference, made_reference, report
+from bokehguide.evaluation.comparison import METRICS, SEED
+from bokehguide.evaluation.crops_figure import write_crops
+from bokehguide.evaluation.curves_figure import write_convergence
+from bokehguide.evaluation.runs import read_runs
+from bokehguide.evaluation.tables import told
+from bokehguide.image import check_writable, replacing
+from bokehguide.scene import Inset, Scene, load_scene
+from bokehguide.train import RenderSettings
+from bokehguide.train.logger import run_folder
+
+REFERENCE, TABLE, CURVES, CROPS = "reference.exr", "table.md", "convergence.png", "insets.png"
+REFERENCE_SHARE = 16
+"""SPP of the reference for one of a mode's: it then has a quarter of the error of the mode that it is rendered in."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Compare modes on a scene; everything that can be wrong is checked before the first ray."""
+    scene = load_scene(options.scene, overrides_from(options))
+    if options.inset:
+        scene = replace(scene, insets=tuple(Inset(*box) for box in options.inset))
+    every = [RenderSettings(mode, options.spp, SEED, options.device, options.threads) for mode in options.modes]
+    check_device(options.device)
+    reference = given_reference(options.reference, scene) if options.reference else None
+    read_runs(options.out / METRICS)
+    check_outputs(scene, every, options)
+    for warning in scene.warnings:
+        print(f"bokehguide: warning: {warning}", file=sys.stderr)
+
+    try:
+        if reference is None:
+            spp = options.reference_spp or REFERENCE_SHARE * options.spp
+            reference = made_reference(scene, replace(every[0], spp=spp), options.out / REFERENCE, options.cache)
+        print(told(reference), flush=True)
+        comparison = compare(scene, every, reference, options.out, options.exposure)
+    except KeyboardInterrupt:
+        print("bokehguide: what is finished is kept; the same command goes on", file=sys.stderr)
+        raise
+    text = report(comparison)
+    with replacing(options.out / TABLE) as temporary:
+        temporary.write_text(text + "\n")
+    write_convergence(options.out / CURVES, comparison)
+    write_crops(options.out / CROPS, [comparison], options.exposure)
+    print(f"\n{text}\n\nwrote {METRICS}, {TABLE}, {CURVES}, {CROPS}, the pictures and logs into {options.out}")
+    return 0
+
+
+def check_outputs(scene: Scene, every: Sequence[RenderSettings], options: argparse.Namespace) -> None:
+    """Raise BokehguideError where something that is to be written cannot be, or is the reference that was given."""
+    pictures = [f"{settings.mode}.{kind}" for settings in every for kind in ("exr", "png")]
+    made = [] if options.reference else [REFERENCE]
+    outputs = [options.out / name for name in (METRICS, TABLE, CURVES, CROPS, *made, *pictures)]
+    if options.reference and options.reference.resolve() in [output.resolve() for output in outputs]:
+        raise BokehguideError(f"--reference: {str(options.reference)!r} is where a picture goes; give another path")
+    logs = [run_folder(options.out / "logs", scene, settings) / "events" for settings in every]
+    for path in (*outputs, *logs):
+        check_writable(path)

@@ -1,0 +1,14 @@
+"""Modes measured against references: long renders, curves, tables. Pictures are in `drawing`, which needs matplotlib."""
+
+from bokehguide.evaluation.comparison import Comparison, compare, summary
+from bokehguide.evaluation.fingerprint import fingerprint
+from bokehguide.evaluation.long_renders import LongRender, accumulate, progress, render, warn_of_bad_samples
+from bokehguide.evaluation.references import Reference, given_reference, made_reference
+from bokehguide.evaluation.regions import between_halves, errors, regions
+from bokehguide.evaluation.tables import markdown, report
+
+__all__ = [
+    *("Comparison", "LongRender", "Reference", "accumulate", "between_halves", "compare", "errors", "fingerprint"),
+    *("given_reference", "made_reference", "markdown", "progress", "regions", "render", "report", "summary"),
+    "warn_of_bad_samples",
+]

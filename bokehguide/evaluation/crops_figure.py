@@ -1,0 +1,118 @@
+"""Crops of several modes side by side, as a figure for a paper. Lengths are inches, from the top left corner."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import cycle
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from torch import Tensor
+
+from bokehguide.evaluation.comparison import Comparison
+from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
+from bokehguide.image import tone_map
+
+COLORS = ("#ff2d55", "#00a5ff", "#ffb000", "#3ddc84")
+"""Of the insets."""
+MARGIN, GAP, FRAME_GAP, LABEL, HEAD = 0.02, 0.04, 0.1, 0.14, 0.18
+"""At the sides, between crops, between the frame and the crops, and of the lines of text below and above."""
+
+Box = tuple[slice, slice]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One scene's part of the page; the frame is as high as the column of crops beside it, or not there."""
+
+    boxes: Sequence[Box]
+    crop_width: float
+    crop_heights: Sequence[float]
+    frame_width: float
+    frame_height: float
+
+    @property
+    def height(self) -> float:
+        return HEAD + sum(self.crop_heights) + len(self.boxes) * LABEL + GAP
+
+
+def write_crops(path: Path, comparisons: Sequence[Comparison], exposure: float = 0.0) -> None:
+    """For each scene the reference with its insets marked, and the crops of all modes, each with its MAPE.
+
+    A scene without insets shows its whole frames in a row. exposure: EV.
+    """
+    layouts = [lay_out(comparison) for comparison in comparisons]
+    figure = Figure((WIDTH, sum(layout.height for layout in layouts)))
+    top = 0.0
+    for comparison, layout in zip(comparisons, layouts):
+        draw_scene(figure, comparison, layout, top + HEAD, exposure)
+        top += layout.height
+    save(figure, path)
+
+
+def lay_out(comparison: Comparison) -> Layout:
+    """Crops as wide as fit beside the frame."""
+    film, insets = comparison.scene.film, comparison.scene.insets
+    boxes = [inset.pixels(film.width, film.height) for inset in insets]
+    shape = film.width / film.height
+    if not boxes:
+        boxes, shape = [(slice(0, film.height), slice(0, film.width))], 0.0
+    heights = [(rows.stop - rows.start) / (columns.stop - columns.start) for rows, columns in boxes]
+    labels = (len(boxes) - 1) * LABEL
+    count = len(comparison.runs) + 1
+    free = WIDTH - 2 * MARGIN - (count - 1) * GAP - (FRAME_GAP + shape * labels if insets else 0.0)
+    width = free / (count + shape * sum(heights))
+    frame = width * sum(heights) + labels
+    return Layout(boxes, width, [width * height for height in heights], shape * frame, frame)
+
+
+def draw_scene(figure: Figure, comparison: Comparison, layout: Layout, top: float, exposure: float) -> None:
+    """The reference, and a row of crops for each inset."""
+    reference = comparison.reference.radiance
+    left = MARGIN
+    if comparison.scene.insets:
+        axes = draw_picture(figure, tone_map(reference, exposure), (left, top, layout.frame_width, layout.frame_height))
+        axes.set_title(f"{comparison.scene.name}, {comparison.settings.spp} SPP", fontsize=NORMAL, pad=3)
+        for color, (rows, columns) in zip(cycle(COLORS), layout.boxes):
+            width, height = columns.stop - columns.start, rows.stop - rows.start
+            corner = (columns.start - 0.5, rows.start - 0.5)
+            axes.add_patch(Rectangle(corner, width, height, fill=False, edgecolor=color, linewidth=1.0))
+        left += layout.frame_width + FRAME_GAP
+    images = {mode: comparison.images[mode] for mode in comparison.runs} | {"reference": reference}
+    for name, image in images.items():
+        draw_column(figure, comparison, layout, name, tone_map(image, exposure), (left, top))
+        left += layout.crop_width + GAP
+
+
+def draw_column(
+    figure: Figure, comparison: Comparison, layout: Layout, name: str, display: Tensor, corner: tuple[float, float]
+) -> None:
+    """The crops of one mode, or of the reference, below its name; the least error of a row is bold."""
+    left, top = corner
+    for number, (color, box, height) in enumerate(zip(cycle(COLORS), layout.boxes, layout.crop_heights), start=1):
+        axes = draw_picture(figure, display[box], (left, top, layout.crop_width, height))
+        if number == 1:
+            axes.set_title(name, fontsize=NORMAL, pad=3)
+        region = f"inset-{number}" if comparison.scene.insets else "frame"
+        errors = {mode: f"{run.errors[region]['mape'][-1]:.4f}" for mode, run in comparison.runs.items()}
+        text = errors.get(name, "MAPE")
+        weight = "bold" if text == min(errors.values(), key=float) else "normal"
+        axes.set_xlabel(text, fontsize=SMALL, labelpad=2, weight=weight)
+        if comparison.scene.insets:
+            for spine in axes.spines.values():
+                spine.set(visible=True, edgecolor=color, linewidth=1.0)
+        top += height + LABEL
+
+
+def draw_picture(figure: Figure, display: Tensor, box: tuple[float, float, float, float]) -> Axes:
+    """Axes at left, top, width, height that show display values `[H, W, 3]` as they are, without interpolation."""
+    left, top, width, height = box
+    page_width, page_height = figure.get_size_inches()
+    place = (left / page_width, 1.0 - (top + height) / page_height, width / page_width, height / page_height)
+    axes = figure.add_axes(place, xticks=(), yticks=())
+    axes.imshow(display.numpy(), interpolation="nearest", aspect="auto")
+    axes.spines[:].set_visible(False)
+    return axes

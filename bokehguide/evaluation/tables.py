@@ -1,0 +1,97 @@
+"""Comparisons in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bokehguide.evaluation.comparison import Comparison, summary
+from bokehguide.evaluation.references import Reference
+
+OWN_ERROR_SHARE = 1 / 3
+"""Of a mode's error, what the reference may have of its own: about 5 % are added to the mode's then."""
+
+
+def report(comparison: Comparison) -> str:
+    """The whole comparison: what the reference is worth, errors at the end, cost, and errors at equal cost."""
+    film, facts = comparison.scene.film, summary(comparison)
+    rays, seconds = (
+        min(facts["modes"], key=lambda mode: facts["modes"][mode][cost]) for cost in ("rays", "seconds")
+    )
+    parts = [
+        f"# {comparison.scene.name}, {film.width}x{film.height}, {comparison.settings.spp} SPP",
+        " ".join((told(comparison.reference), *doubts(comparison))),
+        errors_table(comparison),
+        f"Equal rays: the {facts['equal_rays'] / 1e6:.2f} million of {rays}'s whole render. Equal time: the "
+        f"{facts['equal_seconds']:.2f} s of {seconds}'s. A mode's error there is read off its curve, straight in log-log "
+        "between two steps; - where already its first step costs more. Seconds are those of the steps alone.",
+        cost_table(comparison),
+    ]
+    return "\n\n".join(parts)
+
+
+def told(reference: Reference) -> str:
+    """What is known of a reference, in two sentences."""
+    made = ", ".join(text for text in (reference.mode, reference.spp and f"{reference.spp} SPP") if text)
+    start = f"Reference: {reference.path}" + (f" ({made})." if made else ".")
+    known = [region for region in ("frame", "insets") if region in reference.halves]
+    if not known:
+        return f"{start} Its own error is not known."
+    apart = " and ".join(f"{reference.halves[region]['mape']:.4f} over the {region}" for region in known)
+    own = " and ".join(f"{reference.own_error(region):.4f}" for region in known)
+    return f"{start} MAPE between its two halves: {apart}; about half of that, {own}, is its own error, and part of all errors."
+
+
+def doubts(comparison: Comparison) -> list[str]:
+    """A sentence for each region over which the reference's own error is too large for what is measured against it."""
+    found = []
+    for region in ("frame", "insets"):
+        own = comparison.reference.own_error(region) or 0.0
+        runs = comparison.runs.items()
+        modes = [mode for mode, run in runs if own > OWN_ERROR_SHARE * run.errors[region]["mape"][-1]] if own else []
+        if modes:
+            found.append(f"Over the {region} that is more than a third of the error of {', '.join(modes)}: too much.")
+    return found
+
+
+def errors_table(comparison: Comparison) -> str:
+    """MAPE over all regions and relMSE over frame and insets; in brackets the ratio to the first mode."""
+    modes = summary(comparison)["modes"]
+    regions = list(next(iter(modes.values()))["mape"])
+    columns = [("mape", region) for region in regions] + [("relmse", region) for region in regions[:2]]
+    names = {"mape": "MAPE", "relmse": "relMSE"}
+    heads = ["mode", *(f"{names[measure]} {region.replace('-', ' ')}" for measure, region in columns)]
+    first = next(iter(modes.values()))
+    rows = [
+        [mode, *(with_ratio(facts[measure][region], first[measure][region]) for measure, region in columns)]
+        for mode, facts in modes.items()
+    ]
+    return markdown([heads, *rows])
+
+
+def cost_table(comparison: Comparison) -> str:
+    """Time, rays, and MAPE over frame and insets at equal rays and at equal time, beside the first mode's."""
+    modes = summary(comparison)["modes"]
+    regions = list(next(iter(modes.values()))["mape"])[:2]
+    columns = [(budget, region) for budget in ("at_equal_rays", "at_equal_time") for region in regions]
+    heads = [f"MAPE {region} {budget.replace('_', ' ')}" for budget, region in columns]
+    first = next(iter(modes.values()))
+    pixels = comparison.scene.film.width * comparison.scene.film.height
+    rows = [["mode", "seconds", "million rays", "rays a sample", *heads]]
+    for mode, facts in modes.items():
+        costs = [f"{facts['seconds']:.2f}", f"{facts['rays'] / 1e6:.2f}", f"{facts['rays'] / pixels / facts['spp']:.2f}"]
+        cells = [with_ratio(facts[at]["mape"][region], first[at]["mape"][region]) for at, region in columns]
+        rows.append([mode, *costs, *cells])
+    return markdown(rows)
+
+
+def with_ratio(value: float | None, first: float | None) -> str:
+    """An error and its ratio to the first mode's, as far as there are any."""
+    if value is None:
+        return "-"
+    return f"{value:.4f} ({value / first:.3f})" if first else f"{value:.4f}"
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """A table whose first row is the heading."""
+    rule = ["---"] + ["---:"] * (len(rows[0]) - 1)
+    return "\n".join("| " + " | ".join(row) + " |" for row in [rows[0], rule, *rows[1:]])

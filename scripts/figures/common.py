@@ -1,0 +1,70 @@
+"""What the scripts of the figures share: their options, how they compare, and the JSON they end in.
+
+The renders go into a folder for each scene under `--out`, where all figures find them: what one
+has rendered, the next does not render again. References are kept apart, in `--cache`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from bokehguide.cli.arguments import Parser, positive, size, threads
+from bokehguide.errors import BokehguideError
+from bokehguide.evaluation import Comparison, compare, made_reference, summary
+from bokehguide.evaluation.comparison import SEED
+from bokehguide.image import check_writable, replacing
+from bokehguide.scene import Overrides, load_scene
+from bokehguide.train import RenderSettings
+
+REFERENCE_SHARE = 32
+"""SPP of a reference for one of a mode's."""
+
+
+def figure_options(doc: str) -> argparse.Namespace:
+    """The command line of a figure; makes its folder."""
+    parser = Parser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("--size", type=size, default="320x180", metavar="WxH", help="default 320x180")
+    add("--spp", type=positive, default=64, metavar="N", help="of each mode, default 64")
+    add("--threads", type=threads, metavar="N", help="default: one per core")
+    add("--cache", type=Path, metavar="DIR", help="where references are kept, default the user's cache folder")
+    add("--out", type=Path, default=Path("out/figures"), metavar="DIR", help="default out/figures")
+    options = parser.parse_args()
+    check_writable(options.out / "figure")
+    return options
+
+
+def compared(name: str, modes: Sequence[str], options: argparse.Namespace) -> Comparison:
+    """The modes on a scene against a reference, rendered as far as they are not yet there."""
+    width, height = options.size
+    scene = load_scene(name, Overrides(width=width, height=height))
+    every = [RenderSettings(mode, options.spp, SEED, threads=options.threads) for mode in modes]
+    folder = options.out / scene.name
+    whole = RenderSettings(spp=REFERENCE_SHARE * options.spp, threads=options.threads)
+    reference = made_reference(scene, whole, folder / "reference.exr", options.cache)
+    return compare(scene, every, reference, folder)
+
+
+def write_figures(comparisons: Sequence[Comparison], path: Path) -> None:
+    """The numbers behind a figure, as JSON."""
+    scenes = {
+        comparison.scene.name: {"reference": comparison.reference.facts(), **summary(comparison)}
+        for comparison in comparisons
+    }
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps({"command": " ".join(sys.argv), "scenes": scenes}, indent=1) + "\n")
+
+
+def run(main: Callable[[], None]) -> None:
+    """Call a script's `main`; a mistake of the user becomes one line and the exit code 2."""
+    try:
+        main()
+    except BokehguideError as error:
+        print(f"{Path(sys.argv[0]).stem}: error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(f"{Path(sys.argv[0]).stem}: interrupted; what is finished is kept, and the same command goes on")

@@ -1,0 +1,22 @@
+"""Fig. 7: fixed Gaussians against those whose centres shift by polynomials (lis-b against lis-o), on chrome.
+
+    python scripts/figures/fig7.py
+
+Writes fig7.png, crops of both beside the reference with their MAPE, and fig7.json.
+"""
+
+from common import compared, figure_options, run, write_figures
+
+from bokehguide.evaluation.crops_figure import write_crops
+
+
+def main() -> None:
+    options = figure_options(__doc__)
+    comparison = compared("chrome", ["lis-b", "lis-o"], options)
+    write_crops(options.out / "fig7.png", [comparison])
+    write_figures([comparison], options.out / "fig7.json")
+    print(f"wrote {options.out / 'fig7.png'} and .json")
+
+
+if __name__ == "__main__":
+    run(main)

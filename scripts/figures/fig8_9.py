@@ -1,0 +1,51 @@
+"""Fig. 8 and 9: all methods on four scenes, as crops with their MAPE and as convergence.
+
+    python scripts/figures/fig8_9.py
+
+Writes fig8.png, the crops; fig9.png, MAPE over the insets against SPP and against time; fig8_9.json.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from common import compared, figure_options, run, write_figures
+from matplotlib.figure import Figure
+
+from bokehguide.evaluation import Comparison
+from bokehguide.evaluation.crops_figure import write_crops
+from bokehguide.evaluation.curves_figure import COSTS, add_legend, draw_curves
+from bokehguide.evaluation.page import NORMAL, WIDTH, save
+from bokehguide.train import MODES
+
+SCENES = ("fairy-lights", "occluded", "chrome", "night-street")
+METHODS = ("uniform", "area-restir", "lis", "lis-b", "lis-o")
+"""Those of the paper, in its order."""
+
+
+def main() -> None:
+    options = figure_options(__doc__)
+    modes = [mode for mode in METHODS if mode in MODES]
+    comparisons = [compared(name, modes, options) for name in SCENES]
+    write_crops(options.out / "fig8.png", comparisons)
+    write_curves(options.out / "fig9.png", comparisons)
+    write_figures(comparisons, options.out / "fig8_9.json")
+    print(f"wrote fig8.png, fig9.png and fig8_9.json into {options.out}")
+
+
+def write_curves(path: Path, comparisons: Sequence[Comparison]) -> None:
+    """A column for each scene, a row for each cost."""
+    figure = Figure((WIDTH, 4.2), layout="constrained")
+    rows = figure.subplots(len(COSTS), len(comparisons), sharey="col", squeeze=False)
+    for row, cost in zip(rows, COSTS):
+        for axes, comparison in zip(row, comparisons):
+            draw_curves(axes, comparison, "insets", cost)
+            axes.set_xlabel(cost, fontsize=NORMAL)
+        row[0].set_ylabel("MAPE, insets", fontsize=NORMAL)
+    for axes, comparison in zip(rows[0], comparisons):
+        axes.set_title(comparison.scene.name, fontsize=NORMAL)
+    add_legend(figure)
+    save(figure, path)
+
+
+if __name__ == "__main__":
+    run(main)
