@@ -111,6 +111,7 @@ def write_metrics(folder: Path, comparison: Comparison, runs: Mapping[str, Run])
         "spp": settings.spp,
         "seed": settings.seed,
         "device": settings.device,
+        "threads": settings.threads,
         "software": f"bokehguide {__version__}",
         "insets": [asdict(inset) for inset in scene.insets],
         "reference": comparison.reference.facts(),

@@ -14,12 +14,12 @@ from torch import Tensor
 
 from bokehguide.evaluation.comparison import Comparison
 from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
-from bokehguide.image import tone_map
+from bokehguide.image import to_8_bit, tone_map
 
 COLORS = ("#ff2d55", "#00a5ff", "#ffb000", "#3ddc84")
 """Of the insets."""
-MARGIN, GAP, FRAME_GAP, LABEL, HEAD = 0.02, 0.04, 0.1, 0.14, 0.18
-"""At the sides, between crops, between the frame and the crops, and of the lines of text below and above."""
+MARGIN, GAP, FRAME_GAP, LABEL, HEAD = 0.02, 0.04, 0.1, 0.14, 0.06
+"""At the sides, between crops, between the frame and the crops, of a line of text, and of what is free above the first."""
 
 Box = tuple[slice, slice]
 
@@ -34,9 +34,22 @@ class Layout:
     frame_width: float
     frame_height: float
 
+    names: Sequence[str]
+
+    @property
+    def head(self) -> float:
+        """The height of the names, which may take two lines."""
+        return HEAD + LABEL * max(name.count("\n") + 1 for name in self.names)
+
+    @property
+    def letters(self) -> float:
+        """Points at which the longest name is as wide as a crop: a letter takes 0.6 of its height."""
+        longest = max(len(line) for name in self.names for line in name.split("\n"))
+        return min(NORMAL, 72.0 * self.crop_width / (0.6 * longest))
+
     @property
     def height(self) -> float:
-        return HEAD + sum(self.crop_heights) + len(self.boxes) * LABEL + GAP
+        return self.head + sum(self.crop_heights) + len(self.boxes) * LABEL + GAP
 
 
 def write_crops(path: Path, comparisons: Sequence[Comparison], exposure: float = 0.0) -> None:
@@ -48,7 +61,7 @@ def write_crops(path: Path, comparisons: Sequence[Comparison], exposure: float =
     figure = Figure((WIDTH, sum(layout.height for layout in layouts)))
     top = 0.0
     for comparison, layout in zip(comparisons, layouts):
-        draw_scene(figure, comparison, layout, top + HEAD, exposure)
+        draw_scene(figure, comparison, layout, top + layout.head, exposure)
         top += layout.height
     save(figure, path)
 
@@ -66,7 +79,8 @@ def lay_out(comparison: Comparison) -> Layout:
     free = WIDTH - 2 * MARGIN - (count - 1) * GAP - (FRAME_GAP + shape * labels if insets else 0.0)
     width = free / (count + shape * sum(heights))
     frame = width * sum(heights) + labels
-    return Layout(boxes, width, [width * height for height in heights], shape * frame, frame)
+    names = [mode.replace("+", "+\n") for mode in (*comparison.runs, "reference")]
+    return Layout(boxes, width, [width * height for height in heights], shape * frame, frame, names)
 
 
 def draw_scene(figure: Figure, comparison: Comparison, layout: Layout, top: float, exposure: float) -> None:
@@ -75,36 +89,40 @@ def draw_scene(figure: Figure, comparison: Comparison, layout: Layout, top: floa
     left = MARGIN
     if comparison.scene.insets:
         axes = draw_picture(figure, tone_map(reference, exposure), (left, top, layout.frame_width, layout.frame_height))
-        axes.set_title(f"{comparison.scene.name}, {comparison.settings.spp} SPP", fontsize=NORMAL, pad=3)
+        axes.set_title(f"{comparison.scene.name} (reference)", fontsize=NORMAL, pad=3)
+        axes.set_xlabel(f"crops at {comparison.settings.spp} SPP", fontsize=SMALL, labelpad=2)
         for color, (rows, columns) in zip(cycle(COLORS), layout.boxes):
             width, height = columns.stop - columns.start, rows.stop - rows.start
             corner = (columns.start - 0.5, rows.start - 0.5)
             axes.add_patch(Rectangle(corner, width, height, fill=False, edgecolor=color, linewidth=1.0))
         left += layout.frame_width + FRAME_GAP
-    images = {mode: comparison.images[mode] for mode in comparison.runs} | {"reference": reference}
-    for name, image in images.items():
-        draw_column(figure, comparison, layout, name, tone_map(image, exposure), (left, top))
+    for column, name in enumerate(layout.names):
+        mode = [*comparison.runs, None][column]
+        display = tone_map(comparison.images[mode] if mode else reference, exposure)
+        first = draw_column(figure, comparison, layout, mode, display, (left, top))
+        first.set_title(name, fontsize=layout.letters, pad=3)
         left += layout.crop_width + GAP
 
 
 def draw_column(
-    figure: Figure, comparison: Comparison, layout: Layout, name: str, display: Tensor, corner: tuple[float, float]
-) -> None:
-    """The crops of one mode, or of the reference, below its name; the least error of a row is bold."""
+    figure: Figure, comparison: Comparison, layout: Layout, mode: str | None, display: Tensor, corner: tuple[float, float]
+) -> Axes:
+    """The crops of one mode, or of the reference; the least error of a row is bold. Gives the axes of the first."""
     left, top = corner
+    column = []
     for number, (color, box, height) in enumerate(zip(cycle(COLORS), layout.boxes, layout.crop_heights), start=1):
         axes = draw_picture(figure, display[box], (left, top, layout.crop_width, height))
-        if number == 1:
-            axes.set_title(name, fontsize=NORMAL, pad=3)
+        column.append(axes)
         region = f"inset-{number}" if comparison.scene.insets else "frame"
         errors = {mode: f"{run.errors[region]['mape'][-1]:.4f}" for mode, run in comparison.runs.items()}
-        text = errors.get(name, "MAPE")
+        text = errors.get(mode, "MAPE")
         weight = "bold" if text == min(errors.values(), key=float) else "normal"
         axes.set_xlabel(text, fontsize=SMALL, labelpad=2, weight=weight)
         if comparison.scene.insets:
             for spine in axes.spines.values():
                 spine.set(visible=True, edgecolor=color, linewidth=1.0)
         top += height + LABEL
+    return column[0]
 
 
 def draw_picture(figure: Figure, display: Tensor, box: tuple[float, float, float, float]) -> Axes:
@@ -113,6 +131,6 @@ def draw_picture(figure: Figure, display: Tensor, box: tuple[float, float, float
     page_width, page_height = figure.get_size_inches()
     place = (left / page_width, 1.0 - (top + height) / page_height, width / page_width, height / page_height)
     axes = figure.add_axes(place, xticks=(), yticks=())
-    axes.imshow(display.numpy(), interpolation="nearest", aspect="auto")
+    axes.imshow(to_8_bit(display), interpolation="nearest", aspect="auto")
     axes.spines[:].set_visible(False)
     return axes

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
 from bokehguide.evaluation.comparison import Comparison
 from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
@@ -18,6 +18,8 @@ COLORS = ("#4d4d4d", "#e69f00", "#0072b2", "#009e73", "#d55e00", "#cc79a7", "#56
 DASHES = ("-", "-", (0, (6, 2)), (0, (3, 1.5)), "-.", (0, (6, 1.5, 1, 1.5)), (0, (1, 1)), "-")
 """Of the modes, the same in all figures: Okabe and Ito's colours, which the colour-blind can tell apart, and dashes
 that let curves which coincide be seen both."""
+FLOOR = 1e-6
+"""An error that is 0, as of a scene of one radiance, is drawn here: log axes have no place for it."""
 COSTS: dict[str, Callable[[Run], Sequence[float]]] = {
     "samples per pixel": lambda run: range(1, run.spp + 1),
     "seconds": lambda run: run.seconds,
@@ -50,18 +52,26 @@ def draw_curves(axes: Axes, comparison: Comparison, region: str, cost: str) -> N
         number = MODES.index(mode) % len(COLORS)
         style = {"color": COLORS[number], "linestyle": DASHES[number], "linewidth": 1.2}
         end = {"marker": "o", "markersize": 3, "markevery": [-1]}
-        axes.plot(list(COSTS[cost](run)), run.errors[region]["mape"], label=mode, **style, **end)
+        error = [max(value, FLOOR) for value in run.errors[region]["mape"]]
+        axes.plot(list(COSTS[cost](run)), error, label=mode, **style, **end)
     own = comparison.reference.own_error(region)
     if own and own > axes.get_ylim()[0]:
         axes.axhline(own, color="#999999", linewidth=0.9, linestyle=":", label="the reference's own error")
     for axis in (axes.xaxis, axes.yaxis):
         if cost == "seconds" or axis is axes.yaxis:
-            axis.set_major_locator(LogLocator(10, subs=(1, 2, 5) if axis is axes.xaxis else (1, 2, 3, 5, 7)))
+            axis.set_major_locator(locator(*axis.get_view_interval()))
         axis.set_minor_formatter(NullFormatter())
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.grid(True, color="#e5e5e5", linewidth=0.5)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=SMALL)
+
+
+def locator(low: float, high: float) -> Locator:
+    """Ticks at round numbers, some four to eight of them, on a log axis from `low` to `high`."""
+    if high < 5.0 * low:
+        return MaxNLocator(5, steps=(1, 2, 5, 10))
+    return LogLocator(10, subs=(1, 2, 5) if high < 200.0 * low else (1,))
 
 
 def add_legend(figure: Figure) -> None:
@@ -71,4 +81,4 @@ def add_legend(figure: Figure) -> None:
         handles, labels = axes.get_legend_handles_labels()
         entries |= dict(zip(labels, handles))
     look = {"fontsize": SMALL, "frameon": False, "handlelength": 2.8}
-    figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=len(entries), **look)
+    figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=min(len(entries), 7), **look)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -42,7 +42,7 @@ class Run:
 
 def origin(scene: Scene, settings: RenderSettings, reference: Reference) -> str:
     """A digest of all that a run depends on but its SPP: two runs with the same one may be compared."""
-    rest = (__version__, settings.device, settings.threads, scene.insets, reference.radiance.numpy())
+    rest = (replace(settings, spp=1), __version__, scene.insets, reference.radiance.numpy())
     return digest((fingerprint(scene, settings), *rest))
 
 

@@ -21,9 +21,10 @@ def report(comparison: Comparison) -> str:
         f"# {comparison.scene.name}, {film.width}x{film.height}, {comparison.settings.spp} SPP",
         " ".join((told(comparison.reference), *doubts(comparison))),
         errors_table(comparison),
-        f"Equal rays: the {facts['equal_rays'] / 1e6:.2f} million of {rays}'s whole render. Equal time: the "
-        f"{facts['equal_seconds']:.2f} s of {seconds}'s. A mode's error there is read off its curve, straight in log-log "
-        "between two steps; - where already its first step costs more. Seconds are those of the steps alone.",
+        f"In brackets: the ratio to {next(iter(facts['modes']))}. Equal rays: the {facts['equal_rays'] / 1e6:.4g} million of "
+        f"{rays}'s whole render. Equal time: the {facts['equal_seconds']:.4g} s of {seconds}'s. A mode's error there is read "
+        "off its curve, straight in log-log between two steps; - where already its first step costs more. Seconds are "
+        "those of the steps alone, without building the scene, measuring and writing.",
         cost_table(comparison),
     ]
     return "\n\n".join(parts)
@@ -78,7 +79,7 @@ def cost_table(comparison: Comparison) -> str:
     pixels = comparison.scene.film.width * comparison.scene.film.height
     rows = [["mode", "seconds", "million rays", "rays a sample", *heads]]
     for mode, facts in modes.items():
-        costs = [f"{facts['seconds']:.2f}", f"{facts['rays'] / 1e6:.2f}", f"{facts['rays'] / pixels / facts['spp']:.2f}"]
+        costs = [f"{facts['seconds']:.4g}", f"{facts['rays'] / 1e6:.4g}", f"{facts['rays'] / pixels / facts['spp']:.2f}"]
         cells = [with_ratio(facts[at]["mape"][region], first[at]["mape"][region]) for at, region in columns]
         rows.append([mode, *costs, *cells])
     return markdown(rows)

@@ -24,10 +24,11 @@ REFERENCE_SHARE = 32
 """SPP of a reference for one of a mode's."""
 
 
-def figure_options(doc: str) -> argparse.Namespace:
-    """The command line of a figure; makes its folder."""
+def figure_options(doc: str, scenes: Sequence[str]) -> argparse.Namespace:
+    """The command line of a figure that shows `scenes` if nothing else is asked for; makes its folder."""
     parser = Parser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
+    add("scenes", nargs="*", default=list(scenes), metavar="SCENE", help=f"default: {', '.join(scenes)}")
     add("--size", type=size, default="320x180", metavar="WxH", help="default 320x180")
     add("--spp", type=positive, default=64, metavar="N", help="of each mode, default 64")
     add("--threads", type=threads, metavar="N", help="default: one per core")
@@ -38,8 +39,12 @@ def figure_options(doc: str) -> argparse.Namespace:
     return options
 
 
-def compared(name: str, modes: Sequence[str], options: argparse.Namespace) -> Comparison:
-    """The modes on a scene against a reference, rendered as far as they are not yet there."""
+def compared(modes: Sequence[str], options: argparse.Namespace) -> list[Comparison]:
+    """The modes on each scene against a reference, rendered as far as they are not yet there."""
+    return [_compared(name, modes, options) for name in options.scenes]
+
+
+def _compared(name: str, modes: Sequence[str], options: argparse.Namespace) -> Comparison:
     width, height = options.size
     scene = load_scene(name, Overrides(width=width, height=height))
     every = [RenderSettings(mode, options.spp, SEED, threads=options.threads) for mode in modes]
@@ -49,7 +54,7 @@ def compared(name: str, modes: Sequence[str], options: argparse.Namespace) -> Co
     return compare(scene, every, reference, folder)
 
 
-def write_figures(comparisons: Sequence[Comparison], path: Path) -> None:
+def write_numbers(comparisons: Sequence[Comparison], path: Path) -> None:
     """The numbers behind a figure, as JSON."""
     scenes = {
         comparison.scene.name: {"reference": comparison.reference.facts(), **summary(comparison)}

@@ -5,16 +5,16 @@
 Writes fig7.png, crops of both beside the reference with their MAPE, and fig7.json.
 """
 
-from common import compared, figure_options, run, write_figures
+from common import compared, figure_options, run, write_numbers
 
 from bokehguide.evaluation.crops_figure import write_crops
 
 
 def main() -> None:
-    options = figure_options(__doc__)
-    comparison = compared("chrome", ["lis-b", "lis-o"], options)
-    write_crops(options.out / "fig7.png", [comparison])
-    write_figures([comparison], options.out / "fig7.json")
+    options = figure_options(__doc__, ["chrome"])
+    comparisons = compared(["lis-b", "lis-o"], options)
+    write_crops(options.out / "fig7.png", comparisons)
+    write_numbers(comparisons, options.out / "fig7.json")
     print(f"wrote {options.out / 'fig7.png'} and .json")
 
 

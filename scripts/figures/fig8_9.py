@@ -8,7 +8,7 @@ Writes fig8.png, the crops; fig9.png, MAPE over the insets against SPP and again
 from collections.abc import Sequence
 from pathlib import Path
 
-from common import compared, figure_options, run, write_figures
+from common import compared, figure_options, run, write_numbers
 from matplotlib.figure import Figure
 
 from bokehguide.evaluation import Comparison
@@ -23,12 +23,11 @@ METHODS = ("uniform", "area-restir", "lis", "lis-b", "lis-o")
 
 
 def main() -> None:
-    options = figure_options(__doc__)
-    modes = [mode for mode in METHODS if mode in MODES]
-    comparisons = [compared(name, modes, options) for name in SCENES]
+    options = figure_options(__doc__, SCENES)
+    comparisons = compared([mode for mode in METHODS if mode in MODES], options)
     write_crops(options.out / "fig8.png", comparisons)
     write_curves(options.out / "fig9.png", comparisons)
-    write_figures(comparisons, options.out / "fig8_9.json")
+    write_numbers(comparisons, options.out / "fig8_9.json")
     print(f"wrote fig8.png, fig9.png and fig8_9.json into {options.out}")
 
 

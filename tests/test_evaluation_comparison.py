@@ -1,0 +1,99 @@
+"""What a comparison keeps from an earlier one, and errors at equal cost."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bokehguide.evaluation import compare, given_reference
+from bokehguide.evaluation.comparison import interpolated
+from bokehguide.image import read_rgb, write_exr
+from bokehguide.scene import Inset, load_scene
+from bokehguide.train import RenderSettings
+
+SETTINGS = RenderSettings("uniform", 2, 7)
+
+
+@pytest.fixture
+def lamps(lamps_file, tmp_path, monkeypatch, capfd):
+    """Compare on the lamps against an even grey; gives what `metrics.json` holds and what was said."""
+    monkeypatch.chdir(tmp_path)
+    scene = load_scene(str(lamps_file))
+
+    def run(*modes, scene=scene, settings=SETTINGS, grey=0.1):
+        write_exr("grey.exr", {"beauty": np.full((20, 32, 3), grey, np.float32)})
+        reference = given_reference(Path("grey.exr"), scene)
+        compare(scene, [replace(settings, mode=mode) for mode in modes], reference, Path())
+        return json.loads(Path("metrics.json").read_text()), capfd.readouterr().out
+
+    run.scene = scene
+    return run
+
+
+def test_nothing_changed_nothing_rendered(lamps):
+    first, said = lamps("uniform", "lis")
+    assert said == ""
+    second, said = lamps("uniform", "lis")
+    assert said.splitlines() == ["uniform: kept, 2 SPP", "lis: kept, 2 SPP"]
+    assert second == first
+
+
+def changes(scene):
+    brighter = replace(scene.materials[1], emission=(40.0, 30.0, 20.5))
+    yield "its material", {"scene": replace(scene, materials=(scene.materials[0], brighter))}
+    yield "its camera", {"scene": replace(scene, camera=replace(scene.camera, fov=41.0))}
+    yield "its insets", {"scene": replace(scene, insets=(Inset(0.0, 0.0, 0.5, 0.5),))}
+    yield "its seed", {"settings": replace(SETTINGS, seed=8)}
+    yield "its threads, which its seconds depend on", {"settings": replace(SETTINGS, threads=3)}
+    yield "the reference", {"grey": 0.2}
+
+
+def test_what_a_run_depends_on_decides_whether_it_is_kept(lamps):
+    for what, changed in changes(lamps.scene):
+        lamps("uniform")
+        _, said = lamps("uniform", **changed)
+        assert said.startswith("uniform: rendered again, as the scene, the reference, the insets or the settings"), what
+
+
+@pytest.mark.parametrize("spp", [1, 3])
+def test_another_number_of_samples_is_rendered_from_the_start(spp, lamps):
+    lamps("uniform")
+    found, said = lamps("uniform", settings=replace(SETTINGS, spp=spp))
+    assert said == "uniform: rendered again, as it has 2 SPP and cannot be continued exactly\n"
+    assert len(found["runs"]["uniform"]["rays"]) == found["modes"]["uniform"]["spp"] == spp
+
+
+def test_modes_are_added_to_those_that_are_there(lamps):
+    lamps("uniform")
+    found, said = lamps("lis")
+    assert said == "" and list(found["modes"]) == ["lis"] and found["runs"].keys() == {"uniform", "lis"}
+    found, said = lamps("lis", "uniform")
+    assert said.count("kept") == 2 and list(found["modes"]) == ["lis", "uniform"]
+    found, _ = lamps("lis", settings=replace(SETTINGS, spp=3))
+    assert found["runs"].keys() == {"lis"}, "a run of 2 SPP is not to be compared with one of 3"
+
+
+def another_picture(path):
+    write_exr(path, {"beauty": np.ones((20, 32, 3), np.float32)})
+
+
+@pytest.mark.parametrize("damage", [os.unlink, lambda path: os.truncate(path, 900), another_picture])
+def test_a_mode_without_its_picture_is_rendered_again(damage, lamps):
+    lamps("uniform", "lis")
+    whole = read_rgb("uniform.exr")
+    damage("uniform.exr")
+    _, said = lamps("uniform", "lis")
+    assert said.splitlines() == ["uniform: rendered again, as its picture is gone or damaged", "lis: kept, 2 SPP"]
+    np.testing.assert_array_equal(read_rgb("uniform.exr"), whole)
+
+
+def test_a_power_law_is_a_line():
+    cost = [1.0, 3.0, 10.0, 40.0]
+    error = [2.0 * x**-0.5 for x in cost]
+    for budget in (1.0, 2.0, 17.0, 40.0):
+        assert interpolated(cost, error, budget) == pytest.approx(2.0 * budget**-0.5, rel=1e-12)
+    assert interpolated(cost, error, 0.9) is None
+    assert interpolated(cost, [0.0, 0.0, 0.0, 0.0], 17.0) == pytest.approx(0.0, abs=1e-20)
