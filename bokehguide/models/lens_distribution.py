@@ -47,28 +47,23 @@ class LensDensity(NamedTuple):
     density: Tensor
 
 
-class GuidedLensDistribution:
-    """q = β p_GMM + (1 - β) W / A (Eq. 26), one mixture of projected Gaussians for each of N pixels.
+class LensMixture:
+    """q = β Σ w_i p_i + (1 - β) W / A (Eq. 26), one mixture for each of N pixels.
 
-    Candidates are packed: those of pixel i stand at `start[i] : start[i + 1]`. The support
-    is the whole lens plane, because a projected Gaussian reaches beyond the aperture: draws
-    outside are samples of value 0. Candidates that Eq. 22 culls are left out; a pixel that
-    keeps none falls back to the uniform distribution.
+    Candidates are packed: those of pixel i stand at `start[i] : start[i + 1]`. A pixel
+    without one falls back to the uniform distribution. The p_i may reach beyond the
+    aperture: draws outside are samples of value 0. A kind of mixture adds `component_pdf` and
+    `sample`.
 
     lens: the aperture. focus: x_F `[3, N]`. beta: β `[N]`. start: int64 `[N + 1]`.
-    mean `[3, M]`, sigma `[M]` (metres, camera frame) and weight `[M]` (any scale, positive):
-    the candidates' Gaussians.
+    weight: of the candidates, any scale, 0 for one that is left out, `[M]`.
     """
 
-    def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, mean: Tensor, sigma: Tensor, weight: Tensor):
-        self.lens = lens
-        self.focus = focus
-        counts = start[1:] - start[:-1]
-        self.owner = torch.repeat_interleave(counts)
+    def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, weight: Tensor):
+        self.lens, self.focus = lens, focus
+        self.owner = owners(start)
         """Pixel `[M]` that each candidate belongs to."""
-        self.mean, self.sigma = mean, sigma
-        self._focus = focus.index_select(1, self.owner)
-        kept = (weight * self._is_kept()).double()
+        kept = weight.double()
         total = torch.zeros(focus.shape[1], dtype=torch.float64, device=kept.device).index_add_(0, self.owner, kept)
         share = kept / total.clamp(min=1e-300).index_select(0, self.owner)
         self.guided = total > 0.0
@@ -79,36 +74,16 @@ class GuidedLensDistribution:
         self._cumulative = torch.cat((share.new_zeros(1), share.cumsum(0)))
         self._low, self._high = self._cumulative[start[:-1]], self._cumulative[start[1:]]
 
-    def _is_kept(self) -> Tensor:
-        """C_G of Eq. 22: the projected mean lies within r + |k|σ of the lens centre; float32 `[M]`."""
-        k = self._focus[2] / (self._focus[2] - self.mean[2])
-        x, y = project_to_lens(self.mean, self._focus).unbind(0)
-        reach = self.lens.radius + k.abs() * self.sigma
-        return (x * x + y * y < reach * reach).to(torch.float32)
-
-    def sample(self, uniforms: Tensor) -> Tensor:
-        """Lens points `[2, N]` from uniform numbers `[5, N]`; they may lie outside the aperture.
-
-        A guided draw is a point of the 3D Gaussian, projected through x_F (section 4.1.3).
-        """
-        points = self.lens.sample(uniforms[2:4])
-        index = (uniforms[0] < self.beta).nonzero()[:, 0]
-        chosen = self._choose(index, uniforms[1, index])
-        normals = math.sqrt(2.0) * torch.erfinv(2.0 * uniforms[2:5, index] - 1.0)
-        spot = self.mean[:, chosen] + self.sigma[chosen] * normals
-        points[:, index] = project_to_lens(spot, self.focus[:, index]).nan_to_num(1e30, 1e30, -1e30).clamp(-1e15, 1e15)
-        return points
-
-    def _choose(self, index: Tensor, uniforms: Tensor) -> Tensor:
+    def choose(self, index: Tensor, uniforms: Tensor) -> Tensor:
         """Candidates `[K]` of the pixels at `index` `[K]`, drawn by weight."""
         low, high = self._low[index], self._high[index]
         target = low + (high - low) * uniforms.double()
         found = torch.searchsorted(self._cumulative, target, right=True) - 1
-        return found.clamp(max=len(self.sigma) - 1)
+        return found.clamp(max=len(self.weight) - 1)
 
     def component_pdf(self, points: Tensor) -> Tensor:
         """p_i at each pixel's lens point, for all of its candidates, `[M]`."""
-        return lens_density(points.index_select(1, self.owner), self._focus, self.mean, self.sigma)
+        raise NotImplementedError
 
     def mixture_pdf(self, components: Tensor) -> Tensor:
         """p_GMM `[N]` from `component_pdf`."""
@@ -132,3 +107,44 @@ class GuidedLensDistribution:
     def log_prob(self, points: Tensor) -> Tensor:
         """Logarithm of `pdf`, `[N]`."""
         return self.pdf(points).log()
+
+
+def owners(start: Tensor) -> Tensor:
+    """Pixel int64 `[M]` that each candidate of a packed list belongs to; start: int64 `[N + 1]`."""
+    return torch.repeat_interleave(start[1:] - start[:-1])
+
+
+class GuidedLensDistribution(LensMixture):
+    """The mixture of 3D Gaussians projected by bipolar cones (Eq. 18-22).
+
+    Candidates that Eq. 22 culls are left out. mean `[3, M]` and sigma `[M]` (metres, camera
+    frame): the candidates' Gaussians; all else is as in LensMixture.
+    """
+
+    def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, mean: Tensor, sigma: Tensor, weight: Tensor):
+        self.mean, self.sigma = mean, sigma
+        self._focus = focus.index_select(1, owners(start))
+        super().__init__(lens, focus, beta, start, weight * self._is_kept(lens))
+
+    def _is_kept(self, lens: Lens) -> Tensor:
+        """C_G of Eq. 22: the projected mean lies within r + |k|σ of the lens centre; float32 `[M]`."""
+        k = self._focus[2] / (self._focus[2] - self.mean[2])
+        x, y = project_to_lens(self.mean, self._focus).unbind(0)
+        reach = lens.radius + k.abs() * self.sigma
+        return (x * x + y * y < reach * reach).to(torch.float32)
+
+    def sample(self, uniforms: Tensor) -> Tensor:
+        """Lens points `[2, N]` from uniform numbers `[5, N]`; they may lie outside the aperture.
+
+        A guided draw is a point of the 3D Gaussian, projected through x_F (section 4.1.3).
+        """
+        points = self.lens.sample(uniforms[2:4])
+        index = (uniforms[0] < self.beta).nonzero()[:, 0]
+        chosen = self.choose(index, uniforms[1, index])
+        normals = math.sqrt(2.0) * torch.erfinv(2.0 * uniforms[2:5, index] - 1.0)
+        spot = self.mean[:, chosen] + self.sigma[chosen] * normals
+        points[:, index] = project_to_lens(spot, self.focus[:, index]).nan_to_num(1e30, 1e30, -1e30).clamp(-1e15, 1e15)
+        return points
+
+    def component_pdf(self, points: Tensor) -> Tensor:
+        return lens_density(points.index_select(1, self.owner), self._focus, self.mean, self.sigma)

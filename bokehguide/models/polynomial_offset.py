@@ -48,4 +48,4 @@ class PolynomialOffset(nn.Module):
         """Offsets in metres `[3, N]` of Gaussians int `[N]` seen from raster positions `[2, N]`."""
         rows = self.coefficients.reshape(-1, self.coefficients.shape[-1]).index_select(1, gaussian)
         basis = self.basis(gaussian, raster)
-        return torch.stack([dot(rows[6 * c : 6 * c + 6], basis) for c in range(3)])
+        return torch.stack([dot(component, basis) for component in rows.chunk(3)])

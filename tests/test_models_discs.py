@@ -1,0 +1,132 @@
+"""The mixture of discs: draws against the density, the density against 1 and against plain geometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from lens_cases import INNER_RINGS, LENS, LensCase, PolarGrid, grid
+from scipy import stats
+from statistical import SIGNIFICANCE, chi_square
+from test_models_density import X_F, mixture, spot
+
+from bokehguide.models.disc_distribution import DiscLensDistribution, overlap
+from bokehguide.models.projection import project_to_lens
+from bokehguide.render.lens import Lens
+
+DRAWS = 400_000
+
+
+@dataclass(frozen=True)
+class DiscCase(LensCase):
+    """As a LensCase, with the balls' radii for sigma."""
+
+    def distribution(self, count: int) -> DiscLensDistribution:
+        candidates = len(self.sigma)
+        return DiscLensDistribution(
+            self.lens,
+            torch.tensor(self.focus)[:, None].expand(3, count).contiguous(),
+            torch.full((count,), self.beta),
+            torch.arange(count + 1) * candidates,
+            torch.tensor(self.mean).reshape(3, candidates).repeat(1, count),
+            torch.tensor(self.sigma).repeat(count),
+            torch.tensor(self.weight).repeat(count),
+        )
+
+
+CASES = [
+    DiscCase("before", X_F, 1.0, spot(0.02, 0.01, 1.2), [0.01], [1.0]),
+    DiscCase("behind", X_F, 1.0, spot(-0.03, 0.02, 6.0), [0.06], [1.0]),
+    DiscCase("larger than the lens", X_F, 0.7, spot(0.0, 0.05, 2.2), [0.05], [1.0], reach=10.0),
+    DiscCase("centre outside", X_F, 1.0, spot(0.13, -0.02, 5.0), [0.08], [1.0]),
+    DiscCase("outside", X_F, 0.9, spot(0.3, -0.02, 5.0), [0.08], [1.0]),
+    DiscCase("blend", X_F, 0.6, mixture(spot(0.0, 0.07, 1.5), spot(-0.05, 0.0, 4.0)), [0.01, 0.06], [1.0, 1.0]),
+    DiscCase(
+        "overlapping, of uneven weight",
+        X_F,
+        0.9,
+        mixture(spot(0.03, 0.03, 1.3), spot(0.0, 0.0, 5.0), spot(0.05, 0.0, 9.0)),
+        [0.02, 0.06, 0.2],
+        [3.0, 1.0, 0.5],
+    ),
+]
+BY_NAME = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+
+
+def probabilities(case: DiscCase, cells: PolarGrid) -> np.ndarray:
+    """The density over the cells, by many midpoints a cell: it jumps at every disc's edge."""
+    points, area = cells.nodes(40)
+    return (case.pdf(points).numpy().reshape(area.shape) * area).sum(2)
+
+
+@BY_NAME
+def test_draws_follow_the_density(case):
+    """Over the plane, and as the share of draws inside the lens."""
+    cells = grid(case)
+    probability = probabilities(case, cells)
+    observed = cells.count(case.draw(DRAWS, seed=1))
+    assert observed[-1] == 0  # no disc reaches beyond the grid
+    assert chi_square(observed[:-1], probability.ravel() / probability.sum()) > SIGNIFICANCE
+    inside, share = int(observed[: INNER_RINGS * cells.sectors].sum()), float(probability[:INNER_RINGS].sum())
+    if share < 0.999:  # else all of them, as far as quadrature can tell
+        assert stats.binomtest(inside, DRAWS, share).pvalue > SIGNIFICANCE
+
+
+@BY_NAME
+def test_the_density_integrates_to_one(case):
+    assert probabilities(case, grid(case)).sum() == pytest.approx(1.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("defect", ["area", "weights"])
+def test_a_wrong_density_fails(defect, monkeypatch):
+    case = next(case for case in CASES if case.name == "blend")
+    cells = grid(case)
+    observed = cells.count(case.draw(DRAWS, seed=2))
+    if defect == "area":
+        right = DiscLensDistribution.component_pdf
+        monkeypatch.setattr(DiscLensDistribution, "component_pdf", lambda self, points: 1.02 * right(self, points))
+    else:
+        monkeypatch.setattr(
+            DiscLensDistribution, "mixture_pdf", lambda self, components: components.reshape(-1, 2).mean(1)
+        )
+    probability = probabilities(case, cells)
+    wrong_sum = abs(probability.sum() - 1.0) > 2e-3
+    assert wrong_sum or chi_square(observed[:-1], probability.ravel() / probability.sum()) < SIGNIFICANCE
+
+
+def test_a_ball_is_drawn_where_rays_through_it_leave_the_lens():
+    """The edge of the disc through its centre, projected point by point."""
+    case = next(case for case in CASES if case.name == "behind")
+    distribution = case.distribution(1)
+    angle = torch.linspace(0.0, 2.0 * math.pi, 100)
+    rim = torch.tensor(case.mean) + case.sigma[0] * torch.stack((angle.cos(), angle.sin(), torch.zeros(100)))
+    shown = project_to_lens(rim, distribution.focus.expand(3, 100))
+    distance = (shown - distribution.center).square().sum(0).sqrt()
+    torch.testing.assert_close(distance, distribution.radius.expand(100), rtol=1e-4, atol=0.0)
+
+
+def test_pixels_without_a_disc_on_the_lens_are_uniform():
+    case = next(case for case in CASES if case.name == "outside")
+    distribution = case.distribution(3)
+    assert not distribution.guided.any()
+    points = torch.tensor([[0.0, 0.05, 0.2], [0.0, 0.05, 0.0]])
+    torch.testing.assert_close(distribution.pdf(points), torch.tensor([1.0, 1.0, 0.0]) / LENS.area)
+
+
+def test_evenly_spread_numbers_give_evenly_spread_points():
+    """The squares of a 32 × 32 raster of numbers each hold one point of the disc that it is stretched over."""
+    case = next(case for case in CASES if case.name == "before")
+    place = (torch.stack(torch.meshgrid(torch.arange(32), torch.arange(32), indexing="ij")).reshape(2, -1) + 0.5) / 32
+    distribution = case.distribution(1024)
+    points = distribution.sample(torch.cat((torch.full((1, 1024), 0.5), place)))
+    ring = ((points - distribution.center).square().sum(0) / distribution.radius.square() * 32).long()
+    assert (torch.bincount(ring) == 32).all()
+
+
+@pytest.mark.parametrize("x, radius, expected", [(0.0, 0.02, 1.0), (0.0, 0.2, 0.25), (0.13, 0.02, 0.0), (0.1, 0.02, 0.5)])
+def test_overlap_with_the_lens(x, radius, expected):
+    found = overlap(torch.tensor([[x], [0.0]]), torch.tensor([radius]), Lens(0.1, 2.0).radius)
+    assert float(found) == pytest.approx(expected, abs=0.06)
