@@ -40,6 +40,8 @@ APART = 1e-5
 
 def comparable(scene: Scene) -> Scene:
     """`scene` with materials that Mitsuba has too; lamps are shaded flat, as their radiance is."""
+    if scene.camera.aperture is not None:
+        raise BokehguideError(f"{scene.name}: Mitsuba's aperture is round; remove [camera.aperture] to compare")
     if scene.suns:
         raise BokehguideError(f"{scene.name}: suns have no counterpart in Mitsuba; remove them to compare")
     materials = tuple(_comparable_material(material) for material in scene.materials)

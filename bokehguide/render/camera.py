@@ -61,12 +61,6 @@ class ThinLensCamera:
         """Metres along the axis `[N]` to what world `directions` `[3, N]` met at `distance` `[N]`, NO_DEPTH for a miss."""
         return torch.where(distance < MISS_DISTANCE, distance * (self.axes[:, 2] @ directions), NO_DEPTH)
 
-    def open_share(self) -> Tensor | None:
-        """What part of the aperture each pixel sees, `[pixels]`; None where all see all of it."""
-        rows, columns = torch.meshgrid(torch.arange(self.height), torch.arange(self.width), indexing="ij")
-        raster = torch.stack((columns.ravel(), rows.ravel())).to(self.axes.device) + 0.5
-        return self.lens.open_share(self.focus_points(raster))
-
     def coc_diameter(self, depth: Tensor) -> Tensor:
         """Diameter in pixels of the circle of confusion at `depth` (metres along the axis), Eq. 23.
 

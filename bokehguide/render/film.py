@@ -53,9 +53,19 @@ class Film:
     x is the same throughout, it comes out exactly: alpha is 1 where all is opaque.
     c = Σ w² x / Σ w² is a mean of values seen and near the best constant, which is
     (E[w² x] - E[x]) / (E[w²] - 1).
+
+    vignetted: the weights' mean is less than 1 towards the frame's edge. Radiance and emission
+    darken with it. Alpha, normal and albedo do not: they are Σ w x / Σ w, quotients like depth.
     """
 
-    def __init__(self, width: int, height: int, seed: int = 0, device: torch.device | str = "cpu"):
+    def __init__(
+        self,
+        width: int,
+        height: int,
+        seed: int = 0,
+        device: torch.device | str = "cpu",
+        vignetted: bool = False,
+    ):
         self.width, self.height, self.seed = width, height, seed
         pixels = width * height
         self._radiance = torch.zeros(3, pixels, dtype=torch.float64, device=device)
@@ -64,6 +74,7 @@ class Film:
         self._count = torch.zeros(pixels, device=device)
         self._features = torch.zeros(7, pixels, device=device)  # alpha, normal, albedo
         self._control = torch.zeros(8, pixels, device=device)  # w², and w² times each feature
+        self._passed = torch.zeros(pixels, device=device) if vignetted else None  # w
         self._depth = torch.zeros(2, pixels, device=device)  # of the hits: w, and w times depth
         self.bad_count = 0
         self._bad_samples: list[BadSample] = []
@@ -93,6 +104,10 @@ class Film:
         return good
 
     def _add_features(self, pixels: slice, weight: Tensor, features: Tensor, kept: Tensor) -> None:
+        if self._passed is not None:
+            self._features[:, pixels] += features * (weight * kept)
+            self._passed[pixels] += weight * kept
+            return
         seen = self._control[:, pixels]
         control = seen[1:] / seen[0].clamp(min=1e-30)
         self._features[:, pixels] += torch.lerp(control, features, weight).mul_(kept)  # w (x - c) + c
@@ -146,7 +161,7 @@ class Film:
         """
         shape = (self.height, self.width)
         count = self._count.clamp(min=1.0)
-        features = self._features / count
+        features = self._features / (count if self._passed is None else self._passed.clamp(min=1e-20))
         weight, depth = self._depth
         layers = {
             "beauty": self.radiance(),

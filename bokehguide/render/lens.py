@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample
 
 from bokehguide.render.aperture import Iris, Mask
 from bokehguide.scene import types
-
-POINTS = 1 << 14
-"""Lens points that the open share of an aperture is measured with."""
-DISTANCES, DIRECTIONS = 17, 97
-"""Focus points that it is measured for."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +25,11 @@ class Lens:
 
     radius: float
     focus_distance: float
+
+    @property
+    def vignettes(self) -> bool:
+        """Whether the aperture is smaller towards the frame's edge than on the axis."""
+        return False
 
     @property
     def area(self) -> float:
@@ -57,10 +55,6 @@ class Lens:
         """The share of W that is left off the axis, at lens points `[2, N]` towards focus points `[3, N]`, `[N]`."""
         return torch.ones_like(points[0])
 
-    def open_share(self, focus: Tensor) -> Tensor | None:
-        """The mean of W off the axis, by focus point `[3, N]`, `[N]`; None where it is 1 throughout."""
-        return None
-
 
 @dataclass(frozen=True, eq=False)
 class ShapedLens(Lens):
@@ -79,7 +73,10 @@ class ShapedLens(Lens):
     ratio: float
     cat_eye: float
     corner: float
-    device: torch.device | str
+
+    @property
+    def vignettes(self) -> bool:
+        return self.cat_eye > 0.0
 
     @property
     def area(self) -> float:
@@ -98,31 +95,11 @@ class ShapedLens(Lens):
 
     def unblocked(self, points: Tensor, focus: Tensor) -> Tensor:
         """1 within the second disc, which lies towards the frame's centre, as a lens barrel's front rim does; else 0."""
-        if self.cat_eye == 0.0:
+        if not self.vignettes:
             return torch.ones_like(points[0])
         shift = focus[:2] / (focus[2] * self.corner) * (self.cat_eye * self.pupil.reach)
         x, y = (self._widened(points) + shift).unbind(0)
         return (x * x + y * y <= self.pupil.reach**2).to(torch.float32)
-
-    def open_share(self, focus: Tensor) -> Tensor | None:
-        """As `Lens` has it, within 0.01: from a table over the distance from the frame's centre and the direction."""
-        if self.cat_eye == 0.0:
-            return None
-        x, y = focus[:2] / (focus[2] * self.corner)
-        place = torch.stack((torch.atan2(y, x) / math.pi, 2.0 * torch.hypot(x, y) - 1.0), dim=-1)
-        return grid_sample(self._open_shares[None, None], place[None, None], align_corners=True)[0, 0, 0]
-
-    @cached_property
-    def _open_shares(self) -> Tensor:
-        """Shares at distances 0 … 1 of the way to the corner, by directions from -π to π."""
-        points = self.sample((torch.quasirandom.SobolEngine(2).draw(POINTS).T + 0.5 / POINTS).to(self.device))
-        angle = torch.linspace(-math.pi, math.pi, DIRECTIONS, device=self.device)
-        around = self.corner * torch.stack((angle.cos(), angle.sin(), torch.full_like(angle, 1.0 / self.corner)))
-        rows = []
-        for distance in torch.linspace(0.0, 1.0, DISTANCES):
-            focus = around * torch.tensor([[distance], [distance], [1.0]], device=self.device)
-            rows.append(torch.stack([self.unblocked(points, one[:, None]).mean() for one in focus.T]))
-        return torch.stack(rows)
 
     def _widened(self, points: Tensor) -> Tensor:
         """Lens points in the pupil's units, and not squeezed."""
@@ -140,8 +117,8 @@ def make_lens(camera: types.Camera, corner: float, device: torch.device | str) -
         pupil = Mask(shape.image, device)
     radius = camera.aperture_radius * pupil.reach * max(1.0, 1.0 / shape.ratio)
     turn = math.radians(shape.rotation)
-    cut = (shape.cat_eye, corner, device)
-    return ShapedLens(radius, camera.focus_distance, pupil, camera.aperture_radius, turn, shape.ratio, *cut)
+    unit = camera.aperture_radius
+    return ShapedLens(radius, camera.focus_distance, pupil, unit, turn, shape.ratio, shape.cat_eye, corner)
 
 
 def _turned(points: Tensor, angle: float) -> Tensor:

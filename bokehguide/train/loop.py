@@ -72,7 +72,7 @@ class RenderLoop:
         width, height = scene.film.width, scene.film.height
         self.camera = ThinLensCamera(scene.camera, width, height, device)
         self.tracer = PathTracer(scene, device)
-        self.film = Film(width, height, settings.seed, device)
+        self.film = Film(width, height, settings.seed, device, self.camera.lens.vignettes)
         pinhole = scene.camera.aperture_radius == 0.0
         self.guide = None if settings.mode == "uniform" or pinhole else LensGuide(self.camera, settings)
         self.step_number = 0
@@ -146,16 +146,17 @@ class RenderLoop:
         lens = self.camera.lens
         if self.guide is None or self.step_number == 1:
             points = lens.sample(random.stratified(LENS_DIMENSION, 2))
-            return points, torch.ones_like(points[0]), None, None
+            return points, lens.unblocked(points, focus), None, None
         uniforms = random.uniform(LENS_DIMENSION, 5)  # independent: what a lens point is used for is learnt
         self.guide.stratify(first, random, uniforms)
         batch = self.guide.distribution(first, raster, focus)
         if batch is None:
             points = lens.sample(uniforms[2:4])
-            return points, torch.ones_like(points[0]), None, None
+            return points, lens.unblocked(points, focus), None, None
         points = batch.distribution.sample(uniforms)
         at = batch.distribution.evaluate(points)
-        return points, lens.contains(points) / (lens.area * at.density).clamp(min=1e-20), batch, at
+        passes = lens.transmission(points) * lens.unblocked(points, focus)  # W of Eq. 6
+        return points, passes / (lens.area * at.density).clamp(min=1e-20), batch, at
 
     def _trace(
         self, focus: Tensor, points: Tensor, weight: Tensor, random: PixelRandom, timer: PhaseTimer
@@ -232,4 +233,4 @@ def _count(batch: GuidedBatch | None, weight: Tensor) -> tuple[int, int, float]:
     if batch is None:
         return 0, 0, 0.0
     mixture = batch.distribution
-    return int(mixture.guided.sum()), int((weight == 0.0).sum()), float(mixture.beta.sum())
+    return int(mixture.guided.sum()), int(((weight == 0.0) & mixture.guided).sum()), float(mixture.beta.sum())
