@@ -30,11 +30,12 @@ from torch import Tensor
 from bokehguide.cli.arguments import natural, positive
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import LongRender, accumulate, between_halves, errors, markdown, progress, regions, warn_of_bad_samples
+from bokehguide.evaluation.long_renders import whole_step
 from bokehguide.evaluation.references import CHUNK, rendered_halves
 from bokehguide.image import check_writable, replacing, tone_map, write_png
 from bokehguide.render.vector import luminance
 from bokehguide.scene import Scene
-from bokehguide.train import MODES, RenderLoop, RenderSettings
+from bokehguide.train import LENS_MODES, MODES, RenderLoop, RenderSettings
 from bokehguide.train.guide import FITS
 
 UNIFORM_SEED, TEST_SEED = 3_000_000, 0
@@ -69,7 +70,7 @@ def main() -> int:
 
 
 def parse() -> argparse.Namespace:
-    parser = experiment_parser(__doc__, "640x360", ",".join(MODES))
+    parser = experiment_parser(__doc__, "640x360", ",".join(LENS_MODES))
     add = parser.add_argument
     add("--spp", type=numbers, default=[64, 256], metavar="N,N", help="read the errors at these SPP, default 64,256")
     add("--references", type=Path, required=True, metavar="DIR", help="where the references are kept")
@@ -148,7 +149,7 @@ def render_mode(scene: Scene, mode: str, args: argparse.Namespace) -> dict[int, 
         for step in range(max(args.spp)):
             if args.inject and step == args.inject_at and loop.guide is not None:
                 inject(loop, args.inject)
-            loop.step()
+            whole_step(loop)
             bar.update()
             if step + 1 in args.spp:
                 images[step + 1] = loop.film.radiance().cpu()

@@ -10,10 +10,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from bokehguide.cli.interrupt import Interrupt
 from bokehguide.cli.report import Report, write_json
 from bokehguide.errors import BokehguideError
 from bokehguide.image import check_writable, tone_map, write_exr, write_png
+from bokehguide.interrupt import Interrupt
 from bokehguide.metrics import mape, read_reference, relmse
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import RenderLogger, RenderLoop, RenderSettings, describe_render
@@ -26,7 +26,12 @@ def run(options: argparse.Namespace) -> int:
     """Render to an EXR and a PNG; everything that can be wrong is checked before the first ray."""
     scene = load_scene(options.scene, overrides_from(options))
     settings = RenderSettings(
-        mode=options.mode, spp=options.spp, seed=options.seed, device=options.device, threads=options.threads
+        mode=options.mode,
+        spp=options.spp,
+        seed=options.seed,
+        device=options.device,
+        threads=options.threads,
+        reuse_radius=options.reuse_radius,
     )
     check_device(settings.device)
     reference = read_reference(options.reference, scene.film.width, scene.film.height) if options.reference else None
@@ -99,7 +104,7 @@ def measure(radiance: Tensor, reference: Tensor | None) -> dict[str, float]:
 def command_line(options: argparse.Namespace, spp: int) -> str:
     """The command that renders this picture again."""
     size = {"size": "x".join(map(str, options.size))} if options.size else {}
-    kept = {name: getattr(options, name) for name in ("mode", "seed", "device", "exposure", *OVERRIDES)}
+    kept = {name: getattr(options, name) for name in ("mode", "reuse_radius", "seed", "device", "exposure", *OVERRIDES)}
     words = ["bokehguide", "render", options.scene]
     for name, value in (kept | size | {"spp": spp}).items():
         if value is not None:

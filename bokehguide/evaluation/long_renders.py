@@ -23,9 +23,10 @@ from tqdm import tqdm
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation.fingerprint import fingerprint
 from bokehguide.image import check_writable, read_exr, read_metadata, write_exr
+from bokehguide.interrupt import Interrupt
 from bokehguide.render.film import Film
 from bokehguide.scene.types import Scene
-from bokehguide.train import RenderLoop, RenderSettings
+from bokehguide.train import RenderLoop, RenderSettings, StepStats
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,18 @@ def render(scene: Scene, settings: RenderSettings, bar: tqdm) -> Film:
     """The film of one whole render."""
     loop = RenderLoop(scene, settings)
     for _ in range(settings.spp):
-        loop.step()
+        whole_step(loop)
         bar.update()
     return loop.film
+
+
+def whole_step(loop: RenderLoop) -> StepStats:
+    """One step of a render; Ctrl-C during it counts after it, when no thread is in the middle of its work."""
+    with Interrupt() as interrupt:
+        stats = loop.step()
+    if interrupt.requested:
+        raise KeyboardInterrupt
+    return stats
 
 
 def accumulate(

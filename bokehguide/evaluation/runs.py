@@ -14,7 +14,7 @@ from torch import Tensor
 from bokehguide import __version__
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation.fingerprint import digest, fingerprint
-from bokehguide.evaluation.long_renders import progress, warn_of_bad_samples
+from bokehguide.evaluation.long_renders import progress, warn_of_bad_samples, whole_step
 from bokehguide.evaluation.references import Reference
 from bokehguide.evaluation.regions import MEASURES, errors, regions
 from bokehguide.image import read_metadata, read_rgb, tone_map, write_exr, write_png
@@ -63,7 +63,7 @@ def measured_run(
     title = f"{scene.name} {settings.mode}"
     with progress(title, settings.spp) as bar:
         for _ in range(settings.spp):
-            stats = loop.step()
+            stats = whole_step(loop)
             seconds.append(stats.seconds + (seconds[-1] if seconds else 0.0))
             rays.append(stats.rays + (rays[-1] if rays else 0))
             radiance, found = loop.film.radiance().cpu(), {}
