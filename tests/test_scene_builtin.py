@@ -129,6 +129,16 @@ def test_a_box_is_one_lamp_and_its_far_neighbour_another():
     np.testing.assert_allclose(sorted(lamps.centres[:, 0]), (0.0, 0.5), atol=1e-6)
 
 
+def test_how_far_lamps_reach_and_how_bright_they_are():
+    box = transformed(unit_box(), transform((0.0, 0.0, -6.0), scale=0.02))
+    lamps = find_lamps(scene_with([box], peak_map(slice(127, 129), slice(255, 257))))
+    assert lamps.extents[0] == pytest.approx(0.01 * np.sqrt(3.0), rel=1e-5)
+    # To the middles of 2 × 2 texels of π / 256 each, and one texel on, for the bilinear interpolation.
+    assert lamps.extents[1] == pytest.approx(np.pi / 256 * (np.sqrt(0.5) + 1.0), rel=0.01)
+    assert lamps.luminance[0] == pytest.approx(np.dot((0.2126, 0.7152, 0.0722), scene_with([box]).materials[0].emission))
+    assert lamps.luminance[1] == pytest.approx(500.0, rel=1e-5)
+
+
 def test_lamps_out_of_sight_do_not_count():
     behind = spheres([[0.0, 0.0, 6.0]], 0.02, 0)
     beside = spheres([[9.0, 0.0, -6.0]], 0.02, 0)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage, sparse
 
-from bokehguide.scene.types import Camera, Mesh, Scene
+from bokehguide.scene.types import Camera, Mesh, Scene, Sun
 
 PEAK = 10.0
 """A texel is a lamp where its luminance is above this multiple of the map's mean."""
@@ -17,28 +18,32 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 @dataclass(frozen=True)
 class Lamps:
-    """N lamps as discs: centres `[N, 3]` and radii `[N]` in metres.
+    """N lamps as discs: centres `[N, 3]` and radii `[N]` in metres, those of discs of the same area.
 
     Lamps of an environment lie at infinity: their centres are unit directions and
-    their radii the tangents of the angular radii; `infinite` `[N]` says which.
+    their radii the tangents of the angular radii; `infinite` `[N]` says which. extents: radii
+    of the spheres about the centres that hold all of each lamp. luminance: of their radiance, `[N]`;
+    textures are not looked at.
     """
 
     centres: np.ndarray
     radii: np.ndarray
+    extents: np.ndarray
+    luminance: np.ndarray
     infinite: np.ndarray
 
 
 def find_lamps(scene: Scene) -> Lamps:
     """All emissive components of the geometry, all bright peaks of the environment, and all suns."""
     emitting = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
-    parts = [_components(mesh) for mesh in emitting]
-    near = sum(len(radii) for _, radii in parts)
+    parts = [_components(mesh, LUMINANCE @ scene.materials[mesh.material].emission) for mesh in emitting]
+    near = sum(len(radii) for _, radii, _, _ in parts)
     if scene.environment is not None:
         parts.append(_peaks(scene.environment.radiance, scene.environment.rotation))
-    parts += [(np.array([sun.direction]), np.tan(np.radians([0.5 * sun.angle]))) for sun in scene.suns]
-    parts.append((np.zeros((0, 3)), np.zeros(0)))
-    centres, radii = (np.concatenate(arrays) for arrays in zip(*parts))
-    return Lamps(centres, radii, np.arange(len(radii)) >= near)
+    parts += [_disc(sun) for sun in scene.suns]
+    parts.append((np.zeros((0, 3)), *np.zeros((3, 0))))
+    centres, *columns = (np.concatenate(arrays) for arrays in zip(*parts))
+    return Lamps(centres, *columns, infinite=np.arange(len(centres)) >= near)
 
 
 def lens_coverage(scene: Scene, lamps: Lamps | None = None) -> float | None:
@@ -84,8 +89,14 @@ def _camera_space(camera: Camera, lamps: Lamps) -> tuple[np.ndarray, np.ndarray,
     return relative @ right, relative @ np.cross(right, forward), relative @ forward
 
 
-def _components(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Centres and radii of the pieces of `mesh` that share vertex positions.
+def _disc(sun: Sun) -> tuple[np.ndarray, ...]:
+    radius = math.tan(math.radians(0.5 * sun.angle))
+    luminance = LUMINANCE @ sun.irradiance / (math.pi * math.sin(math.radians(0.5 * sun.angle)) ** 2)
+    return np.array([sun.direction]), np.array([radius]), np.array([radius]), np.array([luminance])
+
+
+def _components(mesh: Mesh, luminance: float) -> tuple[np.ndarray, ...]:
+    """Centres, radii, extents and luminance of the pieces of `mesh` that share vertex positions.
 
     A closed piece shows a quarter of its surface on average (Cauchy), an open one
     the length of its vector area.
@@ -106,11 +117,15 @@ def _components(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     centres = np.stack([np.bincount(labels, column) for column in middles.T], axis=1)
     facing = np.linalg.norm([np.bincount(labels, column) for column in vectors.T], axis=0)
     projected = np.where(facing < 0.1 * total, total / 4.0, facing)
-    return centres / total[:, None], np.sqrt(projected / np.pi)
+    centres /= total[:, None]
+    extents = np.zeros(len(total))
+    for corner in (a, b, c):
+        np.maximum.at(extents, labels, np.linalg.norm(corner - centres[labels], axis=1))
+    return centres, np.sqrt(projected / np.pi), extents, np.full(len(total), luminance)
 
 
-def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, np.ndarray]:
-    """Directions and tangents of the angular radii of the bright spots of a map `[H, W, 3]`."""
+def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, ...]:
+    """Directions, tangents of the angular radii and extents, and luminance of the bright spots of a map `[H, W, 3]`."""
     height, width = radiance.shape[:2]
     theta = np.pi * (np.arange(height) + 0.5) / height
     solid_angle = np.sin(theta)[:, None] * np.full(width, 2.0 * np.pi**2 / (height * width))
@@ -130,5 +145,11 @@ def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, np.ndarra
     ))
     centres = np.stack([ndimage.sum(d * solid_angle, labels, which) for d in directions], axis=1)
     angles = ndimage.sum(solid_angle, labels, which)
-    length = np.linalg.norm(centres, axis=1, keepdims=True)
-    return centres / length, np.sqrt(angles / np.pi)
+    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
+    bright = np.flatnonzero(labels)
+    number = np.searchsorted(which, labels.ravel()[bright])
+    cosine = (centres[number] * directions.reshape(3, -1).T[bright]).sum(1)
+    extents = np.zeros(len(which))
+    np.maximum.at(extents, number, np.arccos(np.clip(cosine, -1.0, 1.0)) + np.pi / height)
+    mean = ndimage.sum(luminance * solid_angle, labels, which) / angles
+    return centres, np.sqrt(angles / np.pi), np.tan(np.minimum(extents, 1.5)), mean
