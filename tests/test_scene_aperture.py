@@ -1,5 +1,6 @@
 """`[camera.aperture]` of a scene file: what it may say, what `info` tells of it, and kept renders."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from PIL import Image
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation.fingerprint import contents
 from bokehguide.scene import Aperture, Overrides, describe, load_scene
+from bokehguide.train import RenderSettings, describe_render
 
 GOOD = """
 [camera]
@@ -108,6 +110,13 @@ def test_a_shape_needs_a_size(tmp_path):
 def test_info_tells_the_shape(tmp_path, shape, said):
     Image.new("L", (4, 3), 255).save(tmp_path / "mask.png")
     assert said in describe(scene(tmp_path, shape))
+
+
+def test_a_file_s_header_names_the_shape(tmp_path):
+    Image.new("L", (4, 3), 255).save(tmp_path / "mask.png")
+    facts = describe_render(scene(tmp_path, 'image = "mask.png"\ncat_eye = 0.5'), RenderSettings(), 1)
+    told = json.loads(facts["settings"])["camera"]["aperture"]
+    assert told["image"] == "4 × 3 texels" and told["cat_eye"] == 0.5
 
 
 def test_a_field_that_is_round_leaves_kept_renders_valid(tmp_path):

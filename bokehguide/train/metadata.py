@@ -24,5 +24,5 @@ def describe_render(scene: Scene, settings: RenderSettings, spp: int) -> dict[st
         "size": f"{scene.film.width}x{scene.film.height}",
         # OpenEXR drops a text under the name `version`, which it keeps for the format's own.
         "software": f"bokehguide {__version__}",
-        "settings": json.dumps(whole),
+        "settings": json.dumps(whole, default=lambda mask: f"{mask.shape[1]} × {mask.shape[0]} texels"),
     }
