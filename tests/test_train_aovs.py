@@ -10,7 +10,7 @@ from scipy import stats
 from bokehguide.image import read_exr, write_exr
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectangle
 from bokehguide.scene.types import Environment, Film, Material, Scene
-from bokehguide.train import MODES, RenderLoop, RenderSettings
+from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
 from tests.statistical import SIGNIFICANCE, block_means, z_test
 
 BLOCK, RENDERS, SPP = 8, 12, 24
@@ -101,14 +101,14 @@ def sky(radiance: float, visible: bool) -> Environment:
     return Environment(np.full((1, 1, 3), radiance, np.float32), visible=visible)
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", LENS_MODES)
 def test_alpha_is_exactly_one_before_an_environment_in_view(mode):
     loop = rendered(cut_out(sky(0.1, True)), mode, 1, 12)
     np.testing.assert_array_equal(loop.film.layers()["alpha"], 1.0)
     assert loop.guide is None or len(loop.guide.field) > 0
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", LENS_MODES)
 def test_alpha_is_exact_wherever_the_lens_sees_one_thing_only(mode):
     """A wall over half of the picture; beyond its blurred edge an environment that lights unseen."""
     wall = replace(transformed(unit_rectangle(), transform((-5.0, 0.0, -2.0), scale=5.0)), material=1)

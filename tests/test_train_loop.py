@@ -12,7 +12,7 @@ import torch
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.types import Scene
-from bokehguide.train import MODES, RenderLoop, RenderSettings
+from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
 from bokehguide.train.guide import FITS
 
 STEPS = 11
@@ -39,7 +39,7 @@ def assert_same_bits(one: RenderLoop, other: RenderLoop) -> None:
             assert torch.equal(value, state[name]), name
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", LENS_MODES)
 def test_any_number_of_threads_gives_the_same_bits(mode, monkeypatch):
     """Of a frame cut into several batches."""
     monkeypatch.setattr("bokehguide.train.loop.SMALL_BATCH", 100)
@@ -54,7 +54,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others():
     assert not torch.equal(one.film.radiance(), other.film.radiance())
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", LENS_MODES)
 def test_the_first_step_is_uniform(mode):
     loop = RenderLoop(scene(), RenderSettings(mode, threads=1))
     uniform = RenderLoop(scene(), RenderSettings("uniform", threads=1))

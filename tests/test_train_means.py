@@ -5,12 +5,12 @@ import pytest
 from render_checks import furnace, frozen, learning, means_check, one_everywhere, uniform_reference
 from statistical import SIGNIFICANCE
 
-from bokehguide.train import MODES
+from bokehguide.train import LENS_MODES
 
-GUIDED = MODES[1:]
+GUIDED = LENS_MODES[1:]
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", LENS_MODES)
 def test_furnace_comes_out_one(mode):
     """In every pixel within its noise, and the frame within half a percent."""
     found = furnace(mode)

@@ -46,7 +46,10 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     render = commands.add_parser("render", help="render a scene to an EXR and a PNG")
     add = render.add_argument
     add("scene", metavar="SCENE", help=SCENE_HELP)
-    add("--mode", default="lis-o", metavar="uniform|lis|lis-b|lis-o", help="how the lens is sampled (default: lis-o)")
+    names = "uniform|lis|lis-b|lis-o|area-restir|area-restir+lis"
+    add("--mode", default="lis-o", metavar=names, help="how the lens is sampled (default: lis-o)")
+    radius = "in which area-restir reuses samples, in pixels (default: 50, for pictures 1920 wide)"
+    add("--reuse-radius", type=float, default=50.0, metavar="PX", help=radius)
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
     add("--seed", type=natural, default=0, metavar="N", help="of the random numbers (default: 0)")

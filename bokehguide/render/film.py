@@ -33,6 +33,7 @@ class FilmSamples:
     weight: W/q = 1/(A q) of Eq. 11, 0 for a draw outside the aperture, `[N]`.
     radiance: `[3, N]`. What the first surface is, 0 where there is none: alpha `[N]`,
     normal, albedo, emission `[3, N]`. depth: along the axis, NO_DEPTH without a surface, `[N]`.
+    radiance_weight: `[N]`, where the radiance has a weight of its own.
     """
 
     weight: Tensor
@@ -42,6 +43,7 @@ class FilmSamples:
     normal: Tensor
     albedo: Tensor
     emission: Tensor
+    radiance_weight: Tensor | None = None
 
 
 class Film:
@@ -83,17 +85,17 @@ class Film:
     def add(self, first: int, samples: FilmSamples, step: int) -> Tensor:
         """Add one sample to each of the pixels from `first` on; returns the finite ones, bool `[N]`."""
         pixels = slice(first, first + samples.weight.shape[0])
-        weight, radiance, emission = samples.weight, samples.radiance, samples.emission
+        weight, emission = samples.weight, samples.emission
+        value = samples.radiance * (weight if samples.radiance_weight is None else samples.radiance_weight)
         features = torch.cat((samples.alpha[None], samples.normal, samples.albedo))
-        good = (radiance * weight).sum(0).isfinite()
+        good = value.sum(0).isfinite()
         if not bool(good.all()):
             self._report_bad((~good).nonzero()[:, 0] + first, step)
-            every = (weight, radiance, emission, features)
-            weight, radiance, emission, features = (x.nan_to_num(0.0, 0.0, 0.0) for x in every)
+            every = (weight, value, emission, features)
+            weight, value, emission, features = (x.nan_to_num(0.0, 0.0, 0.0) for x in every)
         kept = good.to(torch.float32)
         self._add_features(pixels, weight, features, kept)
-        weight = weight * kept
-        value = radiance * weight
+        weight, value = weight * kept, value * kept
         self._radiance[:, pixels] += value
         self._emission[:, pixels] += emission * weight
         self._square[pixels] += luminance(value.double()).square()

@@ -34,11 +34,12 @@ FIRST_CROSSING = 1 << 20
 
 @dataclass
 class PathSamples:
-    """What N camera rays brought back, all `[.., N]` float32.
+    """What N camera rays brought back, all `[.., N]` and, but for the triangle, float32.
 
     radiance, and of the first surface normal, albedo and emission: `[3, N]`; distance to it,
     MISS_DISTANCE where there is none; alpha: 1 where the camera sees a surface or what lies
-    at infinity, else 0; rays: number of rays traced.
+    at infinity, else 0; triangle: that of the first surface, int32, -1 where there is none;
+    rays: number of rays traced.
     """
 
     radiance: Tensor
@@ -47,6 +48,7 @@ class PathSamples:
     albedo: Tensor
     emission: Tensor
     alpha: Tensor
+    triangle: Tensor
     rays: int = 0
 
     @classmethod
@@ -54,12 +56,13 @@ class PathSamples:
         """Rays that met nothing."""
         vectors = torch.zeros(4, 3, count, device=device)
         distance = torch.full((count,), MISS_DISTANCE, device=device)
-        return cls(vectors[0], distance, *vectors[1:], torch.zeros(count, device=device))
+        triangle = torch.full((count,), -1, dtype=torch.int32, device=device)
+        return cls(vectors[0], distance, *vectors[1:], torch.zeros(count, device=device), triangle)
 
     def spread(self, index: Tensor, count: int) -> PathSamples:
         """`count` samples, of which these are the ones at `index` and the others met nothing."""
         spread = PathSamples.empty(count, self.radiance.device)
-        for name in ("radiance", "distance", "normal", "albedo", "emission", "alpha"):
+        for name in ("radiance", "distance", "normal", "albedo", "emission", "alpha", "triangle"):
             getattr(spread, name)[..., index] = getattr(self, name)
         spread.rays = self.rays
         return spread
@@ -131,6 +134,7 @@ class PathTracer:
         surface = self.geometry.surface(paths.origin, paths.direction, hit)
         if depth == 1:
             result.distance[paths.index] = hit.distance
+            result.triangle[paths.index] = hit.triangle
             result.normal[:, paths.index] = surface.normal
             result.albedo[:, paths.index] = surface.base_color
             result.alpha[paths.index] = 1.0

@@ -3,6 +3,6 @@
 from bokehguide.train.logger import RenderLogger
 from bokehguide.train.loop import RenderLoop, StepStats
 from bokehguide.train.metadata import describe_render
-from bokehguide.train.settings import MODES, RenderSettings
+from bokehguide.train.settings import LENS_MODES, MODES, RenderSettings
 
-__all__ = ["MODES", "RenderLogger", "RenderLoop", "RenderSettings", "StepStats", "describe_render"]
+__all__ = ["LENS_MODES", "MODES", "RenderLogger", "RenderLoop", "RenderSettings", "StepStats", "describe_render"]

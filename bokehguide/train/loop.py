@@ -6,20 +6,22 @@ import math
 import os
 import time
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from bokehguide.models.lens_distribution import LensDensity
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.film import NO_DEPTH, Film, FilmSamples
+from bokehguide.render.film import Film, FilmSamples
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
+from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensGuide
 from bokehguide.train.settings import RenderSettings
@@ -74,7 +76,9 @@ class RenderLoop:
         self.tracer = PathTracer(scene, device)
         self.film = Film(width, height, settings.seed, device, self.camera.lens.vignettes)
         pinhole = scene.camera.aperture_radius == 0.0
-        self.guide = None if settings.mode == "uniform" or pinhole else LensGuide(self.camera, settings)
+        guided = settings.lens_mode != "uniform" and not pinhole
+        self.guide = LensGuide(self.camera, replace(settings, mode=settings.lens_mode)) if guided else None
+        self.reuse = SpatialReuse(self.camera, self.tracer, settings.reuse_radius, settings.seed) if settings.reuses else None
         self.step_number = 0
         self._threads = settings.threads or _available_cores()
         # Threads work on batches. Those that torch would start inside operations only fight them.
@@ -92,21 +96,23 @@ class RenderLoop:
         """Render one more sample per pixel, and learn from it."""
         start = time.perf_counter()
         self.step_number += 1
-        results = self._render_batches()
+        results = self._in_batches(self._render_batch)
+        reused = self._in_batches(self._reuse_batch) if self.reuse is not None else []
         timer = PhaseTimer()
         if self.guide is not None:
             with timer.measure("learning"):
                 self._learn(results)
         self._phases += timer.seconds
-        return self._stats(results, time.perf_counter() - start)
+        return self._stats(results + reused, time.perf_counter() - start)
 
-    def _render_batches(self) -> list[_BatchResult]:
+    def _in_batches(self, work: Callable[[int, int], _BatchResult]) -> list[_BatchResult]:
+        """What `work` returns for the pixels from … to … of each batch."""
         start = time.perf_counter()
         pixels = self.camera.width * self.camera.height
         count = max(math.ceil(pixels / BATCH), min(FEW_BATCHES, pixels // SMALL_BATCH), 1)
         size = math.ceil(pixels / count)
         spans = [(first, min(first + size, pixels)) for first in range(0, pixels, size)]
-        results = list(self._pool.map(lambda span: self._render_batch(*span), spans))
+        results = list(self._pool.map(lambda span: work(*span), spans))
         worked = sum((result.timer.seconds for result in results), Counter())
         scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
         self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
@@ -128,7 +134,10 @@ class RenderLoop:
             samples, directions = self._trace(focus, points, weight, random, timer)
         with timer.measure("output"):
             film_samples = self._film_samples(samples, directions, weight)
-            good = self.film.add(first, film_samples, self.step_number)
+            if self.reuse is None:
+                good = self.film.add(first, film_samples, self.step_number)
+            else:
+                good = self.reuse.keep(first, raster - corner, points, samples, film_samples)
         if self.guide is None:
             return _BatchResult(samples.rays, 0, 0, 0.0, None, None, timer)
         with timer.measure("learning"):
@@ -138,6 +147,15 @@ class RenderLoop:
             records = self._records(points, directions, samples.distance, weight, light)
         guided, outside, beta = _count(batch, weight)
         return _BatchResult(samples.rays, guided, outside, beta, lesson, records, timer)
+
+    @torch.no_grad()
+    def _reuse_batch(self, first: int, end: int) -> _BatchResult:
+        """The second pass of a step: some pixels choose among their samples and their neighbours'."""
+        timer = PhaseTimer()
+        film_samples, rays = self.reuse.resample(first, end, self.step_number, timer)
+        with timer.measure("output"):
+            self.film.add(first, film_samples, self.step_number)
+        return _BatchResult(rays, 0, 0, 0.0, None, None, timer)
 
     def _lens_points(
         self, first: int, raster: Tensor, focus: Tensor, random: PixelRandom
@@ -170,9 +188,7 @@ class RenderLoop:
         return traced.spread(inside, len(weight)), directions
 
     def _film_samples(self, samples: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
-        hit = samples.distance < MISS_DISTANCE
-        axis = self.camera.axes[:, 2]
-        depth = torch.where(hit, samples.distance * (axis @ directions), NO_DEPTH)
+        depth = self.camera.depth(samples.distance, directions)
         return FilmSamples(
             weight, samples.radiance, samples.alpha, depth, samples.normal, samples.albedo, samples.emission
         )
