@@ -58,6 +58,11 @@ def crops(image: torch.Tensor) -> list[torch.Tensor]:
     return [image[inset.pixels(*SIZE)] for inset in insets()]
 
 
+def colors(image: torch.Tensor) -> set[tuple]:
+    """As the screen shows them."""
+    return {tuple(color) for color in to_8_bit(tone_map(image)).reshape(-1, 3)}
+
+
 def test_everything_is_written(folder, metrics):
     pictures = {f"{mode}.{kind}" for mode in MODES for kind in ("exr", "png")}
     assert {path.name for path in (folder / "out").iterdir()} == FILES | pictures
@@ -148,10 +153,14 @@ def test_the_figures(folder):
     with Image.open(folder / "out/insets.png") as picture:
         assert picture.width == 2160
         shown = {tuple(color) for color in np.asarray(picture.convert("RGB")).reshape(-1, 3)}
+    pictures = {}
     for name in (*MODES, "reference"):
-        for crop in crops(radiance(folder / f"out/{name}.exr")):
-            colors = {tuple(color) for color in to_8_bit(tone_map(crop)).reshape(-1, 3)}
-            assert len(colors & shown) > 0.98 * len(colors), name
+        pictures[name] = radiance(folder / f"out/{name}.exr")
+        for crop in crops(pictures[name]):
+            assert len(colors(crop) & shown) > 0.98 * len(colors(crop)), name
+    for mode in MODES:
+        outside = colors(pictures[mode]) - colors(pictures["reference"]) - set().union(*map(colors, crops(pictures[mode])))
+        assert len(outside) > 50 and len(outside & shown) < 0.1 * len(outside), "of a mode only the crops are shown"
 
 
 def test_the_logs(folder, metrics):
@@ -243,6 +252,7 @@ MISTAKES = {
     "--modes lis,lis": ["--modes", "twice"],
     "--modes lis,": ["mode: ''", "choose one of"],
     "--spp 0": ["--spp", "'0'"],
+    "--reuse-radius 0": ["reuse_radius", "0"],
     "--inset 0.8,0,0.5,0.5": ["--inset", "leaves the frame"],
     "--reference none.exr": ["none.exr", "cannot be read"],
     "--reference small.exr": ["small.exr: ", "32x20", "16x10"],

@@ -58,6 +58,12 @@ def test_what_a_run_depends_on_decides_whether_it_is_kept(lamps):
         assert said.startswith("uniform: rendered again, as the scene, the reference, the insets or the settings"), what
 
 
+def test_only_what_reuses_samples_depends_on_the_radius(lamps):
+    lamps("uniform", "area-restir")
+    _, said = lamps("uniform", "area-restir", settings=replace(SETTINGS, reuse_radius=4.0))
+    assert said.splitlines()[0] == "uniform: kept, 2 SPP" and "area-restir: rendered again" in said
+
+
 @pytest.mark.parametrize("spp", [1, 3])
 def test_another_number_of_samples_is_rendered_from_the_start(spp, lamps):
     lamps("uniform")

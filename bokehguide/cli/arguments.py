@@ -13,6 +13,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS
 
 SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml scene file, or a .glb .gltf .obj .ply .stl model"
+REUSE_HELP = "in which area-restir reuses samples, in pixels (default: 50, for pictures 1920 wide)"
 
 
 class Parser(argparse.ArgumentParser):
@@ -48,8 +49,7 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("scene", metavar="SCENE", help=SCENE_HELP)
     names = "uniform|lis|lis-b|lis-o|area-restir|area-restir+lis"
     add("--mode", default="lis-o", metavar=names, help="how the lens is sampled (default: lis-o)")
-    radius = "in which area-restir reuses samples, in pixels (default: 50, for pictures 1920 wide)"
-    add("--reuse-radius", type=float, default=50.0, metavar="PX", help=radius)
+    add("--reuse-radius", type=float, default=50.0, metavar="PX", help=REUSE_HELP)
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
     add("--seed", type=natural, default=0, metavar="N", help="of the random numbers (default: 0)")
@@ -69,6 +69,7 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
     add("scene", metavar="SCENE", help=SCENE_HELP)
     add("--modes", type=modes, default="uniform,lis,lis-b,lis-o", metavar="A,B,...", help="default: uniform,lis,lis-b,lis-o")
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel of each mode (default: 256)")
+    add("--reuse-radius", type=float, default=50.0, metavar="PX", help=REUSE_HELP)
     add("--out", type=Path, required=True, metavar="DIR", help="where all goes; what is there already is not rendered again")
     reference = compare.add_mutually_exclusive_group()
     reference.add_argument("--reference", type=Path, metavar="REF.exr", help="compare with this image (default: one is made)")

@@ -30,7 +30,8 @@ def run(options: argparse.Namespace) -> int:
     scene = load_scene(options.scene, overrides_from(options))
     if options.inset:
         scene = replace(scene, insets=tuple(Inset(*box) for box in options.inset))
-    every = [RenderSettings(mode, options.spp, SEED, options.device, options.threads) for mode in options.modes]
+    common = {"spp": options.spp, "seed": SEED, "device": options.device, "threads": options.threads}
+    every = [RenderSettings(mode, **common, reuse_radius=options.reuse_radius) for mode in options.modes]
     check_device(options.device)
     reference = given_reference(options.reference, scene) if options.reference else None
     read_runs(options.out / METRICS)

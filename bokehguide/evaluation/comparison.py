@@ -112,6 +112,7 @@ def write_metrics(folder: Path, comparison: Comparison, runs: Mapping[str, Run])
         "seed": settings.seed,
         "device": settings.device,
         "threads": settings.threads,
+        "reuse_radius": settings.reuse_radius,
         "software": f"bokehguide {__version__}",
         "insets": [asdict(inset) for inset in scene.insets],
         "reference": comparison.reference.facts(),

@@ -42,7 +42,8 @@ class Run:
 
 def origin(scene: Scene, settings: RenderSettings, reference: Reference) -> str:
     """A digest of all that a run depends on but its SPP: two runs with the same one may be compared."""
-    rest = (replace(settings, spp=1), __version__, scene.insets, reference.radiance.numpy())
+    radius = settings.reuse_radius if settings.reuses else RenderSettings.reuse_radius
+    rest = (replace(settings, spp=1, reuse_radius=radius), __version__, scene.insets, reference.radiance.numpy())
     return digest((fingerprint(scene, settings), *rest))
 
 

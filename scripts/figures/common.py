@@ -22,6 +22,8 @@ from bokehguide.train import RenderSettings
 
 REFERENCE_SHARE = 32
 """SPP of a reference for one of a mode's."""
+PAPER_WIDTH, PAPER_RADIUS = 1920, 50
+"""The paper's pictures, and how far Area ReSTIR looks for neighbours in them; in smaller ones, over the same part."""
 
 
 def figure_options(doc: str, scenes: Sequence[str]) -> argparse.Namespace:
@@ -47,7 +49,9 @@ def compared(modes: Sequence[str], options: argparse.Namespace) -> list[Comparis
 def _compared(name: str, modes: Sequence[str], options: argparse.Namespace) -> Comparison:
     width, height = options.size
     scene = load_scene(name, Overrides(width=width, height=height))
-    every = [RenderSettings(mode, options.spp, SEED, threads=options.threads) for mode in modes]
+    radius = max(1.0, PAPER_RADIUS * width / PAPER_WIDTH)
+    common = {"spp": options.spp, "seed": SEED, "threads": options.threads, "reuse_radius": radius}
+    every = [RenderSettings(mode, **common) for mode in modes]
     folder = options.out / scene.name
     whole = RenderSettings(spp=REFERENCE_SHARE * options.spp, threads=options.threads)
     reference = made_reference(scene, whole, folder / "reference.exr", options.cache)
