@@ -139,7 +139,8 @@ def test_the_paper_radius_is_the_default():
 
 
 def test_the_command_line_from_end_to_end(bokehguide, lamps_file, tmp_path, monkeypatch, capsys):
-    options = ("render", str(lamps_file), "--mode", "area-restir+lis", "--reuse-radius", "4", "--spp", "4", "--size", "24x16")
+    options = ("render", str(lamps_file), "--mode", "area-restir+lis", "--reuse-radius", "4")
+    options += ("--spp", "4", "--size", "24x16")
     finished = bokehguide(*options, "--logdir", "logs", "--json", "a.json", "--out", "a.exr")
     assert finished.returncode == 0, finished.stderr
     facts = read_metadata(tmp_path / "a.exr")

@@ -8,14 +8,14 @@ from bokehguide.restir.pairwise_mis import centre_share, neighbour_weight
 NEIGHBOURS, POINTS = 7, 1000
 
 
-def sum_of_weights(jacobian_back=lambda jacobian: 1.0 / jacobian, weight=neighbour_weight, share=centre_share) -> torch.Tensor:
+def sum_of_weights(jacobian_back=torch.reciprocal, weight=neighbour_weight, share=centre_share) -> torch.Tensor:
     """Σ m at random points of the centre, each with its p̂ in every neighbour and the Jacobians of the ways there.
 
     In a third of the neighbours the point cannot be.
     """
     random = np.random.default_rng(1)
-    draw = lambda *shape: torch.from_numpy(random.lognormal(0.0, 2.0, shape))  # noqa: E731
-    centre, theirs, jacobian = draw(POINTS), draw(NEIGHBOURS, POINTS), draw(NEIGHBOURS, POINTS)
+    shapes = (POINTS, (NEIGHBOURS, POINTS), (NEIGHBOURS, POINTS))
+    centre, theirs, jacobian = (torch.from_numpy(random.lognormal(0.0, 2.0, shape)) for shape in shapes)
     theirs = theirs * torch.from_numpy(random.random((NEIGHBOURS, POINTS)) > 1 / 3)
     count = torch.full((POINTS,), float(NEIGHBOURS), dtype=torch.float64)
     total = 1.0 / (count + 1.0)

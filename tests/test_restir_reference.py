@@ -146,8 +146,8 @@ def test_the_batched_pass_agrees(mode, monkeypatch):
 
     slow = SlowReuse(loop)
     # In the lamp's disc, on the card and the ball, in the sky, and all along the frame's edge and corner.
-    centres = [0, WIDTH - 1, 5 * WIDTH + 12, 8 * WIDTH + 16, 9 * WIDTH + 13, 14 * WIDTH + 18, 15 * WIDTH + 34, 17 * WIDTH + 30]
-    centres += [22 * WIDTH + 20, 25 * WIDTH + 40, 30 * WIDTH + 10, 31 * WIDTH + 47]
+    places = [(0, 0), (47, 0), (12, 5), (16, 8), (13, 9), (18, 14), (34, 15), (30, 17), (20, 22), (40, 25), (10, 30), (47, 31)]
+    centres = [y * WIDTH + x for x, y in places]
     initial: dict[int, Sample] = {}
     for centre in centres:
         start = slow.random(centre).uniform(START_DIMENSION, 1)[0]

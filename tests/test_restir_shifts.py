@@ -29,7 +29,8 @@ def random_planes(count: int, seed: int = 0) -> dict[str, Tensor]:
     shifted = focus + np.append(0.2 * random.standard_normal((2, count)), np.zeros((1, count)), axis=0)
     normal = random.standard_normal((3, count))
     normal /= np.linalg.norm(normal, axis=0)
-    depth = FOCUS_DISTANCE * np.where(random.random(count) < 0.5, 0.3 + 0.4 * random.random(count), 1.5 + 5.0 * random.random(count))
+    before, behind = 0.3 + 0.4 * random.random(count), 1.5 + 5.0 * random.random(count)
+    depth = FOCUS_DISTANCE * np.where(random.random(count) < 0.5, before, behind)
     values = {"lens": lens, "focus": focus, "shifted": shifted, "normal": normal, "depth": depth}
     return {name: torch.from_numpy(value) for name, value in values.items()}
 

@@ -32,8 +32,9 @@ class Neighbourhood:
         self._places = torch.arange(count, device=device)[:, None]
 
     def of(self, pixels: Tensor, start: Tensor) -> Tensor:
-        """Flat indices int64 `[count, N]` of the neighbours of `pixels` int64 `[N]`; -1 off the frame and at the pixel itself.
+        """Flat indices int64 `[count, N]` of the neighbours of `pixels` int64 `[N]`.
 
+        -1 stands for what would lie off the frame, or be the pixel itself.
         start: uniform numbers `[N]` that choose where in the sequence each pixel begins.
         """
         dx, dy = self._offsets[:, ((start * TABLE).long() + self._places) % TABLE].unbind(0)

@@ -77,9 +77,9 @@ def copied_share(coc: Tensor, radius: float) -> Tensor:
 
 @dataclass
 class Shifted:
-    """Samples in their new pixels: W times radiance `[3, N]`, p̂ `[N]` and the Jacobian `[N]`; black where the shift failed.
+    """Samples in their new pixels, black where the shift failed.
 
-    rays: number of rays traced.
+    radiance: times the aperture's W `[3, N]`; target: p̂ `[N]`; jacobian: of the shift `[N]`; rays: traced.
     """
 
     radiance: Tensor

@@ -20,10 +20,10 @@ from bokehguide.restir.shifts import Shift, Shifted, copied_share
 
 NEIGHBOURS = 32
 """Of each pixel (section 6.2)."""
-START_DIMENSION = 7
-"""Random dimension that chooses a pixel's neighbours; the film and the lens have those before it."""
-CHOICE_DIMENSION = 1 << 30
-"""Random dimensions from here on, beyond those of paths, choose among the samples."""
+START_DIMENSION = 1 << 30
+"""Random dimension that chooses a pixel's neighbours, beyond those of paths."""
+CHOICE_DIMENSION = START_DIMENSION + 1
+"""Random dimensions from here on choose among the samples."""
 
 
 class SpatialReuse:
