@@ -6,7 +6,16 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
+import torch
 from PIL import Image
+
+from bokehguide.evaluation import Comparison, Reference, regions
+from bokehguide.evaluation.crops_figure import write_crops
+from bokehguide.evaluation.curves_figure import write_convergence
+from bokehguide.evaluation.runs import Run
+from bokehguide.scene import Camera, Film, Inset, Scene
+from bokehguide.train import MODES, RenderSettings
 
 FIGURES = Path(__file__).parent.parent / "scripts/figures"
 DRAWN = {
@@ -42,3 +51,32 @@ def test_a_mistake_is_one_line(tmp_path):
     finished = draw(tmp_path, "fig6", "ocluded")
     assert (finished.returncode, finished.stdout) == (2, "")
     assert finished.stderr.startswith("fig6: error: ocluded: no such scene; did you mean 'occluded'?")
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "insets"),
+    [
+        (2000, 2, [Inset(0.0, 0.0, 0.5, 0.5)]),
+        (2, 2000, [Inset(0.0, 0.0, 0.5, 0.5)]),
+        (300, 2000, [Inset(0.0, 0.0, 0.001, 1.0)]),
+        (60, 40, [Inset(0.01 * number, 0.0, 0.3, 0.3) for number in range(12)]),
+        (1, 1, []),
+    ],
+)
+def test_every_film_fits_on_a_page(width, height, insets, tmp_path):
+    camera = Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
+    scene = Scene("bare", camera, (), (), Film(width, height), insets=tuple(insets))
+    image = torch.full((height, width, 3), 0.5)
+    errors = {region: {"mape": [0.2, 0.0], "relmse": [0.1, 0.0]} for region in regions(scene)}
+    comparison = Comparison(
+        scene,
+        RenderSettings(spp=2),
+        Reference(image, Path("bare.exr"), None, None, {"frame": {"mape": 0.1, "relmse": 0.1}}),
+        {mode: Run("a", [0.1, 0.2], [3, 4], errors) for mode in MODES},
+        {mode: image for mode in MODES},
+    )
+    write_crops(tmp_path / "crops.png", [comparison])
+    write_convergence(tmp_path / "curves.png", comparison)
+    with Image.open(tmp_path / "crops.png") as picture:
+        assert picture.width == 2160 and picture.height < 8000
+        assert np.asarray(picture.convert("L")).std() > 10

@@ -14,7 +14,7 @@ from bokehguide.evaluation.comparison import METRICS, SEED
 from bokehguide.evaluation.crops_figure import write_crops
 from bokehguide.evaluation.curves_figure import write_convergence
 from bokehguide.evaluation.runs import read_runs
-from bokehguide.evaluation.tables import told
+from bokehguide.evaluation.tables import describe_reference
 from bokehguide.image import check_writable, replacing
 from bokehguide.scene import Inset, Scene, load_scene
 from bokehguide.train import RenderSettings
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
         if reference is None:
             spp = options.reference_spp or REFERENCE_SHARE * options.spp
             reference = made_reference(scene, replace(every[0], spp=spp), options.out / REFERENCE, options.cache)
-        print(told(reference), flush=True)
+        print(describe_reference(reference), flush=True)
         comparison = compare(scene, every, reference, options.out, options.exposure)
     except KeyboardInterrupt:
         print("bokehguide: what is finished is kept; the same command goes on", file=sys.stderr)

@@ -1,4 +1,7 @@
-"""Modes measured against references: long renders, curves, tables. Pictures are in `drawing`, which needs matplotlib."""
+"""Modes measured against references: long renders, runs, comparisons, tables.
+
+Figures are in `curves_figure` and `crops_figure`, which take a second to import.
+"""
 
 from bokehguide.evaluation.comparison import Comparison, compare, summary
 from bokehguide.evaluation.fingerprint import fingerprint

@@ -86,7 +86,9 @@ def is_current(mode: str, run: Run, scene: Scene, settings: RenderSettings, refe
 def why_again(run: Run, current: bool, spp: int) -> str:
     if run.spp != spp:
         return f"as it has {run.spp} SPP and cannot be continued exactly"
-    return "as its picture is gone or damaged" if current else "as the scene, the reference, the insets or the settings have changed"
+    if current:
+        return "as its picture is gone or damaged"
+    return "as the scene, the reference, the insets or the settings have changed"
 
 
 def shown(

@@ -15,25 +15,28 @@ from torch import Tensor
 from bokehguide.evaluation.comparison import Comparison
 from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
 from bokehguide.image import to_8_bit, tone_map
+from bokehguide.scene.types import Inset
 
 COLORS = ("#ff2d55", "#00a5ff", "#ffb000", "#3ddc84")
 """Of the insets."""
 MARGIN, GAP, FRAME_GAP, LABEL, HEAD = 0.02, 0.04, 0.1, 0.14, 0.06
 """At the sides, between crops, between the frame and the crops, of a line of text, and of what is free above the first."""
 
+LEAST_CROP, MOST_HEIGHT = 0.3, 20.0
+"""A frame that leaves crops less than this width is not shown, and no column of crops is higher than that."""
+
 Box = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """One scene's part of the page; the frame is as high as the column of crops beside it, or not there."""
+    """One scene's part of the page; the frame is as high as the column of crops beside it, or 0 × 0."""
 
     boxes: Sequence[Box]
     crop_width: float
     crop_heights: Sequence[float]
     frame_width: float
     frame_height: float
-
     names: Sequence[str]
 
     @property
@@ -68,18 +71,17 @@ def write_crops(path: Path, comparisons: Sequence[Comparison], exposure: float =
 
 def lay_out(comparison: Comparison) -> Layout:
     """Crops as wide as fit beside the frame."""
-    film, insets = comparison.scene.film, comparison.scene.insets
+    film = comparison.scene.film
+    insets = comparison.scene.insets or (Inset(0.0, 0.0, 1.0, 1.0),)
     boxes = [inset.pixels(film.width, film.height) for inset in insets]
-    shape = film.width / film.height
-    if not boxes:
-        boxes, shape = [(slice(0, film.height), slice(0, film.width))], 0.0
     heights = [(rows.stop - rows.start) / (columns.stop - columns.start) for rows, columns in boxes]
-    labels = (len(boxes) - 1) * LABEL
-    count = len(comparison.runs) + 1
-    free = WIDTH - 2 * MARGIN - (count - 1) * GAP - (FRAME_GAP + shape * labels if insets else 0.0)
-    width = free / (count + shape * sum(heights))
-    frame = width * sum(heights) + labels
     names = [mode.replace("+", "+\n") for mode in (*comparison.runs, "reference")]
+    free = WIDTH - 2 * MARGIN - (len(names) - 1) * GAP
+    shape, labels = film.width / film.height, (len(boxes) - 1) * LABEL
+    width = (free - FRAME_GAP - shape * labels) / (len(names) + shape * sum(heights))
+    framed = bool(comparison.scene.insets) and width > LEAST_CROP
+    width = min(width if framed else free / len(names), MOST_HEIGHT / sum(heights))
+    frame = width * sum(heights) + labels if framed else 0.0
     return Layout(boxes, width, [width * height for height in heights], shape * frame, frame, names)
 
 
@@ -87,7 +89,7 @@ def draw_scene(figure: Figure, comparison: Comparison, layout: Layout, top: floa
     """The reference, and a row of crops for each inset."""
     reference = comparison.reference.radiance
     left = MARGIN
-    if comparison.scene.insets:
+    if layout.frame_width:
         axes = draw_picture(figure, tone_map(reference, exposure), (left, top, layout.frame_width, layout.frame_height))
         axes.set_title(f"{comparison.scene.name} (reference)", fontsize=NORMAL, pad=3)
         axes.set_xlabel(f"crops at {comparison.settings.spp} SPP", fontsize=SMALL, labelpad=2)
@@ -96,8 +98,7 @@ def draw_scene(figure: Figure, comparison: Comparison, layout: Layout, top: floa
             corner = (columns.start - 0.5, rows.start - 0.5)
             axes.add_patch(Rectangle(corner, width, height, fill=False, edgecolor=color, linewidth=1.0))
         left += layout.frame_width + FRAME_GAP
-    for column, name in enumerate(layout.names):
-        mode = [*comparison.runs, None][column]
+    for name, mode in zip(layout.names, [*comparison.runs, None]):
         display = tone_map(comparison.images[mode] if mode else reference, exposure)
         first = draw_column(figure, comparison, layout, mode, display, (left, top))
         first.set_title(name, fontsize=layout.letters, pad=3)
@@ -107,7 +108,7 @@ def draw_scene(figure: Figure, comparison: Comparison, layout: Layout, top: floa
 def draw_column(
     figure: Figure, comparison: Comparison, layout: Layout, mode: str | None, display: Tensor, corner: tuple[float, float]
 ) -> Axes:
-    """The crops of one mode, or of the reference; the least error of a row is bold. Gives the axes of the first."""
+    """The crops of one mode, or, without one, of the reference; the least error of a row is bold. Gives the first's axes."""
     left, top = corner
     column = []
     for number, (color, box, height) in enumerate(zip(cycle(COLORS), layout.boxes, layout.crop_heights), start=1):

@@ -14,23 +14,22 @@ OWN_ERROR_SHARE = 1 / 3
 def report(comparison: Comparison) -> str:
     """The whole comparison: what the reference is worth, errors at the end, cost, and errors at equal cost."""
     film, facts = comparison.scene.film, summary(comparison)
-    rays, seconds = (
-        min(facts["modes"], key=lambda mode: facts["modes"][mode][cost]) for cost in ("rays", "seconds")
-    )
+    modes = facts["modes"]
+    rays, seconds = (min(modes, key=lambda mode: modes[mode][cost]) for cost in ("rays", "seconds"))
     parts = [
         f"# {comparison.scene.name}, {film.width}x{film.height}, {comparison.settings.spp} SPP",
-        " ".join((told(comparison.reference), *doubts(comparison))),
+        " ".join((describe_reference(comparison.reference), *complaints(comparison))),
         errors_table(comparison),
-        f"In brackets: the ratio to {next(iter(facts['modes']))}. Equal rays: the {facts['equal_rays'] / 1e6:.4g} million of "
-        f"{rays}'s whole render. Equal time: the {facts['equal_seconds']:.4g} s of {seconds}'s. A mode's error there is read "
-        "off its curve, straight in log-log between two steps; - where already its first step costs more. Seconds are "
-        "those of the steps alone, without building the scene, measuring and writing.",
+        f"In brackets: the ratio to {next(iter(modes))}. Equal rays: the {facts['equal_rays'] / 1e6:.4g} million of {rays}'s "
+        f"whole render. Equal time: the {facts['equal_seconds']:.4g} s of {seconds}'s. A mode's error there is read off its "
+        "curve, straight in log-log between two steps; - where already its first step costs more. Seconds are those of "
+        "the steps alone, without building the scene, measuring and writing.",
         cost_table(comparison),
     ]
     return "\n\n".join(parts)
 
 
-def told(reference: Reference) -> str:
+def describe_reference(reference: Reference) -> str:
     """What is known of a reference, in two sentences."""
     made = ", ".join(text for text in (reference.mode, reference.spp and f"{reference.spp} SPP") if text)
     start = f"Reference: {reference.path}" + (f" ({made})." if made else ".")
@@ -39,16 +38,16 @@ def told(reference: Reference) -> str:
         return f"{start} Its own error is not known."
     apart = " and ".join(f"{reference.halves[region]['mape']:.4f} over the {region}" for region in known)
     own = " and ".join(f"{reference.own_error(region):.4f}" for region in known)
-    return f"{start} MAPE between its two halves: {apart}; about half of that, {own}, is its own error, and part of all errors."
+    halves = f"MAPE between its two halves: {apart}; about half of that, {own}, is its own error"
+    return f"{start} {halves}, and part of all errors."
 
 
-def doubts(comparison: Comparison) -> list[str]:
+def complaints(comparison: Comparison) -> list[str]:
     """A sentence for each region over which the reference's own error is too large for what is measured against it."""
-    found = []
-    for region in ("frame", "insets"):
-        own = comparison.reference.own_error(region) or 0.0
-        runs = comparison.runs.items()
-        modes = [mode for mode, run in runs if own > OWN_ERROR_SHARE * run.errors[region]["mape"][-1]] if own else []
+    found, reference = [], comparison.reference
+    for region in (region for region in ("frame", "insets") if region in reference.halves):
+        least = reference.own_error(region) / OWN_ERROR_SHARE
+        modes = [mode for mode, run in comparison.runs.items() if run.errors[region]["mape"][-1] < least]
         if modes:
             found.append(f"Over the {region} that is more than a third of the error of {', '.join(modes)}: too much.")
     return found
