@@ -17,6 +17,7 @@ from bokehguide.render.film import Film
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
 from bokehguide.train import RenderLoop, RenderSettings, StepStats
+from bokehguide.train.guide import LensGuide
 
 FINE = (256, 144)
 """Rendered size. Its blocks of 8 × 8 pixels are the pixels that are compared: a sample per
@@ -63,7 +64,8 @@ def put_in(loop: RenderLoop, count: int, seed: int) -> None:
     sigma = loop.camera.lens.radius * (0.2 + 0.4 * torch.rand(count, generator=generator)) / k
     loop.guide.field.assign(mean, 2.0 * sigma, sigma, torch.exp(torch.randn(count, generator=generator)) * sigma * sigma)
     loop.guide.refit = lambda mean_luminance: loop.guide.set_candidates()
-    loop.guide.held.zero_()
+    if isinstance(loop.guide, LensGuide):
+        loop.guide.held.zero_()
     loop.guide.set_candidates()
 
 

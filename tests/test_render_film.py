@@ -132,9 +132,29 @@ def test_depth_is_the_mean_over_the_samples_that_met_a_surface():
     film = Film(3, 1)
     radiance = torch.zeros(3, 3)
     film.add(0, samples(radiance, torch.tensor([1.0, 1.0, 1.0]), 1.0, torch.tensor([2.0, 4.0, NO_DEPTH])), 1)
-    film.add(0, samples(radiance, torch.tensor([3.0, 0.0, 1.0]), 1.0, torch.tensor([6.0, 9.0, NO_DEPTH])), 2)
+    film.add(0, samples(radiance, torch.tensor([1.0, 0.0, 1.0]), 1.0, torch.tensor([6.0, 9.0, NO_DEPTH])), 2)
     film.add(0, samples(radiance, torch.tensor([1.0, 1.0, 1.0]), 0.0, NO_DEPTH), 3)
-    np.testing.assert_allclose(film.layers()["depth"], [[5.0, 4.0, NO_DEPTH]])
+    np.testing.assert_allclose(film.layers()["depth"], [[4.0, 4.0, NO_DEPTH]])
+
+
+def test_depth_stays_within_what_was_seen():
+    """However the weights fall: as they do here, a quotient of means alone would be 8."""
+    film = Film(1, 1)
+    for step, (weight, depth) in enumerate([(1.0, 2.0), (3.0, 6.0)], start=1):
+        film.add(0, samples(torch.zeros(3, 1), torch.tensor([weight]), 1.0, torch.tensor([depth])), step)
+    np.testing.assert_allclose(film.layers()["depth"], [[6.0]])
+
+
+def test_a_primed_film_is_exact_from_the_first_sample_on():
+    """Whatever that sample's weight, and without a sample more."""
+    film = Film(2, 1)
+    film.prime(0, samples(torch.zeros(3, 2), torch.ones(2), 1.0, torch.tensor([5.0, 5.0])))
+    assert not film.layers()["sample_count"].any()
+    film.add(0, samples(torch.zeros(3, 2), torch.tensor([0.0, 7.0]), 1.0, torch.tensor([5.0, 5.0])), 1)
+    layers = film.layers()
+    np.testing.assert_array_equal(layers["alpha"], 1.0)
+    np.testing.assert_array_equal(layers["depth"], 5.0)
+    np.testing.assert_array_equal(layers["sample_count"], 1.0)
 
 
 def test_what_is_the_same_in_every_sample_comes_out_so_whatever_the_weights():

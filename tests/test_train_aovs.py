@@ -80,13 +80,12 @@ def test_guided_aovs_are_those_of_the_uniform_lens(files, name):
 
 
 def test_guided_depth_is_that_of_the_uniform_lens(files):
-    """Within two percent of what it is: a quotient of means is biased at low SPP where a pixel sees several depths."""
-    renders = [render for some in files.values() for render in some]
-    seen = np.all([render["depth.Z"] < 1e9 for render in renders], axis=0)
-    for render in renders:
-        render["depth"] = np.where(seen, render["depth.Z"], 0.0)
+    """Within two percent where half of the lens meets surfaces: a quotient of means is biased where few samples do."""
+    covered = np.mean([render["A"] for render in files["uniform"]], axis=0) > 0.5
+    for render in (render for some in files.values() for render in some):
+        render["depth"] = np.where(covered, render["depth.Z"], 0.0)
     (plain, plain_variance), (guided, variance) = (statistics(files[mode], "depth") for mode in ("uniform", "lis-o"))
-    assert seen.mean() > 0.5
+    assert covered.mean() > 0.1 and np.ptp(plain[plain > 0.0]) > 1.0
     assert t_test(plain - guided, np.sqrt(plain_variance + variance) + 0.02 * plain) > SIGNIFICANCE
 
 

@@ -47,7 +47,7 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     render = commands.add_parser("render", help="render a scene to an EXR and a PNG")
     add = render.add_argument
     add("scene", metavar="SCENE", help=SCENE_HELP)
-    names = "uniform|lis|lis-b|lis-o|area-restir|area-restir+lis"
+    names = "uniform|lis|lis-b|lis-o|guided|area-restir|area-restir+lis"
     add("--mode", default="lis-o", metavar=names, help="how the lens is sampled (default: lis-o)")
     add("--reuse-radius", type=float, default=50.0, metavar="PX", help=REUSE_HELP)
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")

@@ -45,19 +45,25 @@ class FilmSamples:
     emission: Tensor
     radiance_weight: Tensor | None = None
 
+    def features(self) -> Tensor:
+        """Alpha, whether a surface was met, depth where one was, normal and albedo, `[9, N]`."""
+        hit = (self.depth < NO_DEPTH).to(torch.float32)
+        return torch.cat((self.alpha[None], hit[None], (self.depth * hit)[None], self.normal, self.albedo))
+
 
 class Film:
     """Running sums of a frame; batches of different pixels may be added side by side.
 
-    Radiance and emission are means of w x, in double precision. Alpha, normal and albedo
+    Radiance and emission are means of w x, in double precision. Alpha, normal, albedo and depth
     are smooth where the weights w are not: their estimate is the mean of w (x - c) + c,
     unbiased because the weights' mean is 1 and c comes from the pixel's earlier samples. Where
     x is the same throughout, it comes out exactly: alpha is 1 where all is opaque.
     c = Σ w² x / Σ w² is a mean of values seen and near the best constant, which is
-    (E[w² x] - E[x]) / (E[w²] - 1).
+    (E[w² x] - E[x]) / (E[w²] - 1). Where the first sample's weight may be other than 1,
+    `prime` provides its c.
 
     vignetted: the weights' mean is less than 1 towards the frame's edge. Radiance and emission
-    darken with it. Alpha, normal and albedo do not: they are Σ w x / Σ w, quotients like depth.
+    darken with it. Alpha, normal and albedo do not: they are Σ w x / Σ w.
     """
 
     def __init__(
@@ -74,10 +80,11 @@ class Film:
         self._emission = torch.zeros(3, pixels, dtype=torch.float64, device=device)
         self._square = torch.zeros(pixels, dtype=torch.float64, device=device)
         self._count = torch.zeros(pixels, device=device)
-        self._features = torch.zeros(7, pixels, device=device)  # alpha, normal, albedo
-        self._control = torch.zeros(8, pixels, device=device)  # w², and w² times each feature
+        self._features = torch.zeros(9, pixels, device=device)  # alpha, hit, hit times depth, normal, albedo
+        self._control = torch.zeros(10, pixels, device=device)  # w², and w² times each feature
         self._passed = torch.zeros(pixels, device=device) if vignetted else None  # w
-        self._depth = torch.zeros(2, pixels, device=device)  # of the hits: w, and w times depth
+        self._nearest = torch.full((pixels,), NO_DEPTH, device=device)
+        self._farthest = torch.zeros(pixels, device=device)
         self.bad_count = 0
         self._bad_samples: list[BadSample] = []
         self._lock = threading.Lock()
@@ -87,7 +94,7 @@ class Film:
         pixels = slice(first, first + samples.weight.shape[0])
         weight, emission = samples.weight, samples.emission
         value = samples.radiance * (weight if samples.radiance_weight is None else samples.radiance_weight)
-        features = torch.cat((samples.alpha[None], samples.normal, samples.albedo))
+        features = samples.features()
         good = value.sum(0).isfinite()
         if not bool(good.all()):
             self._report_bad((~good).nonzero()[:, 0] + first, step)
@@ -100,10 +107,20 @@ class Film:
         self._emission[:, pixels] += emission * weight
         self._square[pixels] += luminance(value.double()).square()
         self._count[pixels] += kept
-        hit_weight = weight * (samples.depth < NO_DEPTH)
-        self._depth[0, pixels] += hit_weight
-        self._depth[1, pixels] += hit_weight * samples.depth
+        self._add_range(pixels, samples)
         return good
+
+    def prime(self, first: int, samples: FilmSamples) -> None:
+        """Tell the pixels from `first` on of samples of the uniform lens that are not in the picture."""
+        pixels = slice(first, first + samples.weight.shape[0])
+        self._control[0, pixels] += 1.0
+        self._control[1:, pixels] += samples.features().nan_to_num(0.0, 0.0, 0.0)
+        self._add_range(pixels, samples)
+
+    def _add_range(self, pixels: slice, samples: FilmSamples) -> None:
+        depth = samples.depth
+        self._nearest[pixels] = torch.minimum(self._nearest[pixels], depth)
+        self._farthest[pixels] = torch.maximum(self._farthest[pixels], depth * (depth < NO_DEPTH))
 
     def _add_features(self, pixels: slice, weight: Tensor, features: Tensor, kept: Tensor) -> None:
         if self._passed is not None:
@@ -158,19 +175,20 @@ class Film:
         """The frame as contiguous float32 arrays `[H, W]` or `[H, W, 3]` by name.
 
         beauty, normal, albedo and emission are premultiplied: samples that met nothing count
-        as 0 in them. depth is the weighted mean over the samples that met a surface, a quotient
+        as 0 in them. depth is the mean over the part of the lens that sees a surface, a quotient
         that is biased by a little at low SPP where a pixel sees several depths.
         """
         shape = (self.height, self.width)
         count = self._count.clamp(min=1.0)
         features = self._features / (count if self._passed is None else self._passed.clamp(min=1e-20))
-        weight, depth = self._depth
+        depth = features[2] / features[1].clamp(min=1e-3)
+        depth = torch.where(self._farthest > 0.0, depth.clamp(self._nearest, self._farthest), NO_DEPTH)
         layers = {
             "beauty": self.radiance(),
             "alpha": features[0].reshape(shape),
-            "depth": torch.where(weight > 0.0, depth / weight, NO_DEPTH).reshape(shape),
-            "normal": features[1:4].T.reshape(*shape, 3),
-            "albedo": features[4:7].T.reshape(*shape, 3),
+            "depth": depth.reshape(shape),
+            "normal": features[3:6].T.reshape(*shape, 3),
+            "albedo": features[6:9].T.reshape(*shape, 3),
             "emission": (self._emission / count).T.reshape(*shape, 3),
             "variance": self.variance(),
             "sample_count": self._count.reshape(shape),

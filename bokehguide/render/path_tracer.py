@@ -107,8 +107,10 @@ class PathTracer:
         self._opacity = Opacity(self.geometry, scene.meshes)
         self.max_depth = scene.film.max_depth
 
-    def trace(self, origin: Tensor, direction: Tensor, random: PixelRandom, timer: PhaseTimer) -> PathSamples:
-        """Trace rays with world origins and unit directions `[3, N]`; one path a ray."""
+    def trace(
+        self, origin: Tensor, direction: Tensor, random: PixelRandom, timer: PhaseTimer, max_depth: int | None = None
+    ) -> PathSamples:
+        """Trace rays with world origins and unit directions `[3, N]`; one path a ray, of max_depth segments if given."""
         count = origin.shape[1]
         ones = torch.ones(count, device=origin.device)
         result = PathSamples.empty(count, origin.device)
@@ -116,13 +118,14 @@ class PathTracer:
         paths = _Paths(
             index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random
         )
-        for depth in range(1, self.max_depth + 1):
-            paths = self._segment(paths, depth, result, timer)
+        last = max_depth or self.max_depth
+        for depth in range(1, last + 1):
+            paths = self._segment(paths, depth, depth == last, result, timer)
             if len(paths.index) == 0:
                 break
         return result
 
-    def _segment(self, paths: _Paths, depth: int, result: PathSamples, timer: PhaseTimer) -> _Paths:
+    def _segment(self, paths: _Paths, depth: int, last: bool, result: PathSamples, timer: PhaseTimer) -> _Paths:
         """Trace the paths to their next surface, gather light there, and choose how they go on."""
         with timer.measure("tracing rays"):
             dimension = FIRST_CROSSING + MAX_CROSSINGS * depth
@@ -144,7 +147,7 @@ class PathTracer:
         self._add_emission(paths, hit, surface)
         if depth == 1:
             result.emission[:, paths.index] = paths.radiance
-        if depth == self.max_depth:
+        if last:
             return _finish(paths, result)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
         draw = paths.random.stratified if depth == 1 else paths.random.uniform

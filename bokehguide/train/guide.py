@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -11,10 +12,13 @@ from bokehguide.models.blend_weight import BlendWeightMap
 from bokehguide.models.candidates import CandidateList, draw_candidates
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.kl import blend_gradient, offset_gradient, one_sample_kl
-from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity
+from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity, LensMixture
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.lens import Lens
+from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.vector import luminance
 from bokehguide.train.fitting import fit_gaussians
 from bokehguide.train.record_buffer import RecordBuffer
 from bokehguide.train.settings import RenderSettings
@@ -37,12 +41,15 @@ def starts_block(step: int) -> bool:
 
 @dataclass
 class GuidedBatch:
-    """The lens distribution of a batch of pixels, and what it was made of."""
+    """The lens distribution of a batch of pixels from `first` on, and what it was made of.
+
+    gaussian: of each candidate, where somebody asks.
+    """
 
     first: int
     raster: Tensor
-    gaussian: Tensor
-    distribution: GuidedLensDistribution
+    distribution: LensMixture
+    gaussian: Tensor | None = None
 
 
 @dataclass
@@ -55,10 +62,37 @@ class BatchLesson:
     offset_gradient: Tensor | None
 
 
+class LensDraw(NamedTuple):
+    """One lens point for each of N pixels.
+
+    points: `[2, N]`; weight: W/q of Eq. 11, 0 for a draw that does not pass, `[N]`; what they
+    were drawn from and its density there, None where all are uniform.
+    """
+
+    points: Tensor
+    weight: Tensor
+    batch: GuidedBatch | None = None
+    at: LensDensity | None = None
+
+
+def uniform_draw(lens: Lens, focus: Tensor, uniforms: Tensor) -> LensDraw:
+    """Lens points of the density W/A for focus points `[3, N]`, from uniform numbers `[2, N]`."""
+    points = lens.sample(uniforms)
+    return LensDraw(points, lens.unblocked(points, focus))
+
+
+def guided_draw(lens: Lens, focus: Tensor, batch: GuidedBatch, uniforms: Tensor) -> LensDraw:
+    """Lens points of the batch's distribution, from as many uniform numbers as it takes."""
+    points = batch.distribution.sample(uniforms)
+    at = batch.distribution.evaluate(points)
+    passes = lens.transmission(points) * lens.unblocked(points, focus)  # W of Eq. 6
+    return LensDraw(points, passes / (lens.area * at.density).clamp(min=1e-20), batch, at)
+
+
 class LensGuide(nn.Module):
     """Learns, step by step, where on the lens each pixel should look.
 
-    `distribution` and `study` work on batches of pixels, side by side; `update` ends a
+    `draw` and `study` work on batches of pixels, side by side; `update` ends a
     step. What a step draws from depends on earlier steps only; a pixel without candidates
     at the start of a block of steps stays uniform until it ends, so that its lens points may
     be stratified over the block (see `render/random.py`).
@@ -84,6 +118,19 @@ class LensGuide(nn.Module):
         self._offset_optimizer: torch.optim.Adam | None = None
 
     @torch.no_grad()
+    def draw(self, step: int, first: int, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
+        """Lens points for pixels from `first` on at raster positions `[2, N]`; uniform in the first step."""
+        lens = self.camera.lens
+        if step == 1:
+            return uniform_draw(lens, focus, random.stratified(LENS_DIMENSION, 2))
+        uniforms = random.uniform(LENS_DIMENSION, 5)  # independent: what a lens point is used for is learnt
+        self.stratify(first, random, uniforms)
+        batch = self.distribution(first, raster, focus)
+        if batch is None:
+            return uniform_draw(lens, focus, uniforms[2:4])
+        return guided_draw(lens, focus, batch, uniforms)
+
+    @torch.no_grad()
     def distribution(self, first: int, raster: Tensor, focus: Tensor) -> GuidedBatch | None:
         """The mixture for pixels from `first` on at raster positions `[2, N]`, None if they have no candidates."""
         if self.candidates is None:
@@ -99,7 +146,7 @@ class LensGuide(nn.Module):
         beta = self.blend(slice(first, first + raster.shape[1]))
         weight = field.lens_weights(lens.focus_distance).index_select(0, gaussian)
         mixture = GuidedLensDistribution(lens, focus, beta, start, mean, field.sigma.index_select(0, gaussian), weight)
-        return GuidedBatch(first, raster, gaussian, mixture)
+        return GuidedBatch(first, raster, mixture, gaussian)
 
     @torch.no_grad()
     def study(self, batch: GuidedBatch, ratio: Tensor, at: LensDensity) -> BatchLesson:
@@ -114,6 +161,10 @@ class LensGuide(nn.Module):
             of_offsets = offset_gradient(mixture, self.offsets, batch.gaussian, batch.raster, ratio, at)
         loss = float(one_sample_kl(ratio, at.density, mixture.lens.area))
         return BatchLesson(loss, slice(batch.first, batch.first + len(ratio)), of_blend, of_offsets)
+
+    def recorded(self, samples: PathSamples) -> Tensor:
+        """Luminance `[N]` that the record buffer is told of."""
+        return luminance(samples.radiance)
 
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
         """End a step: one Adam step, then, while fitting goes on, the next set of Gaussians."""
@@ -180,15 +231,21 @@ class LensGuide(nn.Module):
         return super().load_state_dict(state_dict, *args, **kwargs)
 
     def images(self) -> dict[str, Tensor]:
-        """β, record buffer and spotlights as `[H, W, 3]` in 0 … 1; the last two with their margin."""
-        camera, record = self.camera, self.record
-        beta = self.blend().detach().reshape(camera.height, camera.width)
-        if self.candidates is not None:
-            counts = self.candidates.start[1:] - self.candidates.start[:-1]
-            beta = beta * (counts > 0).reshape(beta.shape)
-        radiance = record.radiance()
-        spots = torch.zeros(record.height * record.width, device=radiance.device)
-        spots[self.spotlights] = 1.0
-        bright = radiance / (radiance + radiance.mean().clamp(min=1e-20))
-        images = {"beta": beta, "record": bright, "spotlights": spots.reshape(radiance.shape)}
-        return {name: image[..., None].expand(-1, -1, 3).float() for name, image in images.items()}
+        """As `guide_images`."""
+        return guide_images(self.camera, self.record, self.spotlights, self.blend().detach(), self.candidates)
+
+
+def guide_images(
+    camera: ThinLensCamera, record: RecordBuffer, spotlights: Tensor, beta: Tensor, candidates: CandidateList | None
+) -> dict[str, Tensor]:
+    """β, record buffer and spotlights as `[H, W, 3]` in 0 … 1; the last two with their margin."""
+    beta = beta.reshape(camera.height, camera.width)
+    if candidates is not None:
+        counts = candidates.start[1:] - candidates.start[:-1]
+        beta = beta * (counts > 0).reshape(beta.shape)
+    radiance = record.radiance()
+    spots = torch.zeros(record.height * record.width, device=radiance.device)
+    spots[spotlights] = 1.0
+    bright = radiance / (radiance + radiance.mean().clamp(min=1e-20))
+    images = {"beta": beta, "record": bright, "spotlights": spots.reshape(radiance.shape)}
+    return {name: image[..., None].expand(-1, -1, 3).float() for name, image in images.items()}

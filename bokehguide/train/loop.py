@@ -23,17 +23,19 @@ from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
 from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
-from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensGuide
+from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide, uniform_draw
+from bokehguide.train.record_buffer import FAR
 from bokehguide.train.settings import RenderSettings
+from bokehguide.train.spot_guide import SpotGuide
 
 BATCH = 65536
 """Pixels traced together at most: more would leave the cache."""
 SMALL_BATCH, FEW_BATCHES = 28800, 4
 """A small frame is cut into up to four batches, so that threads have work, but none smaller than
 this: below it Python costs more than a second thread brings."""
+PRIMING_DIMENSION = LENS_DIMENSION + 5
+"""Random dimensions of the lens points that prime the film: from this one on two."""
 PHASES = ("tracing rays", "shading", "guiding", "learning", "output")
-FAR = 1000.0
-"""The environment is recorded at this many focus distances."""
 
 
 @dataclass
@@ -77,7 +79,7 @@ class RenderLoop:
         self.film = Film(width, height, settings.seed, device, self.camera.lens.vignettes)
         pinhole = scene.camera.aperture_radius == 0.0
         guided = settings.lens_mode != "uniform" and not pinhole
-        self.guide = LensGuide(self.camera, replace(settings, mode=settings.lens_mode)) if guided else None
+        self.guide = self._make_guide() if guided else None
         self.reuse = SpatialReuse(self.camera, self.tracer, settings.reuse_radius, settings.seed) if settings.reuses else None
         self.step_number = 0
         self._threads = settings.threads or _available_cores()
@@ -86,6 +88,11 @@ class RenderLoop:
         self._pool = ThreadPoolExecutor(self._threads, initializer=torch.set_num_threads, initargs=(1,))
         self._phases: Counter[str] = Counter()
         self._mean_luminance = 1.0
+
+    def _make_guide(self) -> LensGuide | SpotGuide:
+        if self.settings.lens_mode == "guided":
+            return SpotGuide(self.camera, self.scene)
+        return LensGuide(self.camera, replace(self.settings, mode=self.settings.lens_mode))
 
     @property
     def phases(self) -> dict[str, float]:
@@ -129,9 +136,11 @@ class RenderLoop:
             corner = torch.stack((pixels % camera.width, pixels // camera.width))
             raster = corner + random.stratified(0, 2)
             focus = camera.focus_points(raster)
-            points, weight, batch, at = self._lens_points(first, raster, focus, random)
+            points, weight, batch, at = self._draw(first, raster, focus, random)
         with timer.measure("shading"):
             samples, directions = self._trace(focus, points, weight, random, timer)
+            if self.step_number == 1 and batch is not None:
+                samples.rays += self._prime(first, focus, random, timer)
         with timer.measure("output"):
             film_samples = self._film_samples(samples, directions, weight)
             if self.reuse is None:
@@ -141,10 +150,10 @@ class RenderLoop:
         if self.guide is None:
             return _BatchResult(samples.rays, 0, 0, 0.0, None, None, timer)
         with timer.measure("learning"):
-            light = luminance(samples.radiance).nan_to_num(0.0, 0.0, 0.0) * good
             weight = weight.nan_to_num(0.0, 0.0, 0.0) * good
-            lesson = self._study(batch, weight, light, at)
-            records = self._records(points, directions, samples.distance, weight, light)
+            lesson = self._study(batch, weight, _finite(luminance(samples.radiance), good), at)
+            recorded = _finite(self.guide.recorded(samples), good)
+            records = self._records(points, directions, samples.distance, weight, recorded)
         guided, outside, beta = _count(batch, weight)
         return _BatchResult(samples.rays, guided, outside, beta, lesson, records, timer)
 
@@ -157,24 +166,18 @@ class RenderLoop:
             self.film.add(first, film_samples, self.step_number)
         return _BatchResult(rays, 0, 0, 0.0, None, None, timer)
 
-    def _lens_points(
-        self, first: int, raster: Tensor, focus: Tensor, random: PixelRandom
-    ) -> tuple[Tensor, Tensor, GuidedBatch | None, LensDensity | None]:
-        """Lens points `[2, N]`, their weights W/q of Eq. 11 `[N]`, and what they were guided by; uniform in the first step."""
-        lens = self.camera.lens
-        if self.guide is None or self.step_number == 1:
-            points = lens.sample(random.stratified(LENS_DIMENSION, 2))
-            return points, lens.unblocked(points, focus), None, None
-        uniforms = random.uniform(LENS_DIMENSION, 5)  # independent: what a lens point is used for is learnt
-        self.guide.stratify(first, random, uniforms)
-        batch = self.guide.distribution(first, raster, focus)
-        if batch is None:
-            points = lens.sample(uniforms[2:4])
-            return points, lens.unblocked(points, focus), None, None
-        points = batch.distribution.sample(uniforms)
-        at = batch.distribution.evaluate(points)
-        passes = lens.transmission(points) * lens.unblocked(points, focus)  # W of Eq. 6
-        return points, passes / (lens.area * at.density).clamp(min=1e-20), batch, at
+    def _prime(self, first: int, focus: Tensor, random: PixelRandom, timer: PhaseTimer) -> int:
+        """Tell the film what the uniform lens sees, before the first sample is weighed; returns the number of rays."""
+        draw = uniform_draw(self.camera.lens, focus, random.uniform(PRIMING_DIMENSION, 2))
+        origins, directions = self.camera.rays(focus, draw.points)
+        seen = self.tracer.trace(origins, directions, random, timer, max_depth=1)
+        self.film.prime(first, self._film_samples(seen, directions, draw.weight))
+        return seen.rays
+
+    def _draw(self, first: int, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
+        if self.guide is None:
+            return uniform_draw(self.camera.lens, focus, random.stratified(LENS_DIMENSION, 2))
+        return self.guide.draw(self.step_number, first, raster, focus, random)
 
     def _trace(
         self, focus: Tensor, points: Tensor, weight: Tensor, random: PixelRandom, timer: PhaseTimer
@@ -237,6 +240,11 @@ class RenderLoop:
     def guide_images(self) -> dict[str, Tensor]:
         """Pictures of what the guide knows, `[H, W, 3]` in 0 … 1; none in uniform mode."""
         return self.guide.images() if self.guide else {}
+
+
+def _finite(light: Tensor, good: Tensor) -> Tensor:
+    """Luminance `[N]` of the samples that the film took, 0 for the others."""
+    return light.nan_to_num(0.0, 0.0, 0.0) * good
 
 
 def _available_cores() -> int:

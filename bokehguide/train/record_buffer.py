@@ -13,6 +13,9 @@ MARGIN = 0.1
 """Width of the border around the frame, as a share of the frame's width: spots outside the
 frame send their circles of confusion into it."""
 
+FAR = 1000.0
+"""The environment is recorded at this many focus distances."""
+
 
 class RecordBuffer(nn.Module):
     """A raster with a margin whose cells keep sample count, radiance and position.

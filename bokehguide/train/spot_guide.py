@@ -1,0 +1,164 @@
+"""The guide of mode `guided`: highlights as discs, known before the first ray or found on the way.
+
+It differs from the paper's (`guide.py`) in what is measured to pay:
+
+- The lamps that the scene holds (emissive pieces, peaks of the environment, suns) are in the
+  field from the start; the record buffer is left to find what they show up in: reflections
+  and refractions.
+- A highlight is an even disc on the lens and no Gaussian.
+- It learns at the ends of blocks of steps only, which grow in powers of two. Within a block
+  nothing that decides on a lens point changes, so all lens points are stratified over it.
+- β is the one of least variance, from the second moments of what each part of the mixture
+  brought, shared among neighbouring pixels.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d
+
+from bokehguide.models.blend_weight import HIGHEST, LOWEST
+from bokehguide.models.candidates import CandidateList, draw_candidates
+from bokehguide.models.disc_distribution import DiscLensDistribution
+from bokehguide.models.gaussian_field import GaussianField
+from bokehguide.models.kl import one_sample_kl
+from bokehguide.models.lens_distribution import LensDensity
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.path_tracer import PathSamples
+from bokehguide.render.random import PixelRandom
+from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.render.vector import luminance
+from bokehguide.scene.lamps import find_lamps
+from bokehguide.scene.types import Scene
+from bokehguide.train.fitting import fit_gaussians
+from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, guide_images, guided_draw, starts_block, uniform_draw
+from bokehguide.train.record_buffer import FAR, RecordBuffer
+
+FIRST_BLEND = 0.8
+"""β in the first block."""
+REACH = 1.1
+"""Radius of a lamp's disc by its extent: what misses the disc is left to the uniform part."""
+POOLED = 5
+"""Pixels across the squares whose moments are shared."""
+PRIOR = 1e-3
+"""Second moment that either part of the mixture is taken to have had already, in units of the frame's mean squared."""
+
+
+class SpotGuide(nn.Module):
+    """Learns, block by block, where on the lens each pixel should look.
+
+    `draw` and `study` work on batches of pixels, side by side; `update` ends a step. What a
+    block draws from depends on earlier blocks only.
+
+    scene: whose lamps the guide begins with.
+    """
+
+    def __init__(self, camera: ThinLensCamera, scene: Scene):
+        super().__init__()
+        self.camera = camera
+        pixels, device = camera.width * camera.height, camera.position.device
+        self.field = GaussianField()
+        self.record = RecordBuffer(camera)
+        self.register_buffer("beta", torch.full((pixels,), FIRST_BLEND))
+        self.register_buffer("moments", torch.zeros(2, pixels))
+        """Σ β² f² p / q³ and Σ (1 - β)² f² u / q³ of the discs and the uniform part: at the β of least variance
+        their roots are as β to 1 - β, and neither depends on the β that was drawn with."""
+        self.register_buffer("block", torch.tensor(1))
+        self.to(device)
+        self.spotlights = torch.zeros(0, dtype=torch.int64, device=device)
+        self._lamps = _lamps(scene, camera)
+        self.refit(1.0)
+
+    @torch.no_grad()
+    def draw(self, step: int, first: int, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
+        """Lens points for pixels from `first` on at raster positions `[2, N]`."""
+        lens = self.camera.lens
+        # The first two dimensions of a Sobol' sequence are the most even: they are the place.
+        uniforms = random.stratified(LENS_DIMENSION, 3, int(self.block)).roll(1, 0)
+        mixture = self._mixture(first, focus)
+        if mixture is None:
+            return uniform_draw(lens, focus, uniforms[1:3])
+        return guided_draw(lens, focus, GuidedBatch(first, raster, mixture), uniforms)
+
+    def _mixture(self, first: int, focus: Tensor) -> DiscLensDistribution | None:
+        """The mixture of each pixel, None where none has candidates."""
+        if self.candidates is None:
+            return None
+        start, spot = self.candidates.batch(first, focus.shape[1])
+        if len(spot) == 0:
+            return None
+        field, lens = self.field, self.camera.lens
+        mean, radius = field.mean.index_select(1, spot), field.sigma.index_select(0, spot)
+        weight = field.lens_weights(lens.focus_distance).index_select(0, spot)
+        beta = self.beta[first : first + focus.shape[1]]
+        return DiscLensDistribution(lens, focus, beta, start, mean, radius, weight)
+
+    @torch.no_grad()
+    def study(self, batch: GuidedBatch, ratio: Tensor, at: LensDensity) -> BatchLesson:
+        """Add to the moments of the batch's pixels; ratio: L / (A q) `[N]`, 0 outside the aperture."""
+        mixture, pixels = batch.distribution, slice(batch.first, batch.first + len(ratio))
+        of_discs = mixture.beta * at.mixture / at.density.clamp(min=1e-20)
+        squared = ratio.square()
+        self.moments[0, pixels] += squared * of_discs * mixture.beta
+        self.moments[1, pixels] += squared * (1.0 - of_discs) * (1.0 - mixture.beta)
+        return BatchLesson(float(one_sample_kl(ratio, at.density, mixture.lens.area)), pixels, None, None)
+
+    def recorded(self, samples: PathSamples) -> Tensor:
+        """Luminance `[N]` for the record buffer: what lamps do not send straight into the lens."""
+        reflected = luminance(samples.radiance - samples.emission)
+        return reflected * (samples.distance < MISS_DISTANCE)
+
+    @torch.no_grad()
+    def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
+        """End a step: where a block ends with it, fit the field to the record buffer and set every β."""
+        if not starts_block(step + 1):
+            return
+        self.block.fill_(step + 1)
+        self.refit(mean_luminance)
+        squares = self.moments.reshape(2, 1, self.camera.height, self.camera.width)
+        pooled = avg_pool2d(squares, POOLED, 1, POOLED // 2, count_include_pad=False).reshape(2, -1)
+        discs, uniform = (pooled + PRIOR).sqrt()
+        self.beta.copy_((discs / (discs + uniform)).clamp(LOWEST, HIGHEST))
+
+    @torch.no_grad()
+    def refit(self, mean_luminance: float) -> None:
+        """The lamps, and what the record buffer shows beside them; then list each pixel's candidates."""
+        found = GaussianField().to(self.beta.device)
+        self.spotlights = fit_gaussians(found, self.record, self.camera, mean_luminance)
+        # σ stands for a disc's radius.
+        parts = [[getattr(part, name) for part in (self._lamps, found)] for name in ("mean", "radius", "radius", "energy")]
+        self.field.assign(*(torch.cat(part, dim=-1) for part in parts))
+        self.set_candidates()
+
+    def set_candidates(self) -> None:
+        """List each pixel's candidates; to be called after any change of the field."""
+        self.candidates: CandidateList | None = draw_candidates(self.field, self.camera) if len(self.field) else None
+
+    def images(self) -> dict[str, Tensor]:
+        """As `guide_images`."""
+        return guide_images(self.camera, self.record, self.spotlights, self.beta, self.candidates)
+
+    def load_state_dict(self, state_dict, *args, **kwargs):
+        """Load β, moments, records and the field; then list each pixel's candidates."""
+        result = super().load_state_dict(state_dict, *args, **kwargs)
+        self.set_candidates()
+        return result
+
+
+def _lamps(scene: Scene, camera: ThinLensCamera) -> GaussianField:
+    """The scene's lamps that the lens can see out of focus, as balls in the camera frame."""
+    lamps = find_lamps(scene)
+    centre, extent, bright = (torch.from_numpy(x).float() for x in (lamps.centres.T, lamps.extents, lamps.luminance))
+    away = FAR * camera.lens.focus_distance
+    infinite = torch.from_numpy(lamps.infinite)
+    world = centre - torch.where(infinite, 0.0, camera.position.cpu())
+    mean = (camera.axes.T.cpu() @ world) * torch.where(infinite, away, 1.0)
+    radius = REACH * extent * torch.where(infinite, away, 1.0)
+    visible = scene.environment is None or scene.environment.visible
+    seen = (mean[2] > radius) & (bright > 0.0) & (~infinite | visible)
+    seen &= (mean[2] - camera.lens.focus_distance).abs() > radius  # in focus there is nothing to guide
+    field = GaussianField()
+    energy = bright * radius.square()
+    field.assign(mean[:, seen], radius[seen], radius[seen], energy[seen])
+    return field.to(camera.position.device)

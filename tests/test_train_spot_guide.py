@@ -1,0 +1,151 @@
+"""The guide of mode `guided`: what it knows from the start, what it finds, how it weighs, and when."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scenes
+import torch
+
+from bokehguide.models.blend_weight import HIGHEST, LOWEST
+from bokehguide.models.projection import project_to_lens
+from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectangle
+from bokehguide.scene.types import Environment, Material, Scene
+from bokehguide.train import RenderLoop, RenderSettings
+from bokehguide.train.guide import GuidedBatch
+from bokehguide.train.record_buffer import FAR
+from bokehguide.train.spot_guide import REACH
+
+WIDTH, HEIGHT = 64, 36
+
+
+def rendered(scene: Scene, steps: int, seed: int = 0, threads: int = 1) -> RenderLoop:
+    loop = RenderLoop(scene, RenderSettings("guided", seed=seed, threads=threads))
+    for _ in range(steps):
+        loop.step()
+    return loop
+
+
+def test_the_lamps_are_known_before_the_first_step():
+    """In the camera's frame, whose z runs along the axis."""
+    field = rendered(scenes.lamps(WIDTH, HEIGHT), 0).guide.field
+    order, expected = field.mean[2].argsort(), scenes.LAMP_CENTRES[np.argsort(-scenes.LAMP_CENTRES[:, 2])]
+    np.testing.assert_allclose(field.mean[:, order].T, expected * (1.0, 1.0, -1.0), atol=1e-3)
+    radii = scenes.LAMP_RADII[np.argsort(-scenes.LAMP_CENTRES[:, 2])]
+    np.testing.assert_allclose(field.sigma[order], REACH * radii, rtol=0.01)
+
+
+def test_lamps_in_focus_behind_the_camera_or_unlit_are_none():
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    focused = spheres(np.array([[0.0, 0.0, -2.0], [0.0, 0.0, 3.0]]), 0.05, material=0)
+    dark = spheres(np.array([[0.0, 0.0, -5.0]]), 0.05, material=1)
+    materials = (scenes.LAMP, replace(scenes.LAMP, emission=(0.0, 0.0, 0.0)))
+    loop = rendered(replace(scene, meshes=(focused, dark), materials=materials), 3)
+    assert len(loop.guide.field) == 0 and loop.film.radiance().max() > 1.0
+
+
+def test_peaks_of_an_environment_are_far_lamps():
+    radiance = np.full((64, 128, 3), 0.01, np.float32)
+    radiance[30:32, 70:72] = 100.0
+    scene = replace(scenes.lamps(WIDTH, HEIGHT), environment=Environment(radiance))
+    focus = scene.camera.focus_distance
+    field = rendered(scene, 0).guide.field
+    far = field.mean[2] > 0.5 * FAR * focus
+    assert int(far.sum()) == 1
+    direction = field.mean[:, far][:, 0] / (FAR * focus)
+    azimuth, height = 2.0 * np.pi * (71 / 128 - 0.5), np.pi * (0.5 - 31 / 64)
+    np.testing.assert_allclose(direction[0] / direction[2], np.tan(azimuth), rtol=0.02)
+    np.testing.assert_allclose(direction[1], np.sin(height), rtol=0.02)
+    unseen = replace(scene, environment=Environment(radiance, visible=False))
+    assert len(rendered(unseen, 0).guide.field) == len(field) - 1
+
+
+def mirrored() -> Scene:
+    """A lamp beside the camera, seen in a mirror that stands across the view."""
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    lamp = spheres(np.array([[0.0, 0.4, 0.5]]), 0.03, material=0)
+    mirror = replace(transformed(unit_rectangle(), transform((0.0, 0.0, -6.0), (-2.0, 0.0, 0.0), 4.0)), material=1)
+    materials = (scenes.LAMP, Material("mirror", (1.0, 1.0, 1.0), metallic=1.0, roughness=0.0))
+    film = replace(scene.film, max_depth=3)
+    return replace(scene, meshes=(lamp, mirror), materials=materials, environment=None, film=film)
+
+
+def test_reflections_are_found_and_lamps_are_not_found_twice():
+    loop = rendered(mirrored(), 16)
+    guide = loop.guide
+    assert len(guide.spotlights) > 0 and len(guide.field) > 0
+    assert (guide.field.mean[2] > 1.0).all()  # the mirror, as the lamp itself is behind the lens
+    straight = rendered(scenes.lamps(WIDTH, HEIGHT), 16).guide
+    assert len(straight.field) == 3 and len(straight.spotlights) == 0
+
+
+def test_it_learns_at_the_ends_of_blocks_only():
+    loop = RenderLoop(mirrored(), RenderSettings("guided", threads=1))
+    states = []
+    for _ in range(17):
+        loop.step()
+        states.append((int(loop.guide.block), loop.guide.beta.clone(), loop.guide.field.mean.clone()))
+    assert [block for block, _, _ in states] == [2, 3, 3, 5, 5, 5, 5, 9, 9, 9, 9, 9, 9, 9, 9, 17, 17]
+    for before, after in zip(states[:-1], states[1:]):
+        if before[0] == after[0]:
+            assert torch.equal(before[1], after[1]) and torch.equal(before[2], after[2])
+    assert not torch.equal(states[6][1], states[7][1])
+
+
+def test_beta_is_that_of_least_variance():
+    """Light in proportion to a mixture of the discs and the uniform lens: the best density has the same shares."""
+    guide = rendered(scenes.lamps(WIDTH, HEIGHT), 0).guide
+    pixels = WIDTH * HEIGHT
+    raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
+    mixture = guide._mixture(0, guide.camera.focus_points(raster))
+    beyond = (mixture.center.square().sum(0).sqrt() + mixture.radius > mixture.lens.radius).float()
+    inside = mixture.guided & (torch.zeros(pixels).index_add(0, mixture.owner, beyond) == 0.0)
+    for step in range(64):
+        points = mixture.sample(torch.rand(3, pixels, generator=torch.Generator().manual_seed(step)))
+        at = mixture.evaluate(points)
+        light = (3.0 * at.mixture * mixture.lens.area + 1.0) * mixture.lens.contains(points)
+        guide.study(GuidedBatch(0, raster, mixture), light / (mixture.lens.area * at.density), at)
+    guide.update(64, [], 1.0)
+    assert inside.sum() > 20
+    assert float(guide.beta[inside].median()) == pytest.approx(0.75, abs=0.03)
+
+
+def test_beta_falls_where_nothing_comes_from_the_lamps():
+    """A wall hides them; the wall itself is lit by the sky."""
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    wall = replace(transformed(unit_rectangle(), transform((0.0, 0.0, -0.9), scale=3.0)), material=1)
+    materials = (scenes.LAMP, Material("wall", (0.5, 0.5, 0.5)))
+    film = replace(scene.film, max_depth=2)
+    guide = rendered(replace(scene, meshes=(*scene.meshes, wall), materials=materials, film=film), 4).guide
+    counts = guide.candidates.start[1:] - guide.candidates.start[:-1]
+    assert (counts > 0).sum() > 100
+    assert float(guide.beta[counts > 0].median()) < 0.1
+    assert float(guide.beta.min()) >= LOWEST - 1e-6 and float(guide.beta.max()) <= HIGHEST + 1e-6
+
+
+@pytest.mark.parametrize("scale", [0.01, 100.0])
+def test_the_scenes_scale_changes_nothing(scale):
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    camera = replace(
+        scene.camera,
+        aperture_radius=scene.camera.aperture_radius * scale,
+        focus_distance=scene.camera.focus_distance * scale,
+    )
+    meshes = tuple(transformed(mesh, transform(scale=scale)) for mesh in scene.meshes)
+    one, other = (rendered(s, 12).film.radiance() for s in (scene, replace(scene, camera=camera, meshes=meshes)))
+    changed = (one - other).abs().amax(2) > 1e-3 * (one.amax(2) + 0.1)
+    assert changed.float().mean() < 0.02  # single draws at the edge of a lamp fall to the other side
+
+
+def test_a_fresh_guide_that_loads_the_state_draws_alike(tmp_path):
+    scene = mirrored()
+    loop = rendered(scene, 9)
+    torch.save(loop.guide.state_dict(), tmp_path / "guide.pt")
+    fresh = rendered(scene, 0).guide
+    fresh.load_state_dict(torch.load(tmp_path / "guide.pt", weights_only=True))
+    raster = torch.rand(2, WIDTH * HEIGHT) * torch.tensor([[WIDTH], [HEIGHT]])
+    focus = loop.camera.focus_points(raster)
+    points = 0.05 * torch.randn(2, WIDTH * HEIGHT)
+    old, new = (guide._mixture(0, focus).pdf(points) for guide in (loop.guide, fresh))
+    assert torch.equal(old, new) and int(fresh.block) == 9
+    assert project_to_lens(fresh.field.mean[:, :1], focus[:, :1]).isfinite().all()
