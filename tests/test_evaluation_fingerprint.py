@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bokehguide.evaluation.fingerprint import contents, fingerprint
+from bokehguide.evaluation.fingerprint import fingerprint
 from bokehguide.scene import Overrides, Scene, load_scene
+from bokehguide.scene.digest import contents
 from bokehguide.scene.types import Material
 from bokehguide.train import RenderSettings
 

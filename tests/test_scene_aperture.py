@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from bokehguide.errors import BokehguideError
-from bokehguide.evaluation.fingerprint import contents
 from bokehguide.scene import Aperture, Overrides, describe, load_scene
+from bokehguide.scene.digest import contents
 from bokehguide.train import RenderSettings, describe_render
 
 GOOD = """

@@ -13,11 +13,12 @@ import torch
 from torch import Tensor
 
 from bokehguide import __version__
-from bokehguide.evaluation.fingerprint import digest, fingerprint
+from bokehguide.evaluation.fingerprint import fingerprint
 from bokehguide.evaluation.long_renders import LongRender, accumulate
 from bokehguide.evaluation.regions import MEASURES, between_halves, regions
 from bokehguide.image import check_writable, read_metadata, read_rgb, write_exr
 from bokehguide.metrics import read_reference
+from bokehguide.scene.digest import digest
 from bokehguide.scene.types import Scene
 from bokehguide.train import RenderSettings
 
