@@ -112,7 +112,7 @@ def test_blend_weight_takes_12_bytes_a_pixel_with_its_optimiser():
     logit = guide.blend.logit
     assert (logit < BlendWeightMap(1).logit).all(), "the gradient was followed"
     assert logit.grad is None
-    tensors = [logit, *(value for value in guide._blend_optimizer.state[logit].values() if value.numel() > 1)]
+    tensors = [logit, *(value for value in guide.optimizers["blend"].state[logit].values() if value.numel() > 1)]
     assert sum(tensor.numel() * tensor.element_size() for tensor in tensors) == 12 * WIDTH * HEIGHT
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -88,6 +89,24 @@ class Film:
         self.bad_count = 0
         self._bad_samples: list[BadSample] = []
         self._lock = threading.Lock()
+
+    def _sums(self) -> dict[str, Tensor]:
+        names = ("radiance", "emission", "square", "count", "features", "control", "passed", "nearest", "farthest")
+        sums = {name: getattr(self, f"_{name}") for name in names}
+        return {name: tensor for name, tensor in sums.items() if tensor is not None}
+
+    def state_dict(self) -> dict[str, object]:
+        """All sums, and the samples that were left out; the tensors are the film's own."""
+        return {**self._sums(), "bad_count": self.bad_count, "bad_samples": [tuple(bad) for bad in self._bad_samples]}
+
+    def load_state_dict(self, state: Mapping[str, object]) -> None:
+        """Go on from the state of a film of the same size. Raises KeyError or ValueError where it is of another one."""
+        for name, tensor in self._sums().items():
+            if state[name].shape != tensor.shape:
+                raise ValueError(f"{name} has the shape {tuple(state[name].shape)}, not {tuple(tensor.shape)}")
+            tensor.copy_(state[name])
+        self.bad_count = state["bad_count"]
+        self._bad_samples = [BadSample(*bad) for bad in state["bad_samples"]]
 
     def add(self, first: int, samples: FilmSamples, step: int) -> Tensor:
         """Add one sample to each of the pixels from `first` on; returns the finite ones, bool `[N]`."""

@@ -112,10 +112,9 @@ class LensGuide(nn.Module):
         """Pixels that stay uniform until their block of steps ends, whatever is found meanwhile, bool `[pixels]`."""
         self.register_buffer("block", torch.tensor(1))
         """First step of that block."""
-        self.spotlights = torch.zeros(0, dtype=torch.int64, device=settings.device)
+        self.register_buffer("spotlights", torch.zeros(0, dtype=torch.int64, device=settings.device))
         self.candidates: CandidateList | None = None
-        self._blend_optimizer = torch.optim.Adam([self.blend.logit], lr=BLEND_RATE, fused=True)
-        self._offset_optimizer: torch.optim.Adam | None = None
+        self.optimizers = {"blend": torch.optim.Adam([self.blend.logit], lr=BLEND_RATE, fused=True)}
 
     @torch.no_grad()
     def draw(self, step: int, first: int, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
@@ -172,12 +171,12 @@ class LensGuide(nn.Module):
             self.blend.logit.grad = torch.zeros_like(self.blend.logit)
             for lesson in lessons:
                 self.blend.logit.grad[lesson.pixels] = lesson.blend_gradient
-            self._blend_optimizer.step()
-            self._blend_optimizer.zero_grad()
-        if self._offset_optimizer is not None:
+            self.optimizers["blend"].step()
+            self.optimizers["blend"].zero_grad()
+        if self.offsets is not None:
             gradients = [lesson.offset_gradient for lesson in lessons if lesson.offset_gradient is not None]
             self.offsets.coefficients.grad = sum(gradients, torch.zeros_like(self.offsets.coefficients))
-            self._offset_optimizer.step()
+            self.optimizers["offsets"].step()
         if self.offsets is None:
             opens = starts_block(step + 1)
             if opens:
@@ -214,17 +213,20 @@ class LensGuide(nn.Module):
     def freeze(self) -> None:
         """Keep the Gaussians from now on, and let polynomial offsets learn."""
         self.offsets = PolynomialOffset(self.field, self.camera)
-        self._offset_optimizer = torch.optim.Adam(self.offsets.parameters(), lr=OFFSET_RATE)
+        self.optimizers["offsets"] = torch.optim.Adam(self.offsets.parameters(), lr=OFFSET_RATE)
         self.set_candidates(OFFSET_SLACK)
 
     def load_state_dict(self, state_dict, *args, **kwargs):
         """Load Gaussians, β, records and, of a frozen guide, offsets; then list each pixel's candidates.
 
-        Adam's moments are no part of it.
+        Adam's moments are no part of it: `optimizers` have state dicts of their own, to be loaded afterwards.
         """
         field = {name.removeprefix("field."): value for name, value in state_dict.items() if name.startswith("field.")}
         self.field.load_state_dict(field)
         self.held.copy_(state_dict["held"])
+        self.spotlights = torch.empty_like(state_dict["spotlights"], device=self.held.device)
+        self.offsets = None
+        self.optimizers.pop("offsets", None)
         self.set_candidates()
         if "offsets.coefficients" in state_dict:
             self.freeze()

@@ -6,8 +6,9 @@ import math
 import os
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import torch
@@ -236,6 +237,28 @@ class RenderLoop:
             gaussians=len(self.guide.field) if self.guide else 0,
             outside=sum(result.outside for result in results) / guided if guided else math.nan,
         )
+
+    def state_dict(self) -> dict[str, object]:
+        """All that later steps depend on, and the times so far; tensors are the loop's own, as in any state dict."""
+        state = {"step": self.step_number, "film": self.film.state_dict()}
+        state |= {"mean_luminance": self._mean_luminance, "phases": dict(self._phases)}
+        if self.guide is not None:
+            optimizers = {name: optimizer.state_dict() for name, optimizer in self.guide.optimizers.items()}
+            state |= {"guide": self.guide.state_dict(), "optimizers": optimizers}
+        return state
+
+    def load_state_dict(self, state: Mapping[str, object]) -> None:
+        """Go on from the state of a loop of the same scene and settings (but SPP and threads): later steps have the same bits.
+
+        Raises KeyError, RuntimeError or ValueError where it does not fit.
+        """
+        self.film.load_state_dict(state["film"])
+        if self.guide is not None:
+            self.guide.load_state_dict(state["guide"])
+            for name, optimizer in self.guide.optimizers.items():
+                optimizer.load_state_dict(deepcopy(state["optimizers"][name]))  # it would share its tensors
+        self.step_number, self._mean_luminance = state["step"], state["mean_luminance"]
+        self._phases = Counter(state["phases"])
 
     def guide_images(self) -> dict[str, Tensor]:
         """Pictures of what the guide knows, `[H, W, 3]` in 0 … 1; none in uniform mode."""

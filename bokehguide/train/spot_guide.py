@@ -66,7 +66,8 @@ class SpotGuide(nn.Module):
         their roots are as β to 1 - β, and neither depends on the β that was drawn with."""
         self.register_buffer("block", torch.tensor(1))
         self.to(device)
-        self.spotlights = torch.zeros(0, dtype=torch.int64, device=device)
+        self.register_buffer("spotlights", torch.zeros(0, dtype=torch.int64, device=device))
+        self.optimizers: dict[str, torch.optim.Optimizer] = {}
         self._lamps = _lamps(scene, camera)
         self.refit(1.0)
 
@@ -141,6 +142,7 @@ class SpotGuide(nn.Module):
 
     def load_state_dict(self, state_dict, *args, **kwargs):
         """Load β, moments, records and the field; then list each pixel's candidates."""
+        self.spotlights = torch.empty_like(state_dict["spotlights"], device=self.beta.device)
         result = super().load_state_dict(state_dict, *args, **kwargs)
         self.set_candidates()
         return result

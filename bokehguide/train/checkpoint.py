@@ -1,0 +1,89 @@
+"""Renders on disk that go on where they ended, with the same bits as if they had never stopped."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+
+import torch
+
+from bokehguide import __version__
+from bokehguide.errors import BokehguideError
+from bokehguide.image import replacing
+from bokehguide.image.files import unwritable
+from bokehguide.scene.digest import digest
+from bokehguide.scene.types import Scene
+from bokehguide.train.loop import RenderLoop
+from bokehguide.train.settings import RenderSettings
+
+DATA = ("camera.aperture", "meshes", "materials", "environment", "suns")
+"""Of what a render is made from, what no line can tell."""
+NAMED = 4
+"""Differences that a refusal names."""
+
+
+def save_checkpoint(path: str | Path, loop: RenderLoop, seconds: float) -> None:
+    """Write the whole state of a render; the file is the old one or the new one, never half of one.
+
+    seconds: that the render has taken so far. Raises BokehguideError where it cannot be written.
+    """
+    whole = {"origin": origin(loop.scene, loop.settings), "seconds": seconds, "loop": loop.state_dict()}
+    with replacing(path) as temporary:
+        try:
+            torch.save(whole, temporary)
+        except RuntimeError as error:  # of torch's own writer, on a full disk
+            raise unwritable(Path(path), error) from error
+
+
+def load_checkpoint(path: str | Path, loop: RenderLoop) -> float:
+    """Bring a fresh loop to where the render was when it was saved; returns the seconds it had taken.
+
+    Raises BokehguideError for a file that is missing or damaged, or was made by another
+    version, from another scene, or with another setting than the loop's (but SPP and threads).
+    """
+    path = Path(path)
+    damaged = BokehguideError(f"{path}: is damaged or no checkpoint of a render; remove it to start anew")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            whole_file = archive.testzip() is None  # torch does not look at checksums
+        whole = torch.load(path, map_location="cpu", weights_only=True) if whole_file else None
+    except OSError as error:
+        raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    except Exception as error:  # what either reader raises for damaged bytes is not in their documentation
+        raise damaged from error
+    then = whole.get("origin") if isinstance(whole, dict) else None
+    if not isinstance(then, dict) or not all(isinstance(text, str) and text.isprintable() for text in then.values()):
+        raise damaged
+    found = differences(then, origin(loop.scene, loop.settings))
+    if found:
+        more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
+        named = ", ".join(found[:NAMED])
+        raise BokehguideError(f"{path}: is of another render: {named}{more}; render without resuming to start anew")
+    try:
+        loop.load_state_dict(whole["loop"])
+        seconds = float(whole["seconds"])
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise damaged from error
+    if not math.isfinite(seconds):
+        raise damaged
+    return seconds
+
+
+def origin(scene: Scene, settings: RenderSettings) -> dict[str, str]:
+    """All that the bits of a render depend on, by name: values as text, those of DATA as digests."""
+    camera, film = scene.camera, scene.film
+    values = {"software": f"bokehguide {__version__}", "mode": settings.mode, "seed": settings.seed}
+    values |= {"size": f"{film.width}x{film.height}", "max_depth": film.max_depth, "device": settings.device}
+    values |= {"reuse_radius": settings.reuse_radius if settings.reuses else "unused"}
+    values |= {f"camera.{field.name}": getattr(camera, field.name) for field in fields(camera) if field.name != "aperture"}
+    data = (camera.aperture, scene.meshes, scene.materials, scene.environment, scene.suns)
+    return {name: str(value) for name, value in values.items()} | dict(zip(DATA, map(digest, data), strict=True))
+
+
+def differences(then: Mapping[str, object], now: Mapping[str, str]) -> list[str]:
+    """In words, what is not as it was when a checkpoint was written."""
+    other = [name for name in now if then.get(name) != now[name]]
+    return [f"other {name}" if name in DATA else f"{name} was {then.get(name)} and is {now[name]}" for name in other]

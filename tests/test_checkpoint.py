@@ -1,0 +1,285 @@
+"""Checkpoints: a render that goes on has the bits of one that never stopped; what is of another render is refused."""
+
+from __future__ import annotations
+
+import math
+import resource
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import restir_cases
+import scenes
+import torch
+from test_train_loop import assert_same_bits
+
+import bokehguide as package
+from bokehguide.errors import BokehguideError
+from bokehguide.scene.types import Aperture, Scene
+from bokehguide.train import MODES, RenderLoop, RenderSettings, load_checkpoint, save_checkpoint
+from bokehguide.train.guide import FITS
+
+GUIDED = [mode for mode in MODES if not mode.startswith("area")]
+
+
+def scene(mode: str = "lis-o") -> Scene:
+    """One in which the mode's guide finds and learns something."""
+    return restir_cases.scene(24, 16) if mode.startswith("area") else scenes.lamps(48, 27)
+
+
+def settings(mode: str = "lis-o", **others) -> RenderSettings:
+    return RenderSettings(mode, seed=7, threads=1, reuse_radius=3.0, **others)
+
+
+def rendered(mode: str, steps: int) -> RenderLoop:
+    return onwards(RenderLoop(scene(mode), settings(mode)), steps)
+
+
+def onwards(loop: RenderLoop, step: int) -> RenderLoop:
+    while loop.step_number < step:
+        loop.step()
+    return loop
+
+
+def resumed(path, mode: str) -> RenderLoop:
+    loop = RenderLoop(scene(mode), settings(mode))
+    load_checkpoint(path, loop)
+    return loop
+
+
+def states(value: object, name: str = "") -> dict[str, object]:
+    """Every tensor and number in a state dict, by its place; times left out."""
+    if isinstance(value, dict | list | tuple):
+        pairs = value.items() if isinstance(value, dict) else enumerate(value)
+        return {key: part for place, inner in pairs for key, part in states(inner, f"{name}/{place}").items()}
+    return {} if name.startswith("/phases") else {name: value}
+
+
+def assert_same_state(one: RenderLoop, other: RenderLoop) -> None:
+    first, second = states(one.state_dict()), states(other.state_dict())
+    assert first.keys() == second.keys()
+    for name, value in first.items():
+        same = torch.equal(value, second[name]) if isinstance(value, torch.Tensor) else value == second[name]
+        assert same, name
+
+
+@pytest.mark.parametrize("mode", GUIDED)
+def test_the_bits_are_those_of_an_uninterrupted_render(mode, tmp_path):
+    """Stopped before the first step, within blocks of steps, at their ends, and before and after offsets begin to learn."""
+    stops = [0, 1, 2, 3, 4, FITS - 1, FITS, FITS + 1, 11]
+    last = stops[-1] + 7  # past the end of another block
+    loop = RenderLoop(scene(mode), settings(mode))
+    for stop in stops:
+        save_checkpoint(tmp_path / f"{stop}.ckpt", onwards(loop, stop), 0.0)
+    onwards(loop, last)
+    if mode == "lis-o":
+        assert loop.guide.offsets is not None and loop.guide.offsets.coefficients.any()
+    for stop in stops:
+        again = resumed(tmp_path / f"{stop}.ckpt", mode)
+        assert again.step_number == stop
+        onwards(again, last)
+        assert_same_bits(loop, again)
+        assert_same_state(loop, again)
+        for name, picture in loop.guide_images().items():
+            assert torch.equal(picture, again.guide_images()[name]), name
+
+
+@pytest.mark.parametrize("mode", ["area-restir", "area-restir+lis"])
+def test_so_are_those_of_area_restir(mode, tmp_path):
+    loop = rendered(mode, 2)
+    save_checkpoint(tmp_path / "a.ckpt", loop, 0.0)
+    again = onwards(resumed(tmp_path / "a.ckpt", mode), 4)
+    assert_same_bits(onwards(loop, 4), again)
+    assert_same_state(loop, again)
+
+
+def test_stopping_after_every_step_changes_nothing(tmp_path):
+    loop = RenderLoop(scene(), settings())
+    for step in range(1, 13):
+        save_checkpoint(tmp_path / "a.ckpt", onwards(loop, step), 0.0)
+        loop = resumed(tmp_path / "a.ckpt", "lis-o")
+    assert_same_state(rendered("lis-o", 12), loop)
+
+
+def test_more_samples_and_threads_may_be_asked_for(tmp_path):
+    save_checkpoint(tmp_path / "a.ckpt", rendered("guided", 3), 0.0)
+    longer = RenderLoop(scene(), replace(settings("guided"), spp=512, threads=2))
+    load_checkpoint(tmp_path / "a.ckpt", longer)
+    assert_same_bits(rendered("guided", 6), onwards(longer, 6))
+
+
+def test_a_state_dict_goes_from_loop_to_loop_and_ties_them_not_together():
+    one = rendered("lis-o", FITS + 2)
+    other = rendered("lis-o", 3)
+    other.load_state_dict(one.state_dict())
+    onwards(other, FITS + 4)
+    assert_same_state(one, rendered("lis-o", FITS + 2))
+    assert_same_state(onwards(one, FITS + 4), other)
+
+
+def test_a_loop_goes_back_to_before_its_offsets():
+    early, late = rendered("lis-o", 3), rendered("lis-o", FITS + 2)
+    late.load_state_dict(early.state_dict())
+    assert late.guide.offsets is None
+    assert_same_state(rendered("lis-o", FITS + 3), onwards(late, FITS + 3))
+
+
+def test_vignettes_pinholes_and_bad_samples_are_kept(tmp_path):
+    cat_eye = replace(scene().camera, aperture=Aperture(cat_eye=1.0))
+    for camera in (cat_eye, replace(scene().camera, aperture_radius=0.0)):
+        photographed = replace(scene(), camera=camera)
+        loops = [RenderLoop(photographed, settings("lis-b")) for _ in range(2)]
+        trace = loops[0].tracer.trace
+
+        def spoilt(*args, trace=trace, **keywords):
+            samples = trace(*args, **keywords)
+            samples.radiance[:, ::9] = math.nan
+            return samples
+
+        loops[0].tracer.trace = spoilt
+        loops[0].step()
+        loops[0].tracer.trace = trace
+        save_checkpoint(tmp_path / "a.ckpt", loops[0], 1.5)
+        assert load_checkpoint(tmp_path / "a.ckpt", loops[1]) == 1.5
+        assert loops[1].film.bad_count == loops[0].film.bad_count > 50
+        assert loops[1].film.bad_samples == loops[0].film.bad_samples and loops[1].film.bad_samples[0].seed == 7
+        assert loops[1].phases == loops[0].phases
+        assert_same_bits(onwards(loops[0], 3), onwards(loops[1], 3))
+
+
+def test_the_size_of_a_checkpoint_is_bounded(tmp_path):
+    for mode, bytes_a_pixel in {"uniform": 150, "lis-o": 210, "guided": 210}.items():
+        photographed = scenes.lamps(160, 90)
+        save_checkpoint(tmp_path / "a.ckpt", onwards(RenderLoop(photographed, settings(mode)), 9), 0.0)
+        assert (tmp_path / "a.ckpt").stat().st_size < 160 * 90 * bytes_a_pixel + 50_000
+
+
+def moved(one: Scene) -> Scene:
+    mesh = one.meshes[0]
+    return replace(one, meshes=(replace(mesh, vertices=mesh.vertices + np.float32(0.001)), *one.meshes[1:]))
+
+
+REFUSED = {
+    "seed was 7 and is 8": (lambda one: one, {"seed": 8}),
+    "mode was lis-o and is lis-b": (lambda one: one, {"mode": "lis-b"}),
+    "size was 48x27 and is 54x30": (lambda one: replace(one, film=replace(one.film, width=54, height=30)), {}),
+    "max_depth was 1 and is 2": (lambda one: replace(one, film=replace(one.film, max_depth=2)), {}),
+    "camera.aperture_radius was 0.1 and is 0.2": (lambda one: replace(one, camera=replace(one.camera, aperture_radius=0.2)), {}),
+    "other camera.aperture": (lambda one: replace(one, camera=replace(one.camera, aperture=Aperture(blades=5))), {}),
+    "other meshes": (moved, {}),
+    "other materials": (lambda one: replace(one, materials=(replace(one.materials[0], roughness=0.5),)), {}),
+    "other environment": (lambda one: replace(one, environment=scenes.constant_sky(0.2)), {}),
+}
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory):
+    path = tmp_path_factory.mktemp("checkpoint") / "a.ckpt"
+    save_checkpoint(path, rendered("lis-o", 2), 3.0)
+    return path
+
+
+@pytest.mark.parametrize("named", REFUSED)
+def test_another_render_is_refused_by_name(named, checkpoint):
+    change, others = REFUSED[named]
+    loop = RenderLoop(change(scene()), replace(settings(), **others))
+    with pytest.raises(BokehguideError) as refusal:
+        load_checkpoint(checkpoint, loop)
+    assert str(refusal.value) == f"{checkpoint}: is of another render: {named}; render without resuming to start anew"
+    assert loop.step_number == 0
+
+
+def test_the_radius_counts_where_samples_are_reused(tmp_path, checkpoint):
+    load_checkpoint(checkpoint, RenderLoop(scene(), replace(settings(), reuse_radius=4.0)))
+    save_checkpoint(tmp_path / "a.ckpt", rendered("area-restir", 1), 0.0)
+    with pytest.raises(BokehguideError, match="reuse_radius was 3.0 and is 4.0"):
+        load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene("area-restir"), replace(settings("area-restir"), reuse_radius=4.0)))
+
+
+def test_so_is_another_version(checkpoint, monkeypatch):
+    monkeypatch.setattr("bokehguide.train.checkpoint.__version__", "9.9.9")
+    with pytest.raises(BokehguideError, match=f"software was bokehguide {package.__version__} and is bokehguide 9.9.9"):
+        load_checkpoint(checkpoint, RenderLoop(scene(), settings()))
+
+
+def test_of_many_differences_a_line_names_some(checkpoint):
+    other = replace(restir_cases.scene(24, 16), film=replace(scene().film, width=24, height=16))
+    with pytest.raises(BokehguideError, match=r"mode was .*, seed was .*, size was .*, .* and \d+ more; ") as refusal:
+        load_checkpoint(checkpoint, RenderLoop(other, RenderSettings("lis", threads=1)))
+    assert len(str(refusal.value)) < 400
+
+
+def damaged_files(good: bytes) -> dict[str, bytes]:
+    """Cut short, bits turned over in what torch stores and in what it stores it in, and things of another kind."""
+    cut = {f"cut at {share}": good[: int(share * len(good))] for share in (0.0, 0.001, 0.3, 0.9, 0.9999)}
+    turned = {}
+    for place in np.random.default_rng(0).integers(0, len(good), 20):
+        turned[f"turned at {place}"] = good[:place] + bytes([good[place] ^ 0x41]) + good[place + 1 :]
+    return cut | turned | {"text": b"not a checkpoint\n" * 20}
+
+
+def test_a_damaged_file_is_one_line(checkpoint, tmp_path):
+    loop, sound = RenderLoop(scene(), settings()), 0
+    for name, data in damaged_files(checkpoint.read_bytes()).items():
+        (tmp_path / "a.ckpt").write_bytes(data)
+        try:
+            load_checkpoint(tmp_path / "a.ckpt", loop)
+            sound += 1  # a bit that no reader looks at, between two records
+        except BokehguideError as error:
+            assert "is damaged or no checkpoint of a render; remove it" in str(error), name
+    assert sound <= 3
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"weight": torch.zeros(3)},
+        [1, 2],
+        {"origin": {"seed": "7\nmore"}},
+        "without seconds",
+        "without a film",
+    ],
+)
+def test_what_torch_reads_but_is_no_render_is_refused(content, checkpoint, tmp_path):
+    if isinstance(content, str):
+        whole = torch.load(checkpoint, weights_only=True)
+        del (whole if content == "without seconds" else whole["loop"])[content.split()[-1]]
+        content = whole
+    torch.save(content, tmp_path / "a.ckpt")
+    with pytest.raises(BokehguideError, match="is damaged or no checkpoint of a render"):
+        load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
+
+
+class Unpickled:
+    """Code that a checkpoint must not be able to run."""
+
+    def __reduce__(self):
+        return (print, ("run",))
+
+
+def test_a_checkpoint_runs_no_code(tmp_path, capsys):
+    torch.save({"origin": Unpickled()}, tmp_path / "a.ckpt")
+    with pytest.raises(BokehguideError, match="is damaged or no checkpoint"):
+        load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
+    assert "run" not in capsys.readouterr().out
+
+
+def test_a_missing_file_and_a_folder_are_named(tmp_path):
+    for path in (tmp_path / "none.ckpt", tmp_path):
+        with pytest.raises(BokehguideError, match=f"^{path}: cannot be read"):
+            load_checkpoint(path, RenderLoop(scene(), settings()))
+
+
+def test_the_old_one_stands_where_the_new_one_cannot_be_written(checkpoint, tmp_path):
+    (tmp_path / "a.ckpt").write_bytes(checkpoint.read_bytes())
+    loop = rendered("lis-o", 1)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))  # as on a disk that is full
+    try:
+        with pytest.raises(BokehguideError, match=r"a\.ckpt: cannot be written \(.*\); choose another folder$") as refusal:
+            save_checkpoint(tmp_path / "a.ckpt", loop, 0.0)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert "\n" not in str(refusal.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ckpt"]
+    assert (tmp_path / "a.ckpt").read_bytes() == checkpoint.read_bytes()
