@@ -15,7 +15,7 @@ from bokehguide.image import read_rgb, to_8_bit, tone_map
 from bokehguide.metrics import mape
 
 SCENE, SIZE, SPP = "fairy-lights", "320x180", 64
-MODES = {"uniform": "uniform lens sampling", "lis-o": "guided lens sampling"}
+MODES = {"uniform": "uniform lens sampling", "guided": "guided lens sampling"}
 REFERENCE = Path(__file__).parent.parent / "references" / f"{SCENE}-{SIZE}.exr"
 
 

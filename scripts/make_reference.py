@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("scene", help="a built-in scene, a .toml scene file or a model")
     parser.add_argument("--size", type=size, default="320x180", help="WxH, default 320x180")
     parser.add_argument("--spp", type=positive, default=8192, help="of both halves together, default 8192, a multiple of 8")
-    parser.add_argument("--mode", choices=MODES, default="lis-o")
+    parser.add_argument("--mode", choices=MODES, default="guided")
     parser.add_argument("--seed", type=natural, default=1000, help="of the first half; the second takes the next one")
     parser.add_argument("--half", action="store_true", help="store 16-bit floats")
     parser.add_argument("--out", type=exr, required=True, help="the EXR to write")

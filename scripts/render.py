@@ -3,7 +3,7 @@
 One SPP is one training step: sample the lens, trace, put the samples on the film, and teach the
 guide from the same samples. Try
 
-    python scripts/render.py fairy-lights --mode lis-o --spp 64 --size 320x180
+    python scripts/render.py fairy-lights --mode guided --spp 64 --size 320x180
     tensorboard --logdir logs
 """
 
@@ -23,7 +23,7 @@ from bokehguide.train import MODES, RenderLogger, RenderLoop, RenderSettings, de
 def main() -> None:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", help="a built-in scene, a .toml scene file or a model")
-    parser.add_argument("--mode", choices=MODES, default="lis-o")
+    parser.add_argument("--mode", choices=MODES, default="guided")
     parser.add_argument("--spp", type=positive, default=64)
     parser.add_argument("--size", type=size, default="640x360")
     parser.add_argument("--seed", type=natural, default=0)

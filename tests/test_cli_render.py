@@ -38,7 +38,7 @@ def test_files_and_reports(bokehguide, lamps_file, tmp_path):
     assert all(plane.shape == (20, 32) for plane in channels.values())
     assert (channels["samples.Y"] == 6).all()
     header = read_metadata(tmp_path / "deep/er/a.exr")
-    facts = {"scene": "lamps", "mode": "lis-o", "spp": 6, "seed": 3, "size": "32x20"}
+    facts = {"scene": "lamps", "mode": "guided", "spp": 6, "seed": 3, "size": "32x20"}
     assert {name: header[name] for name in facts} == facts
     assert header["software"] == f"bokehguide {package.__version__}"
     assert json.loads(header["settings"])["camera"]["aperture_radius"] == 0.5
@@ -46,7 +46,7 @@ def test_files_and_reports(bokehguide, lamps_file, tmp_path):
         assert picture.size == (32, 20)
 
     report = json.loads((tmp_path / "a.json").read_text())
-    assert (report["mode"], report["spp"]) == ("lis-o", 6)
+    assert (report["mode"], report["spp"]) == ("guided", 6)
     radiance = read_rgb(tmp_path / "deep/er/a.exr")
     assert report["mape"] == pytest.approx(np.mean(np.abs(radiance - 0.1) / 0.11), rel=1e-5)
     assert report["relmse"] == pytest.approx(np.mean(((radiance - 0.1) / 0.11) ** 2), rel=1e-5)
@@ -55,7 +55,7 @@ def test_files_and_reports(bokehguide, lamps_file, tmp_path):
     assert report["gaussians"] >= 0
     assert report["phases"].keys() == PHASES
     assert sum(report["phases"].values()) == pytest.approx(report["seconds"], rel=0.02)
-    assert len(list((tmp_path / "logs/lamps/lis-o").iterdir())) == 1
+    assert len(list((tmp_path / "logs/lamps/guided").iterdir())) == 1
 
 
 def test_the_command_in_the_header_renders_the_same_bits(bokehguide, lamps_file, tmp_path):

@@ -63,7 +63,7 @@ def test_render_writes_what_the_command_writes(script, bokehguide, lamps_file, t
     assert bokehguide("render", lamps_file, "--spp", 3, "--out", "b.exr").returncode == 0
     np.testing.assert_array_equal(read_rgb(tmp_path / "a.exr"), read_rgb(tmp_path / "b.exr"))
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    assert list((tmp_path / "logs/lamps/lis-o").iterdir())
+    assert list((tmp_path / "logs/lamps/guided").iterdir())
 
 
 def test_a_reference_is_the_mean_of_two_renders(script, bokehguide, lamps_file, tmp_path):
@@ -76,7 +76,7 @@ def test_a_reference_is_the_mean_of_two_renders(script, bokehguide, lamps_file, 
     mean = read_rgb(tmp_path / "a.exr")
     np.testing.assert_allclose(mean, (first + second) / 2, rtol=1e-6)
     facts = read_metadata(tmp_path / "a.exr")
-    assert (facts["spp"], facts["seed"], facts["mode"]) == (16, 7, "lis-o")
+    assert (facts["spp"], facts["seed"], facts["mode"]) == (16, 7, "guided")
     between = json.loads(facts["between_halves"])
     assert between["mape"] == pytest.approx(np.mean(np.abs(first - second) / (mean + 0.01)), rel=1e-4)
     assert between["relmse"] == pytest.approx(np.mean(((first - second) / (mean + 0.01)) ** 2), rel=1e-4)

@@ -48,7 +48,7 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add = render.add_argument
     add("scene", metavar="SCENE", help=SCENE_HELP)
     names = "uniform|lis|lis-b|lis-o|guided|area-restir|area-restir+lis"
-    add("--mode", default="lis-o", metavar=names, help="how the lens is sampled (default: lis-o)")
+    add("--mode", default="guided", metavar=names, help="how the lens is sampled (default: guided)")
     add("--reuse-radius", type=float, default=50.0, metavar="PX", help=REUSE_HELP)
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
@@ -67,7 +67,7 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
     compare = commands.add_parser("compare", help="compare modes on a scene: errors, convergence, crops")
     add = compare.add_argument
     add("scene", metavar="SCENE", help=SCENE_HELP)
-    add("--modes", type=modes, default="uniform,lis,lis-b,lis-o", metavar="A,B,...", help="default: uniform,lis,lis-b,lis-o")
+    add("--modes", type=modes, default="uniform,lis,lis-b,lis-o,guided", metavar="A,B,...", help="default: uniform,lis,lis-b,lis-o,guided")
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel of each mode (default: 256)")
     add("--reuse-radius", type=float, default=50.0, metavar="PX", help=REUSE_HELP)
     add("--out", type=Path, required=True, metavar="DIR", help="where all goes; what is there already is not rendered again")

@@ -27,7 +27,7 @@ class RenderSettings:
     Raises BokehguideError for a value out of range.
     """
 
-    mode: str = "lis-o"
+    mode: str = "guided"
     spp: int = 256
     seed: int = 0
     device: str = "cpu"

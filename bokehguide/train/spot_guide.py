@@ -18,7 +18,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 
-from bokehguide.models.blend_weight import HIGHEST, LOWEST
 from bokehguide.models.candidates import CandidateList, draw_candidates
 from bokehguide.models.disc_distribution import DiscLensDistribution
 from bokehguide.models.gaussian_field import GaussianField
@@ -35,8 +34,10 @@ from bokehguide.train.fitting import fit_gaussians
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, guide_images, guided_draw, starts_block, uniform_draw
 from bokehguide.train.record_buffer import FAR, RecordBuffer
 
-FIRST_BLEND = 0.8
+FIRST_BLEND = 0.65
 """β in the first block."""
+LOWEST, HIGHEST = 0.05, 0.9
+"""Bounds of β: weights stay below 10, and a lamp that comes into sight is still found."""
 REACH = 1.1
 """Radius of a lamp's disc by its extent: what misses the disc is left to the uniform part."""
 POOLED = 5
@@ -100,7 +101,7 @@ class SpotGuide(nn.Module):
         """Add to the moments of the batch's pixels; ratio: L / (A q) `[N]`, 0 outside the aperture."""
         mixture, pixels = batch.distribution, slice(batch.first, batch.first + len(ratio))
         of_discs = mixture.beta * at.mixture / at.density.clamp(min=1e-20)
-        squared = ratio.square()
+        squared = ratio.square() * mixture.guided  # the others have no β to tell of
         self.moments[0, pixels] += squared * of_discs * mixture.beta
         self.moments[1, pixels] += squared * (1.0 - of_discs) * (1.0 - mixture.beta)
         return BatchLesson(float(one_sample_kl(ratio, at.density, mixture.lens.area)), pixels, None, None)
