@@ -1,24 +1,35 @@
 """Speed of uniform and guided sampling: samples and rays a second, and where the time goes.
 
     python scripts/bench.py --json bench.json
+    python scripts/bench.py --peers
 
-The modes take turns, step by step, so that a busy moment of the machine strikes both alike.
+The modes take turns, step by step, so that a busy moment of the machine strikes all alike.
 Peak memory is of a process in which a mode renders alone, as a mode's share of a common one
-cannot be told.
+cannot be told. With `--peers` Mitsuba 3 takes its turns too, PEER_SPP samples at a time on all
+cores, and all render the scene with materials that both have (`mitsuba_scene.comparable`);
+its first turn, which compiles, is not counted.
 """
 
+from __future__ import annotations
+
 import argparse
+import importlib.util
 import multiprocessing
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 from bokehguide.cli.arguments import natural, positive, size, threads
 from bokehguide.cli.report import peak_memory_mb, write_json
 from bokehguide.errors import BokehguideError
-from bokehguide.scene import Overrides, load_scene
+from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
 
-MODES = ("uniform", "lis-o")
+MODES = ("uniform", "lis-o", "guided")
+PEER = "Mitsuba"
+PEER_SPP = 4
+"""Of one of Mitsuba's turns."""
 GUIDE_PHASES = ("guiding", "learning")
 
 
@@ -29,34 +40,54 @@ def main() -> None:
     parser.add_argument("--spp", type=positive, default=16, help="measured steps of each mode, default 16")
     parser.add_argument("--warm-up", type=natural, default=8, help="steps before them, default 8: those of the global fit")
     parser.add_argument("--threads", type=threads, help="default: one per core")
+    parser.add_argument("--peers", action="store_true", help="compare with Mitsuba 3 (pip install '.[peers]')")
     parser.add_argument("--json", type=Path, help="also write the figures here")
     args = parser.parse_args()
+    if args.peers and importlib.util.find_spec("mitsuba") is None:
+        parser.error("--peers: Mitsuba is not installed; pip install '.[peers]'")
 
     results = measure_speed(args)
     for mode in MODES:
         results[mode]["peak_memory_mb"] = measure_memory(mode, args)
-    print(f"{args.scene} {'x'.join(map(str, args.size))}, {args.spp} SPP after {args.warm_up}")
-    print(f"{'':9}{'M samples/s':>12}{'M rays/s':>10}{'in Embree':>11}{'in guide':>10}{'MiB':>8}")
-    for mode, row in results.items():
-        rates = f"{row['samples_per_second'] / 1e6:>12.3f}{row['rays_per_second'] / 1e6:>10.3f}"
-        shares = f"{row['embree_share']:>11.1%}{row['guide_share']:>10.1%}"
-        print(f"{mode:<9}{rates}{shares}{row['peak_memory_mb']:>8.0f}")
+    tell(results, args)
     if args.json:
         write_json(args.json, results)
 
 
+def tell(results: dict[str, dict[str, float]], args: argparse.Namespace) -> None:
+    """Print the table."""
+    print(f"{args.scene} {'x'.join(map(str, args.size))}, {args.spp} SPP after {args.warm_up}")
+    print(f"{'':9}{'M samples/s':>12}{'M rays/s':>10}{'in Embree':>11}{'in guide':>10}{'MiB':>8}")
+    for mode in MODES:
+        row = results[mode]
+        rates = f"{row['samples_per_second'] / 1e6:>12.3f}{row['rays_per_second'] / 1e6:>10.3f}"
+        shares = f"{row['embree_share']:>11.1%}{row['guide_share']:>10.1%}"
+        print(f"{mode:<9}{rates}{shares}{row['peak_memory_mb']:>8.0f}")
+    if PEER in results:
+        rate = results[PEER]["samples_per_second"]
+        ratios = ", ".join(f"{mode} {results[mode]['samples_per_second'] / rate:.2f}" for mode in MODES)
+        print(f"{PEER:<9}{rate / 1e6:>12.3f}   ratios to it: {ratios}")
+
+
 def measure_speed(args: argparse.Namespace) -> dict[str, dict[str, float]]:
-    """Rates and shares of each mode over the measured steps."""
+    """Rates and shares of each mode over the measured steps, and the rate of the peer."""
     loops = {mode: start(mode, args) for mode in MODES}
+    peer = start_peer(args) if args.peers else None
     for loop in loops.values():
         for _ in range(args.warm_up):
             loop.step()
     before = {mode: dict(loop.phases) for mode, loop in loops.items()}
     steps = {mode: [] for mode in MODES}
-    for _ in range(args.spp):
+    peer_seconds = 0.0
+    for turn in range(args.spp):
         for mode, loop in loops.items():
             steps[mode].append(loop.step())
+        if peer is not None:
+            peer_seconds += peer(turn)
     results = {}
+    if peer is not None:
+        samples = args.spp * PEER_SPP * args.size[0] * args.size[1]
+        results[PEER] = {"samples_per_second": samples / peer_seconds}
     for mode, loop in loops.items():
         seconds = sum(stats.seconds for stats in steps[mode])
         phases = {name: loop.phases[name] - before[mode][name] for name in loop.phases}
@@ -83,10 +114,33 @@ def render_alone(mode: str, args: argparse.Namespace) -> float:
 
 
 def start(mode: str, args: argparse.Namespace) -> RenderLoop:
+    spp = args.warm_up + args.spp
+    return RenderLoop(measured_scene(args), RenderSettings(mode=mode, spp=spp, threads=args.threads))
+
+
+def measured_scene(args: argparse.Namespace) -> Scene:
     width, height = args.size
     scene = load_scene(args.scene, Overrides(width=width, height=height))
-    spp = args.warm_up + args.spp
-    return RenderLoop(scene, RenderSettings(mode=mode, spp=spp, threads=args.threads))
+    if not args.peers:
+        return scene
+    from mitsuba_scene import comparable
+
+    return comparable(scene)
+
+
+def start_peer(args: argparse.Namespace) -> Callable[[int], float]:
+    """What renders one of Mitsuba's turns and gives its seconds."""
+    from mitsuba_scene import MitsubaRenderer
+
+    renderer = MitsubaRenderer(measured_scene(args))
+
+    def turn(seed: int) -> float:
+        begun = time.perf_counter()
+        renderer.render(PEER_SPP, seed)
+        return time.perf_counter() - begun
+
+    turn(args.spp)
+    return turn
 
 
 if __name__ == "__main__":

@@ -54,6 +54,19 @@ def test_one_reading_of_sizes(name, script):
     assert "'70000' is not a whole number from 1 to 65536" in finished.stderr
 
 
+@pytest.mark.parametrize("peers", [False, True])
+def test_bench_measures_each_mode_and_the_peer(peers, script, tmp_path):
+    if peers:
+        pytest.importorskip("mitsuba")
+    options = ("--scene", "daylight", "--size", "32x18", "--spp", 1, "--warm-up", 1, "--json", "bench.json")
+    finished = script("bench.py", *options, *(["--peers"] if peers else []))
+    assert finished.returncode == 0, finished.stderr
+    rows = json.loads((tmp_path / "bench.json").read_text())
+    assert list(rows) == (["Mitsuba"] if peers else []) + ["uniform", "lis-o", "guided"]
+    assert all(row["samples_per_second"] > 0.0 for row in rows.values())
+    assert ("ratios to it" in finished.stdout) == peers
+
+
 def test_render_writes_what_the_command_writes(script, bokehguide, lamps_file, tmp_path):
     write_exr(tmp_path / "reference.exr", {"beauty": np.ones((20, 32, 3), np.float32)})
     finished = script(
