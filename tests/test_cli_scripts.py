@@ -1,5 +1,6 @@
 """The scripts beside the package: their mistakes are told before the first ray, and what they write."""
 
+import importlib.util
 import json
 import subprocess
 import sys
@@ -54,10 +55,8 @@ def test_one_reading_of_sizes(name, script):
     assert "'70000' is not a whole number from 1 to 65536" in finished.stderr
 
 
-@pytest.mark.parametrize("peers", [False, True])
-def test_bench_measures_each_mode_and_the_peer(peers, script, tmp_path):
-    if peers:
-        pytest.importorskip("mitsuba")
+def test_bench_measures_each_mode_and_the_peer(script, tmp_path):
+    peers = importlib.util.find_spec("mitsuba") is not None
     options = ("--scene", "daylight", "--size", "32x18", "--spp", 1, "--warm-up", 1, "--json", "bench.json")
     finished = script("bench.py", *options, *(["--peers"] if peers else []))
     assert finished.returncode == 0, finished.stderr
