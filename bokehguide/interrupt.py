@@ -1,4 +1,4 @@
-"""Ctrl-C during a render: finish the step, then write what is there."""
+"""Ctrl-C or SIGTERM during a render: finish the step, then write what is there."""
 
 from __future__ import annotations
 
@@ -6,18 +6,23 @@ import signal
 
 
 class Interrupt:
-    """A context in which the first SIGINT only sets `requested`; a second one interrupts as usual."""
+    """A context in which the first SIGINT or SIGTERM only sets `signal`; a second one acts as usual."""
 
     def __init__(self) -> None:
-        self.requested = False
+        self.signal: int | None = None
+
+    @property
+    def requested(self) -> bool:
+        return self.signal is not None
 
     def __enter__(self) -> Interrupt:
-        self._previous = signal.signal(signal.SIGINT, self._request)
+        self._previous = {number: signal.signal(number, self._request) for number in (signal.SIGINT, signal.SIGTERM)}
         return self
 
     def __exit__(self, *_: object) -> None:
-        signal.signal(signal.SIGINT, self._previous)
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
 
-    def _request(self, *_: object) -> None:
-        self.requested = True
-        signal.signal(signal.SIGINT, self._previous)
+    def _request(self, number: int, _: object) -> None:
+        self.signal = number
+        self.__exit__()

@@ -76,7 +76,7 @@ def test_without_options_the_file_is_named_after_scene_and_mode(lamps_file, tmp_
     monkeypatch.chdir(tmp_path)
     assert main(["render", "lamps.toml", "--spp", "1", "--mode", "uniform", "--json", "a.json"]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {
-        *("lamps.toml", "a.json", "lamps-uniform.exr", "lamps-uniform.png")
+        *("lamps.toml", "a.json", "lamps-uniform.exr", "lamps-uniform.png", "lamps-uniform.ckpt")
     }
     report = json.loads((tmp_path / "a.json").read_text())
     assert "mape" not in report and report["phases"].keys() == PHASES

@@ -60,6 +60,9 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--threads", type=threads, metavar="N", help="threads that trace and shade (default: one per core)")
     add("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as one JSON object")
     add("--exposure", type=exposure, default=0.0, metavar="EV", help="of PNG and TensorBoard pictures (default: 0)")
+    every = "keep the render's whole state in PATH.ckpt, written so often and at the end; 0: never (default: 60)"
+    add("--checkpoint-every", type=seconds, default=60.0, metavar="SECONDS", help=every)
+    add("--resume", action="store_true", help="go on from PATH.ckpt, where there is one, until there are --spp in all")
     _add_overrides(render)
 
 
@@ -132,6 +135,13 @@ def exposure(text: str) -> float:
     value = _numbers(text, "EV")[0]
     if abs(value) > MAX_EXPOSURE:
         raise argparse.ArgumentTypeError(f"{text!r} is out of range; give EV from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}")
+    return value
+
+
+def seconds(text: str) -> float:
+    value = _numbers(text, "SECONDS")[0]
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is negative; give seconds, or 0 for never")
     return value
 
 

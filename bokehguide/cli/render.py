@@ -10,9 +10,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from bokehguide.cli.checkpoints import Checkpoints
 from bokehguide.cli.report import Report, write_json
 from bokehguide.errors import BokehguideError
-from bokehguide.image import check_writable, tone_map, write_exr, write_png
+from bokehguide.image import check_writable, remove_abandoned, tone_map, write_exr, write_png
 from bokehguide.interrupt import Interrupt
 from bokehguide.metrics import mape, read_reference, relmse
 from bokehguide.scene import Overrides, load_scene
@@ -41,28 +42,39 @@ def run(options: argparse.Namespace) -> int:
         print(f"bokehguide: warning: {warning}", file=sys.stderr)
 
     loop = RenderLoop(scene, settings)
-    logger = RenderLogger(options.logdir, scene, settings, options.exposure) if options.logdir else None
+    checkpoints = Checkpoints(out.with_suffix(".ckpt"), options.checkpoint_every)
+    earlier = checkpoints.resume(loop) if options.resume else 0.0
+    done = loop.step_number
+    logger = RenderLogger(options.logdir, scene, settings, options.exposure, done) if options.logdir else None
     with Interrupt() as interrupt:
-        report = Report(f"{scene.name} {settings.mode}", settings)
-        for _ in range(settings.spp):
+        report = Report(f"{scene.name} {settings.mode}", settings, done, earlier)
+        while loop.step_number < settings.spp and not interrupt.requested:
             stats = loop.step()
             errors = measure(loop.film.radiance(), reference)
             report.add(stats, errors)
             if logger:
                 logger.log(loop, stats, errors)
-            if interrupt.requested:
-                break
+            if checkpoints.due():
+                if logger:
+                    logger.flush()  # or what is saved could be missing in the log
+                checkpoints.save(loop, report.seconds)
+        checkpoints.save(loop, report.seconds)
 
     if logger:
-        logger.finish(loop, report.spp)
-    facts = describe_render(scene, settings, report.spp) | {"command": command_line(options, report.spp)}
-    write_exr(out, loop.film.layers(), facts)
-    write_png(out.with_suffix(".png"), tone_map(loop.film.radiance(), options.exposure))
-    summary = report.finish(loop)
+        logger.finish(loop, loop.step_number)
+    write_pictures(out, loop, options)
+    summary = report.finish(loop, measure(loop.film.radiance(), reference))
     if options.json:
         write_json(options.json, summary)
-    tell(summary, loop, settings, out)
-    return 130 if interrupt.requested else 0
+    tell(summary, loop, out, checkpoints)
+    return 128 + interrupt.signal if interrupt.requested else 0
+
+
+def write_pictures(out: Path, loop: RenderLoop, options: argparse.Namespace) -> None:
+    """The EXR with what it was made from, and the PNG beside it."""
+    facts = describe_render(loop.scene, loop.settings, loop.step_number)
+    write_exr(out, loop.film.layers(), facts | {"command": command_line(options, loop.step_number)})
+    write_png(out.with_suffix(".png"), tone_map(loop.film.radiance(), options.exposure))
 
 
 def overrides_from(options: argparse.Namespace) -> Overrides:
@@ -79,14 +91,15 @@ def check_device(device: str) -> None:
 
 def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> None:
     """Raise BokehguideError where something that is to be written cannot be."""
-    png = out.with_suffix(".png")
+    png, checkpoint = out.with_suffix(".png"), out.with_suffix(".ckpt")
     for option, path in (("--reference", options.reference), ("--json", options.json)):
-        if path is not None and path.resolve() in (out.resolve(), png.resolve()):
-            raise BokehguideError(f"{option}: {str(path)!r} is where the picture goes; give another path")
+        if path is not None and path.resolve() in (out.resolve(), png.resolve(), checkpoint.resolve()):
+            raise BokehguideError(f"{option}: {str(path)!r} is where the render goes; give another path")
     if options.json and options.reference and options.json.resolve() == options.reference.resolve():
         raise BokehguideError(f"--json: {str(options.json)!r} is the reference; give another path")
-    check_writable(out)
-    check_writable(png)
+    for path in (out, png, checkpoint):
+        check_writable(path)
+        remove_abandoned(path)
     if options.json:
         check_writable(options.json)
     if options.logdir:
@@ -113,12 +126,16 @@ def command_line(options: argparse.Namespace, spp: int) -> str:
     return shlex.join(words)
 
 
-def tell(summary: dict, loop: RenderLoop, settings: RenderSettings, out: Path) -> None:
+def tell(summary: dict, loop: RenderLoop, out: Path, checkpoints: Checkpoints) -> None:
     """Say how it went: on stdout what was made, on stderr what went wrong."""
     errors = f", MAPE {summary['mape']:.5f}, relMSE {summary['relmse']:.5f}" if "mape" in summary else ""
     rate = summary["samples_per_second"] / 1e6
     print(f"{summary['spp']} SPP in {summary['seconds']:.1f} s, {rate:.2f} million samples/s{errors}")
     print(f"wrote {out} and {out.with_suffix('.png')}")
+    kept = checkpoints.holds(loop)
+    if kept:
+        size = checkpoints.path.stat().st_size / 2**20
+        print(f"wrote {checkpoints.path} ({size:.1f} MB), from which --resume goes on to more SPP")
     if loop.film.bad_count:
         bad = loop.film.bad_samples[0]
         print(
@@ -126,5 +143,6 @@ def tell(summary: dict, loop: RenderLoop, settings: RenderSettings, out: Path) -
             f"pixel ({bad.x}, {bad.y}), step {bad.step}, --seed {bad.seed}",
             file=sys.stderr,
         )
-    if summary["spp"] < settings.spp:
-        print(f"bokehguide: interrupted at {summary['spp']} of {settings.spp} SPP", file=sys.stderr)
+    if loop.step_number < loop.settings.spp:
+        saved = f"; saved, --resume goes on from {checkpoints.path}" if kept else ""
+        print(f"bokehguide: interrupted at {loop.step_number} of {loop.settings.spp} SPP{saved}", file=sys.stderr)

@@ -17,45 +17,50 @@ from bokehguide.train import RenderLoop, RenderSettings, StepStats
 
 
 class Report:
-    """Adds up the steps of a render and shows them in a progress bar on stderr."""
+    """Adds up the steps of a render and shows them in a progress bar on stderr.
 
-    def __init__(self, title: str, settings: RenderSettings):
+    done: SPP of earlier sessions; earlier: the seconds that they took.
+    """
+
+    def __init__(self, title: str, settings: RenderSettings, done: int = 0, earlier: float = 0.0):
         self.settings = settings
-        self.spp = 0
-        self.samples = 0
-        self.gaussians = 0
-        self.errors: Mapping[str, float] = {}
+        self._samples = 0
         self._rendering = 0.0
+        self._earlier = earlier
         self._start = time.perf_counter()
         # A log file gets a line now and then, a terminal a bar that moves.
         interval = 0.1 if sys.stderr.isatty() else 10.0
-        self.bar = tqdm(total=settings.spp, desc=title, unit="SPP", mininterval=interval, dynamic_ncols=True)
+        self.bar = tqdm(total=settings.spp, initial=done, desc=title, unit="SPP", mininterval=interval, dynamic_ncols=True)
 
     def add(self, stats: StepStats, errors: Mapping[str, float]) -> None:
         """Count one step; `errors` (`mape`, `relmse`) is empty where there is no reference."""
-        self.spp, self.gaussians, self.errors = stats.step, stats.gaussians, errors
-        self.samples += stats.samples
+        self._samples += stats.samples
         self._rendering += stats.seconds
-        words = [f"{self.samples / self._rendering / 1e6:.2f} M samples/s"]
+        words = [f"{self._samples / self._rendering / 1e6:.2f} M samples/s"]
         words += [f"MAPE {errors['mape']:.4f}"] if errors else []
         self.bar.set_postfix_str(", ".join(words), refresh=False)
         self.bar.update()
 
-    def finish(self, loop: RenderLoop) -> dict[str, object]:
-        """Close the bar and give the facts of the whole render, ready for JSON."""
+    @property
+    def seconds(self) -> float:
+        """That the render has taken so far, in all its sessions."""
+        return self._earlier + time.perf_counter() - self._start
+
+    def finish(self, loop: RenderLoop, errors: Mapping[str, float]) -> dict[str, object]:
+        """Close the bar and give the facts of the whole render, ready for JSON; the memory is that of this session."""
         self.bar.close()
-        seconds = time.perf_counter() - self._start
+        seconds = self.seconds
         phases = dict(loop.phases)
         # Metrics, logs and files are output too, and the loop does not see them.
         phases["output"] += seconds - sum(phases.values())
         return {
             "mode": self.settings.mode,
-            "spp": self.spp,
+            "spp": loop.step_number,
             "seconds": seconds,
-            "samples_per_second": self.samples / seconds,
+            "samples_per_second": loop.step_number * loop.film.width * loop.film.height / seconds,
             "peak_memory_mb": peak_memory_mb(),
-            "gaussians": self.gaussians,
-            **self.errors,
+            "gaussians": len(loop.guide.field) if loop.guide else 0,
+            **errors,
             "phases": phases,
         }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -21,6 +22,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())  # or a power cut could leave the new name with nothing behind it
         os.replace(temporary, path)
     except OSError as error:
         raise unwritable(path, error) from error
@@ -45,6 +48,26 @@ def check_writable(path: str | Path) -> None:
         trial.unlink()
     except OSError as error:
         raise unwritable(path, error) from error
+
+
+def remove_abandoned(path: str | Path) -> None:
+    """Remove what processes that were killed while they wrote the file `path` have left beside it."""
+    path = Path(path)
+    for temporary in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
+        writer = temporary.suffixes[-2].removeprefix(".")
+        if writer.isdecimal() and not _runs(int(writer)):
+            with suppress(OSError):
+                temporary.unlink()
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 def unwritable(path: Path, error: Exception) -> BokehguideError:

@@ -21,21 +21,25 @@ class RenderLogger:
     The modes of a scene are sibling folders, so `tensorboard --logdir logdir/SCENE`
     lays their curves over each other. An older log of the same mode is removed.
 
-    exposure: EV of the pictures.
+    exposure: EV of the pictures. resumed: the step after which a render goes on; its log does
+    too, and TensorBoard forgets what later steps had written before they were lost.
     """
 
-    def __init__(self, logdir: str | Path, scene: Scene, settings: RenderSettings, exposure: float = 0.0):
+    def __init__(
+        self, logdir: str | Path, scene: Scene, settings: RenderSettings, exposure: float = 0.0, resumed: int = 0
+    ):
         from torch.utils.tensorboard import SummaryWriter  # takes over a second to import
 
         self.exposure = exposure
-        self._pictures_at = 0
+        self._pictures_at = resumed
         folder = run_folder(logdir, scene, settings)
-        for old in folder.glob("events.out.tfevents.*"):
-            old.unlink()
-        self.writer = SummaryWriter(folder)
+        if not resumed:
+            for old in folder.glob("events.out.tfevents.*"):
+                old.unlink()
+        self.writer = SummaryWriter(folder, purge_step=resumed + 1 if resumed else None)
         facts = describe_render(scene, settings, settings.spp)
         table = "\n".join(f"| {key} | {value} |" for key, value in facts.items())
-        self.writer.add_text("settings", f"| | |\n|---|---|\n{table}", 0)
+        self.writer.add_text("settings", f"| | |\n|---|---|\n{table}", resumed)
 
     def log(self, loop: RenderLoop, stats: StepStats, errors: Mapping[str, float]) -> None:
         """Scalars of one step, and pictures where its number is a power of two.
@@ -59,6 +63,10 @@ class RenderLogger:
                 self.writer.add_scalar(tag, value, stats.step)
         if stats.step & (stats.step - 1) == 0:
             self._log_pictures(loop, stats.step)
+
+    def flush(self) -> None:
+        """Write what is still in memory."""
+        self.writer.flush()
 
     def finish(self, loop: RenderLoop, step: int) -> None:
         """Pictures of the last step, whatever its number, and close the log."""
