@@ -221,3 +221,20 @@ def test_alpha_is_nearly_as_smooth_with_a_guide_as_without(lamp):
         guided.add(0, samples(torch.zeros(3, 8192), weight, covered.float()), step)
     errors = [float(np.sqrt(np.square(film.layers()["alpha"] - lamp).mean())) for film in (plain, guided)]
     assert errors[1] < 2.0 * errors[0]
+
+
+def test_a_control_from_before_the_block_leaves_stratified_samples_unbiased():
+    """One sample in either half of the lens, in random order: weights 0.5 and 1.5, of which the first sees a surface."""
+    expected, found = 0.25, {}
+    for fresh in (False, True):
+        means = []
+        for order in ((0, 1), (1, 0)):
+            film = Film(1, 1)
+            film.prime(0, samples(torch.zeros(3, 1), torch.ones(1), 0.3, torch.tensor([2.0])))
+            for step, half in enumerate(order, start=1):
+                one = samples(torch.zeros(3, 1), torch.tensor([(0.5, 1.5)[half]]), (1.0, 0.0)[half], torch.tensor([2.0]))
+                film.add(0, one, step, fresh=fresh or step == 1)
+            means.append(film.layers()["alpha"].item())
+        found[fresh] = np.mean(means)
+    assert found[False] == pytest.approx(expected, abs=1e-6)
+    assert abs(found[True] - expected) > 0.01

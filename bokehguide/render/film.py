@@ -61,7 +61,7 @@ class Film:
     x is the same throughout, it comes out exactly: alpha is 1 where all is opaque.
     c = Σ w² x / Σ w² is a mean of values seen and near the best constant, which is
     (E[w² x] - E[x]) / (E[w²] - 1). Where the first sample's weight may be other than 1,
-    `prime` provides its c.
+    `prime` provides its c. Where weights are stratified over a block of steps, c is from before it.
 
     vignetted: the weights' mean is less than 1 towards the frame's edge. Radiance and emission
     darken with it. Alpha, normal and albedo do not: they are Σ w x / Σ w.
@@ -83,6 +83,7 @@ class Film:
         self._count = torch.zeros(pixels, device=device)
         self._features = torch.zeros(9, pixels, device=device)  # alpha, hit, hit times depth, normal, albedo
         self._control = torch.zeros(10, pixels, device=device)  # w², and w² times each feature
+        self._center = torch.zeros(9, pixels, device=device)  # c
         self._passed = torch.zeros(pixels, device=device) if vignetted else None  # w
         self._nearest = torch.full((pixels,), NO_DEPTH, device=device)
         self._farthest = torch.zeros(pixels, device=device)
@@ -91,7 +92,7 @@ class Film:
         self._lock = threading.Lock()
 
     def _sums(self) -> dict[str, Tensor]:
-        names = ("radiance", "emission", "square", "count", "features", "control", "passed", "nearest", "farthest")
+        names = ("radiance", "emission", "square", "count", "features", "control", "center", "passed", "nearest", "farthest")
         sums = {name: getattr(self, f"_{name}") for name in names}
         return {name: tensor for name, tensor in sums.items() if tensor is not None}
 
@@ -108,8 +109,11 @@ class Film:
         self.bad_count = state["bad_count"]
         self._bad_samples = [BadSample(*bad) for bad in state["bad_samples"]]
 
-    def add(self, first: int, samples: FilmSamples, step: int) -> Tensor:
-        """Add one sample to each of the pixels from `first` on; returns the finite ones, bool `[N]`."""
+    def add(self, first: int, samples: FilmSamples, step: int, fresh: bool = True) -> Tensor:
+        """Add one sample to each of the pixels from `first` on; returns the finite ones, bool `[N]`.
+
+        fresh: whether the weights are independent of the pixels' latest samples, so that c may be.
+        """
         pixels = slice(first, first + samples.weight.shape[0])
         weight, emission = samples.weight, samples.emission
         value = samples.radiance * (weight if samples.radiance_weight is None else samples.radiance_weight)
@@ -120,7 +124,7 @@ class Film:
             every = (weight, value, emission, features)
             weight, value, emission, features = (x.nan_to_num(0.0, 0.0, 0.0) for x in every)
         kept = good.to(torch.float32)
-        self._add_features(pixels, weight, features, kept)
+        self._add_features(pixels, weight, features, kept, fresh)
         weight, value = weight * kept, value * kept
         self._radiance[:, pixels] += value
         self._emission[:, pixels] += emission * weight
@@ -141,14 +145,15 @@ class Film:
         self._nearest[pixels] = torch.minimum(self._nearest[pixels], depth)
         self._farthest[pixels] = torch.maximum(self._farthest[pixels], depth * (depth < NO_DEPTH))
 
-    def _add_features(self, pixels: slice, weight: Tensor, features: Tensor, kept: Tensor) -> None:
+    def _add_features(self, pixels: slice, weight: Tensor, features: Tensor, kept: Tensor, fresh: bool) -> None:
         if self._passed is not None:
             self._features[:, pixels] += features * (weight * kept)
             self._passed[pixels] += weight * kept
             return
         seen = self._control[:, pixels]
-        control = seen[1:] / seen[0].clamp(min=1e-30)
-        self._features[:, pixels] += torch.lerp(control, features, weight).mul_(kept)  # w (x - c) + c
+        if fresh:
+            self._center[:, pixels] = seen[1:] / seen[0].clamp(min=1e-30)
+        self._features[:, pixels] += torch.lerp(self._center[:, pixels], features, weight).mul_(kept)  # w (x - c) + c
         square = weight * weight
         seen[0] += square
         seen[1:].addcmul_(features, square)

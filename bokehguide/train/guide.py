@@ -161,6 +161,10 @@ class LensGuide(nn.Module):
         loss = float(one_sample_kl(ratio, at.density, mixture.lens.area))
         return BatchLesson(loss, slice(batch.first, batch.first + len(ratio)), of_blend, of_offsets)
 
+    def is_fresh(self, step: int) -> bool:
+        """Whether the weights of a step are independent of the steps before: held pixels all have the weight 1."""
+        return True
+
     def recorded(self, samples: PathSamples) -> Tensor:
         """Luminance `[N]` that the record buffer is told of."""
         return luminance(samples.radiance)

@@ -145,7 +145,8 @@ class RenderLoop:
         with timer.measure("output"):
             film_samples = self._film_samples(samples, directions, weight)
             if self.reuse is None:
-                good = self.film.add(first, film_samples, self.step_number)
+                fresh = self.guide is None or self.guide.is_fresh(self.step_number)
+                good = self.film.add(first, film_samples, self.step_number, fresh)
             else:
                 good = self.reuse.keep(first, raster - corner, points, samples, film_samples)
         if self.guide is None:

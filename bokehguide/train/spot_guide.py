@@ -106,6 +106,10 @@ class SpotGuide(nn.Module):
         self.moments[1, pixels] += squared * (1.0 - of_discs) * (1.0 - mixture.beta)
         return BatchLesson(float(one_sample_kl(ratio, at.density, mixture.lens.area)), pixels, None, None)
 
+    def is_fresh(self, step: int) -> bool:
+        """Whether the weights of a step are independent of the steps before: at the start of a block."""
+        return step == int(self.block)
+
     def recorded(self, samples: PathSamples) -> Tensor:
         """Luminance `[N]` for the record buffer: what lamps do not send straight into the lens."""
         reflected = luminance(samples.radiance - samples.emission)
