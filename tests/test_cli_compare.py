@@ -120,11 +120,11 @@ def test_errors_at_the_cheapest_mode_s_budget(cost, budget, at, metrics):
 
 
 def test_the_reference_tells_how_good_it_is(folder, metrics):
-    first, second = (radiance(path) for path in sorted(folder.glob("cache/*/cutout-32x18-lis-o-*.exr")))
+    first, second = (radiance(path) for path in sorted(folder.glob("cache/*/cutout-32x18-guided-*.exr")))
     mean = radiance(folder / "out/reference.exr")
     torch.testing.assert_close(mean, (first + second) / 2)
     facts = metrics["reference"]
-    assert (facts["mode"], facts["spp"]) == ("lis-o", 16 * SPP)
+    assert (facts["mode"], facts["spp"]) == ("guided", 16 * SPP)
     assert facts["between_halves"]["frame"]["mape"] == pytest.approx(((first - second).abs() / (mean + 0.01)).mean().item(), rel=1e-4)
     apart = facts["between_halves"]["insets"]["mape"]
     text = (folder / "out/table.md").read_text()

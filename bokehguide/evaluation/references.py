@@ -26,7 +26,7 @@ CHUNK = 256
 """SPP of one of the renders that a half is the mean of."""
 FIRST_SEED, SECOND_SEED = 1_000_000, 2_000_000
 """Seeds of the halves, one a chunk from there on. Renders that are measured have seeds that no reference uses."""
-MODE = "lis-o"
+MODE = "guided"
 """In which a reference is rendered."""
 
 
