@@ -19,32 +19,52 @@ from bokehguide.train import MODES, RenderSettings
 
 FIGURES = Path(__file__).parent.parent / "scripts/figures"
 DRAWN = {
-    "fig6": (["fig6.png"], ["lis", "lis-b"], []),
+    "fig6": (["fig6.png"], ["lis, β 0.95", "lis", "lis-b"], []),
     "fig7": (["fig7.png"], ["lis-b", "lis-o"], ["lis-b"]),
-    "fig8_9": (["fig8.png", "fig9.png"], ["uniform", "lis", "lis-b", "lis-o"], ["lis", "lis-b", "lis-o"]),
+    "fig8_9": (["fig8.png", "fig9.png"], ["uniform", "area-restir", "lis", "lis-b", "lis-o", "guided"], ["lis", "lis-b", "lis-o"]),
+    "fig11": (["fig11.png"], ["uniform", "lis-o, no split", "lis-o", "guided"], ["uniform", "lis-o", "guided"]),
 }
-"""By script: pictures, modes (among others), and those that an earlier script has rendered."""
+"""By script: pictures, columns, and the modes that an earlier script has rendered."""
 
 
-def draw(folder: Path, name: str, *options: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, str(FIGURES / f"{name}.py"), *options, "--size", "16x9", "--spp", "2", "--cache", "cache"]
+def draw(folder: Path, name: str, scene: str, *options: str) -> subprocess.CompletedProcess:
+    small = ["--size", "16x9", "--spp", "2", "--cache", "cache", "--out", "out"]
+    command = [sys.executable, str(FIGURES / f"{name}.py"), scene, *small, *options]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+
+
+def assert_picture(path: Path) -> None:
+    """As wide as a page, of a height that fits, and not empty."""
+    with Image.open(path) as image:
+        assert image.width == 2160 and image.height < 8000
+        assert np.asarray(image.convert("L")).std() > 10
 
 
 def test_each_figure_is_a_png_and_a_json_and_shares_its_renders(tmp_path):
     for name, (pictures, modes, kept) in DRAWN.items():
-        finished = draw(tmp_path, name, "occluded", "--out", "out")
+        finished = draw(tmp_path, name, "occluded")
         assert finished.returncode == 0, finished.stderr
         assert [line for line in finished.stdout.splitlines() if "kept" in line] == [f"{mode}: kept, 2 SPP" for mode in kept]
         for picture in pictures:
-            with Image.open(tmp_path / "out" / picture) as image:
-                assert image.width == 2160
-                assert np.asarray(image.convert("L")).std() > 10
+            assert_picture(tmp_path / "out" / picture)
         scenes = json.loads((tmp_path / f"out/{name}.json").read_text())["scenes"]
         assert scenes.keys() == {"occluded"} and scenes["occluded"]["reference"]["spp"] == 64
-        found = {mode: facts for mode, facts in scenes["occluded"]["modes"].items() if mode in modes}
+        found = scenes["occluded"]["modes"]
         assert list(found) == modes
         assert all(facts["mape"]["insets"] > 0 for facts in found.values())
+        assert [mode for mode, facts in found.items() if facts["spp"] != 2] == (["area-restir"] if name == "fig8_9" else [])
+        if name == "fig6":
+            assert 0.05 < scenes["occluded"]["mean_beta"]["insets"] < 0.95
+
+
+def test_alpha_is_exact_over_an_opaque_background_only_with_the_control_variate(tmp_path):
+    finished = draw(tmp_path, "fig12", "fairy-lights", "--size", "64x36", "--spp", "4")
+    assert finished.returncode == 0, finished.stderr
+    assert_picture(tmp_path / "out/fig12.png")
+    alpha = json.loads((tmp_path / "out/fig12.json").read_text())["scenes"]["fairy-lights"]["alpha"]
+    errors = {name: facts["frame"]["mean absolute error"] for name, facts in alpha.items()}
+    assert list(errors) == ["uniform", "counted", "weighted", "lis-o", "guided"]
+    assert max(errors["uniform"], errors["lis-o"], errors["guided"]) < 1e-5 < min(errors["counted"], errors["weighted"])
 
 
 def test_a_mistake_is_one_line(tmp_path):
@@ -77,6 +97,4 @@ def test_every_film_fits_on_a_page(width, height, insets, tmp_path):
     )
     write_crops(tmp_path / "crops.png", [comparison])
     write_convergence(tmp_path / "curves.png", comparison)
-    with Image.open(tmp_path / "crops.png") as picture:
-        assert picture.width == 2160 and picture.height < 8000
-        assert np.asarray(picture.convert("L")).std() > 10
+    assert_picture(tmp_path / "crops.png")

@@ -1,0 +1,261 @@
+"""Fig. 10: where on the lens the methods look, for one pixel, beside where its light comes from.
+
+    python scripts/figures/fig10.py
+    python scripts/figures/fig10.py chrome --pixel 40,35
+
+The reference is the radiance through each cell of a 128 × 128 grid over the lens. The methods are
+histograms of 2^16 draws: uniform; Area ReSTIR's chosen samples, each of a fresh pass; draws of
+the guides of lis-o and guided after --spp steps. Below each stands KL(reference || method), with
+one pseudo-count in every cell of the lens, which keeps it finite; so many exact draws of the
+reference itself show what the count and the pseudo-counts alone cost. Without --pixel it is the
+brightest one within the insets that has two lamps on its lens. Writes fig10.png and fig10.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from common import figure_options, run, settings, sized, write_json
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.patches import Rectangle
+from restir_pixel import PixelReuse
+from torch import Tensor
+
+from bokehguide.errors import BokehguideError
+from bokehguide.evaluation import progress, regions
+from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
+from bokehguide.image import to_8_bit, tone_map
+from bokehguide.models import BlendWeightMap
+from bokehguide.models.candidates import CandidateList
+from bokehguide.models.lens_distribution import owners
+from bokehguide.models.projection import project_to_lens
+from bokehguide.render.lens import Lens
+from bokehguide.render.random import PixelRandom
+from bokehguide.render.timer import PhaseTimer
+from bokehguide.render.vector import luminance
+from bokehguide.scene import Scene
+from bokehguide.train import RenderLoop
+from bokehguide.train.guide import LENS_DIMENSION, LensGuide, uniform_draw
+from bokehguide.train.spot_guide import SpotGuide
+
+GRID, DRAWS, CELL_SAMPLES = 128, 1 << 16, 32
+"""Cells across the lens; draws of a method; rays through a cell for the reference."""
+PASSES = 2048
+"""Of Area ReSTIR at once."""
+SEED = 7_000_000
+"""Of what is drawn for this figure."""
+WELL_ON = 0.8
+"""Share of the lens's radius within which a lamp's centre counts as well on the lens."""
+NAMES = {"reference": "reference", "area-restir": "Area ReSTIR", "exact": "exact draws"}
+
+
+@dataclass
+class Distributions:
+    """Of one pixel (column, row) of a scene: counts or radiance `[GRID, GRID]` by method, the lens's top row first.
+
+    inside: cells that the aperture reaches; picture: radiance `[H, W, 3]`; outside: share of
+    the draws that miss the lens.
+    """
+
+    scene: Scene
+    pixel: tuple[int, int]
+    picture: Tensor
+    inside: Tensor
+    grids: Mapping[str, Tensor]
+    outside: Mapping[str, float]
+
+    def divergence(self, name: str) -> float:
+        """KL(reference || method) in nats."""
+        expected = self.grids["reference"][self.inside].double()
+        counts = self.grids[name][self.inside].double() + 1.0
+        p, q = expected / expected.sum(), counts / counts.sum()
+        return float((p * (p / q).log()).nan_to_num(0.0).sum())
+
+
+def main() -> None:
+    options = figure_options(__doc__, ["fairy-lights"], lambda parser: parser.add_argument("--pixel", type=pixel, metavar="X,Y"))
+    found = [distributions(sized(name, options), options) for name in options.scenes]
+    write_figure(options.out / "fig10.png", found)
+    write_json({one.scene.name: facts(one, options) for one in found}, options.out / "fig10.json")
+    print(f"wrote {options.out / 'fig10.png'} and .json")
+
+
+def pixel(text: str) -> tuple[int, int]:
+    try:
+        column, row = (int(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no pixel; give column and row, such as 40,35") from None
+    return column, row
+
+
+def facts(found: Distributions, options: argparse.Namespace) -> dict[str, object]:
+    """What the figure shows, in numbers."""
+    methods = [name for name in found.grids if name != "reference"]
+    kl = {name: found.divergence(name) for name in methods}
+    return {"pixel": found.pixel, "spp": options.spp, "draws": DRAWS, "kl": kl, "outside the lens": found.outside}
+
+
+def distributions(scene: Scene, options: argparse.Namespace) -> Distributions:
+    """All of them for the pixel that the options name, or one with two lamps on its lens."""
+    loops = {mode: trained(scene, mode, options) for mode in ("lis-o", "guided")}
+    loop = loops["guided"]
+    column, row = options.pixel or overlap(scene, loop)
+    width, height = loop.camera.width, loop.camera.height
+    if not (0 <= column < width and 0 <= row < height):
+        raise BokehguideError(f"--pixel: {column},{row} is off the picture; give 0,0 to {width - 1},{height - 1}")
+    index, lens = row * width + column, loop.camera.lens
+    radiance, inside = seen_through_lens(loop, index)
+    points = {"uniform": uniform_points(loop, index), "area-restir": restir_points(loop, index, options)}
+    points |= {mode: guided_points(one, index) for mode, one in loops.items()}
+    outside = {name: 1.0 - float(lens.contains(one).float().mean()) for name, one in points.items()}
+    grids = {name: histogram(lens, one) for name, one in points.items()}
+    exact = torch.multinomial(radiance.flatten().double(), DRAWS, replacement=True, generator=torch.Generator().manual_seed(SEED))
+    grids["exact"] = exact.bincount(minlength=GRID * GRID).reshape(GRID, GRID)
+    return Distributions(scene, (column, row), loop.film.radiance(), inside, {"reference": radiance, **grids}, outside)
+
+
+def trained(scene: Scene, mode: str, options: argparse.Namespace) -> RenderLoop:
+    loop = RenderLoop(scene, settings(mode, options))
+    with progress(f"{scene.name} {mode}", options.spp) as bar:
+        for _ in range(options.spp):
+            loop.step()
+            bar.update()
+    return loop
+
+
+def overlap(scene: Scene, loop: RenderLoop) -> tuple[int, int]:
+    """Column and row of the brightest pixel within the insets that has two of the scene's lamps well on its lens."""
+    spots, camera = SpotGuide(loop.camera, scene), loop.camera
+    if spots.candidates is None:
+        raise BokehguideError(f"{scene.name}: has no lamps out of focus; choose a pixel with --pixel X,Y")
+    pixels = torch.arange(camera.width * camera.height)
+    start, lamp = spots.candidates.batch(0, len(pixels))
+    owner = owners(start)
+    focus = camera.focus_points(torch.stack((pixels % camera.width, pixels // camera.width)) + 0.5)
+    on_lens = project_to_lens(spots.field.mean[:, lamp], focus[:, owner])
+    near = on_lens.square().sum(0) < (WELL_ON * camera.lens.radius) ** 2
+    count = torch.zeros(len(pixels)).index_add_(0, owner, near.float())
+    masks = regions(scene)
+    shown = (count >= count.max().clamp(max=2.0)) & masks.get("insets", masks["frame"]).flatten()
+    light = luminance(loop.film.radiance().permute(2, 0, 1).flatten(1))
+    index = int(torch.where(shown, light, -1.0).argmax())
+    return index % camera.width, index // camera.width
+
+
+def focus_points(loop: RenderLoop, index: int, random: PixelRandom) -> tuple[Tensor, Tensor]:
+    """Raster positions `[2, N]` all over a pixel, and their x_F `[3, N]`."""
+    corner = torch.tensor([[index % loop.camera.width], [index // loop.camera.width]])
+    raster = corner + random.stratified(0, 2)
+    return raster, loop.camera.focus_points(raster)
+
+
+@torch.no_grad()
+def seen_through_lens(loop: RenderLoop, index: int) -> tuple[Tensor, Tensor]:
+    """Luminance that a pixel gets through each cell of the lens, and which cells the aperture reaches, `[GRID, GRID]`."""
+    cells = torch.arange(GRID * GRID)
+    light, passed = torch.zeros(2, GRID * GRID)
+    lens = loop.camera.lens
+    for step in range(1, CELL_SAMPLES + 1):
+        random = PixelRandom(SEED, step, cells)
+        _, focus = focus_points(loop, index, random)
+        place = (torch.stack((cells % GRID, cells // GRID)) + random.stratified(LENS_DIMENSION, 2)) / (0.5 * GRID) - 1.0
+        points = place * torch.tensor([[lens.radius], [-lens.radius]])
+        passes = lens.transmission(points) * lens.unblocked(points, focus)
+        traced = loop.tracer.trace(*loop.camera.rays(focus, points), random, PhaseTimer())
+        light += luminance(traced.radiance) * passes
+        passed += passes
+    return light.reshape(GRID, GRID), (passed > 0.0).reshape(GRID, GRID)
+
+
+def uniform_points(loop: RenderLoop, index: int) -> Tensor:
+    """Draws `[2, DRAWS]` of the uniform lens."""
+    random = PixelRandom(SEED, 1, torch.arange(DRAWS))
+    return uniform_draw(loop.camera.lens, focus_points(loop, index, random)[1], random.stratified(LENS_DIMENSION, 2)).points
+
+
+@torch.no_grad()
+def restir_points(loop: RenderLoop, index: int, options: argparse.Namespace) -> Tensor:
+    """Lens points of Area ReSTIR's choice in as many passes, as far as they found any light."""
+    radius = settings("area-restir", options).reuse_radius
+    steps = range(1, DRAWS // PASSES + 1)
+    return torch.cat([PixelReuse(loop, index, radius, SEED, step, PASSES).chosen() for step in steps], dim=1)
+
+
+@torch.no_grad()
+def guided_points(loop: RenderLoop, index: int) -> Tensor:
+    """Draws `[2, DRAWS]` of what a guide has learnt for one pixel, each for a film position of its own."""
+    concentrate(loop.guide, index, DRAWS)
+    step = loop.step_number + 1
+    random = PixelRandom(SEED, step, torch.arange(DRAWS))
+    return loop.guide.draw(step, 0, *focus_points(loop, index, random), random).points
+
+
+def concentrate(guide: LensGuide | SpotGuide, index: int, count: int) -> None:
+    """Make a guide one of `count` pixels which all are as the one at `index` was."""
+    if guide.candidates is not None:
+        _, found = guide.candidates.batch(index, 1)
+        guide.candidates = CandidateList(torch.arange(count + 1) * len(found), found.repeat(count))
+    if isinstance(guide, SpotGuide):
+        guide.beta = guide.beta[index].repeat(count)
+    else:
+        logit = guide.blend.logit[index].item()
+        guide.blend = BlendWeightMap(count)
+        torch.nn.init.constant_(guide.blend.logit, logit)
+        guide.held = torch.zeros(count, dtype=torch.bool)
+
+
+def histogram(lens: Lens, points: Tensor) -> Tensor:
+    """Number of lens points `[2, N]` in each cell of the grid."""
+    points = points[:, lens.contains(points)] / lens.radius
+    column, row = ((points * torch.tensor([[1.0], [-1.0]]) + 1.0) * (0.5 * GRID)).long().clamp(0, GRID - 1)
+    return (row * GRID + column).bincount(minlength=GRID * GRID).reshape(GRID, GRID)
+
+
+def write_figure(path: Path, found: Sequence[Distributions]) -> None:
+    """A row for each scene: the picture with the pixel marked, and the distributions."""
+    names = [name for name in found[0].grids if name != "exact"]
+    figure = Figure((WIDTH, 1.3 * len(found) + 0.05), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.01)
+    axes = figure.subplots(len(found), 1 + len(names), squeeze=False, width_ratios=[1.6, *[1.0] * len(names)])
+    for row, one in zip(axes, found):
+        draw_picture(row[0], one)
+        for panel, name in zip(row[1:], names):
+            shown = draw_lens(panel, one, name)
+            panel.set_title(NAMES.get(name, name), fontsize=NORMAL, pad=3)
+        bar = figure.colorbar(shown, ax=list(row), fraction=0.012, pad=0.005)
+        bar.ax.tick_params(labelsize=SMALL)
+        bar.set_label("density / uniform", fontsize=SMALL)
+    save(figure, path)
+
+
+def draw_picture(axes: Axes, found: Distributions) -> None:
+    """The render, and a box about the pixel."""
+    axes.imshow(to_8_bit(tone_map(found.picture)), interpolation="nearest")
+    reach = 0.02 * found.picture.shape[1]
+    corner = (found.pixel[0] - reach, found.pixel[1] - reach)
+    axes.add_patch(Rectangle(corner, 2 * reach, 2 * reach, fill=False, edgecolor="#ff2d55", linewidth=1.0))
+    axes.set(xticks=[], yticks=[])
+    axes.set_title(f"{found.scene.name}, pixel {found.pixel[0]}, {found.pixel[1]}", fontsize=NORMAL, pad=3)
+
+
+def draw_lens(axes: Axes, found: Distributions, name: str) -> AxesImage:
+    """One density over the lens, relative to the uniform one, on a logarithmic scale; returns what a colour bar needs."""
+    grid = found.grids[name].float()
+    density = grid * (found.inside.sum() / grid.sum())
+    shown = torch.where(found.inside, density.clamp(min=0.1), torch.nan).numpy()
+    drawn = axes.imshow(shown, norm=LogNorm(0.1, 200.0), cmap="magma", interpolation="nearest")
+    axes.axis("off")
+    label = "radiance" if name == "reference" else f"KL {found.divergence(name):.3f}"
+    axes.text(0.5, -0.03, label, transform=axes.transAxes, fontsize=SMALL, ha="center", va="top")
+    return drawn
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,157 @@
+"""Fig. 12, a failure case: alpha of guided renders, over an empty background (cutout) and over an opaque one (fairy-lights).
+
+    python scripts/figures/fig12.py
+
+Writes fig12.png, crops of alpha beside the reference, and fig12.json: mean absolute error, mean
+error with its standard error over the pixels, and the share of pixels outside 0 … 1, by region.
+One render of lis-o feeds three estimates of alpha:
+
+- counted: the share of all draws that met something. Draws outside the lens count as empty, and
+  those inside do not carry their weight: biased, with circles as in the paper's figure;
+- weighted: the mean of w alpha, w = 1 / (A q). Unbiased, noisy, and often above 1;
+- lis-o: that of the film, with a control variate (see `Film`). Unbiased, and exact where all is opaque.
+
+`guided` has the last one too. Uniform sampling has no weights, and thus no such trouble.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from common import figure_options, run, settings, sized, write_json
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from torch import Tensor
+
+from bokehguide.evaluation import progress, regions
+from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
+from bokehguide.render.film import Film, FilmSamples
+from bokehguide.scene import Inset, Scene
+from bokehguide.train import RenderLoop, RenderSettings
+
+REFERENCE_SHARE, REFERENCE_SEED = 16, 6_000_000
+"""SPP of the reference, uniform and without bounces, for one of a mode's."""
+BELOW, ABOVE = "#0072b2", "#d55e00"
+"""Colours of alpha below 0 and above 1."""
+ROUNDING = 1e-5
+"""Alpha may be so far outside 0 … 1."""
+SHOWN = 3
+"""Rows of a scene: its frame and so many insets less one."""
+LABELS = {"counted": "lis-o\ncounted", "weighted": "lis-o\nweighted", "lis-o": "lis-o\ncontrol variate"}
+
+
+class AlphaFilm(Film):
+    """A film that also keeps the two plain estimates of alpha, as sums over the steps `[H · W]`."""
+
+    def __init__(self, width: int, height: int):
+        super().__init__(width, height)
+        self.counted, self.weighted = torch.zeros(2, width * height)
+
+    def add(self, first: int, samples: FilmSamples, *step: object) -> Tensor:
+        pixels = slice(first, first + len(samples.weight))
+        self.counted[pixels] += samples.alpha * (samples.weight > 0.0)
+        self.weighted[pixels] += samples.alpha * samples.weight
+        return super().add(first, samples, *step)
+
+
+def main() -> None:
+    options = figure_options(__doc__, ["cutout", "fairy-lights"])
+    scenes = [sized(name, options) for name in options.scenes]
+    alphas = [alphas_of(scene, options) for scene in scenes]
+    write_figure(options.out / "fig12.png", scenes, alphas)
+    numbers = {scene.name: {"spp": options.spp, "alpha": measured(scene, found)} for scene, found in zip(scenes, alphas)}
+    write_json(numbers, options.out / "fig12.json")
+    print(f"wrote {options.out / 'fig12.png'} and .json")
+
+
+def alphas_of(scene: Scene, options: argparse.Namespace) -> dict[str, Tensor]:
+    """Alpha `[H, W]` by estimate, the reference last."""
+    films = {mode: rendered(scene, settings(mode, options)) for mode in ("uniform", "lis-o", "guided")}
+    shape, lis = (scene.film.height, scene.film.width), films["lis-o"]
+    plain = {name: (total / options.spp).reshape(shape) for name, total in (("counted", lis.counted), ("weighted", lis.weighted))}
+    alphas = {mode: torch.from_numpy(film.layers()["alpha"]) for mode, film in films.items()}
+    # Nothing that is seen directly depends on bounces.
+    unlit = replace(scene, film=replace(scene.film, max_depth=1))
+    long = replace(settings("uniform", options), spp=REFERENCE_SHARE * options.spp, seed=REFERENCE_SEED)
+    reference = torch.from_numpy(rendered(unlit, long).layers()["alpha"])
+    return {"uniform": alphas.pop("uniform"), **plain, **alphas, "reference": reference}
+
+
+def rendered(scene: Scene, settings: RenderSettings) -> AlphaFilm:
+    """The film after a whole render."""
+    loop = RenderLoop(scene, settings)
+    loop.film = AlphaFilm(scene.film.width, scene.film.height)
+    with progress(f"{scene.name} {settings.mode}", settings.spp) as bar:
+        for _ in range(settings.spp):
+            loop.step()
+            bar.update()
+    return loop.film
+
+
+def measured(scene: Scene, alphas: Mapping[str, Tensor]) -> dict[str, dict[str, dict[str, float]]]:
+    """What the errors of each estimate are, by region."""
+    found = {}
+    for name in (name for name in alphas if name != "reference"):
+        found[name] = {}
+        for region, mask in regions(scene).items():
+            alpha = alphas[name][mask].double()
+            error = alpha - alphas["reference"][mask]
+            found[name][region] = {
+                "mean absolute error": float(error.abs().mean()),
+                "mean error": float(error.mean()),
+                "its standard error": float(error.std(correction=0)) / len(error) ** 0.5,
+                "outside 0 to 1": float(((alpha < -ROUNDING) | (alpha > 1.0 + ROUNDING)).double().mean()),
+            }
+    return found
+
+
+def write_figure(path: Path, scenes: Sequence[Scene], alphas: Sequence[Mapping[str, Tensor]]) -> None:
+    """For each scene a row of frames and one for each inset, of alpha by estimate, with the mean absolute errors."""
+    rows = [(scene, found, region) for scene, found in zip(scenes, alphas) for region in list(crops(scene))[:SHOWN]]
+    heights = [crop_height(*crops(scene)[region]) for scene, _, region in rows]
+    names = list(alphas[0])
+    figure = Figure((WIDTH, WIDTH / len(names) * sum(heights) + 0.19 * len(rows) + 0.55), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.01, h_pad=0.02, wspace=0.01, hspace=0.01)
+    axes = figure.subplots(len(rows), len(names), squeeze=False, height_ratios=heights)
+    for row, (scene, found, region) in zip(axes, rows):
+        errors = {name: facts[region]["mean absolute error"] for name, facts in measured(scene, found).items()}
+        for one, name in zip(row, names):
+            one.imshow(grey(found[name][crops(scene)[region]]), interpolation="nearest")
+            one.set(xticks=[], yticks=[])
+            text = f"{errors[name]:.4f}" if name in errors else f"{scene.name}, {region.replace('-', ' ')}"
+            one.set_xlabel(text, fontsize=SMALL, labelpad=2)
+    for one, name in zip(axes[0], names):
+        one.set_title(LABELS.get(name, name), fontsize=NORMAL, pad=3)
+    note = Patch(alpha=0.0, label="below each: mean |error|")
+    marks = [note, Patch(color=BELOW, label="alpha below 0"), Patch(color=ABOVE, label="alpha above 1")]
+    figure.legend(handles=marks, loc="outside lower center", ncols=3, fontsize=SMALL, frameon=False)
+    save(figure, path)
+
+
+def crops(scene: Scene) -> dict[str, tuple[slice, slice]]:
+    """Pixels of the frame and of each inset by the names of `regions`."""
+    boxes = {"frame": Inset(0.0, 0.0, 1.0, 1.0)} | {f"inset-{number}": inset for number, inset in enumerate(scene.insets, start=1)}
+    return {region: box.pixels(scene.film.width, scene.film.height) for region, box in boxes.items()}
+
+
+def crop_height(rows: slice, columns: slice) -> float:
+    """For one unit of width."""
+    return (rows.stop - rows.start) / (columns.stop - columns.start)
+
+
+def grey(alpha: Tensor) -> np.ndarray:
+    """Alpha `[H, W]` in grey, and in colour where it is out of range, `[H, W, 3]`."""
+    picture = np.repeat(alpha.clamp(0.0, 1.0).numpy()[..., None], 3, axis=2)
+    picture[(alpha < -ROUNDING).numpy()] = to_rgb(BELOW)
+    picture[(alpha > 1.0 + ROUNDING).numpy()] = to_rgb(ABOVE)
+    return picture
+
+
+if __name__ == "__main__":
+    run(main)
