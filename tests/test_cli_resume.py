@@ -93,6 +93,21 @@ def test_without_a_checkpoint_it_starts_anew_and_says_so(render, capsys):
     assert read_metadata("a.exr")["spp"] == 2
 
 
+def test_starting_anew_by_mistake_loses_nothing(render, capsys):
+    """Of the same render; the checkpoint of another one is replaced."""
+    assert render("--spp", 5, "--mode", "uniform") == 0
+    capsys.readouterr()
+    assert render("--spp", 3, "--mode", "uniform") == 0
+    assert "a.ckpt holds 5 SPP of this render, and stays until there are more; see --resume" in capsys.readouterr().err
+    assert kept_spp("a.ckpt", "uniform") == 5 and read_metadata("a.exr")["spp"] == 3
+    assert render("--spp", 6, "--mode", "uniform") == 0
+    assert kept_spp("a.ckpt", "uniform") == 6
+    capsys.readouterr()
+    assert render("--spp", 2, "--mode", "lis") == 0
+    assert "a.ckpt holds" not in capsys.readouterr().err
+    assert kept_spp("a.ckpt", "lis") == 2
+
+
 def test_no_checkpoint_where_none_is_wanted(render, tmp_path, capsys):
     assert render("--spp", 2, "--checkpoint-every", 0) == 0
     assert not (tmp_path / "a.ckpt").exists() and "ckpt" not in capsys.readouterr().out

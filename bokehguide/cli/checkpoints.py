@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from bokehguide.errors import BokehguideError
-from bokehguide.train import RenderLoop, load_checkpoint, save_checkpoint
+from bokehguide.train import RenderLoop, load_checkpoint, save_checkpoint, saved_steps
 
 
 class Checkpoints:
@@ -21,20 +21,26 @@ class Checkpoints:
         self._last = time.monotonic()
         self._saved_step = 0
 
-    def resume(self, loop: RenderLoop) -> float:
-        """Go on from the file, or start anew where there is none, and say which; returns the seconds so far.
+    def begin(self, loop: RenderLoop, resume: bool) -> float:
+        """Go on from the file, or start anew, and say so; returns the seconds that the render has taken so far.
 
-        Raises BokehguideError where it is of another render, damaged, or holds more samples than are asked for.
+        A file of the same render stays until there are more samples than it holds.
+        Raises BokehguideError where `resume` finds another render, a damaged file or more samples than are asked for.
         """
-        if not self.path.exists():
-            print(f"bokehguide: there is no {self.path} to resume; starting anew", file=sys.stderr)
-            return 0.0
-        seconds = load_checkpoint(self.path, loop)
-        step = self._saved_step = loop.step_number
-        if step > loop.settings.spp:
-            raise BokehguideError(f"{self.path}: holds {step} SPP already; give --spp {step} or more")
-        print(f"bokehguide: resuming {self.path} at {step} SPP", file=sys.stderr)
-        return seconds
+        if resume and self.path.exists():
+            seconds = load_checkpoint(self.path, loop)
+            step = self._saved_step = loop.step_number
+            if step > loop.settings.spp:
+                raise BokehguideError(f"{self.path}: holds {step} SPP already; give --spp {step} or more")
+            _note(f"resuming {self.path} at {step} SPP")
+            return seconds
+        if resume:
+            _note(f"there is no {self.path} to resume; starting anew")
+        elif self.every > 0.0:
+            step = self._saved_step = saved_steps(self.path, loop)
+            if step > 0:
+                _note(f"{self.path} holds {step} SPP of this render, and stays until there are more; see --resume")
+        return 0.0
 
     def due(self) -> bool:
         return 0.0 < self.every <= time.monotonic() - self._last
@@ -46,9 +52,13 @@ class Checkpoints:
                 save_checkpoint(self.path, loop, seconds)
                 self._saved_step = loop.step_number
             except BokehguideError as error:
-                print(f"bokehguide: warning: {error}", file=sys.stderr)
+                _note(f"warning: {error}")
         self._last = time.monotonic()
 
     def holds(self, loop: RenderLoop) -> bool:
         """Whether the file has the state that the loop is in."""
         return 0 < self._saved_step == loop.step_number
+
+
+def _note(text: str) -> None:
+    print(f"bokehguide: {text}", file=sys.stderr)

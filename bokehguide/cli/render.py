@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
 
     loop = RenderLoop(scene, settings)
     checkpoints = Checkpoints(out.with_suffix(".ckpt"), options.checkpoint_every)
-    earlier = checkpoints.resume(loop) if options.resume else 0.0
+    earlier = checkpoints.begin(loop, options.resume)
     done = loop.step_number
     logger = RenderLogger(options.logdir, scene, settings, options.exposure, done) if options.logdir else None
     with Interrupt() as interrupt:

@@ -44,8 +44,27 @@ def load_checkpoint(path: str | Path, loop: RenderLoop) -> float:
     Raises BokehguideError for a file that is missing or damaged, or was made by another
     version, from another scene, or with another setting than the loop's (but SPP and threads).
     """
-    path = Path(path)
-    damaged = BokehguideError(f"{path}: is damaged or no checkpoint of a render; remove it to start anew")
+    whole = _read(path, loop)
+    try:
+        loop.load_state_dict(whole["loop"])
+        seconds = float(whole["seconds"])
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise _damaged(path) from error
+    if not math.isfinite(seconds):
+        raise _damaged(path)
+    return seconds
+
+
+def saved_steps(path: str | Path, loop: RenderLoop) -> int:
+    """How many steps of the loop's render a file holds; 0 where it is missing, damaged or of another one."""
+    try:
+        return _read(path, loop)["loop"]["step"]
+    except (BokehguideError, KeyError, TypeError):
+        return 0
+
+
+def _read(path: str | Path, loop: RenderLoop) -> dict[str, object]:
+    """What was saved, when it is of the loop's render. Raises as `load_checkpoint`."""
     try:
         with zipfile.ZipFile(path) as archive:
             whole_file = archive.testzip() is None  # torch does not look at checksums
@@ -53,23 +72,20 @@ def load_checkpoint(path: str | Path, loop: RenderLoop) -> float:
     except OSError as error:
         raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     except Exception as error:  # what either reader raises for damaged bytes is not in their documentation
-        raise damaged from error
+        raise _damaged(path) from error
     then = whole.get("origin") if isinstance(whole, dict) else None
     if not isinstance(then, dict) or not all(isinstance(text, str) and text.isprintable() for text in then.values()):
-        raise damaged
+        raise _damaged(path)
     found = differences(then, origin(loop.scene, loop.settings))
     if found:
         more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
         named = ", ".join(found[:NAMED])
         raise BokehguideError(f"{path}: is of another render: {named}{more}; render without resuming to start anew")
-    try:
-        loop.load_state_dict(whole["loop"])
-        seconds = float(whole["seconds"])
-    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise damaged from error
-    if not math.isfinite(seconds):
-        raise damaged
-    return seconds
+    return whole
+
+
+def _damaged(path: str | Path) -> BokehguideError:
+    return BokehguideError(f"{path}: is damaged or no checkpoint of a render; remove it to start anew")
 
 
 def origin(scene: Scene, settings: RenderSettings) -> dict[str, str]:
