@@ -40,7 +40,7 @@ def main(out: Path) -> None:
 def render(mode: str, image: Path, logs: Path) -> None:
     """Run the command a user would type."""
     command = [sys.executable, "-m", "bokehguide", "render", SCENE, "--mode", mode, "--size", SIZE, "--spp", str(SPP)]
-    command += ["--out", str(image), "--logdir", str(logs), "--reference", str(REFERENCE)]
+    command += ["--out", str(image), "--logdir", str(logs), "--reference", str(REFERENCE), "--checkpoint-every", "0"]
     finished = subprocess.run(command, check=False)
     if finished.returncode:
         sys.exit(finished.returncode)
