@@ -156,3 +156,13 @@ def test_a_sequence_may_begin_at_any_step():
     for step, first in ((20, 17), (20, 1), (8, 5), (8, 1)):
         others = PixelRandom(0, step, pixels).stratified(2, 2, first=first).numpy()
         assert sidak([independence(a, b) for a in numbers for b in others]) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("first", [2, 3, 5, 9, 17, 33, 65, 129])
+@pytest.mark.parametrize("dimension", [0, 32, 33, 37])
+def test_the_lens_points_of_a_block_know_nothing_of_other_sequences(dimension, first):
+    """Over pixels, at the same step: film position, choice of the lobe, first bounce, light."""
+    pixels = torch.arange(PIXELS)
+    random = PixelRandom(1, first + first // 2, pixels)
+    lens, others = random.stratified(2, 3, first=first).numpy(), random.stratified(dimension, 1 if dimension == 32 else 2).numpy()
+    assert sidak([independence(a, b) for a in lens for b in others]) > SIGNIFICANCE

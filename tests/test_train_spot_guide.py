@@ -8,7 +8,7 @@ import scenes
 import torch
 
 from bokehguide.models.projection import project_to_lens
-from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectangle
+from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_rectangle
 from bokehguide.scene.types import Environment, Material, Scene
 from bokehguide.train import RenderLoop, RenderSettings, spot_guide
 from bokehguide.train.guide import GuidedBatch
@@ -34,13 +34,35 @@ def test_the_lamps_are_known_before_the_first_step():
     np.testing.assert_allclose(field.sigma[order], REACH * radii, rtol=0.01)
 
 
+def test_what_is_no_compact_lamp_is_left_to_be_found():
+    """A strip that reaches from before the lamps to beyond them, of the same mesh as one of them."""
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    strip = transformed(unit_rectangle(), transform((0.0, 0.1, -5.0), scale=(0.6, 0.01, 1.0)))
+    mesh = joined([strip, spheres(np.array([[0.0, -0.2, -5.0]]), 0.05, material=0)])
+    loop = rendered(replace(scene, meshes=(replace(mesh, material=0),)), 8)
+    guide = loop.guide
+    assert len(guide._lamps) == 1 and len(guide.field) > 2 and len(guide.spotlights) > 0
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_the_scenes_brightness_changes_nothing(scale):
+    def lit(factor: float) -> Scene:
+        scene = scenes.lamps(WIDTH, HEIGHT)
+        lamp = replace(scene.materials[0], emission=tuple(factor * c for c in scene.materials[0].emission))
+        return replace(scene, materials=(lamp,), environment=scenes.constant_sky(0.1 * factor))
+
+    one, other = rendered(lit(1.0), 12), rendered(lit(scale), 12)
+    torch.testing.assert_close(other.guide.beta, one.guide.beta, rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(other.film.radiance() / scale, one.film.radiance(), rtol=1e-2, atol=1e-3)
+
+
 def test_lamps_in_focus_behind_the_camera_or_unlit_are_none():
     scene = scenes.lamps(WIDTH, HEIGHT)
     focused = spheres(np.array([[0.0, 0.0, -2.0], [0.0, 0.0, 3.0]]), 0.05, material=0)
     dark = spheres(np.array([[0.0, 0.0, -5.0]]), 0.05, material=1)
     materials = (scenes.LAMP, replace(scenes.LAMP, emission=(0.0, 0.0, 0.0)))
     loop = rendered(replace(scene, meshes=(focused, dark), materials=materials), 3)
-    assert len(loop.guide.field) == 0 and loop.film.radiance().max() > 1.0
+    assert len(loop.guide._lamps) == 0 and loop.film.radiance().max() > 1.0
 
 
 def test_peaks_of_an_environment_are_far_lamps():

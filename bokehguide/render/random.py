@@ -10,14 +10,14 @@ digital shift, whose variance is that of Owen's nested scrambling (Owen 2003). E
 uniform and those of one step are independent, but given a pixel's earlier steps they are
 not: nothing that was learnt from those may decide what a number is used for.
 
-Lens points whose density is learnt therefore take independent numbers. The film position
+Lens points whose density is learnt step by step therefore take independent numbers. The film position
 x and the first bounce b may be stratified all the same: given them and the past, the
 average of f(x, l, b) / q(l | x) over the lens point l is the integral of f over the lens,
 whatever q has become, and nothing of the past is left in it.
 
-Lens points of a uniform density may be stratified too, over a block of steps for which
-the density was settled before the block began: the block's scramble is its own, so that it
-knows nothing of the past that settled it.
+Lens points may be stratified too, over a block of steps for which their density was settled
+before the block began: the block's scramble is its own, so that it knows nothing of the past
+that settled it.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class PixelRandom:
         `dimension` and `first` name the sequence; at most 8 dimensions. Sequences of different
         names are independent but for being evenly spread each.
         """
-        key = hash_int(self.seed_key + 0x3C6EF372 * dimension + 0x61C88647 * (first - 1))
+        key = hash_int(self.seed_key + 0x3C6EF372 * dimension + hash_int(first - 1))
         index = shuffle_index(self.index - (first - 1), key)
         values = self._hash([hash_int(key + i) for i in range(count)])
         columns = (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)

@@ -23,7 +23,7 @@ class Lamps:
     Lamps of an environment lie at infinity: their centres are unit directions and
     their radii the tangents of the angular radii; `infinite` `[N]` says which. extents: radii
     of the spheres about the centres that hold all of each lamp. luminance: of their radiance, `[N]`;
-    textures are not looked at.
+    textures are not looked at. mesh: number of each lamp's mesh in the scene, -1 at infinity, `[N]`.
     """
 
     centres: np.ndarray
@@ -31,19 +31,23 @@ class Lamps:
     extents: np.ndarray
     luminance: np.ndarray
     infinite: np.ndarray
+    mesh: np.ndarray
 
 
 def find_lamps(scene: Scene) -> Lamps:
     """All emissive components of the geometry, all bright peaks of the environment, and all suns."""
-    emitting = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
-    parts = [_components(mesh, LUMINANCE @ scene.materials[mesh.material].emission) for mesh in emitting]
-    near = sum(len(radii) for _, radii, _, _ in parts)
+    emitting = [number for number, mesh in enumerate(scene.meshes) if scene.materials[mesh.material].emits]
+    meshes = [scene.meshes[number] for number in emitting]
+    parts = [_components(mesh, LUMINANCE @ scene.materials[mesh.material].emission) for mesh in meshes]
+    near = np.repeat(np.array(emitting, int), [len(radii) for _, radii, _, _ in parts])
     if scene.environment is not None:
         parts.append(_peaks(scene.environment.radiance, scene.environment.rotation))
     parts += [_disc(sun) for sun in scene.suns]
     parts.append((np.zeros((0, 3)), *np.zeros((3, 0))))
     centres, *columns = (np.concatenate(arrays) for arrays in zip(*parts))
-    return Lamps(centres, *columns, infinite=np.arange(len(centres)) >= near)
+    mesh = np.full(len(centres), -1)
+    mesh[: len(near)] = near
+    return Lamps(centres, *columns, infinite=mesh < 0, mesh=mesh)
 
 
 def lens_coverage(scene: Scene, lamps: Lamps | None = None) -> float | None:

@@ -40,6 +40,8 @@ LOWEST, HIGHEST = 0.05, 0.9
 """Bounds of β: weights stay below 10, and a lamp that comes into sight is still found."""
 REACH = 1.1
 """Radius of a lamp's disc by its extent: what misses the disc is left to the uniform part."""
+LONGEST = 4.0
+"""A piece that reaches further than this many radii of the disc of its area is no lamp but a strip, left to be found."""
 POOLED = 5
 """Pixels across the squares whose moments are shared."""
 PRIOR = 1e-3
@@ -69,7 +71,10 @@ class SpotGuide(nn.Module):
         self.to(device)
         self.register_buffer("spotlights", torch.zeros(0, dtype=torch.int64, device=device))
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
-        self._lamps = _lamps(scene, camera)
+        self._lamps, known, self._knows_sky = _lamps(scene, camera)
+        triangles = torch.tensor([len(mesh.triangles) for mesh in scene.meshes])
+        self._known = torch.repeat_interleave(known, triangles).to(device)
+        """Triangles whose light is that of lamps in the field, bool `[T]`."""
         self.refit(1.0)
 
     @torch.no_grad()
@@ -111,9 +116,11 @@ class SpotGuide(nn.Module):
         return step == int(self.block)
 
     def recorded(self, samples: PathSamples) -> Tensor:
-        """Luminance `[N]` for the record buffer: what lamps do not send straight into the lens."""
-        reflected = luminance(samples.radiance - samples.emission)
-        return reflected * (samples.distance < MISS_DISTANCE)
+        """Luminance `[N]` for the record buffer: all but what the field's lamps send straight into the lens."""
+        hit = samples.triangle >= 0
+        known = self._known[samples.triangle.clamp(min=0).long()] & hit
+        light = luminance(samples.radiance - samples.emission * known)
+        return light * hit if self._knows_sky else light
 
     @torch.no_grad()
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
@@ -121,6 +128,8 @@ class SpotGuide(nn.Module):
         if not starts_block(step + 1):
             return
         self.block.fill_(step + 1)
+        if step == 1:  # studied before the frame's mean, the unit of all later moments, was known
+            self.moments /= max(mean_luminance, 1e-15) ** 2
         self.refit(mean_luminance)
         squares = self.moments.reshape(2, 1, self.camera.height, self.camera.width)
         pooled = avg_pool2d(squares, POOLED, 1, POOLED // 2, count_include_pad=False).reshape(2, -1)
@@ -132,6 +141,8 @@ class SpotGuide(nn.Module):
         """The lamps, and what the record buffer shows beside them; then list each pixel's candidates."""
         found = GaussianField().to(self.beta.device)
         self.spotlights = fit_gaussians(found, self.record, self.camera, mean_luminance)
+        if len(found) == 0 and len(self.field) == len(self._lamps) > 0:
+            return
         # σ stands for a disc's radius.
         parts = [[getattr(part, name) for part in (self._lamps, found)] for name in ("mean", "radius", "radius", "energy")]
         self.field.assign(*(torch.cat(part, dim=-1) for part in parts))
@@ -153,19 +164,24 @@ class SpotGuide(nn.Module):
         return result
 
 
-def _lamps(scene: Scene, camera: ThinLensCamera) -> GaussianField:
-    """The scene's lamps that the lens can see out of focus, as balls in the camera frame."""
+def _lamps(scene: Scene, camera: ThinLensCamera) -> tuple[GaussianField, Tensor, bool]:
+    """The scene's lamps that the lens can see out of focus, as balls in the camera frame.
+
+    Also which meshes, bool `[meshes]`, and whether the sky, have no light but theirs.
+    """
     lamps = find_lamps(scene)
-    centre, extent, bright = (torch.from_numpy(x).float() for x in (lamps.centres.T, lamps.extents, lamps.luminance))
-    away = FAR * camera.lens.focus_distance
-    infinite = torch.from_numpy(lamps.infinite)
+    centre, reach, bright = (torch.from_numpy(x).float() for x in (lamps.centres.T, lamps.extents, lamps.luminance))
+    infinite, compact = (torch.from_numpy(x) for x in (lamps.infinite, lamps.extents <= LONGEST * lamps.radii))
+    scale = torch.where(infinite, FAR * camera.lens.focus_distance, 1.0)
     world = centre - torch.where(infinite, 0.0, camera.position.cpu())
-    mean = (camera.axes.T.cpu() @ world) * torch.where(infinite, away, 1.0)
-    radius = REACH * extent * torch.where(infinite, away, 1.0)
+    mean, radius = (camera.axes.T.cpu() @ world) * scale, REACH * reach * scale
+    energy = bright * radius.square()
     visible = scene.environment is None or scene.environment.visible
-    seen = (mean[2] > radius) & (bright > 0.0) & (~infinite | visible)
+    seen = (mean[2] > radius) & (~infinite | visible) & compact & (energy > 0.0) & energy.isfinite()
     seen &= (mean[2] - camera.lens.focus_distance).abs() > radius  # in focus there is nothing to guide
     field = GaussianField()
-    energy = bright * radius.square()
     field.assign(mean[:, seen], radius[seen], radius[seen], energy[seen])
-    return field.to(camera.position.device)
+    known = torch.ones(len(scene.meshes), dtype=torch.bool)
+    known[lamps.mesh[(~seen & ~infinite).numpy()]] = False
+    knows_sky = bool(infinite.any() and seen[infinite].all())
+    return field.to(camera.position.device), known, knows_sky
