@@ -1,0 +1,91 @@
+"""The script of the ablations at a tiny size."""
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import ablations
+import pytest
+import torch
+
+from bokehguide.scene import Overrides, load_scene
+from bokehguide.train import RenderSettings
+
+SCRIPT = Path(__file__).parent.parent / "scripts/ablations.py"
+
+
+def run(folder: Path, *options: str) -> subprocess.CompletedProcess:
+    small = ["--size", "32x18", "--spp", "4", "--cache", "cache", "--out", "out"]
+    command = [sys.executable, str(SCRIPT), "fairy-lights", *small, *options]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+
+
+def test_the_table_and_what_is_kept(tmp_path):
+    finished = run(tmp_path, "--only", "fixed-beta,positions", "--seeds", "2")
+    assert finished.returncode == 0, finished.stderr
+    table = (tmp_path / "out/ablations.md").read_text()
+    assert finished.stdout.strip() == table.strip()
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()]
+    assert lines[0] == ["change", "to", "mode", "fairy-lights", "all"]
+    assert [line[:3] for line in lines[2:]] == [
+        ["none: MAPE", "", "lis"],
+        ["none: MAPE", "", "lis-o"],
+        *(["fixed β", value, "lis"] for value in ("0.5", "0.65", "0.9")),
+        ["record positions", "plain means", "lis-o"],
+    ]
+    for line in lines[4:]:
+        value, error = line[3].split(" ± ")
+        assert 0.3 < float(value) < 3.0 and float(error) >= 0.0 and line[4] == value
+
+    path = tmp_path / "out/ablations.json"
+    kept = json.loads(path.read_text())
+    assert len(kept) == 2 * (2 + 4)
+    path.write_text(json.dumps(dict.fromkeys(kept, 0.5)))
+    assert run(tmp_path, "--only", "fixed-beta", "--seeds", "1").stdout.count("| 1.000 ± - | 1.000 |") == 3
+    assert json.loads(path.read_text()).keys() == kept.keys()
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"a": "b"}', '{"a": NaN}', "\xff"])
+def test_damage_is_one_line(text, tmp_path):
+    path = tmp_path / "ablations.json"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(ablations.BokehguideError, match=r"ablations\.json: is damaged or no ablations'; remove it or choose"):
+        ablations.read_kept(path)
+
+
+def test_a_mistake_is_one_line(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/ablations.json").write_text("{")
+    for options, told in (((), "ablations.json: is damaged"), (("--only", "alfa"), "'alfa' is unknown; choose of alpha, ")):
+        finished = run(tmp_path, *options)
+        assert (finished.returncode, finished.stdout, finished.stderr.count("\n")) == (2, "", 1)
+        assert "error: " in finished.stderr and told in finished.stderr
+
+
+def test_every_kind_of_change_changes_the_picture_and_is_undone():
+    scene = load_scene("glitter", Overrides(width=64, height=36))
+    changes = [changes[-1] for changes in ablations.CHANGES.values()]
+    settings = {mode: RenderSettings(mode, spp=10, threads=1) for mode in ("lis", "lis-b", "lis-o")}
+
+    def picture(change: ablations.Change) -> torch.Tensor:
+        return ablations.rendered(scene, settings[change.mode], change)
+
+    defaults = {mode: picture(ablations.Change("default", mode, mode=mode)) for mode in settings}
+    for change in changes:
+        found = picture(change)
+        assert found.isfinite().all()
+        assert not torch.equal(found, defaults[change.mode]), f"{change.what} {change.value} changes nothing"
+    assert torch.equal(picture(ablations.Change("default", "lis-o")), defaults["lis-o"])
+
+
+def test_the_standard_error_is_that_of_repeated_quotients():
+    generator = torch.Generator().manual_seed(1)
+    changed = 0.5 + 0.02 * torch.randn(4000, 3, generator=generator)
+    default = 0.4 + 0.03 * torch.randn(4000, 3, generator=generator)
+    found = [ablations.ratio(*pair) for pair in zip(changed, default)]
+    values, errors = torch.tensor(found).T
+    assert float(values.mean()) == pytest.approx(1.25, rel=0.01)
+    assert math.sqrt(float(errors.square().mean())) == pytest.approx(float(values.std()), rel=0.05)
+    assert ablations.ratio(torch.tensor([0.5]), torch.tensor([0.25])) == (2.0, None)
