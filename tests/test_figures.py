@@ -18,10 +18,11 @@ from bokehguide.scene import Camera, Film, Inset, Scene
 from bokehguide.train import MODES, RenderSettings
 
 FIGURES = Path(__file__).parent.parent / "scripts/figures"
+METHODS = ["uniform", "area-restir", "lis", "lis-b", "lis-o", "guided"]
 DRAWN = {
     "fig6": (["fig6.png"], ["lis, β 0.95", "lis", "lis-b"], []),
     "fig7": (["fig7.png"], ["lis-b", "lis-o"], ["lis-b"]),
-    "fig8_9": (["fig8.png", "fig9.png"], ["uniform", "area-restir", "lis", "lis-b", "lis-o", "guided"], ["lis", "lis-b", "lis-o"]),
+    "fig8_9": (["fig8.png", "fig9.png"], METHODS, ["lis", "lis-b", "lis-o"]),
     "fig11": (["fig11.png"], ["uniform", "lis-o, no split", "lis-o", "guided"], ["uniform", "lis-o", "guided"]),
 }
 """By script: pictures, columns, and the modes that an earlier script has rendered."""

@@ -53,7 +53,7 @@ SEED = 7_000_000
 """Of what is drawn for this figure."""
 WELL_ON = 0.8
 """Share of the lens's radius within which a lamp's centre counts as well on the lens."""
-NAMES = {"reference": "reference", "area-restir": "Area ReSTIR", "exact": "exact draws"}
+NAMES = {"reference": "reference", "area-restir": "Area ReSTIR"}
 
 
 @dataclass
@@ -80,11 +80,15 @@ class Distributions:
 
 
 def main() -> None:
-    options = figure_options(__doc__, ["fairy-lights"], lambda parser: parser.add_argument("--pixel", type=pixel, metavar="X,Y"))
+    options = figure_options(__doc__, ["fairy-lights"], add_pixel)
     found = [distributions(sized(name, options), options) for name in options.scenes]
     write_figure(options.out / "fig10.png", found)
     write_json({one.scene.name: facts(one, options) for one in found}, options.out / "fig10.json")
     print(f"wrote {options.out / 'fig10.png'} and .json")
+
+
+def add_pixel(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--pixel", type=pixel, metavar="X,Y", help="column and row, from 0; default: one with two lamps on its lens")
 
 
 def pixel(text: str) -> tuple[int, int]:
@@ -116,7 +120,8 @@ def distributions(scene: Scene, options: argparse.Namespace) -> Distributions:
     points |= {mode: guided_points(one, index) for mode, one in loops.items()}
     outside = {name: 1.0 - float(lens.contains(one).float().mean()) for name, one in points.items()}
     grids = {name: histogram(lens, one) for name, one in points.items()}
-    exact = torch.multinomial(radiance.flatten().double(), DRAWS, replacement=True, generator=torch.Generator().manual_seed(SEED))
+    generator = torch.Generator().manual_seed(SEED)
+    exact = torch.multinomial(radiance.flatten().double(), DRAWS, replacement=True, generator=generator)
     grids["exact"] = exact.bincount(minlength=GRID * GRID).reshape(GRID, GRID)
     return Distributions(scene, (column, row), loop.film.radiance(), inside, {"reference": radiance, **grids}, outside)
 

@@ -74,7 +74,8 @@ def alphas_of(scene: Scene, options: argparse.Namespace) -> dict[str, Tensor]:
     """Alpha `[H, W]` by estimate, the reference last."""
     films = {mode: rendered(scene, settings(mode, options)) for mode in ("uniform", "lis-o", "guided")}
     shape, lis = (scene.film.height, scene.film.width), films["lis-o"]
-    plain = {name: (total / options.spp).reshape(shape) for name, total in (("counted", lis.counted), ("weighted", lis.weighted))}
+    sums = {"counted": lis.counted, "weighted": lis.weighted}
+    plain = {name: (total / options.spp).reshape(shape) for name, total in sums.items()}
     alphas = {mode: torch.from_numpy(film.layers()["alpha"]) for mode, film in films.items()}
     # Nothing that is seen directly depends on bounces.
     unlit = replace(scene, film=replace(scene.film, max_depth=1))
@@ -136,7 +137,8 @@ def write_figure(path: Path, scenes: Sequence[Scene], alphas: Sequence[Mapping[s
 
 def crops(scene: Scene) -> dict[str, tuple[slice, slice]]:
     """Pixels of the frame and of each inset by the names of `regions`."""
-    boxes = {"frame": Inset(0.0, 0.0, 1.0, 1.0)} | {f"inset-{number}": inset for number, inset in enumerate(scene.insets, start=1)}
+    insets = {f"inset-{number}": inset for number, inset in enumerate(scene.insets, start=1)}
+    boxes = {"frame": Inset(0.0, 0.0, 1.0, 1.0), **insets}
     return {region: box.pixels(scene.film.width, scene.film.height) for region, box in boxes.items()}
 
 

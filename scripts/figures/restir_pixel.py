@@ -21,7 +21,7 @@ WEIGHTS = luminance(torch.eye(3)).tolist()
 
 
 def as_radiance(points: Tensor) -> Tensor:
-    """Lens points `[2, N]` in units of the lens's radius, and a third number that makes it a colour of luminance 1, `[3, N]`."""
+    """Colours of luminance 1 `[3, N]` whose red and green are lens points `[2, N]`, in units of the lens's radius."""
     red, green, blue = WEIGHTS
     return torch.cat((points, ((1.0 - red * points[0] - green * points[1]) / blue)[None]))
 
@@ -63,7 +63,8 @@ class PixelReuse(SpatialReuse):
         self._count = count
         own = torch.arange(count)
         starts = PixelRandom(seed, step, own).uniform(START_DIMENSION, 1)[0]
-        pixels = Neighbourhood(loop.camera.width, loop.camera.height, radius, NEIGHBOURS).of(torch.full_like(own, pixel), starts)
+        around = Neighbourhood(loop.camera.width, loop.camera.height, radius, NEIGHBOURS)
+        pixels = around.of(torch.full_like(own, pixel), starts)
         # A pixel that is a neighbour twice has one sample, that of its first place.
         place = (pixels[:, None] == pixels[None]).to(torch.uint8).argmax(0)
         self._members = torch.where(pixels >= 0, (place + 1) * count + own, -1)
