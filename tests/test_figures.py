@@ -49,7 +49,7 @@ def test_each_figure_is_a_png_and_a_json_and_shares_its_renders(tmp_path):
         for picture in pictures:
             assert_picture(tmp_path / "out" / picture)
         scenes = json.loads((tmp_path / f"out/{name}.json").read_text())["scenes"]
-        assert scenes.keys() == {"occluded"} and scenes["occluded"]["reference"]["spp"] == 64
+        assert scenes.keys() == {"occluded"} and scenes["occluded"]["reference"]["spp"] == 32
         found = scenes["occluded"]["modes"]
         assert list(found) == modes
         assert all(facts["mape"]["insets"] > 0 for facts in found.values())

@@ -22,8 +22,8 @@ from bokehguide.image import check_writable, replacing
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import RenderSettings
 
-REFERENCE_SHARE = 32
-"""SPP of a reference for one of a mode's."""
+REFERENCE_SHARE = 16
+"""SPP of a reference for one of a mode's, as `compare` has it."""
 PAPER_WIDTH, PAPER_RADIUS = 1920, 50
 """The paper's pictures, and how far Area ReSTIR looks for neighbours in them; in smaller ones, over the same part."""
 

@@ -64,13 +64,13 @@ def write_figure(path: Path, comparisons: Sequence[Comparison], maps: Sequence[T
     """For each scene its crops, and below them β over the frame and in the insets."""
     layouts = [lay_out(comparison) for comparison in comparisons]
     rows = [map_height(comparison.scene) for comparison in comparisons]
-    figure = Figure((WIDTH, sum(layout.height + MAP_GAP + row + 0.05 for layout, row in zip(layouts, rows))))
+    figure = Figure((WIDTH, sum(layout.height + MAP_GAP + row + 0.08 for layout, row in zip(layouts, rows))))
     top = 0.0
     for comparison, layout, row, beta in zip(comparisons, layouts, rows, maps):
         draw_scene(figure, comparison, layout, top + layout.head, 0.0)
         top += layout.height + MAP_GAP
         draw_maps(figure, comparison.scene, beta, top, row)
-        top += row + 0.05
+        top += row + 0.08
     save(figure, path)
 
 
