@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     logger = RenderLogger(options.logdir, scene, settings, options.exposure, done) if options.logdir else None
     with Interrupt() as interrupt:
         report = Report(f"{scene.name} {settings.mode}", settings, done, earlier)
-        while loop.step_number < settings.spp and not interrupt.requested:
+        while loop.step_number < settings.spp:
             stats = loop.step()
             errors = measure(loop.film.radiance(), reference)
             report.add(stats, errors)
@@ -58,6 +58,8 @@ def run(options: argparse.Namespace) -> int:
                 if logger:
                     logger.flush()  # or what is saved could be missing in the log
                 checkpoints.save(loop, report.seconds)
+            if interrupt.requested:
+                break
         checkpoints.save(loop, report.seconds)
 
     if logger:
