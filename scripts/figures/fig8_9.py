@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from bokehguide.evaluation import Comparison
 from bokehguide.evaluation.crops_figure import write_crops
 from bokehguide.evaluation.curves_figure import COSTS, add_legend, draw_curves
-from bokehguide.evaluation.page import NORMAL, WIDTH, save
+from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
 
 SCENES = ("fairy-lights", "occluded", "chrome", "night-street")
 RESTIR = Variant("area-restir", "area-restir", "fewer-spp", spp_divisor=4)
@@ -48,6 +48,7 @@ def write_curves(path: Path, comparisons: Sequence[Comparison]) -> None:
     for axes, comparison in zip(rows[0], comparisons):
         axes.set_title(comparison.scene.name, fontsize=NORMAL)
     add_legend(figure)
+    figure.supxlabel(f"{RESTIR.label} has 1/{RESTIR.spp_divisor} of the others' samples per pixel", fontsize=SMALL)
     save(figure, path)
 
 
