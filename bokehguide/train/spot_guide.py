@@ -66,7 +66,7 @@ class SpotGuide(nn.Module):
         self.register_buffer("beta", torch.full((pixels,), FIRST_BLEND))
         self.register_buffer("moments", torch.zeros(2, pixels))
         """Σ β² f² p / q³ and Σ (1 - β)² f² u / q³ of the discs and the uniform part: at the β of least variance
-        their roots are as β to 1 - β, and neither depends on the β that was drawn with."""
+        their roots are as β to 1 - β. Of discs small against the lens neither depends on the β that was drawn with."""
         self.register_buffer("block", torch.tensor(1))
         self.to(device)
         self.register_buffer("spotlights", torch.zeros(0, dtype=torch.int64, device=device))
