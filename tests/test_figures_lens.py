@@ -14,7 +14,7 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.vector import luminance
 
-PIXEL = 9 * WIDTH + 13
+PIXEL = 8 * WIDTH + 16
 """In the lamp's disc."""
 
 
@@ -33,7 +33,7 @@ def test_what_area_restir_chooses_stands_for_the_light_on_the_lens(figures):
     from restir_pixel import PixelReuse
 
     loop = loop_of("uniform")
-    final = [PixelReuse(loop, PIXEL, RADIUS, 3, step, 2048).passes() for step in (1, 2)]
+    final = [PixelReuse(loop, PIXEL, RADIUS, 3, step, 2048).passes() for step in (1, 2, 3, 4)]
     weight = torch.cat([one.radiance_weight for one in final])
     x, y = torch.cat([one.radiance for one in final], dim=1)[:2]
     assert float((x * x + y * y)[weight > 0.0].max()) <= 1.0001
@@ -44,7 +44,7 @@ def test_what_area_restir_chooses_stands_for_the_light_on_the_lens(figures):
     origins, directions = loop.camera.rays(loop.camera.focus_points(raster), points)
     light = luminance(loop.tracer.trace(origins, directions, random, PhaseTimer()).radiance)
     u, v = points / loop.camera.lens.radius
-    for seen, expected in ((1.0, 1.0), (x, u), (y, v), (x * y, u * v)):
+    for seen, expected in ((1.0, 1.0), (x, u), (y, v), (x * y, u * v), (x * x, u * u), (y * y, v * v)):
         assert_same_means(weight * seen, light * expected)
 
 
