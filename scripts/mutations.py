@@ -16,9 +16,9 @@ from bokehguide.render.film import Film
 def drop_zero(add: Callable) -> Callable:
     """Leave draws outside the aperture out of N: the film skips what is not finite."""
 
-    def mutated(film: Film, first: int, samples, step: int):
+    def mutated(film: Film, first: int, samples, *rest):
         samples.radiance[:, samples.weight == 0.0] = math.nan
-        return add(film, first, samples, step)
+        return add(film, first, samples, *rest)
 
     return mutated
 
@@ -26,9 +26,9 @@ def drop_zero(add: Callable) -> Callable:
 def drop_weight(add: Callable) -> Callable:
     """Forget 1 / (A q)."""
 
-    def mutated(film: Film, first: int, samples, step: int):
+    def mutated(film: Film, first: int, samples, *rest):
         samples.weight = (samples.weight > 0.0).float()
-        return add(film, first, samples, step)
+        return add(film, first, samples, *rest)
 
     return mutated
 

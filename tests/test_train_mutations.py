@@ -120,8 +120,8 @@ def drop_zero_samples(monkeypatch) -> None:
     """Draws outside the lens do not count in N."""
     add = Film.add
 
-    def counted_inside(self, first, samples, step):
-        good = add(self, first, samples, step)
+    def counted_inside(self, first, samples, *rest):
+        good = add(self, first, samples, *rest)
         self._count[first : first + len(samples.weight)] -= (samples.weight == 0.0).float()
         return good
 
