@@ -121,7 +121,7 @@ class LensGuide(nn.Module):
         """Lens points for pixels from `first` on at raster positions `[2, N]`; uniform in the first step."""
         lens = self.camera.lens
         if step == 1:
-            return uniform_draw(lens, focus, random.stratified(LENS_DIMENSION, 2))
+            return uniform_draw(lens, focus, random.uniform(LENS_DIMENSION, 2))
         uniforms = random.uniform(LENS_DIMENSION, 5)  # independent: what a lens point is used for is learnt
         self.stratify(first, random, uniforms)
         batch = self.distribution(first, raster, focus)

@@ -178,7 +178,7 @@ class RenderLoop:
 
     def _draw(self, first: int, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
         if self.guide is None:
-            return uniform_draw(self.camera.lens, focus, random.stratified(LENS_DIMENSION, 2))
+            return uniform_draw(self.camera.lens, focus, random.uniform(LENS_DIMENSION, 2))
         return self.guide.draw(self.step_number, first, raster, focus, random)
 
     def _trace(

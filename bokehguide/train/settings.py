@@ -8,8 +8,8 @@ from bokehguide.errors import BokehguideError
 from bokehguide.limits import MAX_SIDE
 
 LENS_MODES = ("uniform", "lis", "lis-b", "lis-o", "guided")
-"""Uniform lens sampling; the paper's modes: guided with β = 0.8; with learnt β; with learnt β and polynomial
-offsets; and this project's own."""
+"""Uniform lens sampling, independent from step to step as in the paper; the paper's modes: guided with
+β = 0.8; with learnt β; with learnt β and polynomial offsets; and this project's own."""
 REUSE_MODES = {"area-restir": "uniform", "area-restir+lis": "lis-o"}
 """Area ReSTIR, and the mode that draws the samples that it reuses."""
 MODES = (*LENS_MODES, *REUSE_MODES)
