@@ -36,7 +36,7 @@ from bokehguide.image import check_writable, replacing, tone_map, write_png
 from bokehguide.render.vector import luminance
 from bokehguide.scene import Scene
 from bokehguide.train import LENS_MODES, MODES, RenderLoop, RenderSettings
-from bokehguide.train.guide import FITS
+from bokehguide.train.guide import FITS, LensGuide
 
 UNIFORM_SEED, TEST_SEED = 3_000_000, 0
 """Seeds of the uniform check (one a chunk from there on) and of the test renders."""
@@ -171,7 +171,7 @@ def inject(loop: RenderLoop, count: int) -> None:
     added = (mean, 2.0 * sigma, sigma, sigma.square())
     kept = (field.mean, field.radius, field.sigma, field.energy)
     field.assign(*(torch.cat((old.cpu(), new), dim=-1) for old, new in zip(kept, added)))
-    if loop.guide.learns_offsets and loop.step_number >= FITS:
+    if isinstance(loop.guide, LensGuide) and loop.guide.learns_offsets and loop.step_number >= FITS:
         loop.guide.freeze()
     else:
         loop.guide.set_candidates()

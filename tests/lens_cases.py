@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
 from statistical import chi_square
 from torch import Tensor
 
-from bokehguide.models.lens_distribution import GuidedLensDistribution
+from bokehguide.models.lens_distribution import GuidedLensDistribution, LensMixture
 from bokehguide.render.lens import Lens
 from bokehguide.train.guide import LensGuide
 
@@ -39,10 +40,12 @@ class LensCase:
     reach: float = 4.0
     lens: Lens = LENS
 
-    def distribution(self, count: int) -> GuidedLensDistribution:
+    kind: ClassVar[type[LensMixture]] = GuidedLensDistribution
+
+    def distribution(self, count: int) -> LensMixture:
         """The same mixture for `count` pixels."""
         candidates = len(self.sigma)
-        return GuidedLensDistribution(
+        return self.kind(
             self.lens,
             torch.tensor(self.focus)[:, None].expand(3, count).contiguous(),
             torch.full((count,), self.beta),

@@ -23,17 +23,7 @@ DRAWS = 100_000
 class DiscCase(LensCase):
     """As a LensCase, with the balls' radii for sigma."""
 
-    def distribution(self, count: int) -> DiscLensDistribution:
-        candidates = len(self.sigma)
-        return DiscLensDistribution(
-            self.lens,
-            torch.tensor(self.focus)[:, None].expand(3, count).contiguous(),
-            torch.full((count,), self.beta),
-            torch.arange(count + 1) * candidates,
-            torch.tensor(self.mean).reshape(3, candidates).repeat(1, count),
-            torch.tensor(self.sigma).repeat(count),
-            torch.tensor(self.weight).repeat(count),
-        )
+    kind = DiscLensDistribution
 
 
 CASES = [
