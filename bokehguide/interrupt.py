@@ -6,7 +6,10 @@ import signal
 
 
 class Interrupt:
-    """A context in which the first SIGINT or SIGTERM only sets `signal`; a second one acts as usual."""
+    """A context in which the first SIGINT or SIGTERM only sets `signal`; a second one of its kind acts as usual.
+
+    torchrun sends a SIGTERM after the SIGINT of a Ctrl-C: both together are one request.
+    """
 
     def __init__(self) -> None:
         self.signal: int | None = None
@@ -24,5 +27,5 @@ class Interrupt:
             signal.signal(number, handler)
 
     def _request(self, number: int, _: object) -> None:
-        self.signal = number
-        self.__exit__()
+        self.signal = self.signal or number
+        signal.signal(number, self._previous[number])

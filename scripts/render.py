@@ -50,10 +50,10 @@ def main() -> None:
         errors = {}
         if reference is not None:
             errors = {"mape": mape(radiance, reference), "relmse": relmse(radiance, reference)}
-        logger.log(loop, stats, errors)
+        logger.log(loop, stats, errors, loop.film)
         progress.set_postfix(kl=stats.kl, gaussians=stats.gaussians, **errors)
 
-    logger.finish(loop, settings.spp)
+    logger.finish(loop, settings.spp, loop.film)
     write_exr(args.out, loop.film.layers(), describe_render(scene, settings, settings.spp))
     write_png(args.out.with_suffix(".png"), tone_map(loop.film.radiance()))
     print(f"wrote {args.out}; see the curves with: tensorboard --logdir {args.logdir}")

@@ -130,6 +130,6 @@ def seen_by_pixel(guide: LensGuide, pixel: int) -> LensCase:
     """What `guide` draws from in one pixel, at the pixel's centre."""
     camera = guide.camera
     raster = torch.tensor([[pixel % camera.width + 0.5], [pixel // camera.width + 0.5]])
-    mixture = guide.distribution(pixel, raster, camera.focus_points(raster)).distribution
+    mixture = guide.distribution(slice(pixel, pixel + 1), raster, camera.focus_points(raster)).distribution
     values = (mixture.mean.tolist(), mixture.sigma.tolist(), mixture.weight.tolist())
     return LensCase(f"pixel {pixel}", tuple(mixture.focus[:, 0].tolist()), float(mixture.beta), *values, lens=camera.lens)

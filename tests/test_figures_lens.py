@@ -58,7 +58,7 @@ def test_draws_for_one_pixel_are_as_if_drawn_one_by_one(mode, figures):
     single = []
     for seed in range(800):
         random = PixelRandom(seed, 13, torch.tensor([PIXEL]))
-        single.append(loop.guide.draw(13, PIXEL, *focus_points(loop, PIXEL, random), random).points)
+        single.append(loop.guide.draw(13, slice(PIXEL, PIXEL + 1), *focus_points(loop, PIXEL, random), random).points)
     drawn = guided_points(loop, PIXEL)
     assert drawn.shape == (2, 1 << 16)
     for one, other in zip(torch.cat(single, dim=1), drawn):

@@ -25,9 +25,9 @@ def render(logdir, lamps_file, mode, spp, reference=None):
         if reference is not None:
             radiance = loop.film.radiance()
             errors = {"mape": mape(radiance, reference), "relmse": relmse(radiance, reference)}
-        logger.log(loop, stats, errors)
+        logger.log(loop, stats, errors, loop.film)
         history.append(errors)
-    logger.finish(loop, spp)
+    logger.finish(loop, spp, loop.film)
     return loop, history
 
 

@@ -164,7 +164,7 @@ def test_candidates_are_those_of_the_full_table(count):
     pixels = camera.width * camera.height
     field = scattered_field(count, seed=8)
     candidates = draw_candidates(field, camera)
-    start, gaussian = candidates.batch(0, pixels)
+    start, gaussian = candidates.batch(slice(0, pixels))
     strength = field.lens_weights(2.0)
     generator = torch.Generator().manual_seed(9)
     corner = torch.stack((torch.arange(pixels) % camera.width, torch.arange(pixels) // camera.width))
@@ -186,7 +186,7 @@ def test_candidates_come_strongest_first_and_hardly_beyond_their_discs():
     field = scattered_field(300, seed=10)
     candidates = draw_candidates(field, camera)
     strength = field.lens_weights(2.0)[candidates.gaussian.long()]
-    counts = candidates.start[1:] - candidates.start[:-1]
+    counts = candidates.counts()
     owner = torch.repeat_interleave(counts)
     assert int(counts.max()) == MAX_CANDIDATES  # the limit was at work
     assert bool((strength[1:] <= strength[:-1])[owner[1:] == owner[:-1]].all())
@@ -210,9 +210,19 @@ def test_drawing_discs_in_parts_changes_nothing(monkeypatch):
 def test_batches_cut_the_list_without_loss():
     camera = ThinLensCamera(CAMERA, 48, 27)
     candidates = draw_candidates(scattered_field(40, seed=11), camera)
-    parts = [candidates.batch(first, 324) for first in range(0, 1296, 324)]
+    parts = [candidates.batch(slice(first, first + 324)) for first in range(0, 1296, 324)]
     assert torch.equal(torch.cat([gaussian for _, gaussian in parts]), candidates.gaussian.long())
     assert all(int(start[0]) == 0 and int(start[-1]) == len(gaussian) for start, gaussian in parts)
+
+
+def test_scattered_pixels_keep_their_own_candidates():
+    camera = ThinLensCamera(CAMERA, 48, 27)
+    candidates = draw_candidates(scattered_field(300, seed=11), camera)
+    pixels = torch.arange(5, 1296, 7)
+    start, gaussian = candidates.batch(pixels)
+    assert len(start) == len(pixels) + 1 and int(start[-1]) == len(gaussian) > 500
+    for i, pixel in enumerate(pixels.tolist()):
+        assert torch.equal(gaussian[start[i] : start[i + 1]], candidates.batch(slice(pixel, pixel + 1))[1])
 
 
 def test_offsets_are_the_polynomials_of_equation_29():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bokehguide.render.film import KEPT_BAD_SAMPLES, NO_DEPTH, Film, FilmSamples
+from bokehguide.render.film import KEPT_BAD_SAMPLES, NO_DEPTH, BadSample, Film, FilmSamples
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from tests.statistical import SIGNIFICANCE, z_test
@@ -32,7 +32,7 @@ def test_mean_and_variance_are_those_of_the_weighted_samples():
     for step in range(1, 9):
         uniforms = random(step, 20)
         weight = 2.0 * uniforms[3]
-        film.add(0, samples(uniforms[:3], weight), step)
+        film.add(slice(None), samples(uniforms[:3], weight), step)
         history.append(uniforms[:3].double() * weight)
     history = torch.stack(history)
     expected = history.mean(0).T.reshape(4, 5, 3).float()
@@ -47,7 +47,7 @@ def test_mean_and_variance_are_those_of_the_weighted_samples():
 def test_variance_is_zero_before_the_second_sample():
     film = Film(3, 2)
     assert not film.variance().any()
-    film.add(0, samples(random(1, 6)[:3]), 1)
+    film.add(slice(None), samples(random(1, 6)[:3]), 1)
     assert not film.variance().any()
 
 
@@ -55,16 +55,23 @@ def test_many_bright_samples_lose_no_digits():
     film = Film(1, 1)
     value = torch.full((3, 1), 1e6) + 0.0625
     for step in range(3000):
-        film.add(0, samples(value.clone()), step)
+        film.add(slice(None), samples(value.clone()), step)
     assert film.radiance()[0, 0, 0].item() == value[0, 0].item()
 
 
-def test_batches_fall_on_their_own_pixels():
+@pytest.mark.parametrize("cut", [(slice(13, 20), slice(0, 13)), (torch.arange(0, 20, 3), torch.tensor([i for i in range(20) if i % 3]))])
+def test_batches_fall_on_their_own_pixels(cut):
     whole, parts = Film(5, 4), Film(5, 4)
-    radiance = random(1, 20)[:3]
-    whole.add(0, samples(radiance), 1)
-    parts.add(13, samples(radiance[:, 13:]), 1)
-    parts.add(0, samples(radiance[:, :13]), 1)
+    for step in (1, 2):
+        uniforms = random(step, 20)
+        radiance, weight = uniforms[:3], 2.0 * uniforms[3]
+        radiance[1, 17] = math.nan if step == 2 else 0.5
+        whole.prime(slice(None), samples(radiance))
+        whole.add(slice(None), samples(radiance, weight), step)
+        for pixels in cut:
+            parts.prime(pixels, samples(radiance[:, pixels]))
+            parts.add(pixels, samples(radiance[:, pixels], weight[pixels]), step)
+    assert parts.bad_samples == whole.bad_samples == [BadSample(2, 3, 2, 0)]
     for name, layer in whole.layers().items():
         np.testing.assert_array_equal(parts.layers()[name], layer)
 
@@ -73,11 +80,11 @@ def test_batches_fall_on_their_own_pixels():
 def test_pixels_that_are_opaque_or_empty_throughout_have_exactly_that_alpha(alpha):
     """The first step is uniform, so its weights are 1; the weights that follow may be anything."""
     film = Film(8, 8)
-    film.add(0, samples(random(1, 64)[:3], 1.0, alpha), 1)
+    film.add(slice(None), samples(random(1, 64)[:3], 1.0, alpha), 1)
     for step in range(2, 40):
         uniforms = random(step, 64)
         weight = (uniforms[3] > 0.3) * 3.0 * uniforms[0]
-        film.add(0, samples(uniforms[:3], weight, alpha * (weight > 0.0)), step)
+        film.add(slice(None), samples(uniforms[:3], weight, alpha * (weight > 0.0)), step)
     np.testing.assert_array_equal(film.layers()["alpha"], alpha)
 
 
@@ -86,12 +93,12 @@ def test_samples_that_are_not_finite_stay_off_the_film_and_are_reported():
     for step in (1, 2, 3):
         radiance, weight = random(step, 20)[:3], torch.ones(20)
         kept = torch.ones(20, dtype=torch.bool)
-        clean.add(0, samples(radiance.clone()), step)
+        clean.add(slice(None), samples(radiance.clone()), step)
         if step == 2:
             radiance[1, 7], radiance[:, 13], weight[4] = math.nan, math.inf, math.nan
             kept[[4, 7, 13]] = False
             untouched = film.radiance().reshape(20, 3)[~kept]
-        good = film.add(0, samples(radiance, weight), step)
+        good = film.add(slice(None), samples(radiance, weight), step)
         assert torch.equal(good, kept)
         if step == 2:
             torch.testing.assert_close(film.radiance().reshape(20, 3)[~kept], untouched)
@@ -112,7 +119,7 @@ def test_samples_that_are_not_finite_stay_off_the_film_and_are_reported():
 
 def test_every_bad_sample_is_counted_and_the_first_are_kept():
     film = Film(50, 3)
-    film.add(0, samples(torch.full((3, 150), math.nan)), 1)
+    film.add(slice(None), samples(torch.full((3, 150), math.nan)), 1)
     assert film.bad_count == 150
     assert len(film.bad_samples) == KEPT_BAD_SAMPLES
     assert not film.layers()["beauty"].any()
@@ -120,7 +127,7 @@ def test_every_bad_sample_is_counted_and_the_first_are_kept():
 
 def test_layers_are_contiguous_float32_of_the_frames_shape():
     film = Film(5, 4)
-    film.add(0, samples(random(1, 20)[:3]), 1)
+    film.add(slice(None), samples(random(1, 20)[:3]), 1)
     layers = film.layers()
     for name, layer in layers.items():
         colored = name in ("beauty", "normal", "albedo", "emission")
@@ -131,9 +138,9 @@ def test_layers_are_contiguous_float32_of_the_frames_shape():
 def test_depth_is_the_mean_over_the_samples_that_met_a_surface():
     film = Film(3, 1)
     radiance = torch.zeros(3, 3)
-    film.add(0, samples(radiance, torch.tensor([1.0, 1.0, 1.0]), 1.0, torch.tensor([2.0, 4.0, NO_DEPTH])), 1)
-    film.add(0, samples(radiance, torch.tensor([1.0, 0.0, 1.0]), 1.0, torch.tensor([6.0, 9.0, NO_DEPTH])), 2)
-    film.add(0, samples(radiance, torch.tensor([1.0, 1.0, 1.0]), 0.0, NO_DEPTH), 3)
+    film.add(slice(None), samples(radiance, torch.tensor([1.0, 1.0, 1.0]), 1.0, torch.tensor([2.0, 4.0, NO_DEPTH])), 1)
+    film.add(slice(None), samples(radiance, torch.tensor([1.0, 0.0, 1.0]), 1.0, torch.tensor([6.0, 9.0, NO_DEPTH])), 2)
+    film.add(slice(None), samples(radiance, torch.tensor([1.0, 1.0, 1.0]), 0.0, NO_DEPTH), 3)
     np.testing.assert_allclose(film.layers()["depth"], [[4.0, 4.0, NO_DEPTH]])
 
 
@@ -141,16 +148,16 @@ def test_depth_stays_within_what_was_seen():
     """However the weights fall: as they do here, a quotient of means alone would be 8."""
     film = Film(1, 1)
     for step, (weight, depth) in enumerate([(1.0, 2.0), (3.0, 6.0)], start=1):
-        film.add(0, samples(torch.zeros(3, 1), torch.tensor([weight]), 1.0, torch.tensor([depth])), step)
+        film.add(slice(None), samples(torch.zeros(3, 1), torch.tensor([weight]), 1.0, torch.tensor([depth])), step)
     np.testing.assert_allclose(film.layers()["depth"], [[6.0]])
 
 
 def test_a_primed_film_is_exact_from_the_first_sample_on():
     """Whatever that sample's weight, and without a sample more."""
     film = Film(2, 1)
-    film.prime(0, samples(torch.zeros(3, 2), torch.ones(2), 1.0, torch.tensor([5.0, 5.0])))
+    film.prime(slice(None), samples(torch.zeros(3, 2), torch.ones(2), 1.0, torch.tensor([5.0, 5.0])))
     assert not film.layers()["sample_count"].any()
-    film.add(0, samples(torch.zeros(3, 2), torch.tensor([0.0, 7.0]), 1.0, torch.tensor([5.0, 5.0])), 1)
+    film.add(slice(None), samples(torch.zeros(3, 2), torch.tensor([0.0, 7.0]), 1.0, torch.tensor([5.0, 5.0])), 1)
     layers = film.layers()
     np.testing.assert_array_equal(layers["alpha"], 1.0)
     np.testing.assert_array_equal(layers["depth"], 5.0)
@@ -161,7 +168,7 @@ def test_what_is_the_same_in_every_sample_comes_out_so_whatever_the_weights():
     film = Film(8, 8)
     for step in range(1, 30):
         uniforms = random(step, 64)
-        film.add(0, samples(uniforms[:3], 1.0 if step == 1 else 5.0 * uniforms[3].square()), step)
+        film.add(slice(None), samples(uniforms[:3], 1.0 if step == 1 else 5.0 * uniforms[3].square()), step)
     layers = film.layers()
     np.testing.assert_allclose(layers["albedo"], np.broadcast_to([0.2, 0.4, 0.6], (8, 8, 3)), rtol=1e-5)
     np.testing.assert_array_equal(layers["normal"], np.broadcast_to([0.0, 0.0, 1.0], (8, 8, 3)))
@@ -171,7 +178,7 @@ def test_emission_has_the_weights_of_the_beauty():
     film = Film(8, 8)
     for step in range(1, 9):
         uniforms = random(step, 64)
-        film.add(0, samples(uniforms[:3], 2.0 * uniforms[3]), step)
+        film.add(slice(None), samples(uniforms[:3], 2.0 * uniforms[3]), step)
     layers = film.layers()
     np.testing.assert_allclose(layers["emission"], 0.25 * layers["beauty"], rtol=1e-6)
 
@@ -185,7 +192,7 @@ def test_a_sample_that_is_not_finite_leaves_alpha_exact_even_if_it_is_the_first(
         one = samples(radiance, 1.0 if step == 1 else 3.0 * random(step, 4)[3])
         if step == 1:
             one.normal[:] = math.nan
-        film.add(0, one, step)
+        film.add(slice(None), one, step)
     layers = film.layers()
     np.testing.assert_array_equal(layers["alpha"], 1.0)
     assert all(np.isfinite(layer).all() for layer in layers.values()) and layers["sample_count"].max() == 4.0
@@ -200,7 +207,7 @@ def test_alpha_is_unbiased_when_draws_favour_what_is_opaque():
         weight = torch.where(covered, 0.5 / 0.63, 0.5 / 0.27) * ~outside
         if step == 1:
             covered, weight = draw < 0.5, torch.ones(8192)
-        film.add(0, samples(torch.zeros(3, 8192), weight, covered.float()), step)
+        film.add(slice(None), samples(torch.zeros(3, 8192), weight, covered.float()), step)
     layers = film.layers()
     expected = {"alpha": 0.5, "albedo": (0.1, 0.2, 0.3), "normal": (0.0, 0.0, 0.5)}
     for name, value in expected.items():
@@ -214,11 +221,11 @@ def test_alpha_is_nearly_as_smooth_with_a_guide_as_without(lamp):
     plain, guided = Film(128, 64), Film(128, 64)
     for step in range(1, 17):
         draw = random(step, 8192)[0]
-        plain.add(0, samples(torch.zeros(3, 8192), 1.0, (draw < lamp).float()), step)
+        plain.add(slice(None), samples(torch.zeros(3, 8192), 1.0, (draw < lamp).float()), step)
         share = lamp if step == 1 else 0.8 + 0.2 * lamp
         covered = draw < share
         weight = torch.where(covered, lamp / share, (1.0 - lamp) / (1.0 - share))
-        guided.add(0, samples(torch.zeros(3, 8192), weight, covered.float()), step)
+        guided.add(slice(None), samples(torch.zeros(3, 8192), weight, covered.float()), step)
     errors = [float(np.sqrt(np.square(film.layers()["alpha"] - lamp).mean())) for film in (plain, guided)]
     assert errors[1] < 2.0 * errors[0]
 
@@ -230,10 +237,10 @@ def test_a_control_from_before_the_block_leaves_stratified_samples_unbiased():
         means = []
         for order in ((0, 1), (1, 0)):
             film = Film(1, 1)
-            film.prime(0, samples(torch.zeros(3, 1), torch.ones(1), 0.3, torch.tensor([2.0])))
+            film.prime(slice(None), samples(torch.zeros(3, 1), torch.ones(1), 0.3, torch.tensor([2.0])))
             for step, half in enumerate(order, start=1):
                 one = samples(torch.zeros(3, 1), torch.tensor([(0.5, 1.5)[half]]), (1.0, 0.0)[half], torch.tensor([2.0]))
-                film.add(0, one, step, fresh=fresh or step == 1)
+                film.add(slice(None), one, step, fresh=fresh or step == 1)
             means.append(film.layers()["alpha"].item())
         found[fresh] = np.mean(means)
     assert found[False] == pytest.approx(expected, abs=1e-6)

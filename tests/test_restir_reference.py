@@ -141,7 +141,7 @@ def test_the_batched_pass_agrees(mode, monkeypatch):
     loop.step_number = STEP
     loop._in_batches(loop._render_batch)
     points, weights = loop.reuse._reservoirs.lens_points.clone(), loop.reuse._reservoirs.weight.clone()
-    whole, _ = loop.reuse.resample(0, WIDTH * loop.camera.height, STEP, PhaseTimer())
+    whole, _ = loop.reuse.resample(slice(0, WIDTH * loop.camera.height), STEP, PhaseTimer())
     batched = (whole.radiance * whole.radiance_weight).T.double().numpy()
 
     slow = SlowReuse(loop)

@@ -75,7 +75,7 @@ def test_held_pixels_take_the_numbers_of_their_block():
     random = PixelRandom(3, 7, torch.arange(50, 250))
     uniforms = random.uniform(LENS_DIMENSION, 5)
     independent = uniforms.clone()
-    guide.stratify(50, random, uniforms)
+    guide.stratify(slice(50, 250), random, uniforms)
     expected = random.stratified(LENS_DIMENSION, 2, first=5)
     assert torch.equal(uniforms[2:4, 50:150], expected[:, 50:150])
     uniforms[2:4, 50:150] = independent[2:4, 50:150]

@@ -121,12 +121,12 @@ def test_beta_is_that_of_least_variance(monkeypatch):
     raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
     for block in range(3):  # nearer to it with every block
         guide.moments.zero_()
-        mixture = guide._mixture(0, guide.camera.focus_points(raster))
+        mixture = guide._mixture(slice(0, pixels), guide.camera.focus_points(raster))
         for step in range(64):
             points = mixture.sample(torch.rand(3, pixels, generator=torch.Generator().manual_seed(64 * block + step)))
             at = mixture.evaluate(points)
             light = (3.0 * at.mixture * mixture.lens.area + 1.0) * mixture.lens.contains(points)
-            guide.study(GuidedBatch(0, raster, mixture), light / (mixture.lens.area * at.density), at)
+            guide.study(GuidedBatch(slice(0, pixels), raster, mixture), light / (mixture.lens.area * at.density), at)
         guide.update(64, [], 1.0)
     beyond = (mixture.center.square().sum(0).sqrt() + mixture.radius > mixture.lens.radius).float()
     inside = mixture.guided & (torch.zeros(pixels).index_add(0, mixture.owner, beyond) == 0.0)
@@ -141,7 +141,7 @@ def test_beta_falls_where_nothing_comes_from_the_lamps():
     materials = (scenes.LAMP, Material("wall", (0.5, 0.5, 0.5)))
     film = replace(scene.film, max_depth=2)
     guide = rendered(replace(scene, meshes=(*scene.meshes, wall), materials=materials, film=film), 4).guide
-    counts = guide.candidates.start[1:] - guide.candidates.start[:-1]
+    counts = guide.candidates.counts()
     assert (counts > 0).sum() > 100
     assert float(guide.beta[counts > 0].median()) < 0.1
     assert float(guide.beta.min()) >= LOWEST - 1e-6 and float(guide.beta.max()) <= HIGHEST + 1e-6
@@ -170,6 +170,6 @@ def test_a_fresh_guide_that_loads_the_state_draws_alike(tmp_path):
     raster = torch.rand(2, WIDTH * HEIGHT) * torch.tensor([[WIDTH], [HEIGHT]])
     focus = loop.camera.focus_points(raster)
     points = 0.05 * torch.randn(2, WIDTH * HEIGHT)
-    old, new = (guide._mixture(0, focus).pdf(points) for guide in (loop.guide, fresh))
+    old, new = (guide._mixture(slice(0, WIDTH * HEIGHT), focus).pdf(points) for guide in (loop.guide, fresh))
     assert torch.equal(old, new) and int(fresh.block) == 9
     assert project_to_lens(fresh.field.mean[:, :1], focus[:, :1]).isfinite().all()

@@ -60,6 +60,11 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--threads", type=threads, metavar="N", help="threads that trace and shade (default: one per core)")
     add("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as one JSON object")
     add("--exposure", type=exposure, default=0.0, metavar="EV", help="of PNG and TensorBoard pictures (default: 0)")
+    box = "render only this part: pixels from the frame's top left or, if W and H are at most 1, fractions of the frame"
+    add("--crop", type=box_of_numbers, metavar="X,Y,W,H", help=box)
+    add("--time-limit", type=duration, metavar="SECONDS", help="stop before a step that would take longer, whatever --spp is")
+    noise = "stop each block of 32 x 32 pixels at this estimated relative error, and all at --spp"
+    add("--target-noise", type=float, metavar="X", help=noise)
     every = "keep the render's whole state in PATH.ckpt, written so often and at the end; 0: never (default: 60)"
     add("--checkpoint-every", type=seconds, default=60.0, metavar="SECONDS", help=every)
     add("--resume", action="store_true", help="go on from PATH.ckpt, where there is one, until there are --spp in all")
@@ -143,6 +148,21 @@ def seconds(text: str) -> float:
     if value < 0.0:
         raise argparse.ArgumentTypeError(f"{text!r} is negative; give seconds, or 0 for never")
     return value
+
+
+def duration(text: str) -> float:
+    value = _numbers(text, "SECONDS")[0]
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not positive; give seconds")
+    return value
+
+
+def box_of_numbers(text: str) -> tuple[float, float, float, float]:
+    """X,Y,W,H in pixels or fractions; whether it lies within the frame is for RenderSettings to say."""
+    box = _numbers(text, "X,Y,W,H")
+    if max(box[2:]) > 1.0 and any(value != int(value) for value in box):
+        raise argparse.ArgumentTypeError(f"{text!r} is in pixels and not whole; give whole ones, or fractions of the frame")
+    return inset(text) if max(box[2:]) <= 1.0 else tuple(int(value) for value in box)
 
 
 def size(text: str) -> tuple[int, int]:

@@ -13,11 +13,11 @@ from bokehguide.train import RenderLoop, load_checkpoint, save_checkpoint, saved
 class Checkpoints:
     """Keeps the state of one render in a file.
 
-    every: seconds from one save to the next, 0 for no file at all.
+    every: seconds from one save to the next, 0 for no file at all; speaks: whether notes go to stderr.
     """
 
-    def __init__(self, path: Path, every: float):
-        self.path, self.every = path, every
+    def __init__(self, path: Path, every: float, speaks: bool = True):
+        self.path, self.every, self._speaks = path, every, speaks
         self._last = time.monotonic()
         self._saved_step = 0
 
@@ -32,33 +32,33 @@ class Checkpoints:
             step = self._saved_step = loop.step_number
             if step > loop.settings.spp:
                 raise BokehguideError(f"{self.path}: holds {step} SPP already; give --spp {step} or more")
-            _note(f"resuming {self.path} at {step} SPP")
+            self._note(f"resuming {self.path} at {step} SPP")
             return seconds
         if resume:
-            _note(f"there is no {self.path} to resume; starting anew")
+            self._note(f"there is no {self.path} to resume; starting anew")
         elif self.every > 0.0:
             step = self._saved_step = saved_steps(self.path, loop)
             if step > 0:
-                _note(f"{self.path} holds {step} SPP of this render, and stays until there are more; see --resume")
+                self._note(f"{self.path} holds {step} SPP of this render, and stays until there are more; see --resume")
         return 0.0
 
     def due(self) -> bool:
         return 0.0 < self.every <= time.monotonic() - self._last
 
     def save(self, loop: RenderLoop, seconds: float) -> None:
-        """Write the state. Where it cannot be written, warn: the render can still end well."""
+        """Write the state; collective. Where it cannot be written, warn: the render can still end well."""
         if self.every > 0.0 and loop.step_number > self._saved_step:
             try:
                 save_checkpoint(self.path, loop, seconds)
                 self._saved_step = loop.step_number
             except BokehguideError as error:
-                _note(f"warning: {error}")
+                self._note(f"warning: {error}")
         self._last = time.monotonic()
 
     def holds(self, loop: RenderLoop) -> bool:
         """Whether the file has the state that the loop is in."""
         return 0 < self._saved_step == loop.step_number
 
-
-def _note(text: str) -> None:
-    print(f"bokehguide: {text}", file=sys.stderr)
+    def _note(self, text: str) -> None:
+        if self._speaks:
+            print(f"bokehguide: {text}", file=sys.stderr)

@@ -11,13 +11,22 @@ import torch
 from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
-from bokehguide.cli.report import Report, write_json
+from bokehguide.cli.report import write_json
+from bokehguide.cli.steps import measure, take_steps
 from bokehguide.errors import BokehguideError
 from bokehguide.image import check_writable, remove_abandoned, tone_map, write_exr, write_png
-from bokehguide.interrupt import Interrupt
-from bokehguide.metrics import mape, read_reference, relmse
-from bokehguide.scene import Overrides, load_scene
-from bokehguide.train import RenderLogger, RenderLoop, RenderSettings, describe_render
+from bokehguide.metrics import read_reference
+from bokehguide.render import Film as RenderFilm
+from bokehguide.scene import Film, Inset, Overrides, Scene, load_scene
+from bokehguide.train import (
+    AdaptiveLoop,
+    Ranks,
+    RenderLoop,
+    RenderSettings,
+    describe_render,
+    make_loop,
+    restarts,
+)
 from bokehguide.train.logger import run_folder
 
 OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "camera_position", "camera_target", "fov", "camera")
@@ -26,57 +35,58 @@ OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "ca
 def run(options: argparse.Namespace) -> int:
     """Render to an EXR and a PNG; everything that can be wrong is checked before the first ray."""
     scene = load_scene(options.scene, overrides_from(options))
-    settings = RenderSettings(
-        mode=options.mode,
-        spp=options.spp,
-        seed=options.seed,
-        device=options.device,
-        threads=options.threads,
-        reuse_radius=options.reuse_radius,
-    )
+    settings = settings_from(options, scene)
     check_device(settings.device)
-    reference = read_reference(options.reference, scene.film.width, scene.film.height) if options.reference else None
+    window = settings.window(scene.film.width, scene.film.height)
+    reference = read_window(options.reference, scene, window) if options.reference else None
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
     check_outputs(out, options, run_folder(options.logdir or "", scene, settings))
-    for warning in scene.warnings:
-        print(f"bokehguide: warning: {warning}", file=sys.stderr)
-
-    loop = RenderLoop(scene, settings)
-    checkpoints = Checkpoints(out.with_suffix(".ckpt"), options.checkpoint_every)
-    earlier = checkpoints.begin(loop, options.resume)
-    done = loop.step_number
-    logger = RenderLogger(options.logdir, scene, settings, options.exposure, done) if options.logdir else None
-    with Interrupt() as interrupt:
-        report = Report(f"{scene.name} {settings.mode}", settings, done, earlier)
-        while loop.step_number < settings.spp:
-            stats = loop.step()
-            errors = measure(loop.film.radiance(), reference)
-            report.add(stats, errors)
-            if logger:
-                logger.log(loop, stats, errors)
-            if checkpoints.due():
-                if logger:
-                    logger.flush()  # or what is saved could be missing in the log
-                checkpoints.save(loop, report.seconds)
-            if interrupt.requested:
-                break
-        checkpoints.save(loop, report.seconds)
-
-    if logger:
-        logger.finish(loop, loop.step_number)
-    write_pictures(out, loop, options)
-    summary = report.finish(loop, measure(loop.film.radiance(), reference))
-    if options.json:
-        write_json(options.json, summary)
-    tell(summary, loop, out, checkpoints)
-    return 128 + interrupt.signal if interrupt.requested else 0
+    with Ranks.join(settings.device) as ranks:
+        if ranks.first:
+            for warning in scene.warnings:
+                print(f"bokehguide: warning: {warning}", file=sys.stderr)
+        loop = make_loop(scene, settings, ranks)
+        checkpoints = Checkpoints(out.with_suffix(".ckpt"), options.checkpoint_every, ranks.first)
+        earlier = checkpoints.begin(loop, options.resume or restarts() > 0)
+        end, report = take_steps(loop, options, reference, checkpoints, earlier)
+        picture = loop.picture()
+        summary = report.finish(loop, picture, measure(picture, reference))
+        if ranks.first:
+            write_pictures(out, loop, picture, options)
+            if options.json:
+                write_json(options.json, summary)
+            tell(summary, loop, picture, out, checkpoints, end)
+    return 128 + end if isinstance(end, int) else 0
 
 
-def write_pictures(out: Path, loop: RenderLoop, options: argparse.Namespace) -> None:
+def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
+    """Raises BokehguideError for a value out of range."""
+    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise")
+    crop = options.crop and crop_pixels(options.crop, scene.film)
+    return RenderSettings(**{name: getattr(options, name) for name in names}, crop=crop)
+
+
+def crop_pixels(box: tuple[float, ...], film: Film) -> tuple[int, int, int, int]:
+    """The box in pixels: as it is, or, where it is at most 1 wide and high, as fractions of the frame."""
+    if max(box[2:]) <= 1.0:
+        rows, columns = Inset(*box).pixels(film.width, film.height)
+        return columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start
+    return tuple(int(value) for value in box)
+
+
+def read_window(path: Path, scene: Scene, window: tuple[int, int, int, int]) -> Tensor:
+    """What a reference of the whole frame shows in the window. Raises BokehguideError as `read_reference`."""
+    left, top, width, height = window
+    return read_reference(path, scene.film.width, scene.film.height)[top : top + height, left : left + width]
+
+
+def write_pictures(out: Path, loop: RenderLoop | AdaptiveLoop, picture: RenderFilm, options: argparse.Namespace) -> None:
     """The EXR with what it was made from, and the PNG beside it."""
     facts = describe_render(loop.scene, loop.settings, loop.step_number)
-    write_exr(out, loop.film.layers(), facts | {"command": command_line(options, loop.step_number)})
-    write_png(out.with_suffix(".png"), tone_map(loop.film.radiance(), options.exposure))
+    frame = (loop.camera.width, loop.camera.height)
+    facts |= {"command": command_line(options, loop.step_number)}
+    write_exr(out, picture.layers(), facts, corner=picture.corner, frame=frame)
+    write_png(out.with_suffix(".png"), tone_map(picture.radiance(), options.exposure))
 
 
 def overrides_from(options: argparse.Namespace) -> Overrides:
@@ -108,18 +118,11 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
         check_writable(log_folder / "events")
 
 
-def measure(radiance: Tensor, reference: Tensor | None) -> dict[str, float]:
-    """MAPE and relMSE, or nothing where there is no reference."""
-    if reference is None:
-        return {}
-    radiance = radiance.cpu()
-    return {"mape": mape(radiance, reference), "relmse": relmse(radiance, reference)}
-
-
 def command_line(options: argparse.Namespace, spp: int) -> str:
     """The command that renders this picture again."""
     size = {"size": "x".join(map(str, options.size))} if options.size else {}
-    kept = {name: getattr(options, name) for name in ("mode", "reuse_radius", "seed", "device", "exposure", *OVERRIDES)}
+    names = ("mode", "reuse_radius", "seed", "device", "exposure", "crop", "target_noise", *OVERRIDES)
+    kept = {name: getattr(options, name) for name in names}
     words = ["bokehguide", "render", options.scene]
     for name, value in (kept | size | {"spp": spp}).items():
         if value is not None:
@@ -128,23 +131,35 @@ def command_line(options: argparse.Namespace, spp: int) -> str:
     return shlex.join(words)
 
 
-def tell(summary: dict, loop: RenderLoop, out: Path, checkpoints: Checkpoints) -> None:
+def tell(
+    summary: dict,
+    loop: RenderLoop | AdaptiveLoop,
+    picture: RenderFilm,
+    out: Path,
+    checkpoints: Checkpoints,
+    end: int | str | None,
+) -> None:
     """Say how it went: on stdout what was made, on stderr what went wrong."""
     errors = f", MAPE {summary['mape']:.5f}, relMSE {summary['relmse']:.5f}" if "mape" in summary else ""
+    if "estimated_mape" in summary:
+        mean = summary["samples"] / (picture.width * picture.height)
+        errors = f", {mean:.1f} a pixel, estimated MAPE {summary['estimated_mape']:.5f}{errors}"
     rate = summary["samples_per_second"] / 1e6
     print(f"{summary['spp']} SPP in {summary['seconds']:.1f} s, {rate:.2f} million samples/s{errors}")
+    if isinstance(end, str):
+        print(f"stopped: {end}")
     print(f"wrote {out} and {out.with_suffix('.png')}")
     kept = checkpoints.holds(loop)
     if kept:
         size = checkpoints.path.stat().st_size / 2**20
         print(f"wrote {checkpoints.path} ({size:.1f} MB), from which --resume goes on to more SPP")
-    if loop.film.bad_count:
-        bad = loop.film.bad_samples[0]
+    if picture.bad_count:
+        bad = picture.bad_samples[0]
         print(
-            f"bokehguide: warning: {loop.film.bad_count} NaN or infinite samples were left out; the first: "
+            f"bokehguide: warning: {picture.bad_count} NaN or infinite samples were left out; the first: "
             f"pixel ({bad.x}, {bad.y}), step {bad.step}, --seed {bad.seed}",
             file=sys.stderr,
         )
-    if loop.step_number < loop.settings.spp:
+    if isinstance(end, int):
         saved = f"; saved, --resume goes on from {checkpoints.path}" if kept else ""
         print(f"bokehguide: interrupted at {loop.step_number} of {loop.settings.spp} SPP{saved}", file=sys.stderr)

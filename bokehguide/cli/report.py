@@ -13,16 +13,17 @@ from pathlib import Path
 from tqdm import tqdm
 
 from bokehguide.image import replacing
+from bokehguide.render.film import Film
 from bokehguide.train import RenderLoop, RenderSettings, StepStats
 
 
 class Report:
     """Adds up the steps of a render and shows them in a progress bar on stderr.
 
-    done: SPP of earlier sessions; earlier: the seconds that they took.
+    done: SPP of earlier sessions; earlier: the seconds that they took. silent: no bar.
     """
 
-    def __init__(self, title: str, settings: RenderSettings, done: int = 0, earlier: float = 0.0):
+    def __init__(self, title: str, settings: RenderSettings, done: int = 0, earlier: float = 0.0, silent: bool = False):
         self.settings = settings
         self._samples = 0
         self._rendering = 0.0
@@ -30,7 +31,8 @@ class Report:
         self._start = time.perf_counter()
         # A log file gets a line now and then, a terminal a bar that moves.
         interval = 0.1 if sys.stderr.isatty() else 10.0
-        self.bar = tqdm(total=settings.spp, initial=done, desc=title, unit="SPP", mininterval=interval, dynamic_ncols=True)
+        words = {"desc": title, "unit": "SPP", "mininterval": interval, "dynamic_ncols": True}
+        self.bar = tqdm(total=settings.spp, initial=done, disable=silent, **words)
 
     def add(self, stats: StepStats, errors: Mapping[str, float]) -> None:
         """Count one step; `errors` (`mape`, `relmse`) is empty where there is no reference."""
@@ -46,7 +48,7 @@ class Report:
         """That the render has taken so far, in all its sessions."""
         return self._earlier + time.perf_counter() - self._start
 
-    def finish(self, loop: RenderLoop, errors: Mapping[str, float]) -> dict[str, object]:
+    def finish(self, loop: RenderLoop, picture: Film, errors: Mapping[str, float]) -> dict[str, object]:
         """Close the bar and give the facts of the whole render, ready for JSON; the memory is that of this session."""
         self.bar.close()
         seconds = self.seconds
@@ -57,9 +59,11 @@ class Report:
             "mode": self.settings.mode,
             "spp": loop.step_number,
             "seconds": seconds,
-            "samples_per_second": loop.step_number * loop.film.width * loop.film.height / seconds,
+            "samples": int(picture.samples()),
+            "samples_per_second": picture.samples() / seconds,
             "peak_memory_mb": peak_memory_mb(),
             "gaussians": len(loop.guide.field) if loop.guide else 0,
+            **({} if self.settings.target_noise is None else {"estimated_mape": picture.relative_noise()}),
             **errors,
             "phases": phases,
         }

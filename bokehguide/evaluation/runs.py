@@ -73,10 +73,10 @@ def measured_run(
                 for measure, value in errors(radiance, reference.radiance, mask).items():
                     history[region][measure].append(value)
                     found[measure if region == "frame" else f"{measure}_{region}"] = value
-            logger.log(loop, stats, found)
+            logger.log(loop, stats, found, loop.film)
             bar.set_postfix_str(f"MAPE {found['mape']:.4f}", refresh=False)
             bar.update()
-    logger.finish(loop, settings.spp)
+    logger.finish(loop, settings.spp, loop.film)
     warn_of_bad_samples(loop.film, title)
     run = Run(origin(scene, settings, reference), seconds, rays, history)
     facts = describe_render(scene, settings, settings.spp) | {"origin": run.origin}

@@ -34,11 +34,14 @@ def write_exr(
     layers: Mapping[str, np.ndarray],
     metadata: Mapping[str, str | int | float] | None = None,
     half: bool = False,
+    corner: tuple[int, int] = (0, 0),
+    frame: tuple[int, int] | None = None,
 ) -> None:
     """Write the layers that are given, in 32-bit float or, with `half`, 16-bit.
 
     layers: keys of `CHANNELS`; `[H, W]`, or `[H, W, 3]` where there are three channels.
     metadata: header attributes. OpenEXR keeps names such as `version` and `type` for itself.
+    corner: where in a larger frame, of the size width, height, the layers begin: the data and the display window.
 
     Raises BokehguideError where the folder cannot be written, or where `half` cannot
     hold a value. The file appears only when it is complete.
@@ -49,6 +52,8 @@ def write_exr(
             plane = pixels if pixels.ndim == 2 else pixels[..., index]
             channels[name] = _plane(path, name, plane, np.float16 if half else np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    height, width = next(iter(channels.values())).shape
+    header |= {"dataWindow": _window(corner, (width, height)), "displayWindow": _window((0, 0), frame or (width, height))}
     with replacing(path) as temporary:
         try:
             OpenEXR.File(header | dict(metadata or {}), channels).write(str(temporary))
@@ -80,6 +85,12 @@ def read_rgb(path: str | Path) -> np.ndarray:
             "give an EXR with R, G and B"
         )
     return np.stack([channels[name] for name in "RGB"], axis=-1)
+
+
+def _window(corner: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """First and last pixel, as OpenEXR has it."""
+    first = np.array(corner, np.int32)
+    return first, first + np.array(size, np.int32) - 1
 
 
 def _plane(path: str | Path, name: str, plane: np.ndarray, dtype: type) -> np.ndarray:

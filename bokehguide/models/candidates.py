@@ -13,6 +13,7 @@ from torch import Tensor
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.pixels import Pixels
 
 MAX_CANDIDATES = 16
 """A pixel keeps this many of its strongest Gaussians."""
@@ -32,11 +33,21 @@ class CandidateList:
     start: Tensor
     gaussian: Tensor
 
-    def batch(self, first: int, count: int) -> tuple[Tensor, Tensor]:
-        """Starts `[count + 1]` from 0 and Gaussians int64 of `count` pixels from `first` on."""
-        start = self.start[first : first + count + 1]
-        low, high = int(start[0]), int(start[-1])
-        return start - low, self.gaussian[low:high].long()
+    def batch(self, pixels: Pixels) -> tuple[Tensor, Tensor]:
+        """Starts `[N + 1]` from 0 and Gaussians int64 of N pixels."""
+        if isinstance(pixels, slice):
+            start = self.start[pixels.start : pixels.stop + 1]
+            low, high = int(start[0]), int(start[-1])
+            return start - low, self.gaussian[low:high].long()
+        first, counts = self.start[pixels], self.counts()[pixels]
+        start = torch.cat((torch.zeros_like(counts[:1]), counts.cumsum(0)))
+        owner = torch.repeat_interleave(counts)
+        place = torch.arange(len(owner), device=owner.device) + (first - start[:-1]).index_select(0, owner)
+        return start, self.gaussian.index_select(0, place).long()
+
+    def counts(self) -> Tensor:
+        """Number of candidates of each pixel, int64 `[pixels]`."""
+        return self.start[1:] - self.start[:-1]
 
 
 def draw_candidates(

@@ -14,6 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.render.vector import polar_angle
+
 RIM = 1.0 - 1e-6
 """Draws end so far from the centre that rounding leaves them in the shape."""
 
@@ -59,7 +61,7 @@ class Iris:
     def transmission(self, points: Tensor) -> Tensor:
         """W, `[N]`."""
         x, y = points.unbind(0)
-        angle = torch.atan2(y, x)
+        angle = polar_angle(y, x)
         angle = angle - 2.0 * self._half * (angle / (2.0 * self._half)).round()
         # The arc in polar coordinates, in a form that holds for a straight one too.
         c, m = self._curvature, self._middle

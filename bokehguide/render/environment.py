@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
 from bokehguide.render.suns import SunDisc
+from bokehguide.render.vector import polar_angle
 from bokehguide.scene.lamps import LUMINANCE
 from bokehguide.scene.types import Environment, Sun
 
@@ -123,7 +124,7 @@ class EnvironmentMap:
 
     def _uv(self, directions: Tensor) -> tuple[Tensor, Tensor]:
         x, y, z = directions.unbind(0)
-        u = 0.5 + torch.atan2(x, -z) / (2.0 * math.pi) + self._turn
+        u = 0.5 + polar_angle(x, -z) / (2.0 * math.pi) + self._turn
         return u - u.floor(), torch.acos(y.clamp(-1.0, 1.0)) / math.pi
 
 

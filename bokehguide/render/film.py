@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.render.pixels import Pixels
 from bokehguide.render.vector import luminance
 
 NO_DEPTH = 1e10
@@ -19,7 +20,7 @@ KEPT_BAD_SAMPLES = 100
 
 
 class BadSample(NamedTuple):
-    """A NaN or infinite sample that was kept off the film: pixel, SPP step and seed."""
+    """A NaN or infinite sample that was kept off the film: pixel of the frame, SPP step and seed."""
 
     x: int
     y: int
@@ -65,6 +66,8 @@ class Film:
 
     vignetted: the weights' mean is less than 1 towards the frame's edge. Radiance and emission
     darken with it. Alpha, normal and albedo do not: they are Σ w x / Σ w.
+
+    corner: column and row of its first pixel in the frame of which it is a part.
     """
 
     def __init__(
@@ -74,8 +77,9 @@ class Film:
         seed: int = 0,
         device: torch.device | str = "cpu",
         vignetted: bool = False,
+        corner: tuple[int, int] = (0, 0),
     ):
-        self.width, self.height, self.seed = width, height, seed
+        self.width, self.height, self.seed, self.corner = width, height, seed, corner
         pixels = width * height
         self._radiance = torch.zeros(3, pixels, dtype=torch.float64, device=device)
         self._emission = torch.zeros(3, pixels, dtype=torch.float64, device=device)
@@ -109,21 +113,23 @@ class Film:
         self.bad_count = state["bad_count"]
         self._bad_samples = [BadSample(*bad) for bad in state["bad_samples"]]
 
-    def add(self, first: int, samples: FilmSamples, step: int, fresh: bool = True) -> Tensor:
-        """Add one sample to each of the pixels from `first` on; returns the finite ones, bool `[N]`.
+    def add(
+        self, pixels: Pixels, samples: FilmSamples, step: int, fresh: bool = True, counted: Tensor | None = None
+    ) -> Tensor:
+        """Add one sample to each of N different pixels; returns the finite ones, bool `[N]`.
 
         fresh: whether the weights are independent of the pixels' latest samples, so that c may be.
+        counted: which samples are to be in the picture, bool `[N]`, where some are not.
         """
-        pixels = slice(first, first + samples.weight.shape[0])
         weight, emission = samples.weight, samples.emission
         value = samples.radiance * (weight if samples.radiance_weight is None else samples.radiance_weight)
         features = samples.features()
         good = value.sum(0).isfinite()
         if not bool(good.all()):
-            self._report_bad((~good).nonzero()[:, 0] + first, step)
+            self._report_bad(torch.arange(self.width * self.height, device=good.device)[pixels][~good], step)
             every = (weight, value, emission, features)
             weight, value, emission, features = (x.nan_to_num(0.0, 0.0, 0.0) for x in every)
-        kept = good.to(torch.float32)
+        kept = (good if counted is None else good & counted).to(torch.float32)
         self._add_features(pixels, weight, features, kept, fresh)
         weight, value = weight * kept, value * kept
         self._radiance[:, pixels] += value
@@ -133,19 +139,18 @@ class Film:
         self._add_range(pixels, samples)
         return good
 
-    def prime(self, first: int, samples: FilmSamples) -> None:
-        """Tell the pixels from `first` on of samples of the uniform lens that are not in the picture."""
-        pixels = slice(first, first + samples.weight.shape[0])
+    def prime(self, pixels: Pixels, samples: FilmSamples) -> None:
+        """Tell N different pixels of samples of the uniform lens that are not in the picture."""
         self._control[0, pixels] += 1.0
         self._control[1:, pixels] += samples.features().nan_to_num(0.0, 0.0, 0.0)
         self._add_range(pixels, samples)
 
-    def _add_range(self, pixels: slice, samples: FilmSamples) -> None:
+    def _add_range(self, pixels: Pixels, samples: FilmSamples) -> None:
         depth = samples.depth
         self._nearest[pixels] = torch.minimum(self._nearest[pixels], depth)
         self._farthest[pixels] = torch.maximum(self._farthest[pixels], depth * (depth < NO_DEPTH))
 
-    def _add_features(self, pixels: slice, weight: Tensor, features: Tensor, kept: Tensor, fresh: bool) -> None:
+    def _add_features(self, pixels: Pixels, weight: Tensor, features: Tensor, kept: Tensor, fresh: bool) -> None:
         if self._passed is not None:
             self._features[:, pixels] += features * (weight * kept)
             self._passed[pixels] += weight * kept
@@ -155,15 +160,15 @@ class Film:
             self._center[:, pixels] = seen[1:] / seen[0].clamp(min=1e-30)
         self._features[:, pixels] += torch.lerp(self._center[:, pixels], features, weight).mul_(kept)  # w (x - c) + c
         square = weight * weight
-        seen[0] += square
-        seen[1:].addcmul_(features, square)
+        self._control[0, pixels] += square
+        self._control[1:, pixels] += features * square
 
     def _report_bad(self, pixels: Tensor, step: int) -> None:
-        found = [BadSample(p % self.width, p // self.width, step, self.seed) for p in pixels.tolist()]
+        left, top = self.corner
+        found = [BadSample(left + p % self.width, top + p // self.width, step, self.seed) for p in pixels.tolist()]
         with self._lock:
             self.bad_count += len(found)
-            earliest = sorted(self._bad_samples + found, key=lambda bad: (bad.step, bad.y, bad.x))
-            self._bad_samples = earliest[:KEPT_BAD_SAMPLES]
+            self._bad_samples = earliest(self._bad_samples + found)
 
     @property
     def bad_samples(self) -> list[BadSample]:
@@ -175,10 +180,19 @@ class Film:
         mean = self._radiance / self._count.clamp(min=1.0)
         return mean.float().T.reshape(self.height, self.width, 3)
 
+    def light(self, pixels: Pixels = slice(None)) -> tuple[float, float]:
+        """Luminance of all samples of some pixels, and their number."""
+        total = luminance(self._radiance[:, pixels]).cpu().numpy().sum()  # in an order that no thread count changes
+        return float(total), float(self._count[pixels].cpu().numpy().sum())
+
     def mean_luminance(self) -> float:
         """Mean luminance of the frame so far."""
-        total = luminance(self._radiance).cpu().numpy().sum()  # in an order that no thread count changes
-        return float(total / max(1.0, self._count.cpu().numpy().sum()))
+        total, count = self.light()
+        return total / max(1.0, count)
+
+    def samples(self) -> float:
+        """Number of all samples."""
+        return float(self._count.double().sum())
 
     def variance(self) -> Tensor:
         """Estimated variance of the mean luminance, float32 `[H, W]`; 0 before the second sample.
@@ -218,3 +232,8 @@ class Film:
             "sample_count": self._count.reshape(shape),
         }
         return {name: np.ascontiguousarray(layer.cpu().numpy(), np.float32) for name, layer in layers.items()}
+
+
+def earliest(samples: list[BadSample]) -> list[BadSample]:
+    """The first of them, as many as are kept, in the order of steps and pixels."""
+    return sorted(samples, key=lambda bad: (bad.step, bad.y, bad.x))[:KEPT_BAD_SAMPLES]

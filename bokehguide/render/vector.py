@@ -6,6 +6,8 @@ Component arrays keep every operation contiguous. `torch.linalg.vector_norm` and
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -30,6 +32,12 @@ def length(a: Tensor) -> Tensor:
 def normalize(a: Tensor) -> Tensor:
     """Unit vectors `[3, N]`; a zero vector stays zero."""
     return a * dot(a, a).clamp(min=1e-37).rsqrt()
+
+
+def polar_angle(y: Tensor, x: Tensor) -> Tensor:
+    """`torch.atan2`, whose last bit depends on an element's place in the batch: a crop would not have the frame's bits."""
+    acute = (y / x.abs().clamp(min=1e-30)).atan()
+    return torch.where(x < 0.0, torch.copysign(torch.full_like(y, math.pi), y) - acute, acute)
 
 
 def luminance(color: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.path_tracer import PathSamples, PathTracer
+from bokehguide.render.pixels import pixel_numbers
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.vector import dot, luminance, normalize
@@ -58,15 +59,15 @@ class SpatialReuse:
         rays = self._camera.rays(self._shift.focus_points(pixels, center + 0.5), center)
         return self._camera.depth(self._tracer.geometry.tracer.intersect(*rays).distance, rays[1])
 
-    def keep(self, first: int, subpixel: Tensor, points: Tensor, path: PathSamples, samples: FilmSamples) -> Tensor:
-        """Take the initial samples of the pixels from `first` on; returns the finite ones, bool `[N]`.
+    def keep(self, span: slice, subpixel: Tensor, points: Tensor, path: PathSamples, samples: FilmSamples) -> Tensor:
+        """Take the initial samples of the pixels of a span; returns the finite ones, bool `[N]`.
 
         subpixel: u `[2, N]`; points: lens points `[2, N]`; path, samples: what their rays found.
         """
-        pixels = torch.arange(first, first + points.shape[1], device=points.device)
+        pixels = pixel_numbers(span, points.device)
         good = (samples.radiance * samples.weight).sum(0).isfinite()
-        self._reservoirs.put(first, self.describe(pixels, subpixel, points, path, samples, good))
-        self._initial[first] = samples
+        self._reservoirs.put(span.start, self.describe(pixels, subpixel, points, path, samples, good))
+        self._initial[span.start] = samples
         return good
 
     def describe(
@@ -84,15 +85,15 @@ class SpatialReuse:
         plane = torch.cat((normal[:2], (dot(position, normal) + (1.0 - hit))[None]))
         return Reservoirs(subpixel, points, samples.depth, plane, path.triangle, target, weight)
 
-    def resample(self, first: int, end: int, step: int, timer: PhaseTimer) -> tuple[FilmSamples, int]:
-        """Final samples of the pixels from `first` to `end`, and the number of rays traced for them.
+    def resample(self, span: slice, step: int, timer: PhaseTimer) -> tuple[FilmSamples, int]:
+        """Final samples of the pixels of a span that was kept, and the number of rays traced for them.
 
         Their radiance is that of the chosen sample; all else is the initial one's, with its weight.
         """
         with timer.measure("guiding"):
-            pixels = torch.arange(first, end, device=self._copied.device)
+            pixels = pixel_numbers(span, self._copied.device)
             random = PixelRandom(self._seed, step, pixels)
-            own, initial = self._reservoirs.select(pixels), self._initial.pop(first)
+            own, initial = self._reservoirs.select(pixels), self._initial.pop(span.start)
             neighbours = self._neighbourhood.of(pixels, random.uniform(START_DIMENSION, 1)[0])
             count = (neighbours >= 0).sum(0).to(torch.float32)
             choice = _Choice(random, initial.radiance)

@@ -16,6 +16,7 @@ from bokehguide.image import replacing
 from bokehguide.image.files import unwritable
 from bokehguide.scene.digest import digest
 from bokehguide.scene.types import Scene
+from bokehguide.train.adaptive import AdaptiveLoop
 from bokehguide.train.loop import RenderLoop
 from bokehguide.train.settings import RenderSettings
 
@@ -25,12 +26,14 @@ NAMED = 4
 """Differences that a refusal names."""
 
 
-def save_checkpoint(path: str | Path, loop: RenderLoop, seconds: float) -> None:
-    """Write the whole state of a render; the file is the old one or the new one, never half of one.
+def save_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop, seconds: float) -> None:
+    """Write the whole state of a render; the file is the old one or the new one, never half of one. Collective.
 
     seconds: that the render has taken so far. Raises BokehguideError where it cannot be written.
     """
     whole = {"origin": origin(loop.scene, loop.settings), "seconds": seconds, "loop": loop.state_dict()}
+    if not loop.ranks.first:
+        return
     with replacing(path) as temporary:
         try:
             torch.save(whole, temporary)
@@ -38,7 +41,7 @@ def save_checkpoint(path: str | Path, loop: RenderLoop, seconds: float) -> None:
             raise unwritable(Path(path), error) from error
 
 
-def load_checkpoint(path: str | Path, loop: RenderLoop) -> float:
+def load_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> float:
     """Bring a fresh loop to where the render was when it was saved; returns the seconds it had taken.
 
     Raises BokehguideError for a file that is missing or damaged, or was made by another
@@ -55,7 +58,7 @@ def load_checkpoint(path: str | Path, loop: RenderLoop) -> float:
     return seconds
 
 
-def saved_steps(path: str | Path, loop: RenderLoop) -> int:
+def saved_steps(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> int:
     """How many steps of the loop's render a file holds; 0 where it is missing, damaged or of another one."""
     try:
         return _read(path, loop)["loop"]["step"]
@@ -63,7 +66,7 @@ def saved_steps(path: str | Path, loop: RenderLoop) -> int:
         return 0
 
 
-def _read(path: str | Path, loop: RenderLoop) -> dict[str, object]:
+def _read(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> dict[str, object]:
     """What was saved, when it is of the loop's render. Raises as `load_checkpoint`."""
     try:
         with zipfile.ZipFile(path) as archive:
@@ -94,6 +97,7 @@ def origin(scene: Scene, settings: RenderSettings) -> dict[str, str]:
     values = {"software": f"bokehguide {__version__}", "mode": settings.mode, "seed": settings.seed}
     values |= {"size": f"{film.width}x{film.height}", "max_depth": film.max_depth, "device": settings.device}
     values |= {"reuse_radius": settings.reuse_radius if settings.reuses else "unused"}
+    values |= {"crop": settings.crop, "target_noise": settings.target_noise}
     values |= {f"camera.{field.name}": getattr(camera, field.name) for field in fields(camera) if field.name != "aperture"}
     data = (camera.aperture, scene.meshes, scene.materials, scene.environment, scene.suns)
     return {name: str(value) for name, value in values.items()} | dict(zip(DATA, map(digest, data), strict=True))

@@ -17,9 +17,11 @@ from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathSamples
+from bokehguide.render.pixels import Pixels
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.train.fitting import fit_gaussians
+from bokehguide.train.ranks import Ranks
 from bokehguide.train.record_buffer import RecordBuffer
 from bokehguide.train.settings import RenderSettings
 
@@ -41,12 +43,12 @@ def starts_block(step: int) -> bool:
 
 @dataclass
 class GuidedBatch:
-    """The lens distribution of a batch of pixels from `first` on, and what it was made of.
+    """The lens distribution of a batch of pixels, and what it was made of.
 
     gaussian: of each candidate, where somebody asks.
     """
 
-    first: int
+    pixels: Pixels
     raster: Tensor
     distribution: LensMixture
     gaussian: Tensor | None = None
@@ -57,7 +59,7 @@ class BatchLesson:
     """What one batch teaches: its loss, and the gradients of its pixels' β and of the polynomial coefficients."""
 
     kl: float
-    pixels: slice
+    pixels: Pixels
     blend_gradient: Tensor | None
     offset_gradient: Tensor | None
 
@@ -98,9 +100,9 @@ class LensGuide(nn.Module):
     be stratified over the block (see `render/random.py`).
     """
 
-    def __init__(self, camera: ThinLensCamera, settings: RenderSettings):
+    def __init__(self, camera: ThinLensCamera, settings: RenderSettings, ranks: Ranks | None = None):
         super().__init__()
-        self.camera = camera
+        self.camera, self.ranks = camera, ranks or Ranks()
         self.learns_blend = settings.mode in ("lis-b", "lis-o")
         self.learns_offsets = settings.mode == "lis-o"
         self.field = GaussianField()
@@ -117,24 +119,24 @@ class LensGuide(nn.Module):
         self.optimizers = {"blend": torch.optim.Adam([self.blend.logit], lr=BLEND_RATE, fused=True)}
 
     @torch.no_grad()
-    def draw(self, step: int, first: int, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
-        """Lens points for pixels from `first` on at raster positions `[2, N]`; uniform in the first step."""
+    def draw(self, step: int, pixels: Pixels, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
+        """Lens points for N pixels at raster positions `[2, N]`; uniform in the first step."""
         lens = self.camera.lens
         if step == 1:
             return uniform_draw(lens, focus, random.uniform(LENS_DIMENSION, 2))
         uniforms = random.uniform(LENS_DIMENSION, 5)  # independent: what a lens point is used for is learnt
-        self.stratify(first, random, uniforms)
-        batch = self.distribution(first, raster, focus)
+        self.stratify(pixels, random, uniforms)
+        batch = self.distribution(pixels, raster, focus)
         if batch is None:
             return uniform_draw(lens, focus, uniforms[2:4])
         return guided_draw(lens, focus, batch, uniforms)
 
     @torch.no_grad()
-    def distribution(self, first: int, raster: Tensor, focus: Tensor) -> GuidedBatch | None:
-        """The mixture for pixels from `first` on at raster positions `[2, N]`, None if they have no candidates."""
+    def distribution(self, pixels: Pixels, raster: Tensor, focus: Tensor) -> GuidedBatch | None:
+        """The mixture for N pixels at raster positions `[2, N]`, None if they have no candidates."""
         if self.candidates is None:
             return None
-        start, gaussian = self.candidates.batch(first, raster.shape[1])
+        start, gaussian = self.candidates.batch(pixels)
         if len(gaussian) == 0:
             return None
         field, lens = self.field, self.camera.lens
@@ -142,10 +144,10 @@ class LensGuide(nn.Module):
         if self.offsets is not None:
             owner = torch.repeat_interleave(start[1:] - start[:-1])
             mean = mean + self.offsets(gaussian, raster.index_select(1, owner))
-        beta = self.blend(slice(first, first + raster.shape[1]))
+        beta = self.blend(pixels)
         weight = field.lens_weights(lens.focus_distance).index_select(0, gaussian)
         mixture = GuidedLensDistribution(lens, focus, beta, start, mean, field.sigma.index_select(0, gaussian), weight)
-        return GuidedBatch(first, raster, mixture, gaussian)
+        return GuidedBatch(pixels, raster, mixture, gaussian)
 
     @torch.no_grad()
     def study(self, batch: GuidedBatch, ratio: Tensor, at: LensDensity) -> BatchLesson:
@@ -159,7 +161,7 @@ class LensGuide(nn.Module):
         if self.offsets is not None:
             of_offsets = offset_gradient(mixture, self.offsets, batch.gaussian, batch.raster, ratio, at)
         loss = float(one_sample_kl(ratio, at.density, mixture.lens.area))
-        return BatchLesson(loss, slice(batch.first, batch.first + len(ratio)), of_blend, of_offsets)
+        return BatchLesson(loss, batch.pixels, of_blend, of_offsets)
 
     def is_fresh(self, step: int) -> bool:
         """Whether the weights of a step are independent of the steps before: held pixels all have the weight 1."""
@@ -170,8 +172,8 @@ class LensGuide(nn.Module):
         return luminance(samples.radiance)
 
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
-        """End a step: one Adam step, then, while fitting goes on, the next set of Gaussians."""
-        if self.learns_blend and lessons:
+        """End a step: one Adam step, then, while fitting goes on, the next set of Gaussians; collective."""
+        if self.learns_blend and self.ranks.any(bool(lessons))[0]:
             self.blend.logit.grad = torch.zeros_like(self.blend.logit)
             for lesson in lessons:
                 self.blend.logit.grad[lesson.pixels] = lesson.blend_gradient
@@ -179,7 +181,7 @@ class LensGuide(nn.Module):
             self.optimizers["blend"].zero_grad()
         if self.offsets is not None:
             gradients = [lesson.offset_gradient for lesson in lessons if lesson.offset_gradient is not None]
-            self.offsets.coefficients.grad = sum(gradients, torch.zeros_like(self.offsets.coefficients))
+            self.offsets.coefficients.grad = self.ranks.total(sum(gradients, torch.zeros_like(self.offsets.coefficients)))
             self.optimizers["offsets"].step()
         if self.offsets is None:
             opens = starts_block(step + 1)
@@ -196,11 +198,11 @@ class LensGuide(nn.Module):
         self.block.fill_(step)
         self.held.fill_(True)
         if self.candidates is not None:
-            self.held.copy_(self.candidates.start[1:] == self.candidates.start[:-1])
+            self.held.copy_(self.candidates.counts() == 0)
 
-    def stratify(self, first: int, random: PixelRandom, uniforms: Tensor) -> None:
-        """Replace, in numbers `[5, N]` for pixels from `first` on, those of the held pixels' lens points."""
-        held = self.held[first : first + uniforms.shape[1]].nonzero()[:, 0]
+    def stratify(self, pixels: Pixels, random: PixelRandom, uniforms: Tensor) -> None:
+        """Replace, in numbers `[5, N]` for N pixels, those of the held pixels' lens points."""
+        held = self.held[pixels].nonzero()[:, 0]
         if len(held) > 0:
             uniforms[2:4, held] = random.select(held).stratified(LENS_DIMENSION, 2, int(self.block))
 
@@ -247,8 +249,7 @@ def guide_images(
     """β, record buffer and spotlights as `[H, W, 3]` in 0 … 1; the last two with their margin."""
     beta = beta.reshape(camera.height, camera.width)
     if candidates is not None:
-        counts = candidates.start[1:] - candidates.start[:-1]
-        beta = beta * (counts > 0).reshape(beta.shape)
+        beta = beta * (candidates.counts() > 0).reshape(beta.shape)
     radiance = record.radiance()
     spots = torch.zeros(record.height * record.width, device=radiance.device)
     spots[spotlights] = 1.0

@@ -12,6 +12,7 @@ from bokehguide.scene.types import Scene
 from bokehguide.train.metadata import describe_render
 
 if TYPE_CHECKING:
+    from bokehguide.render.film import Film
     from bokehguide.train import RenderLoop, RenderSettings, StepStats
 
 
@@ -41,14 +42,14 @@ class RenderLogger:
         table = "\n".join(f"| {key} | {value} |" for key, value in facts.items())
         self.writer.add_text("settings", f"| | |\n|---|---|\n{table}", resumed)
 
-    def log(self, loop: RenderLoop, stats: StepStats, errors: Mapping[str, float]) -> None:
+    def log(self, loop: RenderLoop, stats: StepStats, errors: Mapping[str, float], picture: Film) -> None:
         """Scalars of one step, and pictures where its number is a power of two.
 
-        errors: by name (`mape`, `relmse`), or empty where there is no reference; the
-        film's estimate of its relative noise stands in then.
+        errors: by name (`mape`, `relmse`), or empty where there is no reference; the estimate of the relative
+        noise of the `picture` so far stands in then.
         """
         scalars = {f"error/{name}": value for name, value in errors.items()} or {
-            "error/relative_noise": loop.film.relative_noise()
+            "error/relative_noise": picture.relative_noise()
         }
         scalars |= {
             "guide/kl": stats.kl,
@@ -62,20 +63,20 @@ class RenderLogger:
             if not math.isnan(value):
                 self.writer.add_scalar(tag, value, stats.step)
         if stats.step & (stats.step - 1) == 0:
-            self._log_pictures(loop, stats.step)
+            self._log_pictures(loop, stats.step, picture)
 
     def flush(self) -> None:
         """Write what is still in memory."""
         self.writer.flush()
 
-    def finish(self, loop: RenderLoop, step: int) -> None:
+    def finish(self, loop: RenderLoop, step: int, picture: Film) -> None:
         """Pictures of the last step, whatever its number, and close the log."""
         if step != self._pictures_at:
-            self._log_pictures(loop, step)
+            self._log_pictures(loop, step, picture)
         self.writer.close()
 
-    def _log_pictures(self, loop: RenderLoop, step: int) -> None:
-        pictures = {"render": tone_map(loop.film.radiance(), self.exposure), **loop.guide_images()}
+    def _log_pictures(self, loop: RenderLoop, step: int, picture: Film) -> None:
+        pictures = {"render": tone_map(picture.radiance(), self.exposure), **loop.guide_images()}
         for name, picture in pictures.items():
             self.writer.add_image(name, picture, step, dataformats="HWC")
         self._pictures_at = step

@@ -9,15 +9,17 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from bokehguide.errors import BokehguideError
 from bokehguide.models.lens_distribution import LensDensity
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.film import Film, FilmSamples
+from bokehguide.render.film import Film, FilmSamples, earliest
 from bokehguide.render.path_tracer import PathSamples, PathTracer
+from bokehguide.render.pixels import Pixels, box_pixels, pixel_numbers
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
@@ -25,9 +27,11 @@ from bokehguide.render.vector import luminance
 from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide, uniform_draw
+from bokehguide.train.ranks import Ranks, local_ranks
 from bokehguide.train.record_buffer import FAR
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.spot_guide import SpotGuide
+from bokehguide.train.steps import BatchResult, GuideCounts, StepStats, finite, step_stats
 
 BATCH = 65536
 """Pixels traced together at most: more would leave the cache."""
@@ -39,61 +43,57 @@ PRIMING_DIMENSION = LENS_DIMENSION + 5
 PHASES = ("tracing rays", "shading", "guiding", "learning", "output")
 
 
-@dataclass
-class StepStats:
-    """What a step did; kl, beta and outside are NaN where nothing was guided."""
-
-    step: int
-    samples: int
-    rays: int
-    seconds: float
-    kl: float
-    beta: float
-    gaussians: int
-    outside: float
-
-
-@dataclass
-class _BatchResult:
-    rays: int
-    guided: int
-    outside: int
-    beta: float
-    lesson: BatchLesson | None
-    records: tuple[Tensor, Tensor, Tensor] | None
-    timer: PhaseTimer
-
-
 class RenderLoop:
     """Renders a scene step by step; after each step `film` holds the picture so far.
 
-    Batches are cut by the frame's size alone and random numbers are keyed by pixel, so the
+    Batches are cut by the number of pixels alone and random numbers are keyed by pixel, so the
     number of threads changes nothing but the speed.
+
+    ranks: the processes that share the work. Their Gaussians are the same, each knows the film and β of
+    its own pixels, and all of them take every step, `picture` and `state_dict` together. tracer: that of another
+    loop with the same scene and device.
+
+    Raises BokehguideError for a crop that leaves the frame, and for Area ReSTIR on several ranks.
     """
 
-    def __init__(self, scene: Scene, settings: RenderSettings):
-        self.scene, self.settings = scene, settings
+    def __init__(
+        self, scene: Scene, settings: RenderSettings, ranks: Ranks | None = None, tracer: PathTracer | None = None
+    ):
+        self.scene, self.settings, self.ranks = scene, settings, ranks or Ranks()
+        if settings.reuses and not self.ranks.alone:
+            raise BokehguideError(f"mode: {settings.mode} reuses samples of the whole frame; render it in one process")
         device = torch.device(settings.device)
-        width, height = scene.film.width, scene.film.height
-        self.camera = ThinLensCamera(scene.camera, width, height, device)
-        self.tracer = PathTracer(scene, device)
-        self.film = Film(width, height, settings.seed, device, self.camera.lens.vignettes)
+        self.camera = ThinLensCamera(scene.camera, scene.film.width, scene.film.height, device)
+        self.tracer = tracer or PathTracer(scene, device)
+        self.film = self._empty_film()
+        self._frame_pixels = box_pixels(settings.crop, self.camera.width).to(device) if settings.crop else None
+        """Pixels of the frame that the film's are, int64 `[pixels]`; None where they are the same."""
+        self._share = self.ranks.rows(self.film.width, self.film.height, device)
+        """Pixels of the film that are this rank's, int64 `[N]`; None where they all are."""
+        self._places = self._share
+        """Those that steps render."""
         pinhole = scene.camera.aperture_radius == 0.0
         guided = settings.lens_mode != "uniform" and not pinhole
         self.guide = self._make_guide() if guided else None
         self.reuse = SpatialReuse(self.camera, self.tracer, settings.reuse_radius, settings.seed) if settings.reuses else None
         self.step_number = 0
-        self._threads = settings.threads or _available_cores()
+        self._threads = settings.threads or max(_available_cores() // local_ranks(), 1)
         # Threads work on batches. Those that torch would start inside operations only fight them.
         torch.set_num_threads(1)
         self._pool = ThreadPoolExecutor(self._threads, initializer=torch.set_num_threads, initargs=(1,))
+        self._learns = guided
         self._phases: Counter[str] = Counter()
         self._mean_luminance = 1.0
 
     def _make_guide(self) -> LensGuide | SpotGuide:
         if self.settings.lens_mode == "guided":
-            return SpotGuide(self.camera, self.scene)
-        return LensGuide(self.camera, replace(self.settings, mode=self.settings.lens_mode))
+            return SpotGuide(self.camera, self.scene, self.ranks)
+        return LensGuide(self.camera, replace(self.settings, mode=self.settings.lens_mode), self.ranks)
+
+    def _empty_film(self) -> Film:
+        left, top, width, height = self.settings.window(self.camera.width, self.camera.height)
+        device, vignettes = self.camera.position.device, self.camera.lens.vignettes
+        return Film(width, height, self.settings.seed, device, vignettes, (left, top))
 
     @property
     def phases(self) -> dict[str, float]:
@@ -107,79 +107,87 @@ class RenderLoop:
         results = self._in_batches(self._render_batch)
         reused = self._in_batches(self._reuse_batch) if self.reuse is not None else []
         timer = PhaseTimer()
-        if self.guide is not None:
+        if self._learns:
             with timer.measure("learning"):
                 self._learn(results)
         self._phases += timer.seconds
-        return self._stats(results + reused, time.perf_counter() - start)
+        gaussians = len(self.guide.field) if self.guide else 0
+        return step_stats(self.step_number, results + reused, time.perf_counter() - start, gaussians, self.ranks)
 
-    def _in_batches(self, work: Callable[[int, int], _BatchResult]) -> list[_BatchResult]:
-        """What `work` returns for the pixels from … to … of each batch."""
+    def _in_batches(self, work: Callable[[Pixels], BatchResult]) -> list[BatchResult]:
+        """What `work` returns for the film's pixels of each batch."""
         start = time.perf_counter()
-        pixels = self.camera.width * self.camera.height
+        places = self._places
+        pixels = self.film.width * self.film.height if places is None else len(places)
         count = max(math.ceil(pixels / BATCH), min(FEW_BATCHES, pixels // SMALL_BATCH), 1)
-        size = math.ceil(pixels / count)
-        spans = [(first, min(first + size, pixels)) for first in range(0, pixels, size)]
-        results = list(self._pool.map(lambda span: work(*span), spans))
+        size = max(math.ceil(pixels / count), 1)
+        spans = [slice(first, min(first + size, pixels)) for first in range(0, pixels, size)]
+        results = list(self._pool.map(work, spans if places is None else [places[span] for span in spans]))
         worked = sum((result.timer.seconds for result in results), Counter())
         scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
         self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
         return results
 
     @torch.no_grad()
-    def _render_batch(self, first: int, end: int) -> _BatchResult:
-        """One sample for each of some pixels: film position, lens point, ray, radiance, film."""
+    def _render_batch(self, places: Pixels) -> BatchResult:
+        """One sample for each of some of the film's pixels: film position, lens point, ray, radiance, film."""
         timer = PhaseTimer()
         camera = self.camera
         with timer.measure("guiding"):
-            pixels = torch.arange(first, end, device=self.settings.device)
-            random = PixelRandom(self.settings.seed, self.step_number, pixels)
-            corner = torch.stack((pixels % camera.width, pixels // camera.width))
+            pixels = places if self._frame_pixels is None else self._frame_pixels[places]
+            numbers = pixel_numbers(pixels, self.settings.device)
+            random = PixelRandom(self.settings.seed, self.step_number, numbers)
+            corner = torch.stack((numbers % camera.width, numbers // camera.width))
             raster = corner + random.stratified(0, 2)
             focus = camera.focus_points(raster)
-            points, weight, batch, at = self._draw(first, raster, focus, random)
+            points, weight, batch, at = self._draw(pixels, raster, focus, random)
         with timer.measure("shading"):
             samples, directions = self._trace(focus, points, weight, random, timer)
             if self.step_number == 1 and batch is not None:
-                samples.rays += self._prime(first, focus, random, timer)
+                samples.rays += self._prime(places, focus, random, timer)
         with timer.measure("output"):
             film_samples = self._film_samples(samples, directions, weight)
             if self.reuse is None:
-                fresh = self.guide is None or self.guide.is_fresh(self.step_number)
-                good = self.film.add(first, film_samples, self.step_number, fresh)
+                good = self._expose(places, film_samples)
             else:
-                good = self.reuse.keep(first, raster - corner, points, samples, film_samples)
-        if self.guide is None:
-            return _BatchResult(samples.rays, 0, 0, 0.0, None, None, timer)
+                good = self.reuse.keep(pixels, raster - corner, points, samples, film_samples)
+        result = BatchResult(len(weight), samples.rays, timer)
+        if not self._learns:
+            return result
         with timer.measure("learning"):
             weight = weight.nan_to_num(0.0, 0.0, 0.0) * good
-            lesson = self._study(batch, weight, _finite(luminance(samples.radiance), good), at)
-            recorded = _finite(self.guide.recorded(samples), good)
-            records = self._records(points, directions, samples.distance, weight, recorded)
-        guided, outside, beta = _count(batch, weight)
-        return _BatchResult(samples.rays, guided, outside, beta, lesson, records, timer)
+            result.lesson = self._study(batch, weight, finite(luminance(samples.radiance), good), at)
+            recorded = finite(self.guide.recorded(samples), good)
+            result.records = self._records(points, directions, samples.distance, weight, recorded)
+            result.counts = GuideCounts.of(batch, weight)
+        return result
+
+    def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
+        """Put samples on the film; returns the finite ones, bool `[N]`."""
+        fresh = self.guide is None or self.guide.is_fresh(self.step_number)
+        return self.film.add(places, samples, self.step_number, fresh)
 
     @torch.no_grad()
-    def _reuse_batch(self, first: int, end: int) -> _BatchResult:
+    def _reuse_batch(self, pixels: slice) -> BatchResult:
         """The second pass of a step: some pixels choose among their samples and their neighbours'."""
         timer = PhaseTimer()
-        film_samples, rays = self.reuse.resample(first, end, self.step_number, timer)
+        film_samples, rays = self.reuse.resample(pixels, self.step_number, timer)
         with timer.measure("output"):
-            self.film.add(first, film_samples, self.step_number)
-        return _BatchResult(rays, 0, 0, 0.0, None, None, timer)
+            self.film.add(pixels, film_samples, self.step_number)
+        return BatchResult(0, rays, timer)
 
-    def _prime(self, first: int, focus: Tensor, random: PixelRandom, timer: PhaseTimer) -> int:
+    def _prime(self, places: Pixels, focus: Tensor, random: PixelRandom, timer: PhaseTimer) -> int:
         """Tell the film what the uniform lens sees, before the first sample is weighed; returns the number of rays."""
         draw = uniform_draw(self.camera.lens, focus, random.uniform(PRIMING_DIMENSION, 2))
         origins, directions = self.camera.rays(focus, draw.points)
         seen = self.tracer.trace(origins, directions, random, timer, max_depth=1)
-        self.film.prime(first, self._film_samples(seen, directions, draw.weight))
+        self.film.prime(places, self._film_samples(seen, directions, draw.weight))
         return seen.rays
 
-    def _draw(self, first: int, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
+    def _draw(self, pixels: Pixels, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
         if self.guide is None:
             return uniform_draw(self.camera.lens, focus, random.uniform(LENS_DIMENSION, 2))
-        return self.guide.draw(self.step_number, first, raster, focus, random)
+        return self.guide.draw(self.step_number, pixels, raster, focus, random)
 
     def _trace(
         self, focus: Tensor, points: Tensor, weight: Tensor, random: PixelRandom, timer: PhaseTimer
@@ -217,45 +225,67 @@ class RenderLoop:
         cells = self.guide.record.cells(self.camera, position)
         return torch.where(weight > 0.0, cells, -1), position, light
 
-    def _learn(self, results: list[_BatchResult]) -> None:
-        for result in results:
-            self.guide.record.add(*result.records)
-        self._mean_luminance = self.film.mean_luminance()
+    def _learn(self, results: list[BatchResult]) -> None:
+        self.guide.record.add_all([result.records for result in results], self.ranks)
+        light, count = self.ranks.totals(*self.film.light(slice(None) if self._share is None else self._share))
+        self._mean_luminance = light / max(count, 1.0)
         lessons = [result.lesson for result in results if result.lesson is not None]
         self.guide.update(self.step_number, lessons, self._mean_luminance)
 
-    def _stats(self, results: list[_BatchResult], seconds: float) -> StepStats:
-        guided = sum(result.guided for result in results)
-        samples = self.camera.width * self.camera.height
-        kl = sum(result.lesson.kl for result in results if result.lesson is not None)
-        return StepStats(
-            step=self.step_number,
-            samples=samples,
-            rays=sum(result.rays for result in results),
-            seconds=seconds,
-            kl=kl / guided if guided else math.nan,
-            beta=sum(result.beta for result in results) / guided if guided else math.nan,
-            gaussians=len(self.guide.field) if self.guide else 0,
-            outside=sum(result.outside for result in results) / guided if guided else math.nan,
-        )
+    def picture(self) -> Film:
+        """The film with the pixels of all ranks; collective."""
+        if self.ranks.alone:
+            return self.film
+        whole = self._empty_film()
+        whole.load_state_dict(self._film_state())
+        return whole
+
+    def _film_state(self) -> dict[str, object]:
+        state = self.ranks.merged(self.film.state_dict(), self._mine_of_film())
+        found = self.ranks.gathered((self.film.bad_count, self.film.bad_samples))
+        bad = earliest([bad for _, samples in found for bad in samples])
+        return state | {"bad_count": sum(count for count, _ in found), "bad_samples": [tuple(each) for each in bad]}
 
     def state_dict(self) -> dict[str, object]:
-        """All that later steps depend on, and the times so far; tensors are the loop's own, as in any state dict."""
-        state = {"step": self.step_number, "film": self.film.state_dict()}
+        """All that later steps depend on, and the times so far; collective.
+
+        It is the same whatever the number of ranks, and tensors may be the loop's own, as in any state dict.
+        """
+        state = {"step": self.step_number, "film": self._film_state()}
         state |= {"mean_luminance": self._mean_luminance, "phases": dict(self._phases)}
         if self.guide is not None:
             optimizers = {name: optimizer.state_dict() for name, optimizer in self.guide.optimizers.items()}
-            state |= {"guide": self.guide.state_dict(), "optimizers": optimizers}
+            state |= self.ranks.merged({"guide": self.guide.state_dict(), "optimizers": optimizers}, self._mine())
         return state
 
+    def _mine(self) -> Tensor:
+        """Which pixels of the frame this rank answers for, bool `[pixels]`: the first one for those beyond a crop."""
+        of_film = self._mine_of_film()
+        if self._frame_pixels is None:
+            return of_film
+        of_frame = torch.full((self.camera.width * self.camera.height,), self.ranks.first)
+        return of_frame.index_copy_(0, self._frame_pixels.cpu(), of_film)
+
+    def _mine_of_film(self) -> Tensor:
+        """Which pixels of the film this rank renders, bool `[pixels]`."""
+        mine = torch.full((self.film.width * self.film.height,), self._share is None)
+        if self._share is not None:
+            mine[self._share.cpu()] = True
+        return mine
+
     def load_state_dict(self, state: Mapping[str, object]) -> None:
-        """Go on from the state of a loop of the same scene and settings (but SPP and threads): later steps have the same bits.
+        """Go on from the state of a loop of the same scene and settings (but SPP, threads and ranks): later steps
+        have the same bits.
 
         Raises KeyError, RuntimeError or ValueError where it does not fit.
         """
-        self.film.load_state_dict(state["film"])
+        film = state["film"] if self.ranks.first else {**state["film"], "bad_count": 0, "bad_samples": []}
+        self.film.load_state_dict(film)
         if self.guide is not None:
-            self.guide.load_state_dict(state["guide"])
+            learnt = dict(state["guide"])
+            if "moments" in learnt and not self.ranks.alone:  # each rank adds up those of its own pixels
+                learnt["moments"] = learnt["moments"] * self._mine()
+            self.guide.load_state_dict(learnt)
             for name, optimizer in self.guide.optimizers.items():
                 optimizer.load_state_dict(deepcopy(state["optimizers"][name]))  # it would share its tensors
         self.step_number, self._mean_luminance = state["step"], state["mean_luminance"]
@@ -266,19 +296,6 @@ class RenderLoop:
         return self.guide.images() if self.guide else {}
 
 
-def _finite(light: Tensor, good: Tensor) -> Tensor:
-    """Luminance `[N]` of the samples that the film took, 0 for the others."""
-    return light.nan_to_num(0.0, 0.0, 0.0) * good
-
-
 def _available_cores() -> int:
     """Cores that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _count(batch: GuidedBatch | None, weight: Tensor) -> tuple[int, int, float]:
-    """Guided pixels, draws outside the lens, and the sum of β."""
-    if batch is None:
-        return 0, 0, 0.0
-    mixture = batch.distribution
-    return int(mixture.guided.sum()), int(((weight == 0.0) & mixture.guided).sum()), float(mixture.beta.sum())

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.train.ranks import Ranks
 
 MARGIN = 0.1
 """Width of the border around the frame, as a share of the frame's width: spots outside the
@@ -47,6 +48,16 @@ class RecordBuffer(nn.Module):
         x, y, depth = points[:, index].unbind(0)
         for total, value in zip(self.sums[2:5], (x / depth, y / depth, 1.0 / depth)):
             total.index_add_(0, cells, light * value)
+
+    def add_all(self, batches: list[tuple[Tensor, Tensor, Tensor]], ranks: Ranks) -> None:
+        """Add the samples of all batches on all ranks, each as `add` takes it; collective."""
+        earlier = None if ranks.alone else self.sums.clone()
+        if earlier is not None:
+            self.sums.zero_()
+        for batch in batches:
+            self.add(*batch)
+        if earlier is not None:
+            self.sums.copy_(earlier + ranks.total(self.sums))
 
     def radiance(self) -> Tensor:
         """Mean luminance of each cell, `[height, width]`."""

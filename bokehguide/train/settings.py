@@ -24,6 +24,8 @@ class RenderSettings:
     threads: worker threads, None for as many as there are processors. reuse_radius: of the
     neighbourhood in which Area ReSTIR reuses samples, in pixels; the paper's 50 is for a
     picture of 1920 × 1080, and 50 · width / 1920 takes in the same part of a smaller one.
+    crop: x, y, width, height in pixels from the top left, of the part of the frame to render.
+    target_noise: estimated relative error at which a block of pixels is done; None: all get spp samples.
     Raises BokehguideError for a value out of range.
     """
 
@@ -33,6 +35,8 @@ class RenderSettings:
     device: str = "cpu"
     threads: int | None = None
     reuse_radius: float = 50.0
+    crop: tuple[int, int, int, int] | None = None
+    target_noise: float | None = None
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
@@ -45,6 +49,22 @@ class RenderSettings:
             raise BokehguideError(f"threads: {self.threads} is not positive; give at least 1 thread")
         if not 1.0 <= self.reuse_radius <= MAX_SIDE:
             raise BokehguideError(f"reuse_radius: {self.reuse_radius:g} is out of range; give pixels from 1 to {MAX_SIDE}")
+
+        if self.crop is not None and self.reuses:
+            raise BokehguideError(f"crop: {self.mode} reuses samples of the whole frame; render it whole, or choose another mode")
+
+        if self.target_noise is not None and not 1e-6 <= self.target_noise <= 1.0:
+            raise BokehguideError(f"target_noise: {self.target_noise:g} is out of range; give a relative error from 1e-06 to 1")
+        if self.target_noise is not None and self.reuses:
+            raise BokehguideError(f"target_noise: {self.mode} reuses samples of the whole frame; choose another mode")
+
+    def window(self, width: int, height: int) -> tuple[int, int, int, int]:
+        """The crop, or all, of a frame of this size. Raises BokehguideError where the crop leaves it."""
+        x, y, across, down = self.crop or (0, 0, width, height)
+        if not (0 <= x and 0 <= y and 0 < across <= width - x and 0 < down <= height - y):
+            box = ",".join(map(str, self.crop))
+            raise BokehguideError(f"crop: {box} leaves the frame; give X,Y,W,H within its {width} x {height} pixels")
+        return x, y, across, down
 
     @property
     def lens_mode(self) -> str:

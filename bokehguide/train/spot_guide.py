@@ -25,6 +25,7 @@ from bokehguide.models.kl import one_sample_kl
 from bokehguide.models.lens_distribution import LensDensity
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.path_tracer import PathSamples
+from bokehguide.render.pixels import Pixels
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
@@ -32,6 +33,7 @@ from bokehguide.scene.lamps import find_lamps
 from bokehguide.scene.types import Scene
 from bokehguide.train.fitting import fit_gaussians
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, guide_images, guided_draw, starts_block, uniform_draw
+from bokehguide.train.ranks import Ranks
 from bokehguide.train.record_buffer import FAR, RecordBuffer
 
 FIRST_BLEND = 0.65
@@ -57,9 +59,9 @@ class SpotGuide(nn.Module):
     scene: whose lamps the guide begins with.
     """
 
-    def __init__(self, camera: ThinLensCamera, scene: Scene):
+    def __init__(self, camera: ThinLensCamera, scene: Scene, ranks: Ranks | None = None):
         super().__init__()
-        self.camera = camera
+        self.camera, self.ranks = camera, ranks or Ranks()
         pixels, device = camera.width * camera.height, camera.position.device
         self.field = GaussianField()
         self.record = RecordBuffer(camera)
@@ -78,33 +80,32 @@ class SpotGuide(nn.Module):
         self.refit(1.0)
 
     @torch.no_grad()
-    def draw(self, step: int, first: int, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
-        """Lens points for pixels from `first` on at raster positions `[2, N]`."""
+    def draw(self, step: int, pixels: Pixels, raster: Tensor, focus: Tensor, random: PixelRandom) -> LensDraw:
+        """Lens points for N pixels at raster positions `[2, N]`."""
         lens = self.camera.lens
         # The first two dimensions of a Sobol' sequence are the most even: they are the place.
         uniforms = random.stratified(LENS_DIMENSION, 3, int(self.block)).roll(1, 0)
-        mixture = self._mixture(first, focus)
+        mixture = self._mixture(pixels, focus)
         if mixture is None:
             return uniform_draw(lens, focus, uniforms[1:3])
-        return guided_draw(lens, focus, GuidedBatch(first, raster, mixture), uniforms)
+        return guided_draw(lens, focus, GuidedBatch(pixels, raster, mixture), uniforms)
 
-    def _mixture(self, first: int, focus: Tensor) -> DiscLensDistribution | None:
+    def _mixture(self, pixels: Pixels, focus: Tensor) -> DiscLensDistribution | None:
         """The mixture of each pixel, None where none has candidates."""
         if self.candidates is None:
             return None
-        start, spot = self.candidates.batch(first, focus.shape[1])
+        start, spot = self.candidates.batch(pixels)
         if len(spot) == 0:
             return None
         field, lens = self.field, self.camera.lens
         mean, radius = field.mean.index_select(1, spot), field.sigma.index_select(0, spot)
         weight = field.lens_weights(lens.focus_distance).index_select(0, spot)
-        beta = self.beta[first : first + focus.shape[1]]
-        return DiscLensDistribution(lens, focus, beta, start, mean, radius, weight)
+        return DiscLensDistribution(lens, focus, self.beta[pixels], start, mean, radius, weight)
 
     @torch.no_grad()
     def study(self, batch: GuidedBatch, ratio: Tensor, at: LensDensity) -> BatchLesson:
         """Add to the moments of the batch's pixels; ratio: L / (A q) `[N]`, 0 outside the aperture."""
-        mixture, pixels = batch.distribution, slice(batch.first, batch.first + len(ratio))
+        mixture, pixels = batch.distribution, batch.pixels
         of_discs = mixture.beta * at.mixture / at.density.clamp(min=1e-20)
         squared = ratio.square() * mixture.guided  # the others have no β to tell of
         self.moments[0, pixels] += squared * of_discs * mixture.beta
@@ -124,14 +125,14 @@ class SpotGuide(nn.Module):
 
     @torch.no_grad()
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
-        """End a step: where a block ends with it, fit the field to the record buffer and set every β."""
+        """End a step: where a block ends with it, fit the field to the record buffer and set every β; collective."""
         if not starts_block(step + 1):
             return
         self.block.fill_(step + 1)
         if step == 1:  # studied before the frame's mean, the unit of all later moments, was known
             self.moments /= max(mean_luminance, 1e-15) ** 2
         self.refit(mean_luminance)
-        squares = self.moments.reshape(2, 1, self.camera.height, self.camera.width)
+        squares = self.ranks.total(self.moments).reshape(2, 1, self.camera.height, self.camera.width)
         pooled = avg_pool2d(squares, POOLED, 1, POOLED // 2, count_include_pad=False).reshape(2, -1)
         discs, uniform = (pooled + PRIOR).sqrt()
         self.beta.copy_((discs / (discs + uniform)).clamp(LOWEST, HIGHEST))

@@ -141,7 +141,7 @@ def overlap(scene: Scene, loop: RenderLoop) -> tuple[int, int]:
     if spots.candidates is None:
         raise BokehguideError(f"{scene.name}: has no lamps out of focus; choose a pixel with --pixel X,Y")
     pixels = torch.arange(camera.width * camera.height)
-    start, lamp = spots.candidates.batch(0, len(pixels))
+    start, lamp = spots.candidates.batch(slice(0, len(pixels)))
     owner = owners(start)
     focus = camera.focus_points(torch.stack((pixels % camera.width, pixels // camera.width)) + 0.5)
     on_lens = project_to_lens(spots.field.mean[:, lamp], focus[:, owner])
@@ -199,13 +199,13 @@ def guided_points(loop: RenderLoop, index: int) -> Tensor:
     concentrate(loop.guide, index, DRAWS)
     step = loop.step_number + 1
     random = PixelRandom(SEED, step, torch.arange(DRAWS))
-    return loop.guide.draw(step, 0, *focus_points(loop, index, random), random).points
+    return loop.guide.draw(step, slice(0, DRAWS), *focus_points(loop, index, random), random).points
 
 
 def concentrate(guide: LensGuide | SpotGuide, index: int, count: int) -> None:
     """Make a guide one of `count` pixels which all are as the one at `index` was."""
     if guide.candidates is not None:
-        _, found = guide.candidates.batch(index, 1)
+        _, found = guide.candidates.batch(slice(index, index + 1))
         guide.candidates = CandidateList(torch.arange(count + 1) * len(found), found.repeat(count))
     if isinstance(guide, SpotGuide):
         guide.beta = guide.beta[index].repeat(count)

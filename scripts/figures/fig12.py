@@ -32,6 +32,7 @@ from torch import Tensor
 from bokehguide.evaluation import progress, regions
 from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
 from bokehguide.render.film import Film, FilmSamples
+from bokehguide.render.pixels import Pixels
 from bokehguide.scene import Inset, Scene
 from bokehguide.train import RenderLoop, RenderSettings
 
@@ -53,11 +54,10 @@ class AlphaFilm(Film):
         super().__init__(width, height)
         self.counted, self.weighted = torch.zeros(2, width * height)
 
-    def add(self, first: int, samples: FilmSamples, *step: object) -> Tensor:
-        pixels = slice(first, first + len(samples.weight))
+    def add(self, pixels: Pixels, samples: FilmSamples, *step: object) -> Tensor:
         self.counted[pixels] += samples.alpha * (samples.weight > 0.0)
         self.weighted[pixels] += samples.alpha * samples.weight
-        return super().add(first, samples, *step)
+        return super().add(pixels, samples, *step)
 
 
 def main() -> None:

@@ -90,11 +90,11 @@ class PixelReuse(SpatialReuse):
         path = self._tracer.trace(origins, directions, random, PhaseTimer())
         depth = camera.depth(path.distance, directions)
         seen = (weight, path.radiance, path.alpha, depth, path.normal, path.albedo, path.emission)
-        self.keep(0, subpixel, points, path, FilmSamples(*seen))
+        self.keep(slice(0, len(pixels)), subpixel, points, path, FilmSamples(*seen))
         centres = FilmSamples(*(value[..., : self._count] for value in seen))
         centres.radiance = as_radiance(points[:, : self._count] / camera.lens.radius)
         self._initial[0] = centres
-        return self.resample(0, self._count, self._step, PhaseTimer())[0]
+        return self.resample(slice(0, self._count), self._step, PhaseTimer())[0]
 
     def chosen(self) -> Tensor:
         """Lens points `[2, M]` of the samples chosen in the M passes that found any light."""

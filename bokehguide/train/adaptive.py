@@ -1,0 +1,234 @@
+"""Adaptive SPP: a render that stops, block by block, where its estimated error has come down to a target.
+
+Whoever stops where a picture looks good enough prefers samples that look good, and the picture is
+biased: it stops early where highlights have not been found yet. So there are two renders of half the
+SPP each, with random numbers and a guide of their own, and each of them decides for the other. How
+many samples of a pixel are in one half depends on the other half alone: both halves stay unbiased, and
+the picture is their mean, with equal weights.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from bokehguide.metrics import EPSILON
+from bokehguide.render.film import NO_DEPTH, BadSample, Film, FilmSamples, earliest
+from bokehguide.render.path_tracer import PathTracer
+from bokehguide.render.pixels import Pixels
+from bokehguide.render.random import hash_int
+from bokehguide.render.vector import luminance
+from bokehguide.scene.types import Scene
+from bokehguide.train.loop import PHASES, RenderLoop
+from bokehguide.train.ranks import Ranks
+from bokehguide.train.settings import RenderSettings
+from bokehguide.train.steps import StepStats
+
+BLOCK = 32
+"""Pixels across the squares that stop together."""
+POOLED = 5
+"""Pixels across the squares about a pixel that tell how bright it should be."""
+FIRST_ROUND = 8
+"""Steps of each half in the first round; every later round has as many as all before it."""
+
+
+def make_loop(scene: Scene, settings: RenderSettings, ranks: Ranks | None = None) -> RenderLoop | AdaptiveLoop:
+    """The loop that renders with these settings. Raises BokehguideError as `RenderLoop`."""
+    return RenderLoop(scene, settings, ranks) if settings.target_noise is None else AdaptiveLoop(scene, settings, ranks)
+
+
+def relative_error(first: Tensor, second: Tensor) -> Tensor:
+    """What the mean of two independent pictures `[C, H, W]` is off by, relative to the truth (plus 0.01), as far as they tell.
+
+    Half the difference of the two is as large as the error of their mean. The truth is taken for their mean
+    in the pixel or, where that is less, about it: a pixel that has a rare highlight is brighter than
+    it should be, and its neighbours tell. What neither picture has found they cannot tell.
+    """
+    mean = 0.5 * (first + second)
+    about = avg_pool2d(mean[None], POOLED, 1, POOLED // 2, count_include_pad=False)[0]
+    return 0.5 * (first - second).abs() / (torch.minimum(mean, about) + EPSILON)
+
+
+class HalfLoop(RenderLoop):
+    """One of the two renders: steps go on where either half needs samples, the film takes those of its own."""
+
+    def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None, tracer: PathTracer | None = None):
+        super().__init__(scene, settings, ranks, tracer)
+        pixels = self.film.width * self.film.height
+        self.brightness = torch.zeros(2, pixels, dtype=torch.float64, device=settings.device)
+        """Luminance of the samples before this round and in it, summed, `[2, pixels]`."""
+        self._counted: Tensor | None = None
+
+    def render_only(self, active: Tensor, counted: Tensor) -> None:
+        """From now on render the pixels `active`, put those `counted` on the film, bool `[pixels]`, and learn no more.
+
+        What is learnt would depend on which blocks go on, and with that the noise by which one half decides for
+        the other.
+        """
+        self._places = (active & self._mine_of_film().to(active.device)).nonzero()[:, 0]
+        self._counted = counted
+        self._learns = False
+
+    def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
+        light = luminance(samples.radiance * samples.weight)
+        self.brightness[1, places] += light.nan_to_num(0.0, 0.0, 0.0)
+        fresh = self.guide is None or self.guide.is_fresh(self.step_number)
+        counted = None if self._counted is None else self._counted[places]
+        return self.film.add(places, samples, self.step_number, fresh, counted)
+
+    def end_round(self) -> Tensor:
+        """Relative error `[pixels]` that the means of both halves together are likely to have; collective.
+
+        The means before the round and in it have as many samples: half their difference is an error
+        of the half's mean, and the mean of two halves has less by √2.
+        """
+        mine = self._mine_of_film().to(self.brightness.device)
+        means = self.ranks.total(self.brightness * mine) / (self.step_number // 2)
+        self.brightness[0] += self.brightness[1]
+        self.brightness[1] = 0.0
+        before, now = means.reshape(2, 1, self.film.height, self.film.width)
+        return relative_error(before, now).flatten() / math.sqrt(2.0)
+
+
+class AdaptiveLoop:
+    """As `RenderLoop`, until no block of 32 × 32 pixels has an estimated error above `settings.target_noise`.
+
+    Steps alternate between the halves. Rounds end when both have 16, 32, 64, … steps; then each half ends in the blocks
+    where the other's error is down to the target. It is rendered on, off the film, where the other half is not done.
+    """
+
+    def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None = None):
+        self.scene, self.settings, self.ranks = scene, settings, ranks or Ranks()
+        first = HalfLoop(scene, settings, self.ranks)
+        other = replace(settings, seed=hash_int(settings.seed + 1) >> 1)
+        self.halves = (first, HalfLoop(scene, other, self.ranks, first.tracer))
+        self.camera, self.guide = first.camera, first.guide
+        film = first.film
+        pixels = torch.arange(film.width * film.height, device=settings.device)
+        across = math.ceil(film.width / BLOCK)
+        self._block = pixels // film.width // BLOCK * across + pixels % film.width // BLOCK
+        self._size = torch.bincount(self._block)
+        self.open = torch.ones(2, len(self._size), dtype=torch.bool, device=settings.device)
+        """In which blocks each half goes on, `[2, blocks]`."""
+
+    @property
+    def step_number(self) -> int:
+        return sum(half.step_number for half in self.halves)
+
+    @property
+    def finished(self) -> bool:
+        """Whether every block is good enough."""
+        return not bool(self.open.any())
+
+    @property
+    def phases(self) -> dict[str, float]:
+        """As `RenderLoop.phases`."""
+        total = sum((Counter(half.phases) for half in self.halves), Counter())
+        return {phase: total[phase] for phase in PHASES}
+
+    def step(self) -> StepStats:
+        """One more sample for each pixel of the blocks that are not done, in one of the halves."""
+        stats = self.halves[self.step_number % 2].step()
+        steps = self.halves[1].step_number
+        if self.step_number == 2 * steps and steps >= FIRST_ROUND and steps & (steps - 1) == 0:
+            self._end_round(steps)
+        return replace(stats, step=self.step_number)
+
+    def _end_round(self, steps: int) -> None:
+        errors = torch.stack([self._block_means(half.end_round()) for half in self.halves])
+        if steps == FIRST_ROUND:  # there is nothing before it to compare it with
+            return
+        self._close(errors)
+
+    def _close(self, errors: Tensor) -> None:
+        """End each half in the blocks where the other's error, `[2, blocks]`, is down to the target."""
+        self.open &= errors.flip(0) > self.settings.target_noise
+        if not bool(self.open.all()):
+            self._render_open_blocks()
+
+    def _block_means(self, error: Tensor) -> Tensor:
+        sums = torch.zeros(len(self._size), dtype=torch.float64, device=error.device)
+        return sums.index_add_(0, self._block, error) / self._size
+
+    def _render_open_blocks(self) -> None:
+        active = self.open.any(0)[self._block]
+        for half, open_blocks in zip(self.halves, self.open):
+            half.render_only(active, open_blocks[self._block])
+
+    def picture(self) -> Film | HalvesFilm:
+        """The mean of the halves with the pixels of all ranks; collective."""
+        films = [half.picture() for half in self.halves]
+        return HalvesFilm(*films) if self.halves[1].step_number else films[0]
+
+    def guide_images(self) -> dict[str, Tensor]:
+        """As `RenderLoop.guide_images`, of the first half."""
+        return self.halves[0].guide_images()
+
+    def state_dict(self) -> dict[str, object]:
+        """As `RenderLoop.state_dict`; collective."""
+        halves = [half.state_dict() for half in self.halves]
+        mine = [half._mine_of_film() for half in self.halves]
+        return {
+            "step": self.step_number,
+            "halves": halves,
+            "open": self.open,
+            "brightness": [self.ranks.merged({"": half.brightness}, own)[""] for half, own in zip(self.halves, mine)],
+        }
+
+    def load_state_dict(self, state: Mapping[str, object]) -> None:
+        """As `RenderLoop.load_state_dict`."""
+        for half, saved, brightness in zip(self.halves, state["halves"], state["brightness"], strict=True):
+            half.load_state_dict(saved)
+            half.brightness.copy_(brightness)
+        self.open.copy_(state["open"])
+        if not bool(self.open.all()):
+            self._render_open_blocks()
+
+
+class HalvesFilm:
+    """The mean of two films; has what a render writes of a film."""
+
+    def __init__(self, first: Film, second: Film):
+        self._films = (first, second)
+        self.width, self.height, self.corner = first.width, first.height, first.corner
+
+    @property
+    def bad_count(self) -> int:
+        """As `Film`."""
+        return sum(film.bad_count for film in self._films)
+
+    @property
+    def bad_samples(self) -> list[BadSample]:
+        """As `Film`; the seeds tell the halves apart."""
+        return earliest([bad for film in self._films for bad in film.bad_samples])
+
+    def radiance(self) -> Tensor:
+        """Mean radiance so far, float32 `[H, W, 3]`."""
+        first, second = (film.radiance() for film in self._films)
+        return 0.5 * (first + second)
+
+    def samples(self) -> float:
+        """Number of all samples."""
+        return sum(film.samples() for film in self._films)
+
+    def relative_noise(self) -> float:
+        """Estimated MAPE of the mean: `relative_error` of the halves, averaged over the frame."""
+        first, second = (film.radiance().permute(2, 0, 1) for film in self._films)
+        return float(relative_error(first, second).mean())
+
+    def layers(self) -> dict[str, np.ndarray]:
+        """As `Film.layers`: means of the two, but the sum of the sample counts and the variance of the mean."""
+        first, second = (film.layers() for film in self._films)
+        layers = {name: 0.5 * (first[name] + second[name]) for name in first}
+        layers["sample_count"] *= 2.0
+        layers["variance"] *= 0.5
+        one, two = first["depth"], second["depth"]
+        layers["depth"] = np.where(one >= NO_DEPTH, two, np.where(two >= NO_DEPTH, one, layers["depth"]))
+        return layers

@@ -1,0 +1,142 @@
+"""Renders that stop where they are good enough: what they save, what they promise, and that they have no bias."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from bokehguide.errors import BokehguideError
+from bokehguide.metrics import mape
+from bokehguide.render.vector import luminance
+from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, adaptive, load_checkpoint, make_loop, save_checkpoint
+from tests import scenes
+from tests.statistical import SIGNIFICANCE, z_test
+
+WIDTH, HEIGHT = 64, 40
+
+
+def rendered(scene, spp, **settings):
+    loop = make_loop(scene, RenderSettings(spp=spp, threads=1, **settings))
+    while loop.step_number < spp and not loop.finished:
+        loop.step()
+    return loop
+
+
+def mean_luminance(picture):
+    return float(luminance(picture.radiance().double().reshape(-1, 3).T).mean())
+
+
+def test_blocks_stop_at_the_target_and_noisy_ones_go_on(monkeypatch):
+    monkeypatch.setattr(adaptive, "BLOCK", 8)
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    loop = rendered(scene, 256, mode="lis", target_noise=0.1)
+    counts = torch.from_numpy(loop.picture().layers()["sample_count"])
+    blocks = counts.unfold(0, 8, 8).unfold(1, 8, 8).flatten(2)
+    assert bool((blocks == blocks[..., :1]).all()), "a block stops as a whole"
+    assert set(counts.unique().tolist()) <= {first + other for first in (16, 32, 64, 128) for other in (16, 32, 64, 128)}
+    assert counts.min() == 32 and counts.max() > 100
+    truth = RenderLoop(scene, RenderSettings("guided", seed=9, threads=1))
+    for _ in range(256):
+        truth.step()
+    error = (loop.picture().radiance() - truth.film.radiance()).abs() / (truth.film.radiance() + 0.01)
+    assert float(error.mean()) < 0.1
+    equal = RenderLoop(scene, RenderSettings("lis", seed=5, threads=1))
+    for _ in range(round(float(counts.mean()))):
+        equal.step()
+    assert float(error.square().mean()) < ((equal.film.radiance() - truth.film.radiance()) / (truth.film.radiance() + 0.01)).square().mean()
+
+
+def test_the_estimate_is_near_the_true_error():
+    """Independent pairs of halves: what their differences tell, against the errors of their means."""
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    truth = RenderLoop(scene, RenderSettings("guided", seed=9, threads=1))
+    for _ in range(512):
+        truth.step()
+    told, true = [], []
+    for seed in range(4):
+        loop = AdaptiveLoop(scene, RenderSettings("lis", seed=seed, threads=1, target_noise=1e-6))
+        for _ in range(64):
+            loop.step()
+        told.append(loop.picture().relative_noise())
+        true.append(mape(loop.picture().radiance(), truth.film.radiance()))
+    assert np.mean(told) == pytest.approx(np.mean(true), rel=0.15)
+
+
+class SelfDeciding(AdaptiveLoop):
+    """What must not be: each half stops where its own samples look good."""
+
+    def _close(self, errors):
+        super()._close(errors.flip(0))
+
+
+def bias(monkeypatch, kind, mode):
+    """z of the mean over many renders of few samples, most of which miss what is bright."""
+    monkeypatch.setattr(adaptive, "BLOCK", 4)
+    monkeypatch.setattr(adaptive, "FIRST_ROUND", 1)
+    scene = scenes.lamps(24, 16)
+    truth = RenderLoop(scene, RenderSettings("guided", seed=99, threads=1))
+    for _ in range(1024):
+        truth.step()
+    means = []
+    for seed in range(100):
+        loop = kind(scene, RenderSettings(mode, seed=seed, threads=1, target_noise=0.05))
+        while loop.step_number < 16 and not loop.finished:
+            loop.step()
+        means.append(mean_luminance(loop.picture()))
+    error = np.std(means, ddof=1) / math.sqrt(len(means))
+    spread = math.sqrt(float(truth.film.variance().double().mean()) / (24 * 16))
+    return z_test(np.mean(means) - mean_luminance(truth.film), math.hypot(error, spread))
+
+
+@pytest.mark.parametrize("mode", ["uniform", "guided"])
+def test_stopping_brings_no_bias(mode, monkeypatch):
+    assert bias(monkeypatch, AdaptiveLoop, mode) > SIGNIFICANCE
+
+
+def test_deciding_for_oneself_does(monkeypatch):
+    assert bias(monkeypatch, SelfDeciding, "uniform") < SIGNIFICANCE
+
+
+def test_resuming_gives_the_same_bits(tmp_path, monkeypatch):
+    monkeypatch.setattr(adaptive, "BLOCK", 8)
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    settings = RenderSettings("lis-b", spp=100, threads=1, target_noise=0.1)
+    whole = AdaptiveLoop(scene, settings)
+    for step in range(1, 101):
+        whole.step()
+        if step == 71:
+            save_checkpoint(tmp_path / "a.ckpt", whole, 1.5)
+    fresh = AdaptiveLoop(scene, settings)
+    assert load_checkpoint(tmp_path / "a.ckpt", fresh) == 1.5 and fresh.step_number == 71
+    for _ in range(29):
+        fresh.step()
+    for name, layer in whole.picture().layers().items():
+        np.testing.assert_array_equal(fresh.picture().layers()[name], layer, err_msg=name)
+    other = AdaptiveLoop(scene, replace(settings, target_noise=0.2))
+    with pytest.raises(BokehguideError, match="target_noise was 0.1 and is 0.2"):
+        load_checkpoint(tmp_path / "a.ckpt", other)
+
+
+def test_halves_share_nothing_random_but_all_else():
+    loop = AdaptiveLoop(scenes.lamps(WIDTH, HEIGHT), RenderSettings("uniform", threads=1, target_noise=0.1))
+    for _ in range(2):
+        loop.step()
+    first, second = (half.film.radiance() for half in loop.halves)
+    assert float((first != second).float().mean()) > 0.2
+    assert loop.halves[0].tracer is loop.halves[1].tracer
+
+
+@pytest.mark.parametrize(
+    "values, message",
+    [
+        ({"target_noise": 0.0}, "target_noise: 0 is out of range"),
+        ({"target_noise": 2.0}, "target_noise: 2 is out of range"),
+        ({"target_noise": math.nan}, "target_noise: nan is out of range"),
+        ({"target_noise": 0.1, "mode": "area-restir"}, "target_noise: area-restir reuses"),
+    ],
+)
+def test_bad_targets_are_refused(values, message):
+    with pytest.raises(BokehguideError, match=message):
+        RenderSettings(**values)
