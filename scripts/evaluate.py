@@ -32,6 +32,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import LongRender, accumulate, between_halves, errors, markdown, progress, regions, warn_of_bad_samples
 from bokehguide.evaluation.long_renders import whole_step
 from bokehguide.evaluation.references import CHUNK, rendered_halves
+from bokehguide.evaluation.regions import mean_ratio
 from bokehguide.image import check_writable, replacing, tone_map, write_png
 from bokehguide.render.vector import luminance
 from bokehguide.scene import Scene
@@ -106,14 +107,14 @@ def judge_reference(
     facts: dict[str, object] = {"spp": reference.spp, "uniform_spp": uniform.spp}
     for region, mask in masks(scene).items():
         apart = between_halves(first.radiance[mask][None], reference.radiance[mask][None])
-        mean, other = (luminance(render.radiance[mask].T).mean() for render in (reference, uniform))
-        error = (reference.variance[mask] + uniform.variance[mask]).sum().sqrt() / mask.sum()
+        light, other = (luminance(render.radiance[mask].T) for render in (reference, uniform))
+        against = mean_ratio(light, other, reference.variance[mask] + uniform.variance[mask])
         facts[region] = {
             "halves_mape": apart["mape"],
             "halves_relmse": apart["relmse"],
-            "over_uniform": float(mean / other),
-            "standard_error": float(error / other),
-            "z": float((mean - other) / error),
+            "over_uniform": against.ratio,
+            "standard_error": against.standard_error,
+            "z": against.z,
         }
     return facts
 

@@ -10,7 +10,8 @@ import pytest
 
 from bokehguide.evaluation import compare, given_reference
 from bokehguide.evaluation.comparison import interpolated
-from bokehguide.image import read_rgb, write_exr
+from bokehguide.evaluation.tables import report
+from bokehguide.image import read_exr, read_rgb, write_exr
 from bokehguide.scene import Inset, load_scene
 from bokehguide.train import RenderSettings
 
@@ -39,6 +40,28 @@ def test_nothing_changed_nothing_rendered(lamps):
     second, said = lamps("uniform", "lis")
     assert said.splitlines() == ["uniform: kept, 2 SPP", "lis: kept, 2 SPP"]
     assert second == first
+
+
+def test_the_reference_is_checked_by_uniform_sampling(lamps):
+    lone, _ = lamps("lis")
+    assert lone["reference_over_uniform"] == {}
+    both, _ = lamps("lis", "uniform")
+    channels = read_exr("uniform.exr")
+    light = 0.2126 * channels["R"] + 0.7152 * channels["G"] + 0.0722 * channels["B"]
+    error = np.sqrt(channels["variance.Y"].sum()) / light.size
+    found = both["reference_over_uniform"]["frame"]
+    assert found["ratio"] == pytest.approx(0.1 / light.mean(), rel=1e-5)
+    assert found["standard_error"] == pytest.approx(error / light.mean(), rel=1e-5)
+    assert found["z"] == pytest.approx((0.1 - light.mean()) / error, rel=1e-4)
+
+
+@pytest.mark.parametrize("grey, wrong", [(0.1, False), (50.0, True)])
+def test_a_reference_that_uniform_sampling_contradicts_is_told_of(grey, wrong, lamps):
+    write_exr("grey.exr", {"beauty": np.full((20, 32, 3), grey, np.float32)})
+    reference = given_reference(Path("grey.exr"), lamps.scene)
+    text = report(compare(lamps.scene, [SETTINGS], reference, Path()))
+    assert "Its mean luminance is that of uniform sampling times" in text
+    assert ("one of the two is wrong" in text) == wrong
 
 
 def changes(scene):

@@ -95,6 +95,7 @@ def test_every_film_fits_on_a_page(width, height, insets, tmp_path):
         Reference(image, Path("bare.exr"), None, None, {"frame": {"mape": 0.1, "relmse": 0.1}}),
         {mode: Run("a", [0.1, 0.2], [3, 4], errors) for mode in MODES},
         {mode: image for mode in MODES},
+        {},
     )
     write_crops(tmp_path / "crops.png", [comparison])
     write_convergence(tmp_path / "curves.png", comparison)

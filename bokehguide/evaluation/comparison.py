@@ -8,13 +8,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from bokehguide import __version__
 from bokehguide.evaluation.references import Reference
-from bokehguide.evaluation.regions import MEASURES
+from bokehguide.evaluation.regions import MEASURES, MeanRatio, mean_ratio, regions
 from bokehguide.evaluation.runs import Run, kept_picture, measured_run, origin, read_runs
-from bokehguide.image import replacing
+from bokehguide.image import read_exr, replacing
+from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
 from bokehguide.train import MODES, RenderSettings
 
@@ -34,6 +36,9 @@ class Comparison:
     reference: Reference
     runs: Mapping[str, Run]
     images: Mapping[str, Tensor]
+    over_uniform: Mapping[str, MeanRatio]
+    """The reference's mean luminance over that of mode uniform by region, where that is among the modes: a reference
+    is rendered in a guided mode, and its two halves would share what is wrong with that."""
 
     @property
     def equal_rays(self) -> int:
@@ -70,8 +75,8 @@ def compare(
         if mode in found:
             print(f"{mode}: rendered again, {why_again(found[mode], mode in runs, settings.spp)}")
         runs[mode], images[mode] = measured_run(scene, settings, reference, folder, exposure)
-        write_metrics(folder, shown(scene, every, reference, runs, images), runs)
-    comparison = shown(scene, every, reference, runs, images)
+        write_metrics(folder, shown(scene, every, reference, runs, images, folder), runs)
+    comparison = shown(scene, every, reference, runs, images, folder)
     write_metrics(folder, comparison, runs)
     return comparison
 
@@ -97,11 +102,22 @@ def shown(
     reference: Reference,
     runs: Mapping[str, Run],
     images: Mapping[str, Tensor],
+    folder: Path,
 ) -> Comparison:
     """The comparison of those of the modes that are done."""
     done = [settings.mode for settings in every if settings.mode in images]
     pick = ({mode: found[mode] for mode in done} for found in (runs, images))
-    return Comparison(scene, every[0], reference, *pick)
+    over_uniform = cross_check(scene, reference, folder / "uniform.exr") if "uniform" in done else {}
+    return Comparison(scene, every[0], reference, *pick, over_uniform)
+
+
+def cross_check(scene: Scene, reference: Reference, path: Path) -> dict[str, MeanRatio]:
+    """The reference's mean luminance by region over that of the uniform render in an EXR."""
+    channels = {name: torch.from_numpy(plane) for name, plane in read_exr(path).items()}
+    light = luminance(torch.stack([channels[name] for name in "RGB"]))
+    expected = luminance(reference.radiance.movedim(-1, 0))
+    masks = regions(scene)
+    return {name: mean_ratio(expected[mask], light[mask], channels["variance.Y"][mask]) for name, mask in masks.items()}
 
 
 def write_metrics(folder: Path, comparison: Comparison, runs: Mapping[str, Run]) -> None:
@@ -118,6 +134,7 @@ def write_metrics(folder: Path, comparison: Comparison, runs: Mapping[str, Run])
         "software": f"bokehguide {__version__}",
         "insets": [asdict(inset) for inset in scene.insets],
         "reference": comparison.reference.facts(),
+        "reference_over_uniform": {region: ratio._asdict() for region, ratio in comparison.over_uniform.items()},
         **summary(comparison),
         "runs": {mode: asdict(run) for mode, run in runs.items()},
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -30,6 +32,22 @@ def errors(image: Tensor, reference: Tensor, mask: Tensor) -> dict[str, float]:
     """MAPE and relMSE of radiance `[H, W, 3]` over the pixels of a mask, by the names in MEASURES."""
     pixels, expected = image[mask][None], reference[mask][None]
     return {"mape": mape(pixels, expected), "relmse": relmse(pixels, expected)}
+
+
+class MeanRatio(NamedTuple):
+    """A mean over another one, its standard error, and by how many of them it is off 1."""
+
+    ratio: float
+    standard_error: float
+    z: float
+
+
+def mean_ratio(light: Tensor, other: Tensor, variance: Tensor) -> MeanRatio:
+    """Of the luminances `[N]` of two independent pictures' pixels; variance: of their differences `[N]`."""
+    first, second = float(light.double().mean()), float(other.double().mean())
+    error = float(variance.double().sum().sqrt()) / light.numel()
+    scale = max(second, 1e-30)
+    return MeanRatio(first / scale, error / scale, (first - second) / max(error, 1e-30))
 
 
 def between_halves(first: Tensor, mean: Tensor) -> dict[str, float]:

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from bokehguide.evaluation.comparison import Comparison, summary
 from bokehguide.evaluation.references import Reference
 
+WRONG = 4.0
+"""Standard errors by which a reference and uniform sampling do not differ by chance."""
 OWN_ERROR_SHARE = 1 / 3
 """Of a mode's error, what the reference may have of its own: about 5 % are added to the mode's then."""
 
@@ -18,7 +20,7 @@ def report(comparison: Comparison) -> str:
     rays, seconds = (min(modes, key=lambda mode: modes[mode][cost]) for cost in ("rays", "seconds"))
     parts = [
         f"# {comparison.scene.name}, {film.width}x{film.height}, {comparison.settings.spp} SPP",
-        " ".join((describe_reference(comparison.reference), *complaints(comparison))),
+        " ".join((describe_reference(comparison.reference), *checks(comparison), *complaints(comparison))),
         errors_table(comparison),
         f"In brackets: the ratio to {next(iter(modes))}. Equal rays: the {facts['equal_rays'] / 1e6:.4g} million of {rays}'s "
         f"whole render. Equal time: the {facts['equal_seconds']:.4g} s of {seconds}'s. A mode's error there is read off its "
@@ -40,6 +42,17 @@ def describe_reference(reference: Reference) -> str:
     own = " and ".join(f"{reference.own_error(region):.4f}" for region in known)
     halves = f"MAPE between its two halves: {apart}; about half of that, {own}, is its own error"
     return f"{start} {halves}, and part of all errors."
+
+
+def checks(comparison: Comparison) -> list[str]:
+    """A sentence on how uniform sampling agrees with the reference's means, where it is among the modes."""
+    pairs = [(name, comparison.over_uniform[name]) for name in ("frame", "insets") if name in comparison.over_uniform]
+    if not pairs:
+        return []
+    told = " and ".join(f"{ratio.ratio:.4f} ± {ratio.standard_error:.4f} over the {name}" for name, ratio in pairs)
+    wrong = any(abs(ratio.z) > WRONG for _, ratio in pairs)
+    doubt = f" That is more than {WRONG:g} standard errors off: one of the two is wrong." if wrong else ""
+    return [f"Its mean luminance is that of uniform sampling times {told}.{doubt}"]
 
 
 def complaints(comparison: Comparison) -> list[str]:

@@ -85,7 +85,7 @@ def _compared(name: str, shown: Sequence[str | Variant], options: argparse.Names
             runs[variant.label], images[variant.label] = one.runs[variant.mode], one.images[variant.mode]
     labels = [one.label if isinstance(one, Variant) else one for one in shown]
     pick = ({label: found[label] for label in labels} for found in (runs, images))
-    return Comparison(scene, modes[0], reference, *pick)
+    return Comparison(scene, modes[0], reference, *pick, plain.over_uniform)
 
 
 def sized(name: str, options: argparse.Namespace) -> Scene:
@@ -102,8 +102,8 @@ def settings(mode: str, options: argparse.Namespace) -> RenderSettings:
 
 def relabelled(comparison: Comparison, labels: Mapping[str, str]) -> Comparison:
     """The comparison with other names over its columns."""
-    renamed = ({labels.get(name, name): found for name, found in one.items()} for one in (comparison.runs, comparison.images))
-    return Comparison(comparison.scene, comparison.settings, comparison.reference, *renamed)
+    renamed = [{labels.get(name, name): found for name, found in one.items()} for one in (comparison.runs, comparison.images)]
+    return replace(comparison, runs=renamed[0], images=renamed[1])
 
 
 def write_numbers(comparisons: Sequence[Comparison], path: Path, more: Mapping[str, Mapping] = {}) -> None:
