@@ -21,6 +21,7 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from bokehguide.errors import BokehguideError
+from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Camera, Environment, Material, Mesh, Scene, Texture
 
@@ -122,7 +123,7 @@ def _sensor(scene: Scene) -> dict[str, Any]:
     camera: Camera = scene.camera
     lens = {"type": "perspective"}  # thinlens refuses a radius of 0
     if camera.aperture_radius > 0.0:
-        lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": camera.focus_distance}
+        lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": min(camera.focus_distance, FARTHEST_FOCUS)}
     film = {"type": "hdrfilm", "width": scene.film.width, "height": scene.film.height, "rfilter": {"type": "box"}}
     place = mi.ScalarTransform4f().look_at(list(camera.position), list(camera.target), list(camera.up))
     return lens | {
