@@ -1,7 +1,8 @@
 """A scene in Mitsuba 3, as far as both renderers mean the same by it.
 
-`comparable` reduces a scene to what has an exact counterpart. Left out: coats over a base,
-specular lobes of dielectrics, normal maps, attenuation and spotlights' cones. Metals and
+`comparable` reduces a scene to what has an exact counterpart, and `left_out` tells what that
+cost: coats over a base, specular lobes of dielectrics, normal maps, attenuation, spotlights'
+cones, vertex colours, and the like. Metals and
 rough glass are made smooth enough that Mitsuba's separable Smith term and the
 height-correlated one differ by less than a thousandth up to 85° from the normal.
 
@@ -11,7 +12,7 @@ them; scenes with opacity need a `max_depth` beyond which there is no light to s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import mitsuba as mi
@@ -51,6 +52,23 @@ def comparable(scene: Scene) -> Scene:
         for mesh in scene.meshes
     )
     return replace(scene, meshes=meshes, materials=materials)
+
+
+def left_out(scene: Scene, reduced: Scene) -> list[str]:
+    """What `comparable` made of `scene` lacks or has otherwise: a line for each term, with the materials it concerns."""
+    lost: dict[str, list[str]] = {}
+    for number in sorted({mesh.material for mesh in scene.meshes}):
+        before, after = scene.materials[number], reduced.materials[number]
+        for term in (field.name for field in fields(Material)):
+            one, other = getattr(before, term), getattr(after, term)
+            matters = term != "roughness" or after.metallic > 0.0 or after.transmission > 0.0
+            if matters and one is not other and (isinstance(one, Texture) or one != other):
+                lost.setdefault(term.replace("_", " "), []).append(before.name)
+    for mesh, kept in zip(scene.meshes, reduced.meshes):
+        for term in ("normals", "colors"):
+            if getattr(mesh, term) is not None and getattr(kept, term) is None:
+                lost.setdefault(f"vertex {term}", []).append(scene.materials[mesh.material].name)
+    return [f"{term} of {', '.join(dict.fromkeys(names))}" for term, names in lost.items()]
 
 
 def _comparable_material(material: Material) -> Material:

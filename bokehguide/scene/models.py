@@ -11,7 +11,7 @@ import trimesh
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.images import require_file, texture_from_image
-from bokehguide.scene.shapes import transformed
+from bokehguide.scene.shapes import transformed, unit_normals
 from bokehguide.scene.tables import NOT_NEGATIVE, Table
 from bokehguide.scene.types import LightSizes, Material, Mesh, Model, Texture
 from bokehguide.scene.validation import check_mesh
@@ -86,8 +86,7 @@ def _mesh(geometry: trimesh.Trimesh, material: int) -> Mesh:
     # trimesh computes normals on demand; only those of the file are in its cache yet.
     if "vertex_normals" in geometry._cache:
         normals = np.asarray(geometry.vertex_normals, dtype=np.float32)
-        if not np.isfinite(normals).all() or not np.linalg.norm(normals, axis=1).all():
-            normals = None
+        normals = unit_normals(normals, geometry.vertices, geometry.faces) if np.isfinite(normals).all() else None
     uvs = getattr(geometry.visual, "uv", None)
     if uvs is not None:
         uvs = np.asarray(uvs, dtype=np.float32)[:, :2] * (1, -1) + (0, 1)
