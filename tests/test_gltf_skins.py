@@ -80,6 +80,18 @@ def test_normals_under_uneven_scale_and_mirrors(tmp_path):
     assert np.cross(b - a, c - a)[2] < 0.0 and (mesh.normals[:, 2] == -1.0).all()
 
 
+def test_what_a_skin_cannot_do_is_told(tmp_path):
+    """Without joints for its vertices, and as one of many instances."""
+    builder = skinned(extensions={"EXT_mesh_gpu_instancing": {"attributes": {}}})
+    builder.gltf.meshes[0].primitives[0].attributes.JOINTS_0 = None
+    scene = load_scene(builder.save(tmp_path / "skin.glb"))
+    np.testing.assert_allclose(scene.meshes[0].vertices, SQUARE)
+    assert scene.warnings == (
+        "skin.glb: skinned meshes without joints and weights: stand where no node has moved them (meshes[0])",
+        "skin.glb: EXT_mesh_gpu_instancing of skinned meshes: drawn once (nodes[0])",
+    )
+
+
 @pytest.mark.parametrize(
     ("changes", "named"),
     [

@@ -17,6 +17,10 @@ from bokehguide.scene.types import LightSizes, Material, Mesh, Model, Texture
 from bokehguide.scene.validation import check_mesh
 
 
+MTL_TERMS = {"kd", "ke", "map_kd"}
+"""Of an .obj's materials, what is honoured."""
+
+
 def load_model(path: Path, sizes: LightSizes = LightSizes()) -> Model:
     """Read a model; instances are flattened, the file's normals kept.
 
@@ -45,14 +49,13 @@ def load_model(path: Path, sizes: LightSizes = LightSizes()) -> Model:
 def _read_plain(path: Path) -> Model:
     """A `.obj`, `.ply` or `.stl`, by way of trimesh."""
     scene = trimesh.load_scene(str(path), process=False)
-    materials, index, warnings = [], {}, []
+    materials, index, warnings, ignored = [], {}, [], set()
     for name, geometry in scene.geometry.items():
         index[name] = len(materials)
         materials.append(_plain_material(geometry, name, str(path)))
         if geometry.visual.kind in ("vertex", "face"):
             warnings.append("vertex and face colours: have no effect")
-        if getattr(getattr(geometry.visual, "material", None), "kwargs", None):
-            warnings.append("of its .mtl file only Kd, map_Kd and Ke are honoured")
+        ignored |= {*(getattr(getattr(geometry.visual, "material", None), "kwargs", None) or ())} - MTL_TERMS
     meshes = []
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
@@ -62,6 +65,8 @@ def _read_plain(path: Path) -> Model:
         mesh = transformed(_mesh(geometry, index[name]), matrix)
         check_mesh(mesh, f"{path}: {name}", len(materials))
         meshes.append(mesh)
+    if ignored:
+        warnings.append(f".mtl file: {', '.join(sorted(ignored))}: have no effect, only Kd, map_Kd and Ke do")
     return Model(tuple(meshes), tuple(materials), warnings=tuple(warnings))
 
 

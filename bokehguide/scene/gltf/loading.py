@@ -15,7 +15,7 @@ from bokehguide.scene.gltf.document import Document, read_document
 from bokehguide.scene.gltf.extensions import check_required, note_ignored, warnings
 from bokehguide.scene.gltf.lights import default_radius, read_lights
 from bokehguide.scene.gltf.materials import DEFAULT, read_materials
-from bokehguide.scene.gltf.nodes import Placed, instance_matrices, place_nodes
+from bokehguide.scene.gltf.nodes import INSTANCING, Placed, instance_matrices, place_nodes
 from bokehguide.scene.gltf.primitives import read_primitive
 from bokehguide.scene.gltf.skins import joint_matrices
 from bokehguide.scene.gltf.telling import honoured
@@ -68,6 +68,8 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
         joints = joint_matrices(document, node.node, placed)
         if joints is not None:  # the skeleton says where it stands, and not the node
             primitives, matrices = _primitives(document, index, materials, joints), np.eye(4)[None]
+            if INSTANCING in node.node.extensions:
+                document.note(f"{INSTANCING} of skinned meshes: drawn once", node.node.label)
         else:
             if index not in read:
                 read[index] = _primitives(document, index, materials)

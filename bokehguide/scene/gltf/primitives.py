@@ -50,7 +50,10 @@ def read_primitive(
         raise BokehguideError(
             f"{document.file}: {primitive.path}: attributes differ in their counts ({counts}); repair the file"
         )
-    if joints is not None and (matrices := blended(arrays, joints, primitive)) is not None:
+    matrices = None if joints is None else blended(arrays, joints, primitive)
+    if joints is not None and matrices is None:
+        document.note("skinned meshes without joints and weights: stand where no node has moved them", name)
+    if matrices is not None:
         arrays = skinned(arrays, matrices)
         vertices = arrays["POSITION"]
         if np.linalg.det(matrices[:, :3, :3]).sum() < 0.0:  # mirrored: the front stays the front
