@@ -6,6 +6,9 @@ LARGEST = 1e18
 SMALLEST = 1e-18
 """Of what has to be above 0, for the same reason."""
 
+FARTHEST_FOCUS = 1e12
+"""Metres: a lens focused there or beyond is focused at infinity."""
+
 MAX_EXTENT = 1e9
 """Metres of a mesh from end to end: of its triangles' areas the squares are taken."""
 

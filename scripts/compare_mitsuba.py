@@ -33,7 +33,7 @@ if importlib.util.find_spec("mitsuba") is None:
     sys.exit("compare_mitsuba: error: Mitsuba is not installed; pip install '.[peers]'")
 
 from experiment import experiment_parser
-from mitsuba_scene import MitsubaFilm, MitsubaRenderer, comparable
+from mitsuba_scene import MitsubaFilm, MitsubaRenderer, comparable, left_out
 from studies import STUDIES
 from torch.nn.functional import avg_pool2d
 from tqdm import tqdm
@@ -55,7 +55,10 @@ MEANS_WITHIN, STANDARD_ERROR = 5e-3, 1.5e-3
 
 @dataclass(frozen=True)
 class Comparison:
-    """One mode on one scene. ratio: of our mean luminance to Mitsuba's; outcomes: of the tests."""
+    """One mode on one scene.
+
+    ratio: of our mean luminance to Mitsuba's; outcomes: of the tests; left_out: what of the scene neither renderer had.
+    """
 
     scene: str
     mode: str
@@ -64,6 +67,7 @@ class Comparison:
     spp: int
     mitsuba_spp: int
     outcomes: list[Outcome]
+    left_out: tuple[str, ...] = ()
 
     @property
     def means_agree(self) -> bool:
@@ -76,7 +80,11 @@ def main() -> int:
         check_writable(args.json)
     deadline = time.monotonic() + args.time_limit
     comparisons, unfinished = [], 0
-    for scene in scenes(args.scenes, *args.size):
+    for whole in scenes(args.scenes, *args.size):
+        scene = comparable(whole)
+        lost = left_out(whole, scene)
+        for line in lost:
+            print(f"{scene.name}: left out, as Mitsuba has no equal: {line}", file=sys.stderr)
         reference = mitsuba_reference(scene, args.mitsuba_spp, args.cache, deadline)
         for mode in args.modes:
             if reference.spp < args.mitsuba_spp or time.monotonic() > deadline:
@@ -84,7 +92,8 @@ def main() -> int:
                 unfinished += 1
                 continue
             runs = our_runs(scene, mode, args.runs, args.spp, args.threads)
-            comparisons.append(compare(scene, mode, runs, reference, args.spp * args.runs, args.cache))
+            found = compare(scene, mode, runs, reference, args.spp * args.runs, args.cache)
+            comparisons.append(replace(found, left_out=tuple(lost)))
     if args.json:
         with replacing(args.json) as temporary:
             temporary.write_text(json.dumps([asdict(one) for one in comparisons], indent=2) + "\n")
@@ -106,12 +115,12 @@ def parse() -> argparse.Namespace:
 
 
 def scenes(names: list[str], width: int, height: int) -> list[Scene]:
-    """The scenes of these names, comparable and at this size."""
+    """The scenes of these names at this size."""
     names = [name for given in names for name in (STUDIES if given == "studies" else [given])]
     found = []
     for name in names:
         scene = STUDIES[name]() if name in STUDIES else load_scene(name, Overrides())
-        found.append(comparable(replace(scene, film=replace(scene.film, width=width, height=height))))
+        found.append(replace(scene, film=replace(scene.film, width=width, height=height)))
     return found
 
 
@@ -162,6 +171,8 @@ def tell(comparisons: list[Comparison]) -> int:
         verdict = "passes" if one.means_agree else "FAILS"
         ratio = f"{one.ratio:.5f} ± {one.standard_error:.5f}"
         print(f"| {one.scene} | {one.mode} | {ratio} | {one.spp}, {one.mitsuba_spp} | {within:.3%} | {verdict} |")
+    for scene, lost in dict.fromkeys((one.scene, one.left_out) for one in comparisons if one.left_out):
+        print(f"\nLeft out of {scene}, as Mitsuba has no equal: {'; '.join(lost)}.")
     return failed + sum(not one.means_agree for one in comparisons)
 
 

@@ -1,7 +1,8 @@
 """A scene in Mitsuba 3, as far as both renderers mean the same by it.
 
-`comparable` reduces a scene to what has an exact counterpart. Left out: coats over a base,
-specular lobes of dielectrics, normal maps, attenuation and spotlights' cones. Metals and
+`comparable` reduces a scene to what has an exact counterpart, and `left_out` tells what that
+cost: coats over a base, specular lobes of dielectrics, normal maps, attenuation, spotlights'
+cones, vertex colours, and the like. Metals and
 rough glass are made smooth enough that Mitsuba's separable Smith term and the
 height-correlated one differ by less than a thousandth up to 85° from the normal.
 
@@ -11,7 +12,7 @@ them; scenes with opacity need a `max_depth` beyond which there is no light to s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import mitsuba as mi
@@ -21,6 +22,7 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from bokehguide.errors import BokehguideError
+from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Camera, Environment, Material, Mesh, Scene, Texture
 
@@ -50,6 +52,23 @@ def comparable(scene: Scene) -> Scene:
         for mesh in scene.meshes
     )
     return replace(scene, meshes=meshes, materials=materials)
+
+
+def left_out(scene: Scene, reduced: Scene) -> list[str]:
+    """What `comparable` made of `scene` lacks or has otherwise: a line for each term, with the materials it concerns."""
+    lost: dict[str, list[str]] = {}
+    for number in sorted({mesh.material for mesh in scene.meshes}):
+        before, after = scene.materials[number], reduced.materials[number]
+        for term in (field.name for field in fields(Material)):
+            one, other = getattr(before, term), getattr(after, term)
+            matters = term != "roughness" or after.metallic > 0.0 or after.transmission > 0.0
+            if matters and one is not other and (isinstance(one, Texture) or one != other):
+                lost.setdefault(term.replace("_", " "), []).append(before.name)
+    for mesh, kept in zip(scene.meshes, reduced.meshes):
+        for term in ("normals", "colors"):
+            if getattr(mesh, term) is not None and getattr(kept, term) is None:
+                lost.setdefault(f"vertex {term}", []).append(scene.materials[mesh.material].name)
+    return [f"{term} of {', '.join(dict.fromkeys(names))}" for term, names in lost.items()]
 
 
 def _comparable_material(material: Material) -> Material:
@@ -122,7 +141,7 @@ def _sensor(scene: Scene) -> dict[str, Any]:
     camera: Camera = scene.camera
     lens = {"type": "perspective"}  # thinlens refuses a radius of 0
     if camera.aperture_radius > 0.0:
-        lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": camera.focus_distance}
+        lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": min(camera.focus_distance, FARTHEST_FOCUS)}
     film = {"type": "hdrfilm", "width": scene.film.width, "height": scene.film.height, "rfilter": {"type": "box"}}
     place = mi.ScalarTransform4f().look_at(list(camera.position), list(camera.target), list(camera.up))
     return lens | {

@@ -11,6 +11,7 @@ from bokehguide import limits
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import load_scene
 from bokehguide.scene.gltf import loading
+from bokehguide.scene.shapes import unit_normals
 
 QUARTER_TURN = [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]
 """A quarter turn about z: x becomes y."""
@@ -196,11 +197,29 @@ def png() -> bytes:
     return file.getvalue()
 
 
-def test_normals_without_direction_shade_flat_and_say_so(tmp_path):
-    normals = np.array([[0, 0, 1]] * 3 + [[0, 0, 0]], np.float32)
+def test_a_normal_without_direction_becomes_that_of_its_faces_and_the_file_is_told_of(tmp_path):
+    tilted = np.array([0.6, 0.0, 0.8], np.float32)
+    normals = np.stack((tilted, tilted, tilted, np.zeros(3, np.float32)))
     scene = load_scene(simple(NORMAL=normals).save(tmp_path / "zero.glb"))
-    assert scene.meshes[0].normals is None
-    assert scene.warnings == ("zero.glb: normals of length 0: shaded flat (meshes[0])",)
+    np.testing.assert_allclose(scene.meshes[0].normals, (tilted, tilted, tilted, (0.0, 0.0, 1.0)), atol=1e-6)
+    assert scene.warnings == ("zero.glb: normals of length 0: 1 made from the faces around them (meshes[0])",)
+
+
+def test_a_normal_without_direction_of_an_obj(tmp_path):
+    corners = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+    normals = "vn 0.6 0 0.8\nvn 0.6 0 0.8\nvn 0.6 0 0.8\nvn 0 0 0\n"
+    (tmp_path / "zero.obj").write_text(f"{corners}{normals}f 1//1 2//2 3//3\nf 1//1 3//3 4//4\n")
+    found = load_scene(str(tmp_path / "zero.obj")).meshes[0].normals
+    np.testing.assert_allclose(found, [(0.6, 0.0, 0.8)] * 3 + [(0.0, 0.0, 1.0)], atol=1e-6)
+
+
+def test_normals_by_area_of_the_faces_around():
+    vertices = np.array([[0, 0, 0], [2, 0, 0], [0, 1, 0], [0, 0, 1], [5, 5, 5]], np.float32)
+    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    found = unit_normals(np.zeros((5, 3), np.float32), vertices, triangles)
+    np.testing.assert_allclose(found[0], np.array((1.0, 0.0, 2.0)) / np.sqrt(5.0), atol=1e-6)
+    np.testing.assert_allclose(found[1], (0.0, 0.0, 1.0), atol=1e-6)
+    assert not found[4].any()
 
 
 def test_only_the_default_scene_is_drawn(tmp_path):

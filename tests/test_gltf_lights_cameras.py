@@ -122,6 +122,10 @@ def test_a_scene_file_sets_their_size_and_turns_them(tmp_path):
     (sun,) = scene.suns
     np.testing.assert_allclose(sun.direction, [-1, 0, 0], atol=1e-6)
     assert sun.angle == 3.0
+    assert "spheres of radius 0.25 m" in describe(load_scene(str(tmp_path / "scene.toml")))
+    lit(spot).save(tmp_path / "lit.glb")
+    unused = "lights.sun_angle: has no effect, as no model brings directional lights"
+    assert load_scene(str(tmp_path / "scene.toml")).warnings == (unused,)
     (tmp_path / "scene.toml").write_text(SCENE.replace("radius = 0.25", "radius = 0"))
     with pytest.raises(BokehguideError, match=r"lights\.radius: 0 is out of range"):
         load_scene(str(tmp_path / "scene.toml"))

@@ -17,14 +17,14 @@ from statistical import SIGNIFICANCE, sidak
 mi = pytest.importorskip("mitsuba")
 
 from compare_mitsuba import Comparison, compare, mitsuba_reference, our_runs
-from mitsuba_scene import METAL_ROUGHNESS, comparable, environment_emitter
+from mitsuba_scene import METAL_ROUGHNESS, comparable, environment_emitter, left_out
 from studies import STUDIES
 from ztest import PIXELS_WITHIN
 
 from bokehguide.errors import BokehguideError
 from bokehguide.render.environment import EnvironmentLight
 from bokehguide.scene import Overrides, load_scene
-from bokehguide.scene.types import Environment, Material, Scene, Sun, Texture
+from bokehguide.scene.types import Cone, Environment, Material, Scene, Sun, Texture
 
 SIZE = (48, 27)
 SPP, RUNS, MITSUBA_SPP = 192, 8, 2048
@@ -145,6 +145,27 @@ def test_comparable_materials():
     assert glass == Material("glass", transmission=1.0, roughness=0.0)
 
 
+def test_what_is_left_out_is_told():
+    """By term, with the materials that are in use; what makes no difference is not."""
+    cone = Cone((0.0, -1.0, 0.0), 10.0, 20.0)
+    materials = (
+        Material("coat", roughness=0.3, clearcoat=1.0, normal_texture=Texture(np.ones((2, 2, 3), np.float32))),
+        Material("gold", metallic=1.0, roughness=0.9),
+        Material("spot", specular=0.0, emission=(1.0, 1.0, 1.0), emission_cone=cone),
+        Material("plain", specular=0.0),
+        Material("unused", clearcoat=1.0),
+    )
+    mesh = STUDIES["diffuse"]().meshes[0]
+    colors = np.ones((len(mesh.vertices), 4), np.float32)
+    meshes = tuple(replace(mesh, material=number, colors=colors if number == 3 else None) for number in range(4))
+    scene = replace(STUDIES["diffuse"](), materials=materials, meshes=meshes)
+    assert left_out(scene, comparable(scene)) == [
+        *("specular of coat", "clearcoat of coat", "normal texture of coat", "roughness of gold"),
+        *("emission cone of spot", "vertex colors of plain"),
+    ]
+    assert left_out(comparable(scene), comparable(comparable(scene))) == []
+
+
 def test_suns_are_refused():
     scene = replace(STUDIES["diffuse"](), suns=(Sun((0.0, 1.0, 0.0), 0.5, (1.0, 1.0, 1.0)),))
     with pytest.raises(BokehguideError, match="diffuse: suns have no counterpart"):
@@ -161,5 +182,8 @@ def test_script_tells_and_keeps(lamps_file, tmp_path):
     (found,) = json.loads((tmp_path / "found.json").read_text())
     assert (found["scene"], found["mode"], found["spp"], found["mitsuba_spp"]) == ("lamps", "uniform", 64, 64)
     assert 0.5 < found["ratio"] < 2.0 and 0.0 < found["standard_error"] < 1.0
+    assert found["left_out"][0] == "specular of wall, lamp"
+    assert "left out, as Mitsuba has no equal: specular of wall, lamp" in finished.stderr
+    assert "Left out of lamps, as Mitsuba has no equal: specular of wall, lamp;" in finished.stdout
     kept = sorted(path.name for path in (tmp_path / "kept").iterdir())
     assert kept == ["lamps-16x10-3-mitsuba.exr", "lamps-uniform-z.png"]

@@ -188,7 +188,7 @@ def test_what_is_not_honoured_is_said_once(tmp_path):
     said = "\n".join(scene.warnings)
     for part in (
         *("KHR_materials_sheen: has no effect", "nearest-texel filters"),
-        *("orthographic cameras", "ior 0: 1.5 is used (leaf)", "only scenes[0] of 2 is drawn", "animations and skins"),
+        *("orthographic cameras", "ior 0: 1.5 is used (leaf)", "only scenes[0] of 2 is drawn", "animations: the model is drawn at rest"),
         *("textures in a form that is not read (KHR_texture_basisu): the factors alone count (textures[1])",),
     ):
         assert said.count(part) == 1, f"{part!r} in {said!r}"

@@ -30,7 +30,11 @@ def test_obj_materials(tmp_path):
     assert materials["lamp"].base_color == (0.001, 0.0, 0.0)
     np.testing.assert_allclose(materials["wood"].base_color_texture.image, 0.5029, atol=1e-4)
     assert scene.environment is None
-    assert scene.warnings == ("m.obj: of its .mtl file only Kd, map_Kd and Ke are honoured",)
+    assert scene.warnings == ()
+    with (tmp_path / "m.mtl").open("a") as file:
+        file.write("Ns 20\nillum 2\n")
+    told = "m.obj: .mtl file: illum, ns: have no effect, only Kd, map_Kd and Ke do"
+    assert load_scene(str(tmp_path / "m.obj")).warnings == (told,)
 
 
 @pytest.mark.parametrize("term", ["Kd -0.5 0 0", "Kd nan 0 0", "Ke 1e39 0 0", "Ke inf 0 0"])

@@ -264,6 +264,16 @@ def test_overrides_take_the_place_of_the_files_values(tmp_path):
     np.testing.assert_array_equal(scene.environment.radiance, [[[1.0, 2.0, 3.5]]])
 
 
+def test_another_light_leaves_the_environments_rotation_and_visibility(tmp_path):
+    """Its intensity goes with the light that it was given for."""
+    text = CAMERA + BALL + "[environment]\ncolor = [1, 1, 1]\nintensity = 4.0\nrotation = 30.0\nvisible = false\n"
+    scene = load(tmp_path, text, Overrides(environment="0.5,0.25,0"))
+    assert scene.environment.radiance.tolist() == [[[0.5, 0.25, 0.0]]]
+    assert (scene.environment.rotation, scene.environment.visible) == (30.0, False)
+    plain = load(tmp_path, CAMERA + BALL, Overrides(environment="0.5,0.25,0")).environment
+    assert (plain.rotation, plain.visible) == (0.0, True)
+
+
 def test_f_number_without_focal_length_means_a_36_mm_sensor():
     camera = load_scene("fairy-lights", Overrides(f_number=2.0)).camera
     assert camera.fov == pytest.approx(40.0)

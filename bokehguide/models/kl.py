@@ -29,7 +29,7 @@ def blend_gradient(guide: GuidedLensDistribution, ratio: Tensor, at: LensDensity
     """
     slope = BlendWeightMap.slope(guide.beta) * guide.guided
     uniform = guide.lens.transmission(at.points) * (1.0 / guide.lens.area)
-    return -ratio * (at.mixture - uniform) / at.density.clamp(min=1e-20) * slope
+    return -ratio * (at.mixture - uniform) / at.density.clamp(min=1e-37) * slope
 
 
 def offset_gradient(

@@ -23,9 +23,12 @@ def lens_magnification(depth: Tensor, focus_distance: float) -> Tensor:
 
 
 def project_to_lens(points: Tensor, focus: Tensor) -> Tensor:
-    """Lens points `[2, N]` where the lines from `points` through `focus` (both `[3, N]`) meet the lens plane."""
+    """Lens points `[2, N]` where the lines from `points` through `focus` (both `[3, N]`) meet the lens plane.
+
+    k p - (Z / d_F) k x_F rather than x_F + k (p - x_F), which loses the lens where the focus is far beyond it.
+    """
     k = focus[2] / (focus[2] - points[2])
-    return focus[:2] + (points[:2] - focus[:2]) * k
+    return points[:2] * k - focus[:2] * (points[2] / (focus[2] - points[2]))
 
 
 def lens_density(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
@@ -38,28 +41,30 @@ def lens_density(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor
     """
     a, s_squared, distance = _ray_coordinates(lens_points, focus, mean)
     variance = sigma * sigma
-    peak = (variance + a * a) / (2.0 * math.pi * variance)
-    return peak * torch.exp(-0.5 * s_squared / variance) * focus[2] / (distance * distance * distance)
+    along, across = a / distance, sigma / distance
+    peak = (across * across + along * along) / (2.0 * math.pi * variance)
+    return peak * torch.exp(-0.5 * s_squared / variance) * (focus[2] / distance)
 
 
 def log_density_gradient(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
     """∂ log p / ∂μ `[3, N]` of `lens_density`: 2a / (σ² + a²) ω - (e - aω) / σ²."""
-    e = mean - focus
     omega = torch.cat((lens_points - focus[:2], -focus[2:3]))
     omega = omega * dot(omega, omega).rsqrt()
-    a = dot(e, omega)
+    a = dot(mean - focus, omega)
+    offset = torch.cat((mean[:2] - lens_points, mean[2:3]))  # e but for a multiple of ω
     variance = sigma * sigma
-    return (2.0 * a / (variance + a * a) + a / variance) * omega - e / variance
+    return (2.0 * a / (variance + a * a) + dot(offset, omega) / variance) * omega - offset / variance
 
 
 def _ray_coordinates(lens_points: Tensor, focus: Tensor, mean: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """a = e·ω, s² = |e × ω|² and |x_F - x_l| for the lines from x_F through the lens points.
 
-    s comes from the cross product: |e|² - a² loses every digit of a small, far Gaussian.
+    s comes from a cross product: |e|² - a² loses every digit of a small, far Gaussian. It is
+    taken about the lens point, as good a point of the line as x_F, which may lie far beyond μ.
     """
     e = mean - focus
     ray = torch.cat((lens_points - focus[:2], -focus[2:3]))
     distance = dot(ray, ray).sqrt()
     omega = ray / distance
-    perpendicular = cross(e, omega)
+    perpendicular = cross(torch.cat((mean[:2] - lens_points, mean[2:3])), omega)
     return dot(e, omega), dot(perpendicular, perpendicular), distance

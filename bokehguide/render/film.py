@@ -198,11 +198,12 @@ class Film:
         """Estimated variance of the mean luminance, float32 `[H, W]`; 0 before the second sample.
 
         That of independent samples: a little more than it is, as a pixel's steps are stratified.
+        It ends at the largest float32, which radiances above 1e19 reach.
         """
         count = self._count.double().clamp(min=1.0)
         mean = luminance(self._radiance) / count
         spread = (self._square / count - mean * mean).clamp(min=0.0) / (count - 1.0).clamp(min=1.0)
-        return spread.float().reshape(self.height, self.width)
+        return spread.clamp(max=torch.finfo(torch.float32).max).float().reshape(self.height, self.width)
 
     def relative_noise(self) -> float:
         """Estimated standard error of the mean over the mean (plus 0.01), averaged over the frame."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.aperture import Iris, Mask
 from bokehguide.scene import types
 
@@ -109,8 +110,9 @@ class ShapedLens(Lens):
 def make_lens(camera: types.Camera, corner: float, device: torch.device | str) -> Lens:
     """The lens of `camera`; corner: half the frame's diagonal at unit distance."""
     shape = camera.aperture
+    focus_distance = min(camera.focus_distance, FARTHEST_FOCUS)
     if shape is None or camera.aperture_radius == 0.0:
-        return Lens(camera.aperture_radius, camera.focus_distance)
+        return Lens(camera.aperture_radius, focus_distance)
     if shape.image is None:
         pupil = Iris(shape.blades, shape.curvature, shape.edge)
     else:
@@ -118,7 +120,7 @@ def make_lens(camera: types.Camera, corner: float, device: torch.device | str) -
     radius = camera.aperture_radius * pupil.reach * max(1.0, 1.0 / shape.ratio)
     turn = math.radians(shape.rotation)
     unit = camera.aperture_radius
-    return ShapedLens(radius, camera.focus_distance, pupil, unit, turn, shape.ratio, shape.cat_eye, corner)
+    return ShapedLens(radius, focus_distance, pupil, unit, turn, shape.ratio, shape.cat_eye, corner)
 
 
 def _turned(points: Tensor, angle: float) -> Tensor:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import BokehguideError
+from bokehguide.limits import SMALLEST
 from bokehguide.scene.apertures import read_aperture
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
 from bokehguide.scene.types import Camera
@@ -59,7 +60,7 @@ def _viewing_direction(table: Table, position: tuple, target: tuple, up: tuple) 
     towards = np.subtract(target, position)
     distance = np.linalg.norm(towards)
     # Closer than float32 resolves at this place, the two are one point.
-    if distance <= 1e-6 * max(1.0, np.abs(position).max()):
+    if distance <= max(SMALLEST, 1e-6 * np.abs(position).max()):
         table.fail("target", "equals position, so there is no direction to look; move one of them")
     forward = towards / distance
     height = np.linalg.norm(up)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length
 from bokehguide.scene.lamps import Lamps, find_lamps, lens_coverage
 from bokehguide.scene.types import Aperture, Camera, Environment, Scene, Sun
@@ -70,12 +71,16 @@ def _environment(environment: Environment | None, spots: int) -> str:
 
 def _lens(camera: Camera) -> str:
     if camera.aperture_radius == 0.0:
-        return f"pinhole, focused at {camera.focus_distance:.4g} m"
+        return f"pinhole, focused at {_focus(camera)}"
     f_number = 1e-3 * focal_length(camera.fov) / (2.0 * camera.aperture_radius)
     return (
-        f"radius {camera.aperture_radius:.4g} m, focused at {camera.focus_distance:.4g} m "
+        f"radius {camera.aperture_radius:.4g} m, focused at {_focus(camera)} "
         f"(f/{f_number:.2g} on a sensor {SENSOR_WIDTH:g} mm wide)"
     )
+
+
+def _focus(camera: Camera) -> str:
+    return f"{camera.focus_distance:.4g} m" if camera.focus_distance < FARTHEST_FOCUS else "infinity"
 
 
 def _aperture(aperture: Aperture | None) -> str:

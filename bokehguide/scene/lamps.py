@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage, sparse
 
+from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.scene.types import Camera, Mesh, Scene, Sun
 
 PEAK = 10.0
@@ -63,10 +64,11 @@ def lens_coverage(scene: Scene, lamps: Lamps | None = None) -> float | None:
         return None
     lamps = find_lamps(scene) if lamps is None else lamps
     x, y, depth = _camera_space(camera, lamps)
+    focus_distance = min(camera.focus_distance, FARTHEST_FOCUS)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # Of a lamp at infinity the radius is a tangent, and R d / (Z - d) tends to d tan.
-        gap = np.where(lamps.infinite, depth, np.abs(depth - camera.focus_distance))
-        share = (lamps.radii * camera.focus_distance / gap / camera.aperture_radius) ** 2
+        gap = np.where(lamps.infinite, depth, np.abs(depth - focus_distance))
+        share = (lamps.radii * focus_distance / gap / camera.aperture_radius) ** 2
         seen = depth > 0.0
         seen &= _touches_frame(x / depth, y / depth, np.where(lamps.infinite, np.inf, depth), scene)
     if scene.environment is not None and not scene.environment.visible:

@@ -11,10 +11,14 @@ import trimesh
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.images import require_file, texture_from_image
-from bokehguide.scene.shapes import transformed
+from bokehguide.scene.shapes import transformed, unit_normals
 from bokehguide.scene.tables import NOT_NEGATIVE, Table
 from bokehguide.scene.types import LightSizes, Material, Mesh, Model, Texture
 from bokehguide.scene.validation import check_mesh
+
+
+MTL_TERMS = {"kd", "ke", "map_kd"}
+"""Of an .obj's materials, what is honoured."""
 
 
 def load_model(path: Path, sizes: LightSizes = LightSizes()) -> Model:
@@ -45,14 +49,13 @@ def load_model(path: Path, sizes: LightSizes = LightSizes()) -> Model:
 def _read_plain(path: Path) -> Model:
     """A `.obj`, `.ply` or `.stl`, by way of trimesh."""
     scene = trimesh.load_scene(str(path), process=False)
-    materials, index, warnings = [], {}, []
+    materials, index, warnings, ignored = [], {}, [], set()
     for name, geometry in scene.geometry.items():
         index[name] = len(materials)
         materials.append(_plain_material(geometry, name, str(path)))
         if geometry.visual.kind in ("vertex", "face"):
             warnings.append("vertex and face colours: have no effect")
-        if getattr(getattr(geometry.visual, "material", None), "kwargs", None):
-            warnings.append("of its .mtl file only Kd, map_Kd and Ke are honoured")
+        ignored |= {*(getattr(getattr(geometry.visual, "material", None), "kwargs", None) or ())} - MTL_TERMS
     meshes = []
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
@@ -62,6 +65,8 @@ def _read_plain(path: Path) -> Model:
         mesh = transformed(_mesh(geometry, index[name]), matrix)
         check_mesh(mesh, f"{path}: {name}", len(materials))
         meshes.append(mesh)
+    if ignored:
+        warnings.append(f".mtl file: {', '.join(sorted(ignored))}: have no effect, only Kd, map_Kd and Ke do")
     return Model(tuple(meshes), tuple(materials), warnings=tuple(warnings))
 
 
@@ -86,8 +91,7 @@ def _mesh(geometry: trimesh.Trimesh, material: int) -> Mesh:
     # trimesh computes normals on demand; only those of the file are in its cache yet.
     if "vertex_normals" in geometry._cache:
         normals = np.asarray(geometry.vertex_normals, dtype=np.float32)
-        if not np.isfinite(normals).all() or not np.linalg.norm(normals, axis=1).all():
-            normals = None
+        normals = unit_normals(normals, geometry.vertices, geometry.faces) if np.isfinite(normals).all() else None
     uvs = getattr(geometry.visual, "uv", None)
     if uvs is not None:
         uvs = np.asarray(uvs, dtype=np.float32)[:, :2] * (1, -1) + (0, 1)

@@ -22,7 +22,7 @@ class Overrides:
     """Values that take the place of a scene's own; None leaves the scene's.
 
     width, height: pixels. environment: the path of a `.hdr` or `.exr` map, or a
-    radiance "R,G,B". f_number belongs to the scene's focal length or, where it has
+    radiance "R,G,B", in place of the scene's map or colour. f_number belongs to the scene's focal length or, where it has
     none, to the one that gives its field of view on a sensor 36 mm wide.
     aperture_radius, focus_distance, camera_position, camera_target: metres. fov:
     degrees, horizontal; a scene with a focal length keeps its sensor and its f-number.
@@ -100,7 +100,10 @@ def override_camera(values: dict[str, Any], overrides: Overrides, file: str) -> 
 
 
 def override_surroundings(scene: Scene, overrides: Overrides) -> Scene:
-    """`scene` with the film size and the environment of `overrides`."""
+    """`scene` with the film size and the environment's light of `overrides`.
+
+    The scene's own `rotation` and `visible` hold for the new light; its intensity went with the old one.
+    """
     film = replace(
         scene.film,
         width=overrides.width or scene.film.width,
@@ -109,23 +112,24 @@ def override_surroundings(scene: Scene, overrides: Overrides) -> Scene:
     scene = replace(scene, film=film)
     if overrides.environment is None:
         return scene
-    environment, warnings = read_environment(overrides.environment)
+    radiance, warnings = read_radiance(overrides.environment)
+    before = scene.environment
+    environment = Environment(radiance) if before is None else replace(before, radiance=radiance)
     return replace(scene, environment=environment, warnings=scene.warnings + tuple(warnings))
 
 
-def read_environment(text: str) -> tuple[Environment, list[str]]:
-    """An environment from "R,G,B" or from the path of a map, and any warnings."""
+def read_radiance(text: str) -> tuple[np.ndarray, list[str]]:
+    """An environment's light `[H, W, 3]` from "R,G,B" or from the path of a map, and any warnings."""
     parts = text.split(",")
     try:
         color = [float(part) for part in parts]
     except ValueError:
         if len(parts) == 3 and not Path(text).suffix.lower() in (".hdr", ".exr"):
             raise BokehguideError(f"--environment: {text!r} is not three numbers R,G,B") from None
-        radiance, warnings = load_environment_map(Path(text))
-        return Environment(radiance), warnings
+        return load_environment_map(Path(text))
     if len(color) != 3 or not all(NOT_NEGATIVE.hold(channel) for channel in color):
         raise BokehguideError(f"--environment: {text!r}; give R,G,B, each {NOT_NEGATIVE.remedy}")
-    return Environment(constant_radiance(color)), []
+    return constant_radiance(color), []
 
 
 def constant_radiance(color: Vector) -> np.ndarray:

@@ -44,7 +44,7 @@ def read_scene_file(path: Path, overrides: Overrides) -> Scene:
         film=_read_film(root),
         environment=_read_environment(root, path.parent, warnings),
         suns=(*_read_suns(root), *objects.suns),
-        warnings=(*objects.lines("warnings"), *warnings),
+        warnings=(*objects.lines("warnings"), *_unused_sizes(root, objects), *warnings),
         honoured=tuple(objects.lines("honoured")),
     )
 
@@ -134,6 +134,16 @@ def _read_lights(root: Table) -> LightSizes:
         radius=table.number("radius", None, LAMP_RADIUS),
         sun_angle=table.number("sun_angle", LightSizes.sun_angle, SUN_ANGLE),
     )
+
+
+def _unused_sizes(root: Table, objects: _Objects) -> list[str]:
+    """A line for each size in [lights] that no light of a model takes."""
+    models = [model for model, _ in objects.models.values()]
+    takers = {"radius": (any(model.lamps for model in models), "point and spot lights")}
+    takers["sun_angle"] = any(model.suns for model in models), "directional lights"
+    given = root.values.get("lights", {})
+    unused = [(key, kind) for key, (taken, kind) in takers.items() if key in given and not taken]
+    return [f"lights.{key}: has no effect, as no model brings {kind}" for key, kind in unused]
 
 
 def _read_objects(root: Table, folder: Path, materials: list[Material]) -> _Objects:

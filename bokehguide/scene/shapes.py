@@ -121,6 +121,25 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return (vectors / np.where(lengths > 0.0, lengths, 1.0)).astype(np.float32)
 
 
+def unit_normals(normals: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Normals `[V, 3]` at length one; one of length 0 becomes that of the faces around it, by area.
+
+    Where there are no such faces it stays 0, which shades flat. Indices that are out of range count as no faces.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        unit = _unit(normals)
+        lost = ~unit.any(axis=1)
+        if not lost.any() or triangles.min(initial=0) < 0 or triangles.max(initial=0) >= len(vertices):
+            return unit
+        around = triangles[lost[triangles].any(axis=1)]
+        a, b, c = np.moveaxis(vertices.astype(np.float64)[around], 1, 0)
+        faces, total = np.cross(b - a, c - a), np.zeros((len(vertices), 3))
+        for corner in around.T:
+            np.add.at(total, corner, np.nan_to_num(faces))
+        unit[lost] = _unit(total[lost])
+    return unit
+
+
 def joined(meshes: Sequence[Mesh]) -> Mesh:
     """Meshes of one material as one; normals, uvs, tangents and colours stay where all of them have them."""
     counts = [len(mesh.vertices) for mesh in meshes]

@@ -15,20 +15,23 @@ from bokehguide.limits import LARGEST, MAX_SIDE, SMALLEST
 
 @dataclass(frozen=True)
 class Limits:
-    """Which numbers a field accepts: an interval and how to say it."""
+    """Which numbers a field accepts: an interval, with `infinity` or without, and how to say it."""
 
     remedy: str
     low: float = -LARGEST
     high: float = LARGEST
+    infinity: bool = False
 
     def hold(self, value: float) -> bool:
-        return self.low <= value <= self.high
+        return self.low <= value <= self.high or (self.infinity and value == math.inf)
 
 
 ANY = Limits(f"a number between {-LARGEST:g} and {LARGEST:g}")
 POSITIVE = Limits(f"a number above 0, between {SMALLEST:g} and {LARGEST:g}", low=SMALLEST)
 IN_FRONT = Limits(
-    f"metres above 0, between {SMALLEST:g} and {LARGEST:g}: what lies behind the lens has no focus", low=SMALLEST
+    f"metres above 0, between {SMALLEST:g} and {LARGEST:g}, or inf: what lies behind the lens has no focus",
+    low=SMALLEST,
+    infinity=True,
 )
 NOT_NEGATIVE = Limits(f"a number of 0 or more, up to {LARGEST:g}", low=0.0)
 SHARE = Limits("a number between 0 and 1", low=0.0, high=1.0)

@@ -41,7 +41,8 @@ class Camera:
 
     fov: horizontal field of view in degrees.
     aperture_radius: lens radius in metres, 0 for a pinhole.
-    focus_distance: metres from the lens to the focal plane, along the optical axis.
+    focus_distance: metres from the lens to the focal plane, along the optical axis; math.inf
+    is FARTHEST_FOCUS, and so is all beyond it.
     aperture: its shape; None is round.
     """
 

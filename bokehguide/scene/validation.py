@@ -15,7 +15,7 @@ from bokehguide.scene.types import Mesh, Scene
 
 
 def checked(scene: Scene, place: str) -> Scene:
-    """`scene` without its zero-area triangles and the meshes that had no others.
+    """`scene` without its zero-area triangles and the meshes that had no others, with a warning where those would emit.
 
     place: what the user named, such as the file. Raises BokehguideError, naming it, where
     a vertex, normal or uv is not finite, an index is out of range, nothing is left to see,
@@ -31,7 +31,15 @@ def checked(scene: Scene, place: str) -> Scene:
         raise BokehguideError(
             f"{place}: holds no triangle with an area; add an object or a model with a surface"
         )
-    return replace(scene, meshes=meshes, warnings=tuple(dict.fromkeys(scene.warnings)))
+    lost = _lost_lights(scene, meshes)
+    return replace(scene, meshes=meshes, warnings=tuple(dict.fromkeys((*scene.warnings, *lost))))
+
+
+def _lost_lights(scene: Scene, kept: tuple[Mesh, ...]) -> list[str]:
+    """A line for each material that emits, but from no mesh that was `kept`."""
+    used, left = {mesh.material for mesh in scene.meshes}, {mesh.material for mesh in kept}
+    materials = [scene.materials[number] for number in sorted(used - left)]
+    return [f"material {m.name}: emits, but from no triangle with an area" for m in materials if m.emits]
 
 
 def check_mesh(mesh: Mesh, place: str, materials: int) -> None:

@@ -209,11 +209,11 @@ class RenderLoop:
     def _study(
         self, batch: GuidedBatch | None, weight: Tensor, light: Tensor, at: LensDensity | None
     ) -> BatchLesson | None:
-        """Gradients of the one-sample KL; radiance counts in units of the frame's mean."""
+        """Gradients of the one-sample KL; radiance counts in units of the frame's mean, and for nothing while that is 0."""
         if batch is None:
             return None
-        ratio = light * weight / max(self._mean_luminance, 1e-30)
-        return self.guide.study(batch, ratio, at)
+        unit = self._mean_luminance or math.inf
+        return self.guide.study(batch, light * weight / unit, at)
 
     def _records(self, points: Tensor, directions: Tensor, distance: Tensor, weight: Tensor, light: Tensor):
         """Cells, camera-frame positions and luminance of the samples inside the lens, for the record buffer."""

@@ -44,8 +44,12 @@ REACH = 1.1
 """Radius of a lamp's disc by its extent: what misses the disc is left to the uniform part."""
 LONGEST = 4.0
 """A piece that reaches further than this many radii of the disc of its area is no lamp but a strip, left to be found."""
+WIDEST = 3.0
+"""A lamp's disc of so many lens radii is no help: nine draws in ten would miss the lens."""
 POOLED = 5
 """Pixels across the squares whose moments are shared."""
+BRIGHTEST = 1e18
+"""Above this a sample counts as one of this: its square is still a single-precision number."""
 PRIOR = 1e-3
 """Second moment that either part of the mixture is taken to have had already, in units of the frame's mean squared."""
 
@@ -106,8 +110,8 @@ class SpotGuide(nn.Module):
     def study(self, batch: GuidedBatch, ratio: Tensor, at: LensDensity) -> BatchLesson:
         """Add to the moments of the batch's pixels; ratio: L / (A q) `[N]`, 0 outside the aperture."""
         mixture, pixels = batch.distribution, batch.pixels
-        of_discs = mixture.beta * at.mixture / at.density.clamp(min=1e-20)
-        squared = ratio.square() * mixture.guided  # the others have no β to tell of
+        of_discs = mixture.beta * at.mixture / at.density.clamp(min=1e-37)
+        squared = ratio.clamp(max=BRIGHTEST).square() * mixture.guided  # the others have no β to tell of
         self.moments[0, pixels] += squared * of_discs * mixture.beta
         self.moments[1, pixels] += squared * (1.0 - of_discs) * (1.0 - mixture.beta)
         return BatchLesson(float(one_sample_kl(ratio, at.density, mixture.lens.area)), pixels, None, None)
@@ -179,7 +183,9 @@ def _lamps(scene: Scene, camera: ThinLensCamera) -> tuple[GaussianField, Tensor,
     energy = bright * radius.square()
     visible = scene.environment is None or scene.environment.visible
     seen = (mean[2] > radius) & (~infinite | visible) & compact & (energy > 0.0) & energy.isfinite()
-    seen &= (mean[2] - camera.lens.focus_distance).abs() > radius  # in focus there is nothing to guide
+    # Near the focus, or through a tiny lens, a lamp's disc is far larger than the lens: there is nothing to guide.
+    away, lens = (mean[2] - camera.lens.focus_distance).abs(), camera.lens
+    seen &= (away > radius) & (WIDEST * away * lens.radius > radius * lens.focus_distance)
     field = GaussianField()
     field.assign(mean[:, seen], radius[seen], radius[seen], energy[seen])
     known = torch.ones(len(scene.meshes), dtype=torch.bool)

@@ -8,7 +8,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.scene.gltf.document import Document, Part
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MAX_COUNT = 2**27
 """Of elements: an accessor without a buffer view holds zeros and costs its file nothing."""
 

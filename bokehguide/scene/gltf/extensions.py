@@ -38,8 +38,8 @@ def note_ignored(document: Document) -> None:
         used |= {*material.extensions}
     for name in sorted(used - HONOURED):
         document.note(f"{name}: {EXPLAINED.get(name, 'has no effect')}")
-    if document.items("animations") or document.items("skins"):
-        document.note("animations and skins: the model is drawn at rest")
+    if document.items("animations"):
+        document.note("animations: the model is drawn at rest")
 
 
 def warnings(document: Document) -> list[str]:

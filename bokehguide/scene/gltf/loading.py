@@ -15,8 +15,9 @@ from bokehguide.scene.gltf.document import Document, read_document
 from bokehguide.scene.gltf.extensions import check_required, note_ignored, warnings
 from bokehguide.scene.gltf.lights import default_radius, read_lights
 from bokehguide.scene.gltf.materials import DEFAULT, read_materials
-from bokehguide.scene.gltf.nodes import Placed, instance_matrices, place_nodes
+from bokehguide.scene.gltf.nodes import INSTANCING, Placed, instance_matrices, place_nodes
 from bokehguide.scene.gltf.primitives import read_primitive
+from bokehguide.scene.gltf.skins import joint_matrices
 from bokehguide.scene.gltf.telling import honoured
 from bokehguide.scene.gltf.textures import Textures
 from bokehguide.scene.shapes import joined, transformed
@@ -64,10 +65,16 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
         index = document.link(node.node, "mesh", "meshes")
         if index is None:
             continue
-        if index not in read:
-            read[index] = _primitives(document, index, materials)
-        matrices = instance_matrices(document, node)
-        parts += [(mesh, matrices, f"{document.file}: {node.node.path}") for mesh in read[index]]
+        joints = joint_matrices(document, node.node, placed)
+        if joints is not None:  # the skeleton says where it stands, and not the node
+            primitives, matrices = _primitives(document, index, materials, joints), np.eye(4)[None]
+            if INSTANCING in node.node.extensions:
+                document.note(f"{INSTANCING} of skinned meshes: drawn once", node.node.label)
+        else:
+            if index not in read:
+                read[index] = _primitives(document, index, materials)
+            primitives, matrices = read[index], instance_matrices(document, node)
+        parts += [(mesh, matrices, f"{document.file}: {node.node.path}") for mesh in primitives]
     triangles = sum(len(mesh.triangles) * len(matrices) for mesh, matrices, _ in parts)
     if triangles > MAX_TRIANGLES:
         raise BokehguideError(
@@ -88,13 +95,16 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
     return meshes
 
 
-def _primitives(document: Document, index: int, materials: Sequence[Material]) -> list[Mesh]:
-    """The primitives of one mesh in its own space, checked."""
+def _primitives(
+    document: Document, index: int, materials: Sequence[Material], joints: np.ndarray | None = None
+) -> list[Mesh]:
+    """The primitives of one mesh in its own space, or where the matrices of `joints` put them; checked."""
     source, meshes = document.items("meshes")[index], []
     for primitive in source.parts("primitives"):
         number = document.link(primitive, "material", "materials")
         material = DEFAULT if number is None else materials[number]
-        mesh = read_primitive(document, primitive, source.label, len(materials) if number is None else number, material)
+        number = len(materials) if number is None else number
+        mesh = read_primitive(document, primitive, source.label, number, material, joints)
         if mesh is not None:
             check_mesh(mesh, f"{document.file}: {primitive.path}", len(materials) + 1)
             meshes.append(mesh)

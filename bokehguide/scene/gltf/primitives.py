@@ -8,7 +8,9 @@ from bokehguide.errors import BokehguideError
 from bokehguide.scene.gltf.accessors import as_floats, read_indices, read_raw
 from bokehguide.scene.gltf.document import Document, Part
 from bokehguide.scene.gltf.draco import DRACO, read_draco
+from bokehguide.scene.gltf.skins import SKINNING, blended, skinned
 from bokehguide.scene.gltf.textures import uv_sets
+from bokehguide.scene.shapes import unit_normals
 from bokehguide.scene.types import Material, Mesh
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
@@ -17,10 +19,12 @@ UNSEEN = ("_", "TEXCOORD_", "TANGENT", "JOINTS_", "WEIGHTS_")
 """Attributes that need no mention where they are not read: their users are mentioned."""
 
 
-def read_primitive(document: Document, primitive: Part, name: str, number: int, material: Material) -> Mesh | None:
+def read_primitive(
+    document: Document, primitive: Part, name: str, number: int, material: Material, joints: np.ndarray | None = None
+) -> Mesh | None:
     """One primitive in its mesh's own space, None where it holds no triangles.
 
-    name: the mesh's, for what is to be noted. number: that of its `material`, which
+    joints: matrices `[J, 4, 4]` of a skin, which put it into the world. name: the mesh's, for what is to be noted. number: that of its `material`, which
     says what is needed: texture coordinates beyond the first set, tangents.
     """
     if primitive.whole("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
@@ -31,6 +35,8 @@ def read_primitive(document: Document, primitive: Part, name: str, number: int, 
     wanted = KINDS | {f"TEXCOORD_{set_}": ("VEC2",) for set_ in range(max(uv_sets(material), 1))}
     if material.normal_texture is not None or material.clearcoat_normal_texture is not None:
         wanted |= {"TANGENT": ("VEC4",)}
+    if joints is not None:
+        wanted |= SKINNING
     arrays, indices = _arrays(document, primitive, wanted)
     if "POSITION" not in arrays:
         document.note("primitives without positions: left out", name)
@@ -44,7 +50,15 @@ def read_primitive(document: Document, primitive: Part, name: str, number: int, 
         raise BokehguideError(
             f"{document.file}: {primitive.path}: attributes differ in their counts ({counts}); repair the file"
         )
-    normals = _unit(document, arrays.get("NORMAL"), "normals of length 0: shaded flat", name)
+    matrices = None if joints is None else blended(arrays, joints, primitive)
+    if joints is not None and matrices is None:
+        document.note("skinned meshes without joints and weights: stand where no node has moved them", name)
+    if matrices is not None:
+        arrays = skinned(arrays, matrices)
+        vertices = arrays["POSITION"]
+        if np.linalg.det(matrices[:, :3, :3]).sum() < 0.0:  # mirrored: the front stays the front
+            triangles = np.ascontiguousarray(triangles[:, ::-1])
+    normals = _normals(document, arrays.get("NORMAL"), vertices, triangles, name)
     tangents = arrays.get("TANGENT") if normals is not None else None
     mesh = Mesh(
         vertices=vertices,
@@ -52,7 +66,7 @@ def read_primitive(document: Document, primitive: Part, name: str, number: int, 
         material=number,
         normals=normals,
         uvs=_uvs(document, arrays, uv_sets(material), name),
-        tangents=_unit(document, tangents, "tangents of length 0: made from the texture coordinates", name),
+        tangents=_tangents(document, tangents, name),
         colors=_colors(arrays.get("COLOR_0")),
     )
     return _compact(mesh)
@@ -97,14 +111,26 @@ def _triangles(primitive: Part, indices: np.ndarray) -> np.ndarray:
     return np.stack([indices[start + 1], indices[start + 2], indices[np.zeros_like(start)]], axis=1)
 
 
-def _unit(document: Document, vectors: np.ndarray | None, otherwise: str, name: str) -> np.ndarray | None:
-    """Normals or tangents with xyz at length one; None, with a note, where one has no direction."""
+def _normals(
+    document: Document, normals: np.ndarray | None, vertices: np.ndarray, triangles: np.ndarray, name: str
+) -> np.ndarray | None:
+    """Normals at length one; those without a direction, which are noted, are made from the faces around."""
+    if normals is None:
+        return None
+    lost = np.count_nonzero(~normals.any(axis=1))
+    if lost:
+        document.note(f"normals of length 0: {lost} made from the faces around them", name)
+    return unit_normals(normals, vertices, triangles)
+
+
+def _tangents(document: Document, vectors: np.ndarray | None, name: str) -> np.ndarray | None:
+    """Tangents with xyz at length one; None, with a note, where one has no direction."""
     if vectors is None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.linalg.norm(vectors[:, :3], axis=1, keepdims=True)
     if not lengths.all():
-        document.note(otherwise, name)
+        document.note("tangents of length 0: made from the texture coordinates", name)
         return None
     unit = vectors.copy()
     with np.errstate(invalid="ignore"):

@@ -22,7 +22,7 @@ def honoured(
     cameras: Sequence[ModelCamera],
     radius: float,
 ) -> Iterator[str]:
-    """A line each for material extensions, textures, vertex colours, instances, lights and cameras."""
+    """A line each for material extensions, textures, vertex colours, instances, skins, lights and cameras."""
     extensions = Counter(
         name.removeprefix("KHR_materials_")
         for material in document.items("materials")
@@ -42,6 +42,9 @@ def honoured(
         yield f"vertex colours: {colored} of {len(meshes)} meshes"
     if any(INSTANCING in node.extensions for node in document.items("nodes")):
         yield f"instances of {INSTANCING}, drawn one by one"
+    skins = sum("skin" in node for node in document.items("nodes"))
+    if skins:
+        yield f"skins: {skins}, as their skeletons stand"
     spots = sum(lamp.emission_cone is not None for lamp in lamps)
     lights = {"point": len(lamps) - spots, "spot": spots, "sun": len(suns)}
     if lamps or suns:
