@@ -56,10 +56,11 @@ class FilmSamples:
 class Film:
     """Running sums of a frame; batches of different pixels may be added side by side.
 
-    Radiance and emission are means of w x, in double precision. Alpha, normal, albedo and depth
-    are smooth where the weights w are not: their estimate is the mean of w (x - c) + c,
-    unbiased because the weights' mean is 1 and c comes from the pixel's earlier samples. Where
-    x is the same throughout, it comes out exactly: alpha is 1 where all is opaque.
+    What the picture is made of is summed in double precision: a float32 sum would drift after some thousand
+    samples. Radiance and emission are means of w x. Alpha, normal, albedo and depth are smooth where
+    the weights w are not: their estimate is the mean of w (x - c) + c, unbiased because the weights'
+    mean is 1 and c comes from the pixel's earlier samples. Where x is the same throughout, it comes
+    out exactly: alpha is 1 where all is opaque.
     c = Σ w² x / Σ w² is a mean of values seen and near the best constant, which is
     (E[w² x] - E[x]) / (E[w²] - 1). Where the first sample's weight may be other than 1,
     `prime` provides its c. Where weights are stratified over a block of steps, c is from before it.
@@ -85,10 +86,10 @@ class Film:
         self._emission = torch.zeros(3, pixels, dtype=torch.float64, device=device)
         self._square = torch.zeros(pixels, dtype=torch.float64, device=device)
         self._count = torch.zeros(pixels, device=device)
-        self._features = torch.zeros(9, pixels, device=device)  # alpha, hit, hit times depth, normal, albedo
+        self._features = torch.zeros(9, pixels, dtype=torch.float64, device=device)  # alpha, hit, hit times depth, normal, albedo
         self._control = torch.zeros(10, pixels, device=device)  # w², and w² times each feature
         self._center = torch.zeros(9, pixels, device=device)  # c
-        self._passed = torch.zeros(pixels, device=device) if vignetted else None  # w
+        self._passed = torch.zeros(pixels, dtype=torch.float64, device=device) if vignetted else None  # w
         self._nearest = torch.full((pixels,), NO_DEPTH, device=device)
         self._farthest = torch.zeros(pixels, device=device)
         self.bad_count = 0
