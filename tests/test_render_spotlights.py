@@ -61,7 +61,7 @@ def test_irradiance_falls_off_as_the_extension_has_it(axis, turn):
     ray = math.cos(math.radians(turn)) * along + math.sin(math.radians(turn)) * aside
     point = PLACE - ray * PLACE[1] / ray[1]
     expected = 0.5 / math.pi * irradiance(light, point) * np.array([1.0, 2.0, 3.0])
-    found = seen_at(lit_floor([light]), point)
+    found = seen_at(lit_floor([light]), point, 80_000)
     if turn > 30.0:
         assert not found.any() and not expected.any()
     else:
