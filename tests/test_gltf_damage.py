@@ -78,7 +78,7 @@ def replaced(document: dict, place: str, value: object) -> dict:
         ("buffers/0/byteLength", 10**6, "byteLength: 1000000 is more than"),
         ("buffers/0/uri", None, "buffers[0]: has no data"),
         ("buffers/0/uri", "data:;base64,A", "buffers[0].uri"),
-        ("buffers/0/uri", "../../gone.bin", "no file beside the model"),
+        ("buffers/0/uri", "gone.bin", "no file beside the model"),
         ("buffers/0/uri", "nul\0", "buffers[0].uri"),
         ("accessors/4/sparse/count", 9, "sparse.count: 9 is not a whole number from 0 to 2"),
         ("accessors/4/sparse/indices/componentType", 5126, "is no unsigned integer"),

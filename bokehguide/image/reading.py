@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.limits import MAX_PIXELS, MAX_SIDE
+from bokehguide.limits import MAX_PIXELS, MAX_SIDE, most_values
 
 MAGIC = {"EXR": b"\x76\x2f\x31\x01", "HDR": b"#?"}
 
@@ -42,9 +42,12 @@ def read_channels(path: str | Path, kind: str = "EXR") -> Channels:
     image = oiio.ImageInput.open(str(path))
     if image is None:
         raise _damaged(path, oiio.geterror())
-    spec = image.spec()
+    spec, stored = image.spec(), Path(path).stat().st_size
     if not (0 < spec.width <= MAX_SIDE and 0 < spec.height <= MAX_SIDE and spec.width * spec.height <= MAX_PIXELS):
         raise BokehguideError(f"{path}: {spec.width}x{spec.height} pixels are too many; give at most {MAX_PIXELS}")
+    values = spec.width * spec.height * spec.nchannels
+    if values > most_values(stored):
+        raise BokehguideError(f"{path}: would unfold from {stored:,} bytes to {values:,} values; give a smaller one")
     pixels = image.read_image(oiio.FLOAT)
     if pixels is None:
         raise _damaged(path, image.geterror())

@@ -10,6 +10,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import MAX_TRIANGLES
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.gltf.cameras import read_cameras
 from bokehguide.scene.gltf.document import Document, read_document
 from bokehguide.scene.gltf.extensions import check_required, note_ignored, warnings
@@ -24,14 +25,14 @@ from bokehguide.scene.types import LightSizes, Material, Mesh, Model
 from bokehguide.scene.validation import check_mesh
 
 
-def load_gltf(path: Path, sizes: LightSizes) -> Model:
-    """The default scene of a glTF file, instances flattened.
+def load_gltf(path: Path, sizes: LightSizes, files: SceneFiles) -> Model:
+    """The default scene of a glTF file, instances flattened; `files` are what it may read.
 
     Raises BokehguideError naming file and object for whatever is damaged, out of range
     or required and not supported, and where all instances together have more than
     MAX_TRIANGLES triangles.
     """
-    document = read_document(path)
+    document = read_document(path, files)
     check_required(document)
     placed = place_nodes(document)
     textures = Textures(document)
