@@ -10,7 +10,7 @@ MAX_EXTENT = 1e9
 """Metres of a mesh from end to end: of its triangles' areas the squares are taken."""
 
 MAX_TRIANGLES = 20_000_000
-"""Of a model, all instances together: each has its own place in memory."""
+"""Of a scene, all instances together: each has its own place in memory."""
 
 MAX_SIDE = 2**16
 MAX_PIXELS = 2**28

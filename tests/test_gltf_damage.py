@@ -10,7 +10,7 @@ from gltf_builder import UVS, Builder, simple
 from PIL import Image
 
 from bokehguide.errors import BokehguideError
-from bokehguide.scene import load_scene
+from bokehguide.scene import load_scene, validation
 
 
 def message(path) -> str:
@@ -187,3 +187,35 @@ def test_noise_in_a_glb(tmp_path):
             load_scene(str(path))
         except BokehguideError as error:
             assert str(error).startswith(str(path)) and "\n" not in str(error)
+
+
+def test_many_primitives_of_one_buffer_are_counted_as_they_are_read(tmp_path, monkeypatch):
+    """Each makes its own copy: a short list of them would fill the memory before the scene is whole."""
+    document = rich(tmp_path)
+    document["meshes"][0]["primitives"] *= 50
+    path = tmp_path / "many.gltf"
+    path.write_text(json.dumps(document))
+    monkeypatch.setattr(validation, "MAX_TRIANGLES", 60)
+    with pytest.raises(BokehguideError, match=r"meshes\[0\].primitives\[30\]: makes 62 triangles in all"):
+        load_scene(str(path))
+
+
+def test_so_are_the_spheres_of_lights(tmp_path, monkeypatch):
+    document = rich(tmp_path)
+    document["nodes"] += [document["nodes"][2]] * 20
+    document["scenes"][0]["nodes"] += range(3, 23)
+    path = tmp_path / "many.gltf"
+    path.write_text(json.dumps(document))
+    monkeypatch.setattr(validation, "MAX_TRIANGLES", 5 * 1280)
+    with pytest.raises(BokehguideError, match=r"nodes\[7\]: makes 7,680 triangles in all"):
+        load_scene(str(path))
+
+
+@pytest.mark.parametrize("sparse", [True, False])
+def test_zeros_that_no_file_holds_are_few(tmp_path, sparse):
+    document = replaced(rich(tmp_path), "accessors/4/count", 2**20 + 1)
+    del document["accessors"][4]["bufferView"]
+    if not sparse:
+        del document["accessors"][4]["sparse"]
+    (tmp_path / "bad.gltf").write_text(json.dumps(document))
+    assert "accessors[4].count: 1048577 is not a whole number from 0 to 1048576" in message(tmp_path / "bad.gltf")

@@ -15,7 +15,7 @@ from PIL import Image
 
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import MAX_VALUES
-from bokehguide.scene import load_scene
+from bokehguide.scene import load_scene, validation
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
 
@@ -235,3 +235,11 @@ def test_pillows_other_formats_are_not_tried(tmp_path):
     (tmp_path / "scene/wood.png").write_bytes(stream.getvalue())
     with pytest.raises(BokehguideError, match=r"m\.obj: wood: a texture in the format EPS"):
         load_scene(str(obj(tmp_path / "scene", "m.mtl", "wood.png")))
+
+
+def test_a_model_in_many_places_is_counted_as_it_is_placed(folder, monkeypatch):
+    path = folder / "scene.toml"
+    path.write_text(LAMPS + '[[object]]\nfile = "square.glb"\n' * 40)
+    monkeypatch.setattr(validation, "MAX_TRIANGLES", 12 + 1280 + 20)
+    with pytest.raises(BokehguideError, match=r"scene\.toml: object\[12\]: makes 1,314 triangles in all; .* at most 1,312"):
+        load_scene(str(path))

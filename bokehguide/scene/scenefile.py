@@ -20,7 +20,7 @@ from bokehguide.scene.scenefile_materials import read_materials
 from bokehguide.scene.shapes import SHAPES, transform, transformed
 from bokehguide.scene.tables import ANY, LAMP_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
 from bokehguide.scene.types import Environment, Film, LightSizes, Material, Mesh, Model, Scene, Sun
-from bokehguide.scene.validation import check_mesh
+from bokehguide.scene.validation import check_mesh, check_triangles
 
 SCENE_KEYS = ("camera", "film", "environment", "sun", "lights", "materials", "object")
 OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
@@ -146,7 +146,7 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
     if not isinstance(values, list):
         root.fail("object", "is not a list of tables; write [[object]]")
     objects = _Objects(list(materials), _read_lights(root), files)
-    named = {material.name: index for index, material in enumerate(materials)}
+    named, triangles = {material.name: index for index, material in enumerate(materials)}, 0
     for number, entry in enumerate(values):
         table = Table(entry, root.file, f"object[{number}]", OBJECT_KEYS)
         material = _named_material(table, named)
@@ -161,6 +161,8 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
         for mesh in placed:
             check_mesh(mesh, f"{root.file}: {table.path}", len(objects.materials))
         objects.meshes += placed
+        triangles += sum(len(mesh.triangles) for mesh in placed)
+        check_triangles(triangles, f"{root.file}: {table.path}")
     return objects
 
 
