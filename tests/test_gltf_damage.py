@@ -10,7 +10,7 @@ from gltf_builder import UVS, Builder, simple
 from PIL import Image
 
 from bokehguide.errors import BokehguideError
-from bokehguide.scene import load_scene, validation
+from bokehguide.scene import describe, load_scene, validation
 
 
 def message(path) -> str:
@@ -146,6 +146,26 @@ def places(value: object, path: str = ""):
         here = f"{path}/{key}" if path else str(key)
         yield here
         yield from places(child, here)
+
+
+def test_names_do_nothing_to_the_terminal(tmp_path):
+    """Those of all that is told: errors, warnings, what was honoured."""
+    document, name = rich(tmp_path), "\x1b[2J\n" + "x" * 500
+    for section in ("nodes", "meshes", "materials", "cameras", "textures"):
+        for part in document[section]:
+            part["name"] = name
+    document |= {"extensionsUsed": [name], "animations": [{}]}
+    document["materials"][0]["extensions"][name] = {}
+    document["nodes"][2] |= {"name": None}
+    path = tmp_path / "bad.gltf"
+    path.write_text(json.dumps(document))
+    scene = load_scene(str(path))
+    told = [*describe(scene).splitlines(), *scene.warnings, *scene.honoured]
+    assert all(line.isprintable() and len(line) < 600 for line in told), told
+    for place, value in (("extensionsRequired", [name]), ("nodes/0/mesh", name), (f"meshes/0/{name}", 1), ("nodes/1/scale", 0)):
+        path.write_text(json.dumps(replaced(document, place, value)))
+        if name not in place:
+            assert message(path).isprintable()
 
 
 def test_a_compression_that_is_not_read(tmp_path):

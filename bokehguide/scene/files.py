@@ -29,6 +29,8 @@ class SceneFiles:
         folder, whether there is such a file or not, and where no path can be so.
         """
         path = folder / name
+        if not name.isprintable():
+            raise BokehguideError(f"{place}: {shown(name)} is no path (control characters); repair it")
         try:
             inside = path.resolve().is_relative_to(self.folder)
         except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: links in a circle

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.builtin.parts import sky
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.models import load_model
@@ -85,7 +85,7 @@ def _choose(cameras: tuple[ModelCamera, ...], overrides: Overrides, file: str) -
     known = {str(number): camera for number, camera in enumerate(cameras)}
     known |= {camera.name: camera for camera in reversed(cameras)}
     if wanted not in known and wanted != FRAME:
-        names = ", ".join(f"{number} ({camera.name})" for number, camera in enumerate(cameras)) or "none"
+        names = printable(", ".join(f"{number} ({camera.name})" for number, camera in enumerate(cameras)) or "none", 600)
         raise BokehguideError(
             f"--camera: {wanted!r} is no camera of {file}; it has {names}, and {FRAME!r} frames it all"
         )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError, reason
+from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.limits import LARGEST
 from bokehguide.scene.files import SceneFiles, require_file
 
@@ -51,7 +51,7 @@ def _radiance(read: Channels, path: Path) -> np.ndarray:
     for names in ("RGB", "YYY"):
         if set(names) <= set(read.names):
             return np.stack([read.pixels[..., read.names.index(name)] for name in names], axis=-1)
-    given = ", ".join(read.names)
+    given = printable(", ".join(read.names), 200)
     raise BokehguideError(f"{path}: has the channels {given}; an environment map needs R, G, B")
 
 
@@ -92,11 +92,11 @@ def texture_from_image(image: Image.Image, place: str, files: SceneFiles) -> np.
 @contextmanager
 def _decoding(place: str) -> Iterator[None]:
     """Whatever a decoder raises, as a BokehguideError that names `place`."""
-    from PIL import Image, UnidentifiedImageError
+    from PIL import UnidentifiedImageError
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # SceneFiles has the bound
+            warnings.simplefilter("ignore")  # of oddities, and of sizes, for which SceneFiles has the bound
             yield
     except UnidentifiedImageError:
         raise BokehguideError(f"{place}: unreadable texture; give a PNG, a JPEG or a WebP") from None

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from bokehguide import __version__
 from bokehguide.errors import BokehguideError
 from bokehguide.image import replacing
 from bokehguide.image.files import unwritable
+from bokehguide.limits import LARGEST
 from bokehguide.scene.digest import digest
 from bokehguide.scene.types import Scene
 from bokehguide.train.loop import RenderLoop
@@ -46,13 +47,16 @@ def load_checkpoint(path: str | Path, loop: RenderLoop) -> float:
     """
     whole = _read(path, loop)
     try:
+        require_kind(whole["loop"], loop.state_dict())
+        for seconds in (whole["seconds"], *whole["loop"]["phases"].values()):
+            require_kind(seconds, 0.0)
+        for number in sum(map(tuple, whole["loop"]["film"]["bad_samples"]), ()):
+            require_kind(number, 0)
         loop.load_state_dict(whole["loop"])
-        seconds = float(whole["seconds"])
-    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        _require_moments(loop)
+    except (AttributeError, IndexError, KeyError, RecursionError, RuntimeError, TypeError, ValueError) as error:
         raise _damaged(path) from error
-    if not math.isfinite(seconds):
-        raise _damaged(path)
-    return seconds
+    return float(whole["seconds"])
 
 
 def saved_steps(path: str | Path, loop: RenderLoop) -> int:
@@ -67,7 +71,10 @@ def _read(path: str | Path, loop: RenderLoop) -> dict[str, object]:
     """What was saved, when it is of the loop's render. Raises as `load_checkpoint`."""
     try:
         with zipfile.ZipFile(path) as archive:
-            whole_file = archive.testzip() is None  # torch does not look at checksums
+            records = archive.infolist()
+            packed = any(record.compress_type != zipfile.ZIP_STORED for record in records)  # torch would unfold it
+            lying = sum(record.file_size for record in records) > Path(path).stat().st_size
+            whole_file = not packed and not lying and archive.testzip() is None  # torch does not look at checksums
         whole = torch.load(path, map_location="cpu", weights_only=True) if whole_file else None
     except OSError as error:
         raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
@@ -82,6 +89,45 @@ def _read(path: str | Path, loop: RenderLoop) -> dict[str, object]:
         named = ", ".join(found[:NAMED])
         raise BokehguideError(f"{path}: is of another render: {named}{more}; render without resuming to start anew")
     return whole
+
+
+def require_kind(saved: object, own: object) -> None:
+    """Raise ValueError unless `saved` can be what `own`, the same part of a fresh state, has become.
+
+    Its values need not be sound, as a film's or a guide's own loading sees to shapes; but no tensor
+    is of another type, not finite or larger than what is stored of it, and no number of another kind.
+    """
+    if isinstance(saved, Tensor):
+        _require_tensor(saved, own)
+    elif isinstance(own, int | float) and not isinstance(own, bool):
+        if type(saved) is not type(own) or not 0 <= saved <= LARGEST:
+            raise ValueError(f"{saved!r} is no number of the kind of {own!r}")
+    elif own is not None and not isinstance(saved, dict if isinstance(own, dict) else type(own)):
+        raise ValueError(f"{type(saved).__name__} in the place of {type(own).__name__}")
+    elif isinstance(saved, dict):
+        for name, part in saved.items():
+            require_kind(part, own.get(name) if own else None)
+    elif isinstance(saved, list | tuple):
+        for number, part in enumerate(saved):
+            require_kind(part, own[number] if own and number < len(own) else None)
+
+
+def _require_tensor(saved: Tensor, own: object) -> None:
+    stored = saved.numel() * saved.element_size() <= saved.untyped_storage().nbytes()
+    finite = stored and (not saved.is_floating_point() or bool(saved.isfinite().all()))
+    alike = own is None or isinstance(own, Tensor) and (saved.dtype, saved.ndim) == (own.dtype, own.ndim)
+    if not finite or not alike:
+        raise ValueError(f"a tensor of {saved.dtype} {tuple(saved.shape)} that is not finite, not there or of another kind")
+
+
+def _require_moments(loop: RenderLoop) -> None:
+    """Raise ValueError unless Adam's moments are as large as their parameters: its fused step does not look."""
+    for optimizer in loop.guide.optimizers.values() if loop.guide is not None else ():
+        for parameter, state in optimizer.state.items():
+            for name, moment in state.items():
+                shape = () if name == "step" else parameter.shape
+                if not isinstance(moment, Tensor) or moment.shape != shape or moment.dtype != torch.float32:
+                    raise ValueError(f"{name} does not fit a parameter of {tuple(parameter.shape)}")
 
 
 def _damaged(path: str | Path) -> BokehguideError:

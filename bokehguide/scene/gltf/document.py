@@ -17,7 +17,7 @@ from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.limits import MAX_INT
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANY, Limits, Table, is_number, shown
@@ -87,16 +87,12 @@ class Part(Table):
     def label(self) -> str:
         """A name for people: the file's own or, without one, the place in the file."""
         name = self.values.get("name")
-        return _one_line(name) if isinstance(name, str) and name.strip() else self.path
+        return printable(name) if isinstance(name, str) and name.strip() else self.path
 
 
 def _named(value: Any) -> str:
     name = value.get("name") if isinstance(value, dict) else None
-    return f" ({_one_line(name)})" if isinstance(name, str) and name.strip() else ""
-
-
-def _one_line(name: str) -> str:
-    return " ".join(name.split())[:60]
+    return f" ({printable(name)})" if isinstance(name, str) and name.strip() else ""
 
 
 @dataclass
@@ -172,7 +168,7 @@ class Document:
             elif index == 0 and self.chunk is not None:
                 self._buffers[index] = self.chunk
             else:
-                packed = f", and {', '.join(view.extensions)} is not read" if view.extensions else ""
+                packed = f", and {printable(', '.join(view.extensions))} is not read" if view.extensions else ""
                 raise BokehguideError(f"{self.file}: {buffer.path}: has no data{packed}; save the file uncompressed")
             length = len(self._buffers[index])
             if buffer.whole("byteLength", 0) > length:
@@ -203,7 +199,7 @@ def read_document(path: Path, files: SceneFiles) -> Document:
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise BokehguideError(f"{path}: not a readable {path.suffix} model ({_one_line(str(error))})") from None
+        raise BokehguideError(f"{path}: not a readable {path.suffix} model ({reason(error)})") from None
     document = Document(path, Part(values, str(path), ""), chunk, files)
     asset = document.root.part("asset")
     version = asset.text("version") or "2.0"
