@@ -1,4 +1,4 @@
-"""Thousands of damaged files: each is refused in a line or two, or renders; nothing else happens.
+"""Thousands of damaged files: each is refused in a line or two, or renders; nothing else happens, and nothing is printed.
 
     scripts/fuzz.py [FORMAT ...] --cases 2000 --seed 0
 
@@ -95,6 +95,8 @@ def batch(formats: list[str], cases: int, seed: int, options: argparse.Namespace
             finished = subprocess.run(command, capture_output=True, text=True)
             lines = result.read_text().splitlines() if result.exists() else []
         done = {entry["name"]: Tally(**entry["tally"]) for entry in map(json.loads, lines)}
+        if finished.stderr and not finished.returncode:
+            next(iter(done.values())).failures.append(f"{' '.join(done)}: what no reader may print: {finished.stderr[:1500]}")
         tallies |= done
         left = [name for name in left if name not in done]
         if left:

@@ -141,6 +141,18 @@ def test_an_objs_materials_and_images_stay_in_its_folder(folder):
         load_scene(str(path), allow_outside=True)
 
 
+def test_a_ply_without_its_image(folder, bokehguide):
+    """trimesh would log a traceback, and make an image of its own."""
+    header = "ply\nformat ascii 1.0\ncomment TextureFile gone.png\nelement vertex 3\n"
+    properties = "".join(f"property float {name}\n" for name in "xyzst")
+    faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0 0 0\n1 0 0 1 0\n1 1 0 1 1\n3 0 1 2\n"
+    (folder / "a.ply").write_text(header + properties + faces)
+    finished = bokehguide("info", folder / "a.ply")
+    assert finished.returncode == 0 and finished.stderr == ""
+    assert "a.ply: gone.png: no such file; left out" in finished.stdout
+    assert load_scene(str(folder / "a.ply")).materials[0].base_color_texture is None
+
+
 def test_what_an_obj_names_and_is_not_there_is_told(folder):
     scene = load_scene(str(obj(folder, "m.mtl", "gone.png")))
     assert "m.obj: gone.png: no such file; left out" in scene.warnings

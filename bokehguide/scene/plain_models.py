@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
@@ -16,6 +17,10 @@ from bokehguide.scene.shapes import transformed
 from bokehguide.scene.tables import NOT_NEGATIVE, Table
 from bokehguide.scene.types import Material, Mesh, Model, Texture
 from bokehguide.scene.validation import check_mesh
+
+
+# Or what trimesh logs, tracebacks among it, would go to the terminal of who has set up no logging.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 
 class _Beside(FilePathResolver):
@@ -88,6 +93,8 @@ def _material(geometry: Any, name: str, path: Path, files: SceneFiles) -> Materi
     material = getattr(geometry.visual, "material", None)
     terms = getattr(material, "kwargs", None) or {}
     image = getattr(material, "image", None)
+    if image is not None and image.format is None:  # from no file: trimesh's own, for coordinates without an image
+        image = None
     label = printable(getattr(material, "name", None) or name)
     values = {key: _numbers(terms[key]) for key in ("kd", "ke") if key in terms}
     table = Table(values, str(path), f"material {label}", values)

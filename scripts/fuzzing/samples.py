@@ -11,9 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import DracoPy
 import numpy as np
 import OpenEXR
-import torch
 from PIL import Image
 
 from bokehguide.scene import load_scene
@@ -239,6 +239,19 @@ def glb() -> bytes:
     return packed_glb(json.dumps(document).encode(), data + picture)
 
 
+def draco_glb() -> bytes:
+    """A square with KHR_draco_mesh_compression."""
+    data = DracoPy.encode(SQUARE, np.uint32([[0, 1, 2], [0, 2, 3]]))
+    zeros = [{"componentType": 5126, "count": 4, "type": "VEC3"}, {"componentType": 5125, "count": 6, "type": "SCALAR"}]
+    packed = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
+    document = {
+        "asset": {"version": "2.0"}, "nodes": [{"mesh": 0}], "extensionsRequired": list(packed), "accessors": zeros,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "extensions": packed}]}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(data)}], "buffers": [{"byteLength": len(data)}],
+    }
+    return packed_glb(json.dumps(document).encode(), data)
+
+
 def packed_glb(text: bytes, data: bytes) -> bytes:
     text, data = text + b" " * (-len(text) % 4), data + b"\0" * (-len(data) % 4)
     chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + data
@@ -283,7 +296,7 @@ def textures() -> Sample:
 
 
 SAMPLES: dict[str, Callable[[Path], list[Sample]]] = {
-    "glb": lambda folder: [Sample({"square.glb": glb()}, ("square.glb",), "square.glb")],
+    "glb": lambda folder: [Sample({"square.glb": data}, ("square.glb",), "square.glb") for data in (glb(), draco_glb())],
     "gltf": lambda folder: [gltf()],
     "toml": lambda folder: [Sample(scene_with("hdr", hdr()).files, ("scene.toml",), "scene.toml")],
     "hdr": lambda folder: [scene_with("hdr", hdr())],
