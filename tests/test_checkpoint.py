@@ -272,7 +272,9 @@ WRONG = {
     ("loop", "film", "bad_count"): -1,
     ("loop", "film", "bad_samples"): [(1, 2, "x", 4)],
     ("loop", "guide"): [],
-    ("loop", "guide", "spotlights"): torch.zeros(1).expand(10**12),
+    ("loop", "guide", "held"): torch.zeros(1, dtype=torch.bool).expand(10**12),
+    ("loop", "guide", "spotlights"): torch.full((2,), 10**6),
+    ("loop", "guide", "block"): torch.tensor(2**40),
     ("loop", "guide", "field.mean"): torch.zeros(3, 1, dtype=torch.complex64),
     ("loop", "optimizers", "blend", "param_groups", 0, "lr"): math.inf,
 }
@@ -302,6 +304,13 @@ def test_a_packed_checkpoint_is_not_unpacked(checkpoint, tmp_path):
             packed.writestr(name, archive.read(name))
     with pytest.raises(BokehguideError, match="is damaged or no checkpoint of a render"):
         load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
+
+
+def test_what_a_checkpoint_says_of_itself_is_cut(checkpoint, tmp_path):
+    torch.save(changed(checkpoint, "origin", "seed", value="x" * 5000), tmp_path / "a.ckpt")
+    with pytest.raises(BokehguideError, match="seed was x+… and is 7") as refusal:
+        load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
+    assert len(str(refusal.value)) < 300
 
 
 class Unpickled:

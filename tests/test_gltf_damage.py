@@ -239,3 +239,11 @@ def test_zeros_that_no_file_holds_are_few(tmp_path, sparse):
         del document["accessors"][4]["sparse"]
     (tmp_path / "bad.gltf").write_text(json.dumps(document))
     assert "accessors[4].count: 1048577 is not a whole number from 0 to 1048576" in message(tmp_path / "bad.gltf")
+
+
+def test_triangles_without_a_vertex(tmp_path):
+    document = rich(tmp_path)
+    for number in (0, 1, 2):
+        document["accessors"][number]["count"] = 0
+    (tmp_path / "bad.gltf").write_text(json.dumps(document))
+    assert "there are 0 vertices" in message(tmp_path / "bad.gltf")

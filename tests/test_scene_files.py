@@ -255,3 +255,12 @@ def test_a_model_in_many_places_is_counted_as_it_is_placed(folder, monkeypatch):
     monkeypatch.setattr(validation, "MAX_TRIANGLES", 12 + 1280 + 20)
     with pytest.raises(BokehguideError, match=r"scene\.toml: object\[12\]: makes 1,314 triangles in all; .* at most 1,312"):
         load_scene(str(path))
+
+
+def test_a_damaged_png_of_16_bits_prints_nothing(tmp_path, capfd):
+    whole = bomb(64, 16)
+    for data in (whole[:45] + b"\x55" + whole[46:], whole[:-20]):
+        (tmp_path / "a.png").write_bytes(data)
+        with pytest.raises(BokehguideError, match=r"a\.png: unreadable texture"):
+            load_texture(tmp_path / "a.png", SceneFiles(tmp_path), srgb=True)
+    assert capfd.readouterr() == ("", "")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -95,13 +97,27 @@ def _decoding(place: str) -> Iterator[None]:
     from PIL import UnidentifiedImageError
 
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _silent():
             warnings.simplefilter("ignore")  # of oddities, and of sizes, for which SceneFiles has the bound
             yield
     except UnidentifiedImageError:
         raise BokehguideError(f"{place}: unreadable texture; give a PNG, a JPEG or a WebP") from None
     except Exception as error:  # what the decoders raise for damaged data is not in their documentation
         raise BokehguideError(f"{place}: unreadable texture ({reason(error)})") from None
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Without what libpng and libtiff print, in C, about a file: the exceptions say it too."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _eight_bits(image: Image.Image, alpha: bool) -> np.ndarray:

@@ -48,7 +48,7 @@ def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
             raise BokehguideError(
                 f"{place}: {name} has shape {values.shape}, not {(count, *shape)}; repair the model"
             )
-        bad = np.flatnonzero(~(np.abs(values) <= LARGEST).reshape(count, -1).all(axis=1))
+        bad = np.flatnonzero(~(np.abs(values) <= LARGEST).all(axis=tuple(range(1, values.ndim))))
         if len(bad):
             raise BokehguideError(
                 f"{place}: {name}[{bad[0]}] is {values[bad[0]].tolist()}, not finite "

@@ -11,14 +11,16 @@ import torch
 from torch import Tensor
 
 from bokehguide import __version__
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable
 from bokehguide.image import replacing
 from bokehguide.image.files import unwritable
-from bokehguide.limits import LARGEST
+from bokehguide.limits import LARGEST, MAX_INT
 from bokehguide.scene.digest import digest
 from bokehguide.scene.types import Scene
+from bokehguide.train.guide import LensGuide
 from bokehguide.train.loop import RenderLoop
 from bokehguide.train.settings import RenderSettings
+from bokehguide.train.spot_guide import SpotGuide
 
 DATA = ("camera.aperture", "meshes", "materials", "environment", "suns")
 """Of what a render is made from, what no line can tell."""
@@ -53,7 +55,7 @@ def load_checkpoint(path: str | Path, loop: RenderLoop) -> float:
         for number in sum(map(tuple, whole["loop"]["film"]["bad_samples"]), ()):
             require_kind(number, 0)
         loop.load_state_dict(whole["loop"])
-        _require_moments(loop)
+        _require_fit(loop.guide)
     except (AttributeError, IndexError, KeyError, RecursionError, RuntimeError, TypeError, ValueError) as error:
         raise _damaged(path) from error
     return float(whole["seconds"])
@@ -94,8 +96,8 @@ def _read(path: str | Path, loop: RenderLoop) -> dict[str, object]:
 def require_kind(saved: object, own: object) -> None:
     """Raise ValueError unless `saved` can be what `own`, the same part of a fresh state, has become.
 
-    Its values need not be sound, as a film's or a guide's own loading sees to shapes; but no tensor
-    is of another type, not finite or larger than what is stored of it, and no number of another kind.
+    A film's and a guide's own loading see to shapes; here, no tensor is of another type, not finite,
+    larger than what is stored of it or, of whole numbers, negative or huge, and no number of another kind.
     """
     if isinstance(saved, Tensor):
         _require_tensor(saved, own)
@@ -115,14 +117,21 @@ def require_kind(saved: object, own: object) -> None:
 def _require_tensor(saved: Tensor, own: object) -> None:
     stored = saved.numel() * saved.element_size() <= saved.untyped_storage().nbytes()
     finite = stored and (not saved.is_floating_point() or bool(saved.isfinite().all()))
+    if finite and not saved.is_floating_point() and saved.dtype != torch.bool:  # places and counts
+        finite = saved.numel() == 0 or bool((saved >= 0).all() and (saved <= MAX_INT).all())
     alike = own is None or isinstance(own, Tensor) and (saved.dtype, saved.ndim) == (own.dtype, own.ndim)
     if not finite or not alike:
         raise ValueError(f"a tensor of {saved.dtype} {tuple(saved.shape)} that is not finite, not there or of another kind")
 
 
-def _require_moments(loop: RenderLoop) -> None:
-    """Raise ValueError unless Adam's moments are as large as their parameters: its fused step does not look."""
-    for optimizer in loop.guide.optimizers.values() if loop.guide is not None else ():
+def _require_fit(guide: LensGuide | SpotGuide | None) -> None:
+    """Raise ValueError unless Adam's moments are as large as their parameters, at which its fused step does not look,
+    and the spotlights are cells of the record buffer."""
+    if guide is None:
+        return
+    if bool((guide.spotlights >= guide.record.height * guide.record.width).any()):
+        raise ValueError("spotlights outside the record buffer")
+    for optimizer in guide.optimizers.values():
         for parameter, state in optimizer.state.items():
             for name, moment in state.items():
                 shape = () if name == "step" else parameter.shape
@@ -148,4 +157,4 @@ def origin(scene: Scene, settings: RenderSettings) -> dict[str, str]:
 def differences(then: Mapping[str, object], now: Mapping[str, str]) -> list[str]:
     """In words, what is not as it was when a checkpoint was written."""
     other = [name for name in now if then.get(name) != now[name]]
-    return [f"other {name}" if name in DATA else f"{name} was {then.get(name)} and is {now[name]}" for name in other]
+    return [f"other {name}" if name in DATA else f"{name} was {printable(str(then.get(name)))} and is {now[name]}" for name in other]
