@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 import zipfile
 from collections.abc import Mapping
 from dataclasses import fields
@@ -77,7 +78,9 @@ def _read(path: str | Path, loop: RenderLoop) -> dict[str, object]:
             packed = any(record.compress_type != zipfile.ZIP_STORED for record in records)  # torch would unfold it
             lying = sum(record.file_size for record in records) > Path(path).stat().st_size
             whole_file = not packed and not lying and archive.testzip() is None  # torch does not look at checksums
-        whole = torch.load(path, map_location="cpu", weights_only=True) if whole_file else None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of odd pickles, to torch's own developers
+            whole = torch.load(path, map_location="cpu", weights_only=True) if whole_file else None
     except OSError as error:
         raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     except Exception as error:  # what either reader raises for damaged bytes is not in their documentation
