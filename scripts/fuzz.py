@@ -10,8 +10,10 @@ and --seconds each, so that a crash, a hang or a bomb is a failure like others.
 from __future__ import annotations
 
 import argparse
+import faulthandler
 import json
 import math
+import os
 import resource
 import subprocess
 import sys
@@ -114,8 +116,6 @@ def table(tallies: dict[str, Tally]) -> str:
 
 def work(options: argparse.Namespace) -> int:
     """All cases of some formats in this process; a line of JSON for each format that is done."""
-    import os
-
     os.environ["OMP_NUM_THREADS"] = "1"
     from fuzzing.samples import SAMPLES
     from fuzzing.trial import trial
@@ -187,8 +187,6 @@ def run_format(name: str, samples: list, folder: Path, options: argparse.Namespa
 
 def one_case(tally: Tally, folder: Path, sample, label: str, options: argparse.Namespace) -> None:
     """Count what comes of the files in `folder`; whatever is raised, and is no refusal, is a failure."""
-    import faulthandler
-
     from fuzzing.trial import trial
 
     faulthandler.dump_traceback_later(options.seconds, exit=True)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from hypothesis import strategies
 
-from fuzzing.samples import packed_glb
+from fuzzing.gltf_samples import packed_glb
 
 WORDS = (0, 1, -1, 2**15, 2**16, 2**20, 2**27, 2**30, 2**31 - 1, -(2**31), 9000, 12345678)
 """Counts, sizes and offsets."""
