@@ -13,10 +13,22 @@ MAX_EXTENT = 1e9
 """Metres of a mesh from end to end: of its triangles' areas the squares are taken."""
 
 MAX_TRIANGLES = 20_000_000
-"""Of a model, all instances together: each has its own place in memory."""
+"""Of a scene, all instances together: each has its own place in memory."""
 
 MAX_SIDE = 2**16
 MAX_PIXELS = 2**28
+
+MAX_VALUES, VALUES_PER_BYTE = 2**28, 64
+
+
+def most_values(stored: int) -> int:
+    """To how many numbers (channels of pixels) images may unfold that are kept in so many bytes.
+
+    1 GiB of floats, and what no photograph exceeds: a file of a few bytes that claims to be
+    a huge image ends no render.
+    """
+    return MAX_VALUES + VALUES_PER_BYTE * stored
+
 
 MAX_INT = 2**31 - 1
 """The largest whole number that a header of an EXR file holds."""

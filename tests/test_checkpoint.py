@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import resource
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -248,6 +249,68 @@ def test_what_torch_reads_but_is_no_render_is_refused(content, checkpoint, tmp_p
     torch.save(content, tmp_path / "a.ckpt")
     with pytest.raises(BokehguideError, match="is damaged or no checkpoint of a render"):
         load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
+
+
+def changed(checkpoint, *keys, value) -> dict:
+    """What the checkpoint holds, with something else in one place."""
+    whole = torch.load(checkpoint, weights_only=True)
+    place = whole
+    for key in keys[:-1]:
+        place = place[key]
+    place[keys[-1]] = value
+    return whole
+
+
+WRONG = {
+    ("seconds",): "soon",
+    ("loop", "step"): 2.5,
+    ("loop", "mean_luminance"): math.nan,
+    ("loop", "phases"): {"shading": "x"},
+    ("loop", "film", "radiance"): torch.full((3, 48 * 27), math.nan, dtype=torch.float64),
+    ("loop", "film", "count"): torch.zeros(1).expand(48 * 27),
+    ("loop", "film", "square"): torch.zeros(48 * 27),
+    ("loop", "film", "bad_count"): -1,
+    ("loop", "film", "bad_samples"): [(1, 2, "x", 4)],
+    ("loop", "guide"): [],
+    ("loop", "guide", "held"): torch.zeros(1, dtype=torch.bool).expand(10**12),
+    ("loop", "guide", "spotlights"): torch.full((2,), 10**6),
+    ("loop", "guide", "block"): torch.tensor(2**40),
+    ("loop", "guide", "field.mean"): torch.zeros(3, 1, dtype=torch.complex64),
+    ("loop", "optimizers", "blend", "param_groups", 0, "lr"): math.inf,
+}
+
+
+@pytest.mark.parametrize("keys", WRONG, ids=lambda keys: "/".join(map(str, keys)))
+def test_a_state_that_would_go_wrong_later_is_refused(keys, checkpoint, tmp_path):
+    torch.save(changed(checkpoint, *keys, value=WRONG[keys]), tmp_path / "a.ckpt")
+    with pytest.raises(BokehguideError, match="is damaged or no checkpoint of a render"):
+        load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
+
+
+def test_so_are_moments_that_do_not_fit_their_parameters(checkpoint, tmp_path):
+    """Adam's fused step would read past them."""
+    whole = torch.load(checkpoint, weights_only=True)
+    state = whole["loop"]["optimizers"]["blend"]["state"][0]
+    state["exp_avg"] = state["exp_avg"][:1].clone()
+    torch.save(whole, tmp_path / "a.ckpt")
+    with pytest.raises(BokehguideError, match="is damaged or no checkpoint of a render"):
+        load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
+
+
+def test_a_packed_checkpoint_is_not_unpacked(checkpoint, tmp_path):
+    """It could unfold to any size; torch writes none."""
+    with zipfile.ZipFile(checkpoint) as archive, zipfile.ZipFile(tmp_path / "a.ckpt", "w", zipfile.ZIP_DEFLATED) as packed:
+        for name in archive.namelist():
+            packed.writestr(name, archive.read(name))
+    with pytest.raises(BokehguideError, match="is damaged or no checkpoint of a render"):
+        load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
+
+
+def test_what_a_checkpoint_says_of_itself_is_cut(checkpoint, tmp_path):
+    torch.save(changed(checkpoint, "origin", "seed", value="x" * 5000), tmp_path / "a.ckpt")
+    with pytest.raises(BokehguideError, match="seed was x+… and is 7") as refusal:
+        load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
+    assert len(str(refusal.value)) < 300
 
 
 class Unpickled:

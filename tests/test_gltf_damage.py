@@ -10,7 +10,7 @@ from gltf_builder import UVS, Builder, simple
 from PIL import Image
 
 from bokehguide.errors import BokehguideError
-from bokehguide.scene import load_scene
+from bokehguide.scene import describe, load_scene, validation
 
 
 def message(path) -> str:
@@ -78,7 +78,7 @@ def replaced(document: dict, place: str, value: object) -> dict:
         ("buffers/0/byteLength", 10**6, "byteLength: 1000000 is more than"),
         ("buffers/0/uri", None, "buffers[0]: has no data"),
         ("buffers/0/uri", "data:;base64,A", "buffers[0].uri"),
-        ("buffers/0/uri", "../../gone.bin", "no file beside the model"),
+        ("buffers/0/uri", "gone.bin", "no file beside the model"),
         ("buffers/0/uri", "nul\0", "buffers[0].uri"),
         ("accessors/4/sparse/count", 9, "sparse.count: 9 is not a whole number from 0 to 2"),
         ("accessors/4/sparse/indices/componentType", 5126, "is no unsigned integer"),
@@ -148,6 +148,26 @@ def places(value: object, path: str = ""):
         yield from places(child, here)
 
 
+def test_names_do_nothing_to_the_terminal(tmp_path):
+    """Those of all that is told: errors, warnings, what was honoured."""
+    document, name = rich(tmp_path), "\x1b[2J\n" + "x" * 500
+    for section in ("nodes", "meshes", "materials", "cameras", "textures"):
+        for part in document[section]:
+            part["name"] = name
+    document |= {"extensionsUsed": [name], "animations": [{}]}
+    document["materials"][0]["extensions"][name] = {}
+    document["nodes"][2] |= {"name": None}
+    path = tmp_path / "bad.gltf"
+    path.write_text(json.dumps(document))
+    scene = load_scene(str(path))
+    told = [*describe(scene).splitlines(), *scene.warnings, *scene.honoured]
+    assert all(line.isprintable() and len(line) < 600 for line in told), told
+    for place, value in (("extensionsRequired", [name]), ("nodes/0/mesh", name), (f"meshes/0/{name}", 1), ("nodes/1/scale", 0)):
+        path.write_text(json.dumps(replaced(document, place, value)))
+        if name not in place:
+            assert message(path).isprintable()
+
+
 def test_a_compression_that_is_not_read(tmp_path):
     """With a fallback, as the extension allows, the file is readable; without one its buffer is empty."""
     path = tmp_path / "packed.gltf"
@@ -187,3 +207,43 @@ def test_noise_in_a_glb(tmp_path):
             load_scene(str(path))
         except BokehguideError as error:
             assert str(error).startswith(str(path)) and "\n" not in str(error)
+
+
+def test_many_primitives_of_one_buffer_are_counted_as_they_are_read(tmp_path, monkeypatch):
+    """Each makes its own copy: a short list of them would fill the memory before the scene is whole."""
+    document = rich(tmp_path)
+    document["meshes"][0]["primitives"] *= 50
+    path = tmp_path / "many.gltf"
+    path.write_text(json.dumps(document))
+    monkeypatch.setattr(validation, "MAX_TRIANGLES", 60)
+    with pytest.raises(BokehguideError, match=r"meshes\[0\].primitives\[30\]: makes 62 triangles in all"):
+        load_scene(str(path))
+
+
+def test_so_are_the_spheres_of_lights(tmp_path, monkeypatch):
+    document = rich(tmp_path)
+    document["nodes"] += [document["nodes"][2]] * 20
+    document["scenes"][0]["nodes"] += range(3, 23)
+    path = tmp_path / "many.gltf"
+    path.write_text(json.dumps(document))
+    monkeypatch.setattr(validation, "MAX_TRIANGLES", 5 * 1280)
+    with pytest.raises(BokehguideError, match=r"nodes\[7\]: makes 7,680 triangles in all"):
+        load_scene(str(path))
+
+
+@pytest.mark.parametrize("sparse", [True, False])
+def test_zeros_that_no_file_holds_are_few(tmp_path, sparse):
+    document = replaced(rich(tmp_path), "accessors/4/count", 2**20 + 1)
+    del document["accessors"][4]["bufferView"]
+    if not sparse:
+        del document["accessors"][4]["sparse"]
+    (tmp_path / "bad.gltf").write_text(json.dumps(document))
+    assert "accessors[4].count: 1048577 is not a whole number from 0 to 1048576" in message(tmp_path / "bad.gltf")
+
+
+def test_triangles_without_a_vertex(tmp_path):
+    document = rich(tmp_path)
+    for number in (0, 1, 2):
+        document["accessors"][number]["count"] = 0
+    (tmp_path / "bad.gltf").write_text(json.dumps(document))
+    assert "there are 0 vertices" in message(tmp_path / "bad.gltf")

@@ -12,6 +12,7 @@ from PIL import Image
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import describe, load_scene
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
 
 GREY = 0.5029  # what 188 of 255 means
@@ -157,18 +158,18 @@ def test_sixteen_bits_are_kept(tmp_path, channels):
     out = oiio.ImageOutput.create("deep.png")
     assert out.open(str(tmp_path / "deep.png"), spec) and out.write_image(texels)
     out.close()
-    read = load_texture(tmp_path / "deep.png", srgb=False, alpha=True)
+    read = load_texture(tmp_path / "deep.png", SceneFiles(tmp_path), srgb=False, alpha=True)
     colors = texels[..., [0] * 3] if channels < 3 else texels[..., :3]
     wanted = colors if channels in (1, 3) else np.concatenate([colors, texels[..., -1:]], axis=2)
     np.testing.assert_allclose(read, wanted / 65535, rtol=1e-5, atol=1e-9)
-    assert load_texture(tmp_path / "deep.png", srgb=False).shape == (3, 5, 3)
+    assert load_texture(tmp_path / "deep.png", SceneFiles(tmp_path), srgb=False).shape == (3, 5, 3)
 
 
 def test_eight_bits_of_palettes_and_greys(tmp_path):
     Image.new("L", (2, 2), 188).save(tmp_path / "grey.png")
-    np.testing.assert_allclose(load_texture(tmp_path / "grey.png", srgb=True), GREY, atol=1e-4)
+    np.testing.assert_allclose(load_texture(tmp_path / "grey.png", SceneFiles(tmp_path), srgb=True), GREY, atol=1e-4)
     Image.new("P", (2, 2), 0).save(tmp_path / "palette.png", transparency=0)
-    assert load_texture(tmp_path / "palette.png", srgb=True, alpha=True).shape == (2, 2, 4)
+    assert load_texture(tmp_path / "palette.png", SceneFiles(tmp_path), srgb=True, alpha=True).shape == (2, 2, 4)
 
 
 def test_a_ktx2_texture_with_another_form_takes_that(tmp_path):
@@ -199,4 +200,4 @@ def test_a_damaged_image_of_sixteen_bits(tmp_path):
     for share in (0.01, 0.1, 0.9):
         (tmp_path / "deep.png").write_bytes(whole[: int(share * len(whole))])
         with pytest.raises(BokehguideError, match=r"deep\.png: unreadable texture"):
-            load_texture(tmp_path / "deep.png", srgb=False)
+            load_texture(tmp_path / "deep.png", SceneFiles(tmp_path), srgb=False)

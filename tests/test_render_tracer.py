@@ -114,3 +114,81 @@ def test_no_rays_at_all(soup):
 def test_indices_that_embree_would_read_past_the_vertices_are_refused(triangles):
     with pytest.raises(ValueError, match=r"\[0, 3\)"):
         Tracer(np.eye(3, dtype=np.float32), np.array(triangles, np.int32))
+
+
+@pytest.mark.parametrize(
+    ("vertices", "triangles", "named"),
+    [
+        (np.full((3, 3), np.nan, np.float32), [[0, 1, 2]], "finite"),
+        (np.full((3, 3), np.inf, np.float32), [[0, 1, 2]], "finite"),
+        (np.ones((3, 2), np.float32), [[0, 1, 2]], r"vertices must be float32 \[N, 3\], not float32 \[3, 2\]"),
+        (np.ones(9, np.float32), [[0, 1, 2]], r"vertices .* not float32 \[9\]"),
+        (np.ones((3, 3)), [[0, 1, 2]], "vertices .* not float64"),
+        (np.ones((3, 3), np.float32), [[0, 1]], r"triangles must be int32 \[N, 3\], not int32 \[1, 2\]"),
+        (np.ones((3, 3), np.float32), [0, 1, 2], r"triangles .* not int32 \[3\]"),
+    ],
+)
+def test_geometry_that_embree_would_misread_is_refused(vertices, triangles, named):
+    with pytest.raises(ValueError, match=named):
+        Tracer(vertices, np.array(triangles, np.int32))
+
+
+def test_triangles_of_another_type_are_refused():
+    with pytest.raises(ValueError, match="triangles .* not int64"):
+        Tracer(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]]))
+
+
+@pytest.mark.parametrize(
+    ("origins", "directions", "limits", "named"),
+    [
+        ((3, 5), (3, 4), (5,), "directions"),
+        ((3, 5), (2, 5), (5,), "directions"),
+        ((2, 5), (3, 5), (5,), "origins"),
+        ((3,), (3,), (3,), "origins"),
+        ((), (), (), "origins"),
+        ((3, 5), (3, 5), (4,), "limits"),
+        ((3, 5), (3, 5), (5, 1), "limits"),
+        ((3, 5), (3, 5), (), "limits"),
+    ],
+)
+def test_rays_that_embree_would_read_past_are_refused(soup, origins, directions, limits, named):
+    tracer = Tracer(*soup[:2])
+    rays = torch.ones(origins), torch.ones(directions), torch.ones(limits)
+    for query in (tracer.intersect, tracer.visible):
+        with pytest.raises(ValueError, match=f"{named} must be float32"):
+            query(*rays)
+
+
+@pytest.mark.parametrize("which", range(3))
+def test_rays_of_another_type_are_refused(soup, which):
+    tracer = Tracer(*soup[:2])
+    rays = [torch.ones(3, 5), torch.ones(3, 5), torch.ones(5)]
+    rays[which] = rays[which].double()
+    for query in (tracer.intersect, tracer.visible):
+        with pytest.raises(ValueError, match="torch.float64"):
+            query(*rays)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("of", ["origins", "directions"])
+def test_rays_that_are_not_finite_hit_nothing_and_do_no_harm(soup, of, bad):
+    """Among sound ones, whose hits stay."""
+    vertices, triangles, *rays = soup
+    tracer = Tracer(vertices, triangles)
+    straight = tracer.intersect(*map(torch.from_numpy, rays))
+    bad_rays = [array.copy() for array in rays]
+    bad_rays[0 if of == "origins" else 1][:, ::3] = bad
+    found = tracer.intersect(*map(torch.from_numpy, bad_rays))
+    expected = straight.triangle.clone()
+    expected[::3] = -1
+    assert torch.equal(found.triangle, expected)
+    limits = torch.full((rays[0].shape[1],), 1e30)
+    assert (tracer.visible(*map(torch.from_numpy, bad_rays), limits)[::3] == 1.0).all()
+
+
+def test_limits_that_are_not_numbers_hide_nothing(soup):
+    vertices, triangles, origins, directions = soup
+    limits = torch.full((origins.shape[1],), torch.nan)
+    rays = torch.from_numpy(origins), torch.from_numpy(directions)
+    assert (Tracer(vertices, triangles).intersect(*rays, limits).triangle == -1).all()
+    assert (Tracer(vertices, triangles).visible(*rays, limits) == 1.0).all()

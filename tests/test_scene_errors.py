@@ -265,6 +265,25 @@ def test_a_truncated_environment_map_is_told_in_one_line(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_names_in_an_environment_map_that_are_no_text(tmp_path):
+    """What OpenImageIO says of them is none either."""
+    OpenEXR.File({}, {"RGB": np.ones((4, 8, 3), np.float32)}).write(str(tmp_path / "sky.exr"))
+    whole = (tmp_path / "sky.exr").read_bytes()
+    for old, new in ((b"\0B\0", b"\0\xb6\0"), (b"chlist", b"chl\xb6st"), (b"chlist", b"chl\x1bst"), (b"B\0", b"\x1b\0")):
+        assert old in whole
+        (tmp_path / "sky.exr").write_bytes(whole.replace(old, new))
+        text = message("daylight", Overrides(environment=str(tmp_path / "sky.exr")))
+        assert "sky.exr: " in text and text.isprintable()
+
+
+@pytest.mark.parametrize("name", ['"a\\nb\\u001b[2J"', "9" * 5000])
+@pytest.mark.parametrize("line", ["[camera]\n{} = 1", "[{}]\n[camera]", "[materials.{}]\nb = 1\n[camera]", "[camera.{}]\n[camera]"])
+def test_names_in_a_scene_file_do_nothing_to_the_terminal(tmp_path, name, line):
+    (tmp_path / "scene.toml").write_text(GOOD.replace("[camera]", line.format(name), 1))
+    text = message(tmp_path / "scene.toml")
+    assert text.isprintable() and len(text) < 1000, text
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_an_environment_map_that_is_not_finite(tmp_path, bad):
     radiance = np.ones((4, 8, 3), np.float32)

@@ -39,6 +39,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     _add_metrics(commands)
     info = commands.add_parser("info", help="tell what a scene holds and what of it was ignored")
     info.add_argument("scene", metavar="SCENE", help=SCENE_HELP)
+    _add_allow_outside(info)
     commands.add_parser("scenes", help="list the built-in scenes")
     return parser.parse_args(_attach_negative_values(arguments))
 
@@ -68,6 +69,7 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     every = "keep the render's whole state in PATH.ckpt, written so often and at the end; 0: never (default: 60)"
     add("--checkpoint-every", type=seconds, default=60.0, metavar="SECONDS", help=every)
     add("--resume", action="store_true", help="go on from PATH.ckpt, where there is one, until there are --spp in all")
+    _add_allow_outside(render)
     _add_overrides(render)
 
 
@@ -90,7 +92,13 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
     add("--device", choices=("cpu", "cuda"), default="cpu", help="where tensors live (default: cpu)")
     add("--threads", type=threads, metavar="N", help="threads that trace and shade (default: one per core)")
     add("--exposure", type=exposure, default=0.0, metavar="EV", help="of the pictures (default: 0)")
+    _add_allow_outside(compare)
     _add_overrides(compare)
+
+
+def _add_allow_outside(command: argparse.ArgumentParser) -> None:
+    trust = "let the paths in a scene's files lead out of its folder"
+    command.add_argument("--allow-outside", action="store_true", help=trust)
 
 
 def _add_overrides(command: argparse.ArgumentParser) -> None:

@@ -27,7 +27,7 @@ REFERENCE_SHARE = 16
 
 def run(options: argparse.Namespace) -> int:
     """Compare modes on a scene; everything that can be wrong is checked before the first ray."""
-    scene = load_scene(options.scene, overrides_from(options))
+    scene = load_scene(options.scene, overrides_from(options), options.allow_outside)
     if options.inset:
         scene = replace(scene, insets=tuple(Inset(*box) for box in options.inset))
     common = {"spp": options.spp, "seed": SEED, "device": options.device, "threads": options.threads}

@@ -34,7 +34,7 @@ OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "ca
 
 def run(options: argparse.Namespace) -> int:
     """Render to an EXR and a PNG; everything that can be wrong is checked before the first ray."""
-    scene = load_scene(options.scene, overrides_from(options))
+    scene = load_scene(options.scene, overrides_from(options), options.allow_outside)
     settings = settings_from(options, scene)
     check_device(settings.device)
     window = settings.window(scene.film.width, scene.film.height)
@@ -128,7 +128,7 @@ def command_line(options: argparse.Namespace, spp: int) -> str:
         if value is not None:
             text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
             words.append(f"--{name.replace('_', '-')}={text}")
-    return shlex.join(words)
+    return shlex.join(words + ["--allow-outside"] * options.allow_outside)
 
 
 def tell(

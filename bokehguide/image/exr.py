@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable
 from bokehguide.image.files import replacing, unwritable
 from bokehguide.image.reading import read_channels
 
@@ -81,7 +81,7 @@ def read_rgb(path: str | Path) -> np.ndarray:
     missing = [name for name in "RGB" if name not in channels]
     if missing:
         raise BokehguideError(
-            f"{path}: no channel {', '.join(missing)} among {', '.join(sorted(channels))}; "
+            f"{path}: no channel {', '.join(missing)} among {printable(', '.join(sorted(channels)), 200)}; "
             "give an EXR with R, G and B"
         )
     return np.stack([channels[name] for name in "RGB"], axis=-1)

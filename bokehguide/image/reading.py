@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError
-from bokehguide.limits import MAX_PIXELS, MAX_SIDE
+from bokehguide.errors import BokehguideError, printable
+from bokehguide.limits import MAX_PIXELS, MAX_SIDE, most_values
 
 MAGIC = {"EXR": b"\x76\x2f\x31\x01", "HDR": b"#?"}
 
@@ -30,8 +30,6 @@ def read_channels(path: str | Path, kind: str = "EXR") -> Channels:
 
     Raises BokehguideError for a file that is missing, damaged, too large or of another kind.
     """
-    import OpenImageIO as oiio
-
     try:
         with open(path, "rb") as file:
             start = file.read(len(MAGIC[kind]))
@@ -39,12 +37,24 @@ def read_channels(path: str | Path, kind: str = "EXR") -> Channels:
         raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     if start != MAGIC[kind]:
         raise BokehguideError(f"{path}: is not an {kind} file; give one, or make it again")
+    try:
+        return _read(path)
+    except UnicodeDecodeError:  # of names in the file, and of OpenImageIO's reports of them
+        raise _damaged(path, "names that are no UTF-8") from None
+
+
+def _read(path: str | Path) -> Channels:
+    import OpenImageIO as oiio
+
     image = oiio.ImageInput.open(str(path))
     if image is None:
         raise _damaged(path, oiio.geterror())
-    spec = image.spec()
+    spec, stored = image.spec(), Path(path).stat().st_size
     if not (0 < spec.width <= MAX_SIDE and 0 < spec.height <= MAX_SIDE and spec.width * spec.height <= MAX_PIXELS):
         raise BokehguideError(f"{path}: {spec.width}x{spec.height} pixels are too many; give at most {MAX_PIXELS}")
+    values = spec.width * spec.height * spec.nchannels
+    if values > most_values(stored):
+        raise BokehguideError(f"{path}: would unfold from {stored:,} bytes to {values:,} values; give a smaller one")
     pixels = image.read_image(oiio.FLOAT)
     if pixels is None:
         raise _damaged(path, image.geterror())
@@ -53,5 +63,5 @@ def read_channels(path: str | Path, kind: str = "EXR") -> Channels:
 
 
 def _damaged(path: str | Path, report: str) -> BokehguideError:
-    reason = report.splitlines()[0].removeprefix(f"EXR Error ({path}): ") if report else "unknown reason"
+    reason = printable(report.partition("\n")[0].removeprefix(f"EXR Error ({path}): "), 200) or "unknown reason"
     return BokehguideError(f"{path}: is damaged ({reason}); make or fetch it again")

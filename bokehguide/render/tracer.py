@@ -25,16 +25,24 @@ class Hit(NamedTuple):
 class Tracer:
     """A static Embree scene of one triangle mesh. Threads may call it side by side.
 
-    vertices: float32 `[V, 3]`; triangles: int32 `[T, 3]`. Embree reads beyond the arrays
-    on a bad index, so the indices are checked here once more.
+    vertices: finite, float32 `[V, 3]`; triangles: int32 `[T, 3]`. Embree reads and writes beyond
+    arrays that are too short or have a bad index, and embreex lets it: all that goes there goes
+    through this class and is checked here once more. Raises ValueError.
+
+    A ray that is NaN or infinite hits nothing.
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray):
+        for name, array, kind in (("vertices", vertices, np.float32), ("triangles", triangles, np.int32)):
+            if array.ndim != 2 or array.shape[1] != 3 or array.dtype != kind:
+                raise ValueError(f"{name} must be {kind.__name__} [N, 3], not {array.dtype} {list(array.shape)}")
         if len(triangles) == 0 or triangles.min() < 0 or triangles.max() >= len(vertices):
             raise ValueError(f"triangle indices must lie in [0, {len(vertices)}) and be at least one triangle")
+        if not np.isfinite(vertices).all():
+            raise ValueError("vertices must be finite")
         self._scene = EmbreeScene(robust=True)
         self._mesh = TriangleMesh(
-            self._scene, np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(triangles, np.int32)
+            self._scene, np.ascontiguousarray(vertices), np.ascontiguousarray(triangles)
         )
         far = np.full((1, 3), 1e30, np.float32)
         self._scene.run(far, np.ones((1, 3), np.float32))  # commits, before any thread does
@@ -44,6 +52,7 @@ class Tracer:
 
         The distance of a miss is MISS_DISTANCE, or its limit.
         """
+        _check_rays(origins, directions, limits)
         limits = None if limits is None else limits.cpu().numpy().copy()  # Embree writes into it
         found = self._scene.run(origins.cpu().numpy().T, directions.cpu().numpy().T, dists=limits, output=True)
         device = origins.device
@@ -51,5 +60,15 @@ class Tracer:
 
     def visible(self, origins: Tensor, directions: Tensor, distances: Tensor) -> Tensor:
         """1 where nothing lies within `distances` `[N]` along the rays `[3, N]`, else 0; float32 `[N]`."""
+        _check_rays(origins, directions, distances)
         blocked = self._scene.run(origins.cpu().numpy().T, directions.cpu().numpy().T, dists=distances.cpu().numpy(), query="OCCLUDED")
         return torch.from_numpy(blocked).to(origins.device).neg().to(torch.float32)
+
+
+def _check_rays(origins: Tensor, directions: Tensor, limits: Tensor | None) -> None:
+    """Raise ValueError unless they are float32 `[3, N]`, `[3, N]` and `[N]` of the same N."""
+    count = origins.shape[-1] if origins.ndim else 0
+    given = {"origins": (origins, (3, count)), "directions": (directions, (3, count)), "limits": (limits, (count,))}
+    for name, (tensor, shape) in given.items():
+        if tensor is not None and (tensor.shape != shape or tensor.dtype != torch.float32):
+            raise ValueError(f"{name} must be float32 {list(shape)}, not {tensor.dtype} {list(tensor.shape)}")

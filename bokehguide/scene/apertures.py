@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
 from bokehguide.scene.lamps import LUMINANCE
 from bokehguide.scene.tables import CAT_EYE, RATIO, SHARE, SIGNED_SHARE, Table
@@ -17,8 +16,8 @@ NEEDS = {"rotation": ("blades", "image"), "curvature": ("blades",)}
 MOST_BLADES = 64
 
 
-def read_aperture(camera: Table) -> Aperture | None:
-    """The aperture of a `[camera]` table, None where it is round; its image's path is relative to the file.
+def read_aperture(camera: Table, files: SceneFiles) -> Aperture | None:
+    """The aperture of a `[camera]` table, None where it is round; `files` are those that its image may be.
 
     Raises BokehguideError for unknown keys, values out of range, contradictions, keys that do
     nothing, and an image that cannot be read or lets nothing through.
@@ -40,7 +39,7 @@ def read_aperture(camera: Table) -> Aperture | None:
         rotation=table.number("rotation", Aperture.rotation),
         curvature=table.number("curvature", Aperture.curvature, SHARE),
         ratio=table.number("ratio", Aperture.ratio, RATIO),
-        image=_image(table) if "image" in table else None,
+        image=_image(table, files) if "image" in table else None,
         cat_eye=table.number("cat_eye", Aperture.cat_eye, CAT_EYE),
         edge=table.number("edge", Aperture.edge, SIGNED_SHARE),
     )
@@ -53,9 +52,9 @@ def _blades(table: Table) -> int:
     return blades
 
 
-def _image(table: Table) -> np.ndarray:
+def _image(table: Table, files: SceneFiles) -> np.ndarray:
     """Grey levels, taken as they stand, times opacity: float32 `[H, W]`."""
-    texels = load_texture(Path(table.file).parent / table.text("image"), srgb=False, alpha=True)
+    texels = load_texture(files.named(table, "image"), files, srgb=False, alpha=True)
     mask = texels[..., :3] @ LUMINANCE.astype(np.float32)
     mask = mask * texels[..., 3] if texels.shape[2] == 4 else mask
     if not mask.any():

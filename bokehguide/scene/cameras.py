@@ -10,6 +10,7 @@ import numpy as np
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import SMALLEST
 from bokehguide.scene.apertures import read_aperture
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
 from bokehguide.scene.types import Camera
 
@@ -22,8 +23,8 @@ CAMERA_KEYS = (
 )
 
 
-def read_camera(values: dict[str, Any], file: str) -> Camera:
-    """The `[camera]` table of `file` as a Camera.
+def read_camera(values: dict[str, Any], file: str, files: SceneFiles) -> Camera:
+    """The `[camera]` table of `file` as a Camera; `files` are those that it may name.
 
     Raises BokehguideError for unknown keys, values out of range, contradictions
     (both ways to give one thing) and a frame without an orientation.
@@ -46,7 +47,7 @@ def read_camera(values: dict[str, Any], file: str) -> Camera:
         fov=_field_of_view(table),
         aperture_radius=_aperture_radius(table),
         focus_distance=_focus_distance(table, position, target, forward),
-        aperture=read_aperture(table),
+        aperture=read_aperture(table, files),
     )
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.builtin.parts import sky
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.models import load_model
 from bokehguide.scene.overrides import Overrides, override_camera
 from bokehguide.scene.tables import ANGLE_OF_VIEW
@@ -33,15 +34,15 @@ FRAME = "frame"
 """What `--camera` calls the camera that frames the model."""
 
 
-def model_scene(path: Path, overrides: Overrides) -> Scene:
-    """The model at `path` as a photograph.
+def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> Scene:
+    """The model at `path` as a photograph; `files` are those that it may read.
 
     The camera is the one that `overrides` name or the file's first. Where it has none, or
     `overrides` say where to stand or look, a camera frames the whole model from three
     quarters. The lens is focused on the nearest part of the model in the frame. Where
     nothing emits and `overrides` bring no environment there is a soft sky.
     """
-    model = load_model(path)
+    model = load_model(path, files=files)
     film = Film()
     points = _points(model.meshes, str(path))
     aspect = (overrides.height or film.height) / (overrides.width or film.width)
@@ -51,7 +52,7 @@ def model_scene(path: Path, overrides: Overrides) -> Scene:
     lit = model.suns or any(model.materials[mesh.material].emits for mesh in meshes)
     return Scene(
         name=path.stem,
-        camera=override_camera(asdict(camera), overrides, str(path)),
+        camera=override_camera(asdict(camera), overrides, str(path), files),
         meshes=meshes,
         materials=model.materials,
         film=film,
@@ -84,7 +85,7 @@ def _choose(cameras: tuple[ModelCamera, ...], overrides: Overrides, file: str) -
     known = {str(number): camera for number, camera in enumerate(cameras)}
     known |= {camera.name: camera for camera in reversed(cameras)}
     if wanted not in known and wanted != FRAME:
-        names = ", ".join(f"{number} ({camera.name})" for number, camera in enumerate(cameras)) or "none"
+        names = printable(", ".join(f"{number} ({camera.name})" for number, camera in enumerate(cameras)) or "none", 600)
         raise BokehguideError(
             f"--camera: {wanted!r} is no camera of {file}; it has {names}, and {FRAME!r} frames it all"
         )

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -9,11 +14,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.limits import LARGEST
+from bokehguide.scene.files import SceneFiles, require_file
 
 if TYPE_CHECKING:
+    from PIL import Image
+
     from bokehguide.image.reading import Channels
+
+FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
+"""Of textures. Pillow knows more, and runs other programs for some."""
 
 
 def load_environment_map(path: Path) -> tuple[np.ndarray, list[str]]:
@@ -33,20 +44,8 @@ def load_environment_map(path: Path) -> tuple[np.ndarray, list[str]]:
     if bad:
         raise BokehguideError(f"{path}: {bad} texels are NaN or infinite, or beyond {LARGEST:g}; repair the map")
     negative = np.count_nonzero((radiance < 0.0).any(axis=2))
-    warnings = [f"{path.name}: {negative} negative texels were set to 0"] if negative else []
-    return np.maximum(radiance, 0.0), warnings
-
-
-def require_file(path: Path, what: str) -> None:
-    """Raise BokehguideError unless `path` is a file that can be read."""
-    if path.is_dir():
-        raise BokehguideError(f"{path}: is a folder; give a file ({what})")
-    if not path.exists():
-        raise BokehguideError(f"{path}: no such file ({what}); check the path")
-    try:
-        path.open("rb").close()
-    except OSError as error:
-        raise BokehguideError(f"{path}: cannot be read ({error.strerror}); {what}") from None
+    found = [f"{path.name}: {negative} negative texels were set to 0"] if negative else []
+    return np.maximum(radiance, 0.0), found
 
 
 def _radiance(read: Channels, path: Path) -> np.ndarray:
@@ -54,39 +53,76 @@ def _radiance(read: Channels, path: Path) -> np.ndarray:
     for names in ("RGB", "YYY"):
         if set(names) <= set(read.names):
             return np.stack([read.pixels[..., read.names.index(name)] for name in names], axis=-1)
-    given = ", ".join(read.names)
+    given = printable(", ".join(read.names), 200)
     raise BokehguideError(f"{path}: has the channels {given}; an environment map needs R, G, B")
 
 
-def load_texture(path: Path, srgb: bool, alpha: bool = False) -> np.ndarray:
+def load_texture(path: Path, files: SceneFiles, srgb: bool, alpha: bool = False) -> np.ndarray:
     """Read an image as `decode_texture` does. Raises BokehguideError for a missing or unreadable file."""
     require_file(path, "texture")
-    return decode_texture(path.read_bytes(), str(path), srgb, alpha)
+    return decode_texture(path.read_bytes(), str(path), files, srgb, alpha)
 
 
-def decode_texture(data: bytes, place: str, srgb: bool, alpha: bool = False) -> np.ndarray:
-    """A PNG, JPEG or WebP file as linear float32 `[H, W, 3]`, or `[H, W, 4]` where `alpha` is asked for and there.
+def decode_texture(data: bytes, place: str, files: SceneFiles, srgb: bool, alpha: bool = False) -> np.ndarray:
+    """An image file as linear float32 `[H, W, 3]`, or `[H, W, 4]` where `alpha` is asked for and there.
 
-    srgb: the colours are encoded. PNGs keep their 16 bits. Raises BokehguideError,
-    naming `place`, for an image that cannot be read.
+    files: the scene's, which count how much is unfolded. srgb: the colours are encoded. PNGs
+    keep their 16 bits. Raises BokehguideError, naming `place`, for an image that cannot be
+    read or is too large.
     """
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
+
+    with _decoding(place):
+        image = Image.open(BytesIO(data), formats=FORMATS)
+    files.unfold(4 * image.width * image.height, len(data), place)
+    with _decoding(place):
+        deep = image.format == "PNG" and data[24:25] == b"\x10"
+        texels = _sixteen_bits(data) if deep else _eight_bits(image, alpha)
+    return _linear(texels, srgb, alpha)
+
+
+def texture_from_image(image: Image.Image, place: str, files: SceneFiles) -> np.ndarray:
+    """The sRGB colours of an opened Pillow image as `decode_texture` gives them."""
+    if image.format not in FORMATS:
+        raise BokehguideError(f"{place}: a texture in the format {image.format}; give a PNG, a JPEG or a WebP")
+    files.unfold(4 * image.width * image.height, 0, place)
+    with _decoding(place):
+        texels = _eight_bits(image, alpha=False)
+    return _linear(texels, srgb=True, alpha=False)
+
+
+@contextmanager
+def _decoding(place: str) -> Iterator[None]:
+    """Whatever a decoder raises, as a BokehguideError that names `place`."""
+    from PIL import UnidentifiedImageError
 
     try:
-        if data[:8] == b"\x89PNG\r\n\x1a\n" and data[24:25] == b"\x10":
-            return _linear(_sixteen_bits(data), srgb, alpha)
-        with Image.open(BytesIO(data)) as image:
-            return texture_from_image(image, srgb, alpha)
+        with warnings.catch_warnings(), _silent():
+            warnings.simplefilter("ignore")  # of oddities, and of sizes, for which SceneFiles has the bound
+            yield
     except UnidentifiedImageError:
         raise BokehguideError(f"{place}: unreadable texture; give a PNG, a JPEG or a WebP") from None
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise BokehguideError(f"{place}: unreadable texture ({error})") from None
+    except Exception as error:  # what the decoders raise for damaged data is not in their documentation
+        raise BokehguideError(f"{place}: unreadable texture ({reason(error)})") from None
 
 
-def texture_from_image(image, srgb: bool, alpha: bool = False) -> np.ndarray:
-    """A Pillow image as linear float32 `[H, W, 3]`, or `[H, W, 4]` where `alpha` is asked for and there."""
-    mode = "RGBA" if alpha and image.has_transparency_data else "RGB"
-    return _linear(np.asarray(image.convert(mode)), srgb, alpha)
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Without what libpng and libtiff print, in C, about a file: the exceptions say it too."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _eight_bits(image: Image.Image, alpha: bool) -> np.ndarray:
+    """uint8 `[H, W, 3 or 4]`."""
+    return np.asarray(image.convert("RGBA" if alpha and image.has_transparency_data else "RGB"))
 
 
 def _sixteen_bits(data: bytes) -> np.ndarray:
@@ -101,7 +137,7 @@ def _sixteen_bits(data: bytes) -> np.ndarray:
         source = oiio.ImageInput.open(file.name, wishes)
         pixels = source.read_image(oiio.UINT16) if source is not None else None
         if pixels is None:
-            raise ValueError((oiio.geterror() if source is None else source.geterror()).splitlines()[0])
+            raise ValueError(oiio.geterror() if source is None else source.geterror())
     grey, channels = pixels.shape[2] < 3, pixels.shape[2]
     return pixels[..., [0, 0, 0, 1][: channels + 2]] if grey else pixels
 

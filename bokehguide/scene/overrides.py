@@ -10,6 +10,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length, read_camera
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_environment_map
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
 from bokehguide.scene.types import Camera, Environment, Scene
@@ -68,12 +69,12 @@ class _Options(Table):
         return f"--size ({name})" if key in ("width", "height") else f"--{name}"
 
 
-def override_camera(values: dict[str, Any], overrides: Overrides, file: str) -> Camera:
-    """The camera of the table `values` (as `[camera]` in a scene file) with `overrides`.
+def override_camera(values: dict[str, Any], overrides: Overrides, file: str, files: SceneFiles) -> Camera:
+    """The camera of the table `values` (as `[camera]` in a scene file that may read `files`) with `overrides`.
 
     Raises BokehguideError for what is wrong in the table itself or after the change.
     """
-    read_camera(values, file)
+    read_camera(values, file, files)
     values = dict(values)
     if overrides.camera_position is not None:
         values["position"] = list(overrides.camera_position)
@@ -96,7 +97,7 @@ def override_camera(values: dict[str, Any], overrides: Overrides, file: str) -> 
     if overrides.focus_distance is not None:
         values.pop("focus_point", None)
         values["focus_distance"] = overrides.focus_distance
-    return read_camera(values, file)
+    return read_camera(values, file, files)
 
 
 def override_surroundings(scene: Scene, overrides: Overrides) -> Scene:

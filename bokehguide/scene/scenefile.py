@@ -11,7 +11,8 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST
-from bokehguide.scene.images import load_environment_map, require_file
+from bokehguide.scene.files import SceneFiles, require_file
+from bokehguide.scene.images import load_environment_map
 from bokehguide.scene.models import load_model
 from bokehguide.scene.overrides import Overrides, constant_radiance, override_camera
 from bokehguide.scene.placing import place_lamps, place_suns
@@ -19,14 +20,14 @@ from bokehguide.scene.scenefile_materials import read_materials
 from bokehguide.scene.shapes import SHAPES, transform, transformed
 from bokehguide.scene.tables import ANY, LAMP_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
 from bokehguide.scene.types import Environment, Film, LightSizes, Material, Mesh, Model, Scene, Sun
-from bokehguide.scene.validation import check_mesh
+from bokehguide.scene.validation import check_mesh, check_triangles
 
 SCENE_KEYS = ("camera", "film", "environment", "sun", "lights", "materials", "object")
 OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
 
 
-def read_scene_file(path: Path, overrides: Overrides) -> Scene:
-    """The scene of a `.toml` file; paths in it are relative to it.
+def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scene:
+    """The scene of a `.toml` file; paths in it are relative to it and name some of `files`.
 
     Raises BokehguideError naming file, field, value and remedy for anything wrong.
     """
@@ -34,15 +35,15 @@ def read_scene_file(path: Path, overrides: Overrides) -> Scene:
     if "camera" not in root:
         raise BokehguideError(f"{path}: camera: missing; add [camera] with position and target")
     warnings: list[str] = []
-    materials = read_materials(root, path.parent)
-    objects = _read_objects(root, path.parent, materials)
+    materials = read_materials(root, files)
+    objects = _read_objects(root, files, materials)
     return Scene(
         name=path.stem,
-        camera=override_camera(root.values["camera"], overrides, str(path)),
+        camera=override_camera(root.values["camera"], overrides, str(path), files),
         meshes=tuple(objects.meshes),
         materials=tuple(objects.materials),
         film=_read_film(root),
-        environment=_read_environment(root, path.parent, warnings),
+        environment=_read_environment(root, files, warnings),
         suns=(*_read_suns(root), *objects.suns),
         warnings=(*objects.lines("warnings"), *_unused_sizes(root, objects), *warnings),
         honoured=tuple(objects.lines("honoured")),
@@ -68,14 +69,14 @@ def _read_film(root: Table) -> Film:
     )
 
 
-def _read_environment(root: Table, folder: Path, warnings: list[str]) -> Environment | None:
+def _read_environment(root: Table, files: SceneFiles, warnings: list[str]) -> Environment | None:
     if "environment" not in root:
         return None
     keys = ("color", "map", "intensity", "rotation", "visible")
     table = Table(root.values["environment"], root.file, "environment", keys)
     table.exclusive("color", "map")
     if "map" in table:
-        radiance, found = load_environment_map(folder / table.text("map"))
+        radiance, found = load_environment_map(files.named(table, "map"))
         warnings += found
     elif "color" in table:
         radiance = constant_radiance(table.vector("color", None, NOT_NEGATIVE))
@@ -113,13 +114,16 @@ class _Objects:
 
     materials: list[Material]
     sizes: LightSizes
+    files: SceneFiles
     meshes: list[Mesh] = field(default_factory=list)
     suns: list[Sun] = field(default_factory=list)
     models: dict[Path, tuple[Model, int]] = field(default_factory=dict)
 
-    def load(self, path: Path) -> tuple[Model, int]:
+    def load(self, table: Table) -> tuple[Model, int]:
+        """The model of an object's `file`, and its place."""
+        path = self.files.named(table, "file")
         if path not in self.models:
-            self.models[path] = load_model(path, self.sizes), len(self.materials)
+            self.models[path] = load_model(path, self.sizes, self.files), len(self.materials)
             self.materials.extend(self.models[path][0].materials)
         return self.models[path]
 
@@ -146,27 +150,29 @@ def _unused_sizes(root: Table, objects: _Objects) -> list[str]:
     return [f"lights.{key}: has no effect, as no model brings {kind}" for key, kind in unused]
 
 
-def _read_objects(root: Table, folder: Path, materials: list[Material]) -> _Objects:
+def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> _Objects:
     """World-space meshes, suns, and `materials` followed by those the models brought."""
     values = root.values.get("object", [])
     if not isinstance(values, list):
         root.fail("object", "is not a list of tables; write [[object]]")
-    objects = _Objects(list(materials), _read_lights(root))
-    named = {material.name: index for index, material in enumerate(materials)}
+    objects = _Objects(list(materials), _read_lights(root), files)
+    named, triangles = {material.name: index for index, material in enumerate(materials)}, 0
     for number, entry in enumerate(values):
         table = Table(entry, root.file, f"object[{number}]", OBJECT_KEYS)
         material = _named_material(table, named)
         matrix = _read_transform(table)
-        placed = [transformed(mesh, matrix) for mesh in _read_surface(table, folder, objects)]
+        placed = [transformed(mesh, matrix) for mesh in _read_surface(table, objects)]
         if material is not None:  # in place of all that the model looked like, its vertex colours too
             placed = [replace(mesh, material=material, colors=None) for mesh in placed]
         if "file" in table:
-            model, first = objects.load(folder / table.text("file"))
+            model, first = objects.load(table)
             placed += place_lamps(model, first, matrix, objects.materials)
             objects.suns += place_suns(model, matrix)
         for mesh in placed:
             check_mesh(mesh, f"{root.file}: {table.path}", len(objects.materials))
         objects.meshes += placed
+        triangles += sum(len(mesh.triangles) for mesh in placed)
+        check_triangles(triangles, f"{root.file}: {table.path}")
     return objects
 
 
@@ -178,11 +184,11 @@ def _named_material(table: Table, named: dict[str, int]) -> int | None:
     table.fail("material", f"is not a material of this file; {known}")
 
 
-def _read_surface(table: Table, folder: Path, objects: _Objects) -> list[Mesh]:
+def _read_surface(table: Table, objects: _Objects) -> list[Mesh]:
     """Untransformed meshes of one object."""
     table.exclusive("shape", "file")
     if "file" in table:
-        model, first = objects.load(folder / table.text("file"))
+        model, first = objects.load(table)
         return [replace(mesh, material=mesh.material + first) for mesh in model.meshes]
     shape = table.text("shape")
     if shape is None:

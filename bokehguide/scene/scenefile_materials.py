@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from bokehguide.errors import BokehguideError
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
 from bokehguide.scene.tables import ANY, CONE_ANGLE, IOR, NOT_NEGATIVE, POSITIVE, SHARE, Table, did_you_mean
 from bokehguide.scene.types import Cone, Material, Texture
@@ -45,23 +44,23 @@ NEEDS = {
 ALPHA_MODES = ("opaque", "mask", "blend")
 
 
-def read_materials(root: Table, folder: Path) -> list[Material]:
-    """The materials in the file's order; `folder` is where textures are looked for.
+def read_materials(root: Table, files: SceneFiles) -> list[Material]:
+    """The materials in the file's order; `files` are those that textures may be.
 
     Raises BokehguideError naming file, field, value and remedy for anything wrong.
     """
     values = root.values.get("materials", {})
     if not isinstance(values, dict):
         root.fail("materials", "is not a table; write [materials.NAME]")
-    return [_material(Table(values[name], root.file, f"materials.{name}", KEYS), folder) for name in values]
+    return [_material(Table(values[name], root.file, f"materials.{name}", KEYS), files) for name in values]
 
 
-def _material(table: Table, folder: Path) -> Material:
+def _material(table: Table, files: SceneFiles) -> Material:
     """A texture multiplies its factors, which are 1 where they are left out."""
     for key, others in NEEDS.items():
         if key in table and not any(other in table for other in others):
             table.fail(key, f"does nothing without {others[0]}; give that too")
-    textures = _textures(table, folder)
+    textures = _textures(table, files)
 
     def factor(key: str, default: float, texture: str) -> float:
         return table.number(key, 1.0 if textures[texture] else default, SHARE)
@@ -93,12 +92,12 @@ def _material(table: Table, folder: Path) -> Material:
     )
 
 
-def _textures(table: Table, folder: Path) -> dict[str, Texture | None]:
+def _textures(table: Table, files: SceneFiles) -> dict[str, Texture | None]:
     textures = dict.fromkeys(ENCODED)
     for key, encoded in ENCODED.items():
         if key in table:
             alpha = key == "specular_texture" or (key == "base_color_texture" and _alpha_mode(table) != "opaque")
-            textures[key] = Texture(load_texture(folder / table.text(key), encoded, alpha))
+            textures[key] = Texture(load_texture(files.named(table, key), files, encoded, alpha))
     specular = textures["specular_texture"]
     if specular is not None and specular.image.shape[2] < 4:
         table.fail("specular_texture", "has no alpha, which is what it is read from; give an image with alpha")

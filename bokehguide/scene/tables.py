@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable
 from bokehguide.limits import LARGEST, MAX_SIDE, SMALLEST
 
 
@@ -68,7 +68,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """A hint at the nearest of `known`, or all of them."""
     known = list(known)
     near = difflib.get_close_matches(word, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+    return f"did you mean {shown(near[0])}?" if near else printable(f"known are {', '.join(known)}", 600)
 
 
 class Table:
@@ -81,7 +81,7 @@ class Table:
     def __init__(self, values: Any, file: str, path: str, keys: Iterable[str]):
         self.file, self.path, self.values = file, path, values
         if not isinstance(values, dict):
-            raise BokehguideError(f"{file}: {path}: {shown(values)} is not a table; write [{path}]")
+            raise BokehguideError(f"{file}: {printable(path, 120)}: {shown(values)} is not a table; write it as one")
         for key in values:
             if key not in keys:
                 raise BokehguideError(f"{self.place(key)}: unknown key; {did_you_mean(key, keys)}")
@@ -91,7 +91,7 @@ class Table:
 
     def place(self, key: str) -> str:
         """Where `key` stands, as in `scene.toml: camera.fov`."""
-        return f"{self.file}: {self.path}.{key}" if self.path else f"{self.file}: {key}"
+        return f"{self.file}: {printable(f'{self.path}.{key}' if self.path else str(key), 120)}"
 
     def fail(self, key: str, problem: str) -> NoReturn:
         """Raise the error that the value of `key` has `problem`."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.limits import LARGEST, MAX_EXTENT, MAX_PIXELS
+from bokehguide.limits import LARGEST, MAX_EXTENT, MAX_PIXELS, MAX_TRIANGLES
 from bokehguide.scene.types import Mesh, Scene
 
 
@@ -24,6 +24,7 @@ def checked(scene: Scene, place: str) -> Scene:
     film = scene.film
     if film.width * film.height > MAX_PIXELS:
         raise BokehguideError(f"{place}: film: {film.width}x{film.height} pixels are too many; give at most {MAX_PIXELS}")
+    check_triangles(sum(len(mesh.triangles) for mesh in scene.meshes), place)
     for number, mesh in enumerate(scene.meshes):
         check_mesh(mesh, f"{place}: mesh {number}", len(scene.materials))
     meshes = tuple(mesh for mesh in map(_without_degenerate, scene.meshes) if len(mesh.triangles))
@@ -55,7 +56,7 @@ def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
             raise BokehguideError(
                 f"{place}: {name} has shape {values.shape}, not {(count, *shape)}; repair the model"
             )
-        bad = np.flatnonzero(~(np.abs(values) <= LARGEST).reshape(count, -1).all(axis=1))
+        bad = np.flatnonzero(~(np.abs(values) <= LARGEST).all(axis=tuple(range(1, values.ndim))))
         if len(bad):
             raise BokehguideError(
                 f"{place}: {name}[{bad[0]}] is {values[bad[0]].tolist()}, not finite "
@@ -72,6 +73,12 @@ def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
         )
     if not 0 <= mesh.material < materials:
         raise BokehguideError(f"{place}: material {mesh.material} of {materials} does not exist")
+
+
+def check_triangles(count: int, place: str) -> None:
+    """Raise BokehguideError, naming `place`, where there are too many triangles up to there."""
+    if count > MAX_TRIANGLES:
+        raise BokehguideError(f"{place}: makes {count:,} triangles in all; give a scene of at most {MAX_TRIANGLES:,}")
 
 
 def _without_degenerate(mesh: Mesh) -> Mesh:

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-import math
+import warnings
 import zipfile
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from bokehguide import __version__
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable
 from bokehguide.image import replacing
 from bokehguide.image.files import unwritable
+from bokehguide.limits import LARGEST, MAX_INT
 from bokehguide.scene.digest import digest
 from bokehguide.scene.types import Scene
 from bokehguide.train.adaptive import AdaptiveLoop
+from bokehguide.train.guide import LensGuide
 from bokehguide.train.loop import RenderLoop
 from bokehguide.train.settings import RenderSettings
+from bokehguide.train.spot_guide import SpotGuide
 
 DATA = ("camera.aperture", "meshes", "materials", "environment", "suns")
 """Of what a render is made from, what no line can tell."""
@@ -49,13 +53,16 @@ def load_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> float:
     """
     whole = _read(path, loop)
     try:
+        require_kind(whole["seconds"], 0.0)
+        require_kind(whole["loop"], loop.state_dict())
+        for half in whole["loop"].get("halves", [whole["loop"]]):
+            _require_numbers(half)
         loop.load_state_dict(whole["loop"])
-        seconds = float(whole["seconds"])
-    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        for half in loop.halves if isinstance(loop, AdaptiveLoop) else (loop,):
+            _require_fit(half.guide)
+    except (AttributeError, IndexError, KeyError, RecursionError, RuntimeError, TypeError, ValueError) as error:
         raise _damaged(path) from error
-    if not math.isfinite(seconds):
-        raise _damaged(path)
-    return seconds
+    return float(whole["seconds"])
 
 
 def saved_steps(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> int:
@@ -70,8 +77,13 @@ def _read(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> dict[str, object
     """What was saved, when it is of the loop's render. Raises as `load_checkpoint`."""
     try:
         with zipfile.ZipFile(path) as archive:
-            whole_file = archive.testzip() is None  # torch does not look at checksums
-        whole = torch.load(path, map_location="cpu", weights_only=True) if whole_file else None
+            records = archive.infolist()
+            packed = any(record.compress_type != zipfile.ZIP_STORED for record in records)  # torch would unfold it
+            lying = sum(record.file_size for record in records) > Path(path).stat().st_size
+            whole_file = not packed and not lying and archive.testzip() is None  # torch does not look at checksums
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of odd pickles, to torch's own developers
+            whole = torch.load(path, map_location="cpu", weights_only=True) if whole_file else None
     except OSError as error:
         raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     except Exception as error:  # what either reader raises for damaged bytes is not in their documentation
@@ -85,6 +97,60 @@ def _read(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> dict[str, object
         named = ", ".join(found[:NAMED])
         raise BokehguideError(f"{path}: is of another render: {named}{more}; render without resuming to start anew")
     return whole
+
+
+def require_kind(saved: object, own: object) -> None:
+    """Raise ValueError unless `saved` can be what `own`, the same part of a fresh state, has become.
+
+    A film's and a guide's own loading see to shapes; here, no tensor is of another type, not finite,
+    larger than what is stored of it or, of whole numbers, negative or huge, and no number of another kind.
+    """
+    if isinstance(saved, Tensor):
+        _require_tensor(saved, own)
+    elif isinstance(own, int | float) and not isinstance(own, bool):
+        if type(saved) is not type(own) or not 0 <= saved <= LARGEST:
+            raise ValueError(f"{saved!r} is no number of the kind of {own!r}")
+    elif own is not None and not isinstance(saved, dict if isinstance(own, dict) else type(own)):
+        raise ValueError(f"{type(saved).__name__} in the place of {type(own).__name__}")
+    elif isinstance(saved, dict):
+        for name, part in saved.items():
+            require_kind(part, own.get(name) if own else None)
+    elif isinstance(saved, list | tuple):
+        for number, part in enumerate(saved):
+            require_kind(part, own[number] if own and number < len(own) else None)
+
+
+def _require_tensor(saved: Tensor, own: object) -> None:
+    stored = saved.numel() * saved.element_size() <= saved.untyped_storage().nbytes()
+    finite = stored and (not saved.is_floating_point() or bool(saved.isfinite().all()))
+    if finite and not saved.is_floating_point() and saved.dtype != torch.bool:  # places and counts
+        finite = saved.numel() == 0 or bool((saved >= 0).all() and (saved <= MAX_INT).all())
+    alike = own is None or isinstance(own, Tensor) and (saved.dtype, saved.ndim) == (own.dtype, own.ndim)
+    if not finite or not alike:
+        raise ValueError(f"a tensor of {saved.dtype} {tuple(saved.shape)} that is not finite, not there or of another kind")
+
+
+def _require_numbers(state: Mapping[str, dict]) -> None:
+    """Raise ValueError where the times and bad samples of a loop's state are none."""
+    for seconds in state["phases"].values():
+        require_kind(seconds, 0.0)
+    for number in sum(map(tuple, state["film"]["bad_samples"]), ()):
+        require_kind(number, 0)
+
+
+def _require_fit(guide: LensGuide | SpotGuide | None) -> None:
+    """Raise ValueError unless Adam's moments are as large as their parameters, at which its fused step does not look,
+    and the spotlights are cells of the record buffer."""
+    if guide is None:
+        return
+    if bool((guide.spotlights >= guide.record.height * guide.record.width).any()):
+        raise ValueError("spotlights outside the record buffer")
+    for optimizer in guide.optimizers.values():
+        for parameter, state in optimizer.state.items():
+            for name, moment in state.items():
+                shape = () if name == "step" else parameter.shape
+                if not isinstance(moment, Tensor) or moment.shape != shape or moment.dtype != torch.float32:
+                    raise ValueError(f"{name} does not fit a parameter of {tuple(parameter.shape)}")
 
 
 def _damaged(path: str | Path) -> BokehguideError:
@@ -106,4 +172,4 @@ def origin(scene: Scene, settings: RenderSettings) -> dict[str, str]:
 def differences(then: Mapping[str, object], now: Mapping[str, str]) -> list[str]:
     """In words, what is not as it was when a checkpoint was written."""
     other = [name for name in now if then.get(name) != now[name]]
-    return [f"other {name}" if name in DATA else f"{name} was {then.get(name)} and is {now[name]}" for name in other]
+    return [f"other {name}" if name in DATA else f"{name} was {printable(str(then.get(name)))} and is {now[name]}" for name in other]

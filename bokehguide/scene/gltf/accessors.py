@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from bokehguide.errors import BokehguideError
+from bokehguide.limits import MAX_INT
 from bokehguide.scene.gltf.document import Document, Part
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-MAX_COUNT = 2**27
-"""Of elements: an accessor without a buffer view holds zeros and costs its file nothing."""
+MAX_UNSTORED = 2**20
+"""Elements of an accessor without a buffer view: they are zeros, which cost the file nothing."""
 
 
 def read_floats(document: Document, index: int, *kinds: str) -> np.ndarray:
@@ -44,7 +45,7 @@ def read_raw(document: Document, index: int, *kinds: str) -> np.ndarray:
     accessor = document.items("accessors")[index]
     if accessor.values.get("type") not in kinds:
         accessor.fail("type", f"is not {' or '.join(kinds)}, which is what its use asks for; repair the file")
-    width, count = WIDTHS[accessor.values["type"]], accessor.whole("count", 0, MAX_COUNT)
+    width, count = WIDTHS[accessor.values["type"]], accessor.whole("count", 0, MAX_INT if "bufferView" in accessor else MAX_UNSTORED)
     dtype = _dtype(accessor)
     if "bufferView" in accessor:
         values = _strided(document, accessor, dtype, count, width)

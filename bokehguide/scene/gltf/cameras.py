@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bokehguide.errors import printable
 from bokehguide.scene.gltf.document import Document
 from bokehguide.scene.gltf.nodes import Placed
 from bokehguide.scene.tables import Limits
@@ -27,7 +28,7 @@ def read_cameras(document: Document, placed: Sequence[Placed]) -> list[ModelCame
         if index is None:
             continue
         camera = document.items("cameras")[index]
-        name = node.node.label if "name" in node.node else camera.text("name") or f"camera {len(cameras)}"
+        name = node.node.label if "name" in node.node else printable(camera.text("name") or "") or f"camera {len(cameras)}"
         if camera.values.get("type") != "perspective":
             document.note("orthographic cameras: left out", name)
             continue

@@ -17,8 +17,9 @@ from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.limits import MAX_INT
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANY, Limits, Table, is_number, shown
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -86,21 +87,17 @@ class Part(Table):
     def label(self) -> str:
         """A name for people: the file's own or, without one, the place in the file."""
         name = self.values.get("name")
-        return _one_line(name) if isinstance(name, str) and name.strip() else self.path
+        return printable(name) if isinstance(name, str) and name.strip() else self.path
 
 
 def _named(value: Any) -> str:
     name = value.get("name") if isinstance(value, dict) else None
-    return f" ({_one_line(name)})" if isinstance(name, str) and name.strip() else ""
-
-
-def _one_line(name: str) -> str:
-    return " ".join(name.split())[:60]
+    return f" ({printable(name)})" if isinstance(name, str) and name.strip() else ""
 
 
 @dataclass
 class Document:
-    """A file's JSON, the binary chunk of a `.glb`, and what is to be said about it.
+    """A file's JSON, the binary chunk of a `.glb`, the files it may read, and what is to be said about it.
 
     notes: what is not honoured, with the names of whatever it concerns.
     """
@@ -108,6 +105,7 @@ class Document:
     path: Path
     root: Part
     chunk: bytes | None
+    files: SceneFiles
     notes: dict[str, list[str]] = field(default_factory=dict)
     _items: dict[str, list[Part]] = field(default_factory=dict)
     _buffers: dict[int, bytes] = field(default_factory=dict)
@@ -170,7 +168,7 @@ class Document:
             elif index == 0 and self.chunk is not None:
                 self._buffers[index] = self.chunk
             else:
-                packed = f", and {', '.join(view.extensions)} is not read" if view.extensions else ""
+                packed = f", and {printable(', '.join(view.extensions))} is not read" if view.extensions else ""
                 raise BokehguideError(f"{self.file}: {buffer.path}: has no data{packed}; save the file uncompressed")
             length = len(self._buffers[index])
             if buffer.whole("byteLength", 0) > length:
@@ -186,7 +184,7 @@ class Document:
                 if head.endswith(";base64"):
                     return base64.b64decode(unquote(body), validate=True)
                 return unquote_to_bytes(body)
-            path = self.path.parent / unquote(uri)
+            path = self.files.find(self.path.parent, unquote(uri), part.place("uri"))
             if not path.is_file():
                 part.fail("uri", "is no file beside the model; put it there")
             return path.read_bytes()
@@ -194,15 +192,15 @@ class Document:
             part.fail("uri", f"cannot be read ({error}); repair the file")
 
 
-def read_document(path: Path) -> Document:
+def read_document(path: Path, files: SceneFiles) -> Document:
     """The document of a `.gltf` or `.glb`. Raises BokehguideError for what is neither."""
     data = path.read_bytes()
     text, chunk = _chunks(data, path) if data[:4] == b"glTF" else (data, None)
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise BokehguideError(f"{path}: not a readable {path.suffix} model ({_one_line(str(error))})") from None
-    document = Document(path, Part(values, str(path), ""), chunk)
+        raise BokehguideError(f"{path}: not a readable {path.suffix} model ({reason(error)})") from None
+    document = Document(path, Part(values, str(path), ""), chunk, files)
     asset = document.root.part("asset")
     version = asset.text("version") or "2.0"
     if not version.startswith("2."):

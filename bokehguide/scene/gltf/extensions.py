@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.gltf.document import Document
 from bokehguide.scene.gltf.draco import DRACO
 from bokehguide.scene.gltf.lights import EXTENSION as LIGHTS
@@ -27,7 +27,7 @@ def check_required(document: Document) -> None:
     unknown = [name for name in document.names("extensionsRequired") if name not in HONOURED]
     if unknown:
         raise BokehguideError(
-            f"{document.file}: extensionsRequired: {', '.join(unknown)}: not supported; save the file without"
+            f"{document.file}: extensionsRequired: {printable(', '.join(unknown), 200)}: not supported; save the file without"
         )
 
 
@@ -45,6 +45,6 @@ def note_ignored(document: Document) -> None:
 def warnings(document: Document) -> list[str]:
     """What was noted, a line each, with the first few of the names it concerns."""
     return [
-        f"{what} ({', '.join(names[:4])}{', …' if len(names) > 4 else ''})" if names else what
+        printable(f"{what} ({', '.join(names[:4])}{', …' if len(names) > 4 else ''})" if names else what, 400)
         for what, names in document.notes.items()
     ]

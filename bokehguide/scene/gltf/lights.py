@@ -18,6 +18,7 @@ from bokehguide.scene.gltf.nodes import Placed
 from bokehguide.scene.shapes import spheres
 from bokehguide.scene.tables import LAMP_RADIUS, NOT_NEGATIVE, Limits
 from bokehguide.scene.types import Cone, LightSizes, Material, Mesh, Sun
+from bokehguide.scene.validation import check_triangles
 
 EXTENSION = "KHR_lights_punctual"
 LUMENS_PER_WATT = 683.0
@@ -60,6 +61,7 @@ def read_lights(
         elif any(radiance := _power(light, math.pi * radius**2)):
             cone = _cone(light, axis) if kind == "spot" else None
             meshes.append(spheres(position[None], radius, len(materials)))
+            check_triangles(len(meshes) * len(meshes[0].triangles), f"{document.file}: {node.node.path}")
             black = Material(light.label, base_color=(0.0, 0.0, 0.0), specular=0.0)
             materials.append(replace(black, emission=radiance, emission_cone=cone))
         if "range" in light:

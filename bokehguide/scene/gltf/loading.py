@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError
-from bokehguide.limits import MAX_TRIANGLES
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.gltf.cameras import read_cameras
 from bokehguide.scene.gltf.document import Document, read_document
 from bokehguide.scene.gltf.extensions import check_required, note_ignored, warnings
@@ -22,17 +21,17 @@ from bokehguide.scene.gltf.telling import honoured
 from bokehguide.scene.gltf.textures import Textures
 from bokehguide.scene.shapes import joined, transformed
 from bokehguide.scene.types import LightSizes, Material, Mesh, Model
-from bokehguide.scene.validation import check_mesh
+from bokehguide.scene.validation import check_mesh, check_triangles
 
 
-def load_gltf(path: Path, sizes: LightSizes) -> Model:
-    """The default scene of a glTF file, instances flattened.
+def load_gltf(path: Path, sizes: LightSizes, files: SceneFiles) -> Model:
+    """The default scene of a glTF file, instances flattened; `files` are what it may read.
 
     Raises BokehguideError naming file and object for whatever is damaged, out of range
     or required and not supported, and where all instances together have more than
     MAX_TRIANGLES triangles.
     """
-    document = read_document(path)
+    document = read_document(path, files)
     check_required(document)
     placed = place_nodes(document)
     textures = Textures(document)
@@ -61,6 +60,7 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
     """World-space meshes; those of primitives without a material have the number after the last."""
     read: dict[int, list[Mesh]] = {}
     parts: list[tuple[Mesh, np.ndarray, str]] = []
+    triangles = 0
     for node in placed:
         index = document.link(node.node, "mesh", "meshes")
         if index is None:
@@ -75,12 +75,8 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
                 read[index] = _primitives(document, index, materials)
             primitives, matrices = read[index], instance_matrices(document, node)
         parts += [(mesh, matrices, f"{document.file}: {node.node.path}") for mesh in primitives]
-    triangles = sum(len(mesh.triangles) * len(matrices) for mesh, matrices, _ in parts)
-    if triangles > MAX_TRIANGLES:
-        raise BokehguideError(
-            f"{document.file}: its instances have {triangles:,} triangles in all; "
-            f"give a file of at most {MAX_TRIANGLES:,}"
-        )
+        triangles += sum(len(mesh.triangles) for mesh in primitives) * max(len(matrices), 1)
+        check_triangles(triangles, f"{document.file}: {node.node.path}")
     meshes = []
     for mesh, matrices, place in parts:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -108,4 +104,5 @@ def _primitives(
         if mesh is not None:
             check_mesh(mesh, f"{document.file}: {primitive.path}", len(materials) + 1)
             meshes.append(mesh)
+            check_triangles(sum(len(mesh.triangles) for mesh in meshes), f"{document.file}: {primitive.path}")
     return meshes

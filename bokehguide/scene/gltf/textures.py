@@ -68,7 +68,7 @@ class Textures:
             if view is None and "uri" not in image:
                 raise BokehguideError(f"{image.file}: {image.path}: has neither bufferView nor uri; repair the file")
             data = self.document.resource(image) if view is None else bytes(self.document.view(view))
-            self._images[key] = decode_texture(data, f"{image.file}: {image.path}", srgb, alpha)
+            self._images[key] = decode_texture(data, f"{image.file}: {image.path}", self.document.files, srgb, alpha)
         return self._images[key]
 
     def _wrap(self, texture: Part) -> tuple[str, str]:

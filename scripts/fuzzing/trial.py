@@ -1,0 +1,77 @@
+"""What must hold of any file: it is refused in one or two lines, or makes a scene that can be traced."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene import Scene, describe, load_scene
+from bokehguide.scene.types import Film
+from bokehguide.train import RenderLoop, RenderSettings, load_checkpoint
+
+LONGEST = 1500
+"""Characters of a message."""
+
+
+class Fault(Exception):
+    """What must not be."""
+
+
+def trial(path: Path) -> bool:
+    """Load a scene or a checkpoint, and trace; returns whether it could be loaded. Raises Fault, or whatever goes wrong."""
+    try:
+        if path.suffix == ".ckpt":
+            loop = sound_loop(path.with_name("scene.toml"))
+            load_checkpoint(path, loop)
+        else:
+            scene = load_scene(str(path))
+    except BokehguideError as error:
+        check_message(str(error), path)
+        return False
+    if path.suffix != ".ckpt":
+        check_scene(scene)
+        small = replace(scene, film=Film(16, 9, min(scene.film.max_depth, 4)))
+        loop = RenderLoop(small, RenderSettings("uniform", threads=1))
+    loop.step()
+    loop.guide_images()
+    if loop.film.bad_count or not loop.film.radiance().isfinite().all():
+        raise Fault(f"{loop.film.bad_count} samples are not finite, or the picture is not")
+    return True
+
+
+def sound_loop(path: Path) -> RenderLoop:
+    return RenderLoop(sound_scene(path), RenderSettings("lis-o", threads=1))
+
+
+@lru_cache(maxsize=1)
+def sound_scene(path: Path) -> Scene:
+    return load_scene(str(path))
+
+
+def check_message(text: str, path: Path) -> None:
+    """It names a file of the scene, fits on a screen, and does nothing to the terminal."""
+    lines = text.splitlines()
+    if not lines or len(lines) > 2 or not all(line.isprintable() for line in lines) or len(text) > LONGEST:
+        raise Fault(f"a message of {len(lines)} lines, {len(text)} characters: {text[:300]!r}")
+    if str(path.parent) not in text:
+        raise Fault(f"a message that names no file: {text!r}")
+    if any(word in text for word in ("MemoryError", "allocate", "bad_alloc", "Cannot allocate")):
+        raise Fault(f"it took the memory there is before it was refused: {text!r}")
+
+
+def check_scene(scene: Scene) -> None:
+    """The arrays are such as the renderer may trust."""
+    for mesh in scene.meshes:
+        for name in ("vertices", "normals", "uvs", "tangents", "colors"):
+            values = getattr(mesh, name)
+            if values is not None and (values.dtype != np.float32 or len(values) != len(mesh.vertices) or not np.isfinite(values).all()):
+                raise Fault(f"{name} are {values.dtype} {values.shape}, or not finite")
+        if mesh.triangles.dtype != np.int32 or mesh.triangles.min() < 0 or mesh.triangles.max() >= len(mesh.vertices):
+            raise Fault("indices lead out of the vertices")
+    told = [*describe(scene).splitlines(), *scene.warnings, *scene.honoured]
+    if not all(line.isprintable() for line in told):
+        raise Fault(f"what is told cannot be printed: {[line for line in told if not line.isprintable()][0]!r}")
