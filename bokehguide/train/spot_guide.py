@@ -27,7 +27,6 @@ from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.pixels import Pixels
 from bokehguide.render.random import PixelRandom
-from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
 from bokehguide.scene.lamps import find_lamps
 from bokehguide.scene.types import Scene
