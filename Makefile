@@ -15,7 +15,7 @@ render: $(READY)
 	$(VENV)/bin/python scripts/demo.py out
 
 test: $(READY)
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n auto --dist loadfile
 
 clean:
 	rm -rf $(VENV) out

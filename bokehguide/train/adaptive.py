@@ -67,14 +67,19 @@ class HalfLoop(RenderLoop):
         self._counted: Tensor | None = None
 
     def render_only(self, active: Tensor, counted: Tensor) -> None:
-        """From now on render the pixels `active`, put those `counted` on the film, bool `[pixels]`, and learn no more.
-
-        What is learnt would depend on which blocks go on, and with that the noise by which one half decides for
-        the other.
-        """
+        """From now on render the pixels `active` and put those `counted` on the film, bool `[pixels]`."""
         self._places = (active & self._mine_of_film().to(active.device)).nonzero()[:, 0]
         self._counted = counted
+
+    def freeze(self) -> None:
+        """Learn no more."""
         self._learns = False
+
+    def _seen(self) -> tuple[float, float]:
+        """Also the samples that are not on the film: it is the other half that takes or leaves them."""
+        mine = slice(None) if self._share is None else self._share
+        light = self.brightness[:, mine].cpu().numpy()
+        return float(light.sum()), float(self.step_number * light.shape[1])
 
     def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
         light = luminance(samples.radiance * samples.weight)
@@ -101,7 +106,8 @@ class AdaptiveLoop:
     """As `RenderLoop`, until no block of 32 × 32 pixels has an estimated error above `settings.target_noise`.
 
     Steps alternate between the halves. Rounds end when both have 16, 32, 64, … steps; then each half ends in the blocks
-    where the other's error is down to the target. It is rendered on, off the film, where the other half is not done.
+    where the other's error is down to the target. It is rendered on, off the film, where the other half is not done:
+    what a half does up to where it ends the other one in a block depends on its own samples alone.
     """
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None = None):
@@ -158,9 +164,15 @@ class AdaptiveLoop:
         return sums.index_add_(0, self._block, error) / self._size
 
     def _render_open_blocks(self) -> None:
+        """A half learns as long as it ends no block of the other, and so has all of its own pixels to learn from.
+
+        Then nothing of the other half is in what it learns, nor in the noise by which it decides.
+        """
         active = self.open.any(0)[self._block]
-        for half, open_blocks in zip(self.halves, self.open):
-            half.render_only(active, open_blocks[self._block])
+        for half, counted, decided in zip(self.halves, self.open, self.open.flip(0)):
+            half.render_only(active, counted[self._block])
+            if not bool(decided.all()):
+                half.freeze()
 
     def picture(self) -> Film | HalvesFilm:
         """The mean of the halves with the pixels of all ranks; collective."""

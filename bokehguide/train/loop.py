@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -27,7 +26,7 @@ from bokehguide.render.vector import luminance
 from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide, uniform_draw
-from bokehguide.train.ranks import Ranks, local_ranks
+from bokehguide.train.ranks import Ranks, available_cores
 from bokehguide.train.record_buffer import FAR
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.spot_guide import SpotGuide
@@ -77,7 +76,7 @@ class RenderLoop:
         self.guide = self._make_guide() if guided else None
         self.reuse = SpatialReuse(self.camera, self.tracer, settings.reuse_radius, settings.seed) if settings.reuses else None
         self.step_number = 0
-        self._threads = settings.threads or max(_available_cores() // local_ranks(), 1)
+        self._threads = settings.threads or available_cores()
         # Threads work on batches. Those that torch would start inside operations only fight them.
         torch.set_num_threads(1)
         self._pool = ThreadPoolExecutor(self._threads, initializer=torch.set_num_threads, initargs=(1,))
@@ -227,7 +226,7 @@ class RenderLoop:
 
     def _learn(self, results: list[BatchResult]) -> None:
         self.guide.record.add_all([result.records for result in results], self.ranks)
-        light, count = self.ranks.totals(*self.film.light(slice(None) if self._share is None else self._share))
+        light, count = self.ranks.totals(*self._seen())
         self._mean_luminance = light / max(count, 1.0)
         lessons = [result.lesson for result in results if result.lesson is not None]
         self.guide.update(self.step_number, lessons, self._mean_luminance)
@@ -245,6 +244,10 @@ class RenderLoop:
         found = self.ranks.gathered((self.film.bad_count, self.film.bad_samples))
         bad = earliest([bad for _, samples in found for bad in samples])
         return state | {"bad_count": sum(count for count, _ in found), "bad_samples": [tuple(each) for each in bad]}
+
+    def _seen(self) -> tuple[float, float]:
+        """Luminance of this rank's samples so far, and their number."""
+        return self.film.light(slice(None) if self._share is None else self._share)
 
     def state_dict(self) -> dict[str, object]:
         """All that later steps depend on, and the times so far; collective.
@@ -294,8 +297,3 @@ class RenderLoop:
     def guide_images(self) -> dict[str, Tensor]:
         """Pictures of what the guide knows, `[H, W, 3]` in 0 … 1; none in uniform mode."""
         return self.guide.images() if self.guide else {}
-
-
-def _available_cores() -> int:
-    """Cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -117,9 +117,10 @@ class Ranks:
         return reduced.to(values.device)
 
 
-def local_ranks() -> int:
-    """How many ranks of this job share this machine."""
-    return int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+def available_cores() -> int:
+    """Cores for this rank: of those that the process may run on, its share among the ranks on this machine."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(cores // int(os.environ.get("LOCAL_WORLD_SIZE", "1")), 1)
 
 
 def restarts() -> int:
