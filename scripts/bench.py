@@ -136,7 +136,7 @@ def start_peer(args: argparse.Namespace) -> Callable[[int], float]:
 
     def turn(seed: int) -> float:
         begun = time.perf_counter()
-        renderer.render(PEER_SPP, seed)
+        renderer.picture(PEER_SPP, seed)
         return time.perf_counter() - begun
 
     turn(args.spp)

@@ -107,7 +107,14 @@ class MitsubaRenderer:
     """A comparable scene in Mitsuba."""
 
     def __init__(self, scene: Scene):
-        self._scene = mi.load_dict(_described(scene))
+        path = _path(scene)
+        self._scene = mi.load_dict(_described(scene) | {"integrator": {"type": "moment", "path": path}})
+        self._path = mi.load_dict(path)
+
+    def picture(self, spp: int, seed: int) -> Tensor:
+        """Radiance `[H, W, 3]` of an independent render, without the moments that `render` pays for."""
+        image = mi.render(self._scene, integrator=self._path, spp=spp, seed=seed)
+        return torch.from_numpy(np.array(image, np.float64)[..., :3].copy())
 
     def render(self, spp: int, seed: int) -> MitsubaFilm:
         """An independent render of `spp` samples a pixel, at least 2."""
@@ -118,13 +125,13 @@ class MitsubaRenderer:
         return MitsubaFilm(torch.from_numpy(image[..., :3].copy()), torch.from_numpy(image[..., 7].copy()), spp)
 
 
+def _path(scene: Scene) -> dict[str, Any]:
+    """The integrator. No roulette: paths end at the last segment."""
+    return {"type": "path", "max_depth": scene.film.max_depth, "rr_depth": 100}
+
+
 def _described(scene: Scene) -> dict[str, Any]:
-    described: dict[str, Any] = {
-        "type": "scene",
-        # No roulette: paths end at the last segment.
-        "integrator": {"type": "moment", "path": {"type": "path", "max_depth": scene.film.max_depth, "rr_depth": 100}},
-        "sensor": _sensor(scene),
-    }
+    described: dict[str, Any] = {"type": "scene", "sensor": _sensor(scene)}
     materials = [mi.load_dict(_bsdf(material)) for material in scene.materials]
     size = max(float(np.ptp(mesh.vertices, axis=0).max()) for mesh in scene.meshes)
     for number, mesh in enumerate(scene.meshes):

@@ -1,0 +1,191 @@
+"""Error over wall-clock time: bokehguide and Mitsuba 3, the same scene on the same machine.
+
+    pip install '.[peers]'
+    python scripts/equal_time.py --seconds 60 --out out/equal-time
+    python scripts/equal_time.py daylight --size 320x180 --seconds 20
+
+Both render the scene with materials that both have (`mitsuba_scene.comparable`), on all cores, and take turns of about
+a second until each has had its seconds, so that a busy moment of the machine strikes both alike. The clock of each starts
+with the scene in memory: building its acceleration structure and compiling count, measuring errors does not.
+The reference is made in mode `guided`, in two halves, and kept in `--cache`. Writes `equal_time.json` and
+`equal_time.png`, and prints a table: MAPE at 1, 2, 4, … seconds, and the ratio.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+if importlib.util.find_spec("mitsuba") is None:
+    sys.exit("equal_time: error: Mitsuba is not installed; pip install '.[peers]'")
+
+from mitsuba_scene import MitsubaRenderer, comparable
+
+from bokehguide.cli.arguments import duration, positive, size, threads
+from bokehguide.cli.report import write_json
+from bokehguide.errors import BokehguideError
+from bokehguide.evaluation import errors, made_reference, markdown, progress, regions
+from bokehguide.image import check_writable
+from bokehguide.scene import Overrides, Scene, load_scene
+from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
+
+SCENES = ("fairy-lights", "night-street", "chrome", "daylight")
+TURN = 1.0
+"""Seconds of a turn."""
+CHUNK_SAMPLES = 1 << 22
+"""Most samples of one of Mitsuba's renders: it keeps them all in memory."""
+PEER = "Mitsuba"
+SEED = 5_000_000
+"""Of the renders that are measured; no reference has it."""
+
+
+@dataclass
+class Runner:
+    """One renderer at work: `advance` renders a little more, `picture` is the mean so far.
+
+    seconds, spp: so far; history: seconds, SPP and MAPE by region after each turn.
+    """
+
+    name: str
+    advance: Callable[[], int]
+    picture: Callable[[], Tensor]
+    seconds: float = 0.0
+    spp: int = 0
+    history: list[dict] = field(default_factory=list)
+
+    def turn(self, reference: Tensor, masks: dict[str, Tensor]) -> None:
+        """Render for about TURN seconds, then measure."""
+        end = self.seconds + TURN
+        while self.seconds < end:
+            start = time.perf_counter()
+            self.spp += self.advance()
+            self.seconds += time.perf_counter() - start
+        picture = self.picture()
+        found = {name: errors(picture, reference, mask)["mape"] for name, mask in masks.items()}
+        self.history.append({"seconds": self.seconds, "spp": self.spp, "mape": found})
+
+    def at(self, seconds: float, region: str) -> tuple[float, int] | None:
+        """MAPE and SPP of the last turn that ended by then."""
+        ended = [turn for turn in self.history if turn["seconds"] <= seconds]
+        return (ended[-1]["mape"][region], ended[-1]["spp"]) if ended else None
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("scenes", nargs="*", default=list(SCENES), metavar="SCENE", help=f"default: {', '.join(SCENES)}")
+    add("--mode", choices=LENS_MODES, default="guided", help="of bokehguide, default guided")
+    add("--size", type=size, default="640x360", metavar="WxH", help="default 640x360")
+    add("--seconds", type=duration, default=60.0, metavar="S", help="of each renderer, default 60")
+    add("--reference-spp", type=positive, default=4096, metavar="N", help="default 4096")
+    add("--threads", type=threads, metavar="N", help="of bokehguide, default one per core; Mitsuba takes all")
+    add("--cache", type=Path, metavar="DIR", help="where references are kept, default the user's cache folder")
+    add("--out", type=Path, default=Path("out/equal-time"), metavar="DIR", help="default out/equal-time")
+    args = parser.parse_args()
+    check_writable(args.out / "equal_time.json")
+    races = {}
+    for name in args.scenes:
+        width, height = args.size
+        scene = comparable(load_scene(name, Overrides(width=width, height=height)))
+        races[scene.name] = race(scene, args)
+    write_json(args.out / "equal_time.json", {name: {one.name: one.history for one in pair} for name, pair in races.items()})
+    print(table(races, args.seconds))
+    draw(races, args.out / "equal_time.png")
+
+
+def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
+    """Both renderers with their histories."""
+    settings = RenderSettings(spp=args.reference_spp, threads=args.threads)
+    reference = made_reference(scene, settings, args.out / f"{scene.name}-reference.exr", args.cache).radiance
+    masks = {name: mask for name, mask in regions(scene).items() if name in ("frame", "insets")}
+    runners = [ours(scene, args), mitsubas(scene)]
+    with progress(f"{scene.name}, {args.seconds:g} s of each", round(args.seconds / TURN)) as bar:
+        while any(runner.seconds < args.seconds for runner in runners):
+            for runner in (one for one in runners if one.seconds < args.seconds):
+                runner.turn(reference, masks)
+            bar.update()
+    return runners
+
+
+def ours(scene: Scene, args: argparse.Namespace) -> Runner:
+    start = time.perf_counter()
+    loop = RenderLoop(scene, RenderSettings(args.mode, 1 << 20, SEED, threads=args.threads))
+    built = time.perf_counter() - start
+
+    def advance() -> int:
+        loop.step()
+        return 1
+
+    return Runner(args.mode, advance, lambda: loop.film.radiance().cpu(), built)
+
+
+def mitsubas(scene: Scene) -> Runner:
+    start = time.perf_counter()
+    renderer = MitsubaRenderer(scene)
+    built = time.perf_counter() - start
+    total = torch.zeros(scene.film.height, scene.film.width, 3, dtype=torch.float64)
+    most = max(1, CHUNK_SAMPLES // (scene.film.width * scene.film.height))
+    done = 0
+
+    def advance() -> int:
+        nonlocal done
+        spp = max(1, min(done, most))  # 1, 1, 2, 4, …: a first picture soon, then few launches
+        total.add_(renderer.picture(spp, SEED + done), alpha=spp)
+        done += spp
+        return spp
+
+    return Runner(PEER, advance, lambda: (total / done).float(), built)
+
+
+def table(races: dict[str, list[Runner]], seconds: float) -> str:
+    """MAPE of both at 1, 2, 4, … seconds and at the end."""
+    times = [2.0**power for power in range(20) if 2.0**power < seconds] + [seconds + 2.0 * TURN]
+    rows = [["scene", "region", "seconds", "MAPE", "SPP", f"{PEER}'s MAPE", "SPP", "ratio"]]
+    for name, (own, peer) in races.items():
+        for region in own.history[-1]["mape"]:
+            for limit in times:
+                one, other = own.at(limit, region), peer.at(limit, region)
+                if one and other:
+                    values = (f"{one[0]:.4f}", str(one[1]), f"{other[0]:.4f}", str(other[1]), f"{one[0] / other[0]:.3f}")
+                    rows.append([name, region, f"{min(limit, seconds):g}", *values])
+    return markdown(rows)
+
+
+def draw(races: dict[str, list[Runner]], path: Path) -> None:
+    """MAPE over seconds on log axes, a column for each scene and a row for each region."""
+    from matplotlib.figure import Figure
+
+    from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
+
+    figure = Figure(figsize=(WIDTH, 0.55 * WIDTH), layout="constrained")
+    axes = figure.subplots(2, len(races), squeeze=False)
+    for column, (name, runners) in enumerate(races.items()):
+        for axis, region in zip(axes[:, column], ("insets", "frame")):
+            for runner in runners:
+                line = [(turn["seconds"], turn["mape"][region]) for turn in runner.history if region in turn["mape"]]
+                if line:
+                    axis.loglog(*zip(*line), label=runner.name)
+            axis.set_title(f"{name}, {region}", fontsize=SMALL)
+            axis.tick_params(labelsize=SMALL, which="both")
+            axis.grid(alpha=0.3, which="both")
+    for axis in axes[-1]:
+        axis.set_xlabel("seconds", fontsize=NORMAL)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("MAPE", fontsize=NORMAL)
+    axes[0, 0].legend(fontsize=SMALL)
+    save(figure, path)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except BokehguideError as error:
+        sys.exit(f"equal_time: error: {error}")
