@@ -15,8 +15,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import unquote, unquote_to_bytes
 
-import numpy as np
-
 from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.limits import MAX_INT
 from bokehguide.scene.files import SceneFiles
