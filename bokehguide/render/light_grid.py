@@ -138,7 +138,9 @@ def _without_ties(lamps: GridLamps) -> GridLamps:
     Lamps are often alike, and what rounding makes of a tie would decide how they are
     clustered: the same scene in other units would get other choices.
     """
-    center = _coarse(lamps.center, np.abs(lamps.center).max())
+    corner = lamps.center.min(axis=0).astype(np.float64)
+    away = lamps.center - corner
+    center = corner + _coarse(away, away.max())
     return lamps._replace(center=center, normal=_coarse(lamps.normal, 1.0), power=_few_digits(lamps.power))
 
 
