@@ -23,8 +23,8 @@ RESOLUTION = 24
 """Cells along the grid's longest side."""
 DEFENSIVE = 0.1
 """Share of every cell's choice that goes by power alone, so that no lamp is ever left out."""
-STEPS = 4096
-"""To which places, normals and powers are rounded."""
+STEPS = 2.0**19
+"""To which places, normals and powers are rounded: finer than a lamp's triangles, coarser than what units do to float32."""
 
 
 class _Layout(NamedTuple):
@@ -133,7 +133,7 @@ class LightGrid:
 
 
 def _without_ties(lamps: GridLamps) -> GridLamps:
-    """The same lamps with centres, normals and powers of few digits.
+    """The same lamps with centres, normals and powers of a few digits less.
 
     Lamps are often alike, and what rounding makes of a tie would decide how they are
     clustered: the same scene in other units would get other choices.
@@ -145,12 +145,12 @@ def _without_ties(lamps: GridLamps) -> GridLamps:
 
 
 def _coarse(values: np.ndarray, unit: float) -> np.ndarray:
-    """Values in steps of 1 / 4096 of `unit`, in double precision."""
+    """Values in steps of 1 / STEPS of `unit`, in double precision."""
     return np.round(values.astype(np.float64) * (STEPS / max(unit, 1e-30))) * (unit / STEPS)
 
 
 def _few_digits(values: np.ndarray) -> np.ndarray:
-    """Positive values rounded to 12 bits."""
+    """Positive values rounded to 19 bits."""
     mantissa, exponent = np.frexp(values.astype(np.float64))
     return np.ldexp(np.round(mantissa * STEPS) / STEPS, exponent)
 
