@@ -11,14 +11,15 @@ from torch import Tensor
 from bokehguide.models import lens_distribution
 from bokehguide.render import path_tracer
 from bokehguide.render.film import Film
+from bokehguide.render.pixels import Pixels
 
 
 def drop_zero(add: Callable) -> Callable:
     """Leave draws outside the aperture out of N: the film skips what is not finite."""
 
-    def mutated(film: Film, first: int, samples, *rest):
+    def mutated(film: Film, pixels: Pixels, samples, *rest):
         samples.radiance[:, samples.weight == 0.0] = math.nan
-        return add(film, first, samples, *rest)
+        return add(film, pixels, samples, *rest)
 
     return mutated
 
@@ -26,9 +27,9 @@ def drop_zero(add: Callable) -> Callable:
 def drop_weight(add: Callable) -> Callable:
     """Forget 1 / (A q)."""
 
-    def mutated(film: Film, first: int, samples, *rest):
+    def mutated(film: Film, pixels: Pixels, samples, *rest):
         samples.weight = (samples.weight > 0.0).float()
-        return add(film, first, samples, *rest)
+        return add(film, pixels, samples, *rest)
 
     return mutated
 

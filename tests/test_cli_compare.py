@@ -231,7 +231,7 @@ def test_what_the_scene_holds_decides_what_is_kept(lamps, lamps_file):
 
 def test_an_interrupted_comparison_keeps_what_is_finished(lamps_file, tmp_path):
     write_exr(tmp_path / "given.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
-    command = [sys.executable, "-m", "bokehguide", "compare", "lamps.toml", "--reference", "given.exr", "--spp", "60"]
+    command = [sys.executable, "-m", "bokehguide", "compare", "lamps.toml", "--reference", "given.exr", "--spp", "400"]
     command += ["--modes", "uniform,lis", "--out", "out"]
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         stderr = ""
@@ -243,7 +243,7 @@ def test_an_interrupted_comparison_keeps_what_is_finished(lamps_file, tmp_path):
     assert "what is finished is kept" in stderr and "Traceback" not in stderr
     assert json.loads((tmp_path / "out/metrics.json").read_text())["runs"].keys() == {"uniform"}
     finished = subprocess.run([*command, "--modes", "uniform"], cwd=tmp_path, capture_output=True, text=True, timeout=120)
-    assert finished.returncode == 0 and "uniform: kept, 60 SPP" in finished.stdout
+    assert finished.returncode == 0 and "uniform: kept, 400 SPP" in finished.stdout
 
 
 MISTAKES = {

@@ -1,6 +1,7 @@
 """Geometry and films at their limits: triangles and lamps without an area, slivers, tiny lamps, sums that overflow."""
 
 import math
+from pathlib import Path
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.render.film import Film, FilmSamples
 from bokehguide.scene import describe
 from bokehguide.scene.cameras import read_camera
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.types import Mesh
 from bokehguide.scene.validation import checked
 from tests.statistical import SIGNIFICANCE
@@ -85,7 +87,7 @@ def test_sums_of_squares_beyond_single_precision():
     for step, radiance in enumerate((1e25, 3e25), 1):
         colors = torch.tensor([[radiance, 1.0]]).expand(3, 2)
         zeros = torch.zeros(3, 2)
-        film.add(0, FilmSamples(torch.ones(2), colors, torch.ones(2), torch.ones(2), zeros, zeros, zeros), step)
+        film.add(slice(None), FilmSamples(torch.ones(2), colors, torch.ones(2), torch.ones(2), zeros, zeros, zeros), step)
     layers = film.layers()
     np.testing.assert_allclose(layers["beauty"][0, :, 0], (2e25, 1.0), rtol=1e-6)
     assert layers["variance"][0, 0] == np.finfo(np.float32).max and layers["variance"][0, 1] == 0.0
@@ -95,18 +97,18 @@ def test_sums_of_squares_beyond_single_precision():
 @pytest.mark.parametrize("size", [1e-9, 1e-6, 1.0, 1e6])
 def test_cameras_of_any_size(size):
     """What counts is whether single precision tells position and target apart where they are."""
-    camera = read_camera({"position": [0.0, 0.0, 0.0], "target": [0.0, 0.0, -size]}, "here")
+    camera = read_camera({"position": [0.0, 0.0, 0.0], "target": [0.0, 0.0, -size]}, "here", SceneFiles(Path()))
     assert camera.focus_distance == size
     with pytest.raises(BokehguideError, match="here: camera.target: .* equals position"):
-        read_camera({"position": [size, 0.0, 0.0], "target": [size * (1.0 + 1e-8), 0.0, 0.0]}, "here")
+        read_camera({"position": [size, 0.0, 0.0], "target": [size * (1.0 + 1e-8), 0.0, 0.0]}, "here", SceneFiles(Path()))
 
 
 def test_infinity_is_a_focus_distance():
     values = {"position": [0.0, 0.0, 0.0], "target": [0.0, 0.0, -1.0], "aperture_radius": 0.1, "focus_distance": math.inf}
-    camera = read_camera(values, "here")
+    camera = read_camera(values, "here", SceneFiles(Path()))
     found = replace(scene([FLOOR, sphere(1, (0.0, 0.1, -5.0), 0.1)], [matte(), lamp()]), camera=camera)
     assert "focused at infinity" in describe(found)
     assert "% of the lens" in describe(found)
     for wrong in (-math.inf, math.nan, 10**400):
         with pytest.raises(BokehguideError, match="here: camera.focus_distance: .* out of range; give metres .* or inf"):
-            read_camera(values | {"focus_distance": wrong}, "here")
+            read_camera(values | {"focus_distance": wrong}, "here", SceneFiles(Path()))

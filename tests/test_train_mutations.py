@@ -120,9 +120,9 @@ def drop_zero_samples(monkeypatch) -> None:
     """Draws outside the lens do not count in N."""
     add = Film.add
 
-    def counted_inside(self, first, samples, *rest):
-        good = add(self, first, samples, *rest)
-        self._count[first : first + len(samples.weight)] -= (samples.weight == 0.0).float()
+    def counted_inside(self, pixels, samples, *rest):
+        good = add(self, pixels, samples, *rest)
+        self._count[pixels] -= (samples.weight == 0.0).float()
         return good
 
     monkeypatch.setattr(Film, "add", counted_inside)

@@ -23,8 +23,6 @@ RESOLUTION = 24
 """Cells along the grid's longest side."""
 DEFENSIVE = 0.1
 """Share of every cell's choice that goes by power alone, so that no lamp is ever left out."""
-STEPS = 2.0**19
-"""To which places, normals and powers are rounded: finer than a lamp's triangles, coarser than what units do to float32."""
 
 
 class _Layout(NamedTuple):
@@ -87,7 +85,6 @@ class LightGrid:
     """
 
     def __init__(self, lamps: GridLamps, device: torch.device):
-        lamps = _without_ties(lamps)
         features = np.concatenate((lamps.center, lamps.normal * _direction_scale(lamps.center)), axis=1)
         cluster, count = _cluster(features, lamps.power)
         order = np.argsort(cluster, kind="stable")
@@ -132,29 +129,6 @@ class LightGrid:
         return share * self._table.pdf(self._place.index_select(0, triangle))
 
 
-def _without_ties(lamps: GridLamps) -> GridLamps:
-    """The same lamps with centres, normals and powers of a few digits less.
-
-    Lamps are often alike, and what rounding makes of a tie would decide how they are
-    clustered: the same scene in other units would get other choices.
-    """
-    corner = lamps.center.min(axis=0).astype(np.float64)
-    away = lamps.center - corner
-    center = corner + _coarse(away, away.max())
-    return lamps._replace(center=center, normal=_coarse(lamps.normal, 1.0), power=_few_digits(lamps.power))
-
-
-def _coarse(values: np.ndarray, unit: float) -> np.ndarray:
-    """Values in steps of 1 / STEPS of `unit`, in double precision."""
-    return np.round(values.astype(np.float64) * (STEPS / max(unit, 1e-30))) * (unit / STEPS)
-
-
-def _few_digits(values: np.ndarray) -> np.ndarray:
-    """Positive values rounded to 19 bits."""
-    mantissa, exponent = np.frexp(values.astype(np.float64))
-    return np.ldexp(np.round(mantissa * STEPS) / STEPS, exponent)
-
-
 def _direction_scale(centers: np.ndarray) -> float:
     """Length that a turn of a normal counts for beside a change of place: small lamps split last."""
     return 0.02 * float(np.linalg.norm(np.ptp(centers, axis=0)))
@@ -183,7 +157,7 @@ def _cluster(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _spread(features: np.ndarray, power: np.ndarray) -> float:
-    return float(_few_digits(power.sum() * np.linalg.norm(np.ptp(features, axis=0))))
+    return float(power.sum()) * float(np.linalg.norm(np.ptp(features, axis=0)))
 
 
 def _layout(centers: np.ndarray) -> _Layout:
