@@ -4,7 +4,7 @@ import json
 import signal
 import subprocess
 import sys
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -233,7 +233,10 @@ def test_an_interrupted_comparison_keeps_what_is_finished(lamps_file, tmp_path):
     write_exr(tmp_path / "given.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
     command = [sys.executable, "-m", "bokehguide", "compare", "lamps.toml", "--reference", "given.exr", "--spp", "400"]
     command += ["--modes", "uniform,lis", "--out", "out"]
-    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    pipes = {"stderr": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    # A shell's background jobs ignore Ctrl-C, and so would what these tests start there.
+    heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(command, cwd=tmp_path, preexec_fn=heeds, **pipes) as process:
         stderr = ""
         while "lamps lis:" not in stderr and process.poll() is None:
             stderr += process.stderr.read(1)
