@@ -119,6 +119,27 @@ def test_resuming_gives_the_same_bits(tmp_path, monkeypatch):
         load_checkpoint(tmp_path / "a.ckpt", other)
 
 
+@pytest.mark.parametrize("height, width", [(40, 64), (33, 31), (5, 3)])
+def test_blocks_and_back(height, width):
+    image = torch.rand(height, width, dtype=torch.float64)
+    blocks = adaptive.to_blocks(image[None])[0]
+    assert torch.equal(adaptive.from_blocks(blocks, height, width), image)
+    assert torch.equal(blocks[0, :height, :width], image[: adaptive.BLOCK, : adaptive.BLOCK])
+
+
+def test_what_a_half_says_of_a_block_hangs_on_that_block_alone(monkeypatch):
+    """Beside it a block may have ended, at a time that the other half chose."""
+    monkeypatch.setattr(adaptive, "BLOCK", 8)
+    errors = []
+    for beyond in (1.0, 0.01):
+        half = AdaptiveLoop(scenes.lamps(WIDTH, HEIGHT), RenderSettings("uniform", threads=1, target_noise=0.1)).halves[0]
+        half.step_number = 16
+        half.brightness.copy_(torch.rand(2, WIDTH * HEIGHT, generator=torch.Generator().manual_seed(3)))
+        half.brightness.view(2, HEIGHT, WIDTH)[:, :, 8:] *= beyond
+        errors.append(half.end_round().reshape(HEIGHT, WIDTH))
+    assert torch.equal(errors[0][:, :8], errors[1][:, :8]) and not torch.equal(errors[0][:, 8:], errors[1][:, 8:])
+
+
 def test_halves_share_nothing_random_but_all_else():
     loop = AdaptiveLoop(scenes.lamps(WIDTH, HEIGHT), RenderSettings("uniform", threads=1, target_noise=0.1))
     for _ in range(2):

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, pad
 
 from bokehguide.metrics import EPSILON
 from bokehguide.render.film import NO_DEPTH, BadSample, Film, FilmSamples, earliest
@@ -54,6 +54,21 @@ def relative_error(first: Tensor, second: Tensor) -> Tensor:
     mean = 0.5 * (first + second)
     about = avg_pool2d(mean[None], POOLED, 1, POOLED // 2, count_include_pad=False)[0]
     return 0.5 * (first - second).abs() / (torch.minimum(mean, about) + EPSILON)
+
+
+def to_blocks(images: Tensor) -> Tensor:
+    """Images `[C, H, W]` in blocks `[C, blocks, BLOCK, BLOCK]`; those that reach over the edge repeat it."""
+    height, width = images.shape[1:]
+    rows, columns = math.ceil(height / BLOCK), math.ceil(width / BLOCK)
+    padded = pad(images, (0, columns * BLOCK - width, 0, rows * BLOCK - height), mode="replicate")
+    return padded.reshape(len(images), rows, BLOCK, columns, BLOCK).transpose(2, 3).flatten(1, 2)
+
+
+def from_blocks(blocks: Tensor, height: int, width: int) -> Tensor:
+    """The image `[H, W]` that blocks `[blocks, BLOCK, BLOCK]` are of."""
+    columns = math.ceil(width / BLOCK)
+    rows = blocks.reshape(-1, columns, BLOCK, BLOCK).transpose(1, 2)
+    return rows.reshape(-1, columns * BLOCK)[:height, :width]
 
 
 class HalfLoop(RenderLoop):
@@ -98,8 +113,10 @@ class HalfLoop(RenderLoop):
         means = self.ranks.total(self.brightness * mine) / (self.step_number // 2)
         self.brightness[0] += self.brightness[1]
         self.brightness[1] = 0.0
-        before, now = means.reshape(2, 1, self.film.height, self.film.width)
-        return relative_error(before, now).flatten() / math.sqrt(2.0)
+        # Block by block: what lies beyond may have ended, and when it did is the other half's doing.
+        before, now = to_blocks(means.reshape(2, self.film.height, self.film.width))
+        error = from_blocks(relative_error(before, now), self.film.height, self.film.width)
+        return error.flatten() / math.sqrt(2.0)
 
 
 class AdaptiveLoop:
