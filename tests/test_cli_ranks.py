@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from bokehguide.image import read_exr, write_exr
 
@@ -30,10 +31,19 @@ def assert_same(path, other):
         np.testing.assert_allclose(two[name], one[name], rtol=1e-5, atol=1e-5, err_msg=name)
 
 
+def logged_blend_weights(folder):
+    """The picture of β after step 16 in the only log in `folder`, as a PNG; None without a log."""
+    found = list(folder.glob("logs/*/*"))
+    if not found:
+        return None
+    log = EventAccumulator(str(found[0]), size_guidance={"images": 0}).Reload()
+    return next(image.encoded_image_string for image in log.Images("beta") if image.step == 16)
+
+
 OPTIONS = {
     "uniform": (2, ("--mode", "uniform")),
     "guided": (2, ("--mode", "guided", "--logdir", "logs", "--reference", "reference.exr")),
-    "lis-b": (3, ("--mode", "lis-b", "--crop", "3,2,25,17", "--target-noise", 0.2)),
+    "lis-b": (3, ("--mode", "lis-b", "--crop", "3,2,25,17", "--target-noise", 0.2, "--logdir", "logs")),
 }
 
 
@@ -43,8 +53,10 @@ def test_the_picture_of_several_is_that_of_one(name, bokehguide, lamps_file, tmp
     write_exr(tmp_path / "reference.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
     options = (lamps_file, *options, "--threads", 1)
     assert bokehguide("render", *options, "--spp", 24, "--out", "one.exr").returncode == 0
+    blend_weights = logged_blend_weights(tmp_path)
     job = torchrun(tmp_path, count, *options, "--spp", 18, "--out", "some.exr")
     assert job.wait(120) == 0, (tmp_path / "job.log").read_text()
+    assert logged_blend_weights(tmp_path) == blend_weights
     resumed = bokehguide("render", *options, "--spp", 24, "--out", "some.exr", "--resume")  # by one alone
     assert resumed.returncode == 0 and "resuming some.ckpt at 18 SPP" in resumed.stderr, resumed.stderr
     assert_same(tmp_path / "one.exr", tmp_path / "some.exr")

@@ -26,8 +26,8 @@ def take_steps(
     were asked for, a signal's number or words, and the report."""
     done, settings, ranks = loop.step_number, loop.settings, loop.ranks
     logger = None
-    if options.logdir and ranks.first:
-        logger = RenderLogger(options.logdir, loop.scene, settings, options.exposure, done)
+    if options.logdir:
+        logger = RenderLogger(options.logdir, loop.scene, settings, options.exposure, done, silent=not ranks.first)
     report = Report(f"{loop.scene.name} {settings.mode}", settings, done, earlier, silent=not ranks.first)
     end = None
     with Interrupt() as interrupt:
@@ -54,10 +54,8 @@ def take_steps(
             elif late and loop.step_number < settings.spp:
                 end = f"another step would pass --time-limit {options.time_limit:g}"
         checkpoints.save(loop, report.seconds)
-    if options.logdir:
-        picture = loop.picture()
-        if logger:
-            logger.finish(loop, loop.step_number, picture)
+    if logger:
+        logger.finish(loop, loop.step_number, loop.picture())
     return end, report
 
 

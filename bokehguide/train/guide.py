@@ -107,7 +107,7 @@ class LensGuide(nn.Module):
         self.learns_offsets = settings.mode == "lis-o"
         self.field = GaussianField()
         self.blend = BlendWeightMap(camera.width * camera.height)
-        self.record = RecordBuffer(camera)
+        self.record = RecordBuffer(camera, self.ranks)
         self.offsets: PolynomialOffset | None = None
         self.to(settings.device)
         self.register_buffer("held", torch.zeros(camera.width * camera.height, dtype=torch.bool, device=settings.device))
@@ -208,7 +208,8 @@ class LensGuide(nn.Module):
 
     @torch.no_grad()
     def refit(self, mean_luminance: float) -> None:
-        """Fit the field to the record buffer and list each pixel's candidates."""
+        """Fit the field to the record buffer and list each pixel's candidates; collective."""
+        self.record.merge()
         self.spotlights = fit_gaussians(self.field, self.record, self.camera, mean_luminance)
         self.set_candidates()
 
@@ -238,9 +239,9 @@ class LensGuide(nn.Module):
             self.freeze()
         return super().load_state_dict(state_dict, *args, **kwargs)
 
-    def images(self) -> dict[str, Tensor]:
-        """As `guide_images`."""
-        return guide_images(self.camera, self.record, self.spotlights, self.blend().detach(), self.candidates)
+    def blend_weights(self) -> Tensor:
+        """β of each pixel, `[pixels]`."""
+        return self.blend().detach()
 
 
 def guide_images(

@@ -23,16 +23,26 @@ class RenderLogger:
     lays their curves over each other. An older log of the same mode is removed.
 
     exposure: EV of the pictures. resumed: the step after which a render goes on; its log does
-    too, and TensorBoard forgets what later steps had written before they were lost.
+    too, and TensorBoard forgets what later steps had written before they were lost. silent: for the ranks that do
+    not write; all of them log, as the guide's pictures are put together.
     """
 
     def __init__(
-        self, logdir: str | Path, scene: Scene, settings: RenderSettings, exposure: float = 0.0, resumed: int = 0
+        self,
+        logdir: str | Path,
+        scene: Scene,
+        settings: RenderSettings,
+        exposure: float = 0.0,
+        resumed: int = 0,
+        silent: bool = False,
     ):
-        from torch.utils.tensorboard import SummaryWriter  # takes over a second to import
-
         self.exposure = exposure
         self._pictures_at = resumed
+        self.writer = None
+        if silent:
+            return
+        from torch.utils.tensorboard import SummaryWriter  # takes over a second to import
+
         folder = run_folder(logdir, scene, settings)
         if not resumed:
             for old in folder.glob("events.out.tfevents.*"):
@@ -43,7 +53,7 @@ class RenderLogger:
         self.writer.add_text("settings", f"| | |\n|---|---|\n{table}", resumed)
 
     def log(self, loop: RenderLoop, stats: StepStats, errors: Mapping[str, float], picture: Film) -> None:
-        """Scalars of one step, and pictures where its number is a power of two.
+        """Scalars of one step, and pictures where its number is a power of two. Collective.
 
         errors: by name (`mape`, `relmse`), or empty where there is no reference; the estimate of the relative
         noise of the `picture` so far stands in then.
@@ -59,7 +69,7 @@ class RenderLogger:
             "speed/samples_per_second": stats.samples / stats.seconds,
         }
         scalars |= {f"time/{name.replace(' ', '_')}": seconds for name, seconds in loop.phases.items()}
-        for tag, value in scalars.items():
+        for tag, value in scalars.items() if self.writer else ():
             if not math.isnan(value):
                 self.writer.add_scalar(tag, value, stats.step)
         if stats.step & (stats.step - 1) == 0:
@@ -67,17 +77,19 @@ class RenderLogger:
 
     def flush(self) -> None:
         """Write what is still in memory."""
-        self.writer.flush()
+        if self.writer:
+            self.writer.flush()
 
     def finish(self, loop: RenderLoop, step: int, picture: Film) -> None:
-        """Pictures of the last step, whatever its number, and close the log."""
+        """Pictures of the last step, whatever its number, and close the log. Collective."""
         if step != self._pictures_at:
             self._log_pictures(loop, step, picture)
-        self.writer.close()
+        if self.writer:
+            self.writer.close()
 
     def _log_pictures(self, loop: RenderLoop, step: int, picture: Film) -> None:
         pictures = {"render": tone_map(picture.radiance(), self.exposure), **loop.guide_images()}
-        for name, picture in pictures.items():
+        for name, picture in pictures.items() if self.writer else ():
             self.writer.add_image(name, picture, step, dataformats="HWC")
         self._pictures_at = step
 

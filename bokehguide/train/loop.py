@@ -25,7 +25,7 @@ from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
 from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
-from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide, uniform_draw
+from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide, guide_images, uniform_draw
 from bokehguide.train.ranks import Ranks, available_cores
 from bokehguide.train.record_buffer import FAR
 from bokehguide.train.settings import RenderSettings
@@ -35,8 +35,8 @@ from bokehguide.train.steps import BatchResult, GuideCounts, StepStats, finite, 
 BATCH = 65536
 """Pixels traced together at most: more would leave the cache."""
 SMALL_BATCH, FEW_BATCHES = 28800, 4
-"""A small frame is cut into up to four batches, so that threads have work, but none smaller than
-this: below it Python costs more than a second thread brings."""
+"""A small frame is cut into up to four batches, all ranks together, so that threads have work, but none smaller
+than this: below it Python costs more than a second thread brings."""
 PRIMING_DIMENSION = LENS_DIMENSION + 5
 """Random dimensions of the lens points that prime the film: from this one on two."""
 PHASES = ("tracing rays", "shading", "guiding", "learning", "output")
@@ -118,7 +118,8 @@ class RenderLoop:
         start = time.perf_counter()
         places = self._places
         pixels = self.film.width * self.film.height if places is None else len(places)
-        count = max(math.ceil(pixels / BATCH), min(FEW_BATCHES, pixels // SMALL_BATCH), 1)
+        few = max(FEW_BATCHES // self.ranks.count, 1)
+        count = max(math.ceil(pixels / BATCH), min(few, pixels // SMALL_BATCH), 1)
         size = max(math.ceil(pixels / count), 1)
         spans = [slice(first, min(first + size, pixels)) for first in range(0, pixels, size)]
         results = list(self._pool.map(work, spans if places is None else [places[span] for span in spans]))
@@ -225,7 +226,8 @@ class RenderLoop:
         return torch.where(weight > 0.0, cells, -1), position, light
 
     def _learn(self, results: list[BatchResult]) -> None:
-        self.guide.record.add_all([result.records for result in results], self.ranks)
+        for result in results:
+            self.guide.record.add(*result.records)
         light, count = self.ranks.totals(*self._seen())
         self._mean_luminance = light / max(count, 1.0)
         lessons = [result.lesson for result in results if result.lesson is not None]
@@ -257,6 +259,7 @@ class RenderLoop:
         state = {"step": self.step_number, "film": self._film_state()}
         state |= {"mean_luminance": self._mean_luminance, "phases": dict(self._phases)}
         if self.guide is not None:
+            self.guide.record.merge()
             optimizers = {name: optimizer.state_dict() for name, optimizer in self.guide.optimizers.items()}
             state |= self.ranks.merged({"guide": self.guide.state_dict(), "optimizers": optimizers}, self._mine())
         return state
@@ -295,5 +298,8 @@ class RenderLoop:
         self._phases = Counter(state["phases"])
 
     def guide_images(self) -> dict[str, Tensor]:
-        """Pictures of what the guide knows, `[H, W, 3]` in 0 … 1; none in uniform mode."""
-        return self.guide.images() if self.guide else {}
+        """Pictures of what the guide knows, `[H, W, 3]` in 0 … 1; none in uniform mode. Collective."""
+        if self.guide is None:
+            return {}
+        beta = self.ranks.merged({"beta": self.guide.blend_weights()}, self._mine())["beta"]
+        return guide_images(self.camera, self.guide.record, self.guide.spotlights, beta, self.guide.candidates)

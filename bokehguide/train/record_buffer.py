@@ -24,14 +24,17 @@ class RecordBuffer(nn.Module):
     Positions are averaged with the radiance as weight, or a small highlight would be mixed
     with what lies behind it, and as slopes and inverse depth, or a dim environment, which
     is recorded far away, would carry a lamp before it off. sums: `[5, cells]`: count, Σ L,
-    Σ L·(X/Z, Y/Z, 1/Z), camera frame.
+    Σ L·(X/Z, Y/Z, 1/Z), camera frame; of the samples of all ranks up to the last `merge`.
     """
 
-    def __init__(self, camera: ThinLensCamera):
+    def __init__(self, camera: ThinLensCamera, ranks: Ranks | None = None):
         super().__init__()
+        self.ranks = ranks or Ranks()
         self.border = math.ceil(MARGIN * camera.width)
         self.width, self.height = camera.width + 2 * self.border, camera.height + 2 * self.border
         self.register_buffer("sums", torch.zeros(5, self.width * self.height))
+        self.register_buffer("_own", None if self.ranks.alone else torch.zeros_like(self.sums), persistent=False)
+        """Of this rank's samples since then."""
 
     def cells(self, camera: ThinLensCamera, points: Tensor) -> Tensor:
         """Cell of each camera-frame point `[3, N]`, int64 `[N]`; -1 outside or behind the lens."""
@@ -43,21 +46,18 @@ class RecordBuffer(nn.Module):
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
         index = (cells >= 0).nonzero()[:, 0]
         cells, light = cells[index], luminance[index]
-        self.sums[0].index_add_(0, cells, torch.ones_like(light))
-        self.sums[1].index_add_(0, cells, light)
+        count, radiance, *places = self.sums if self._own is None else self._own
+        count.index_add_(0, cells, torch.ones_like(light))
+        radiance.index_add_(0, cells, light)
         x, y, depth = points[:, index].unbind(0)
-        for total, value in zip(self.sums[2:5], (x / depth, y / depth, 1.0 / depth)):
+        for total, value in zip(places, (x / depth, y / depth, 1.0 / depth)):
             total.index_add_(0, cells, light * value)
 
-    def add_all(self, batches: list[tuple[Tensor, Tensor, Tensor]], ranks: Ranks) -> None:
-        """Add the samples of all batches on all ranks, each as `add` takes it; collective."""
-        earlier = None if ranks.alone else self.sums.clone()
-        if earlier is not None:
-            self.sums.zero_()
-        for batch in batches:
-            self.add(*batch)
-        if earlier is not None:
-            self.sums.copy_(earlier + ranks.total(self.sums))
+    def merge(self) -> None:
+        """Let every rank know the samples of all; collective."""
+        if self._own is not None:
+            self.sums += self.ranks.total(self._own)
+            self._own.zero_()
 
     def radiance(self) -> Tensor:
         """Mean luminance of each cell, `[height, width]`."""

@@ -31,7 +31,7 @@ from bokehguide.render.vector import luminance
 from bokehguide.scene.lamps import find_lamps
 from bokehguide.scene.types import Scene
 from bokehguide.train.fitting import fit_gaussians
-from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, guide_images, guided_draw, starts_block, uniform_draw
+from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, guided_draw, starts_block, uniform_draw
 from bokehguide.train.ranks import Ranks
 from bokehguide.train.record_buffer import FAR, RecordBuffer
 
@@ -67,7 +67,7 @@ class SpotGuide(nn.Module):
         self.camera, self.ranks = camera, ranks or Ranks()
         pixels, device = camera.width * camera.height, camera.position.device
         self.field = GaussianField()
-        self.record = RecordBuffer(camera)
+        self.record = RecordBuffer(camera, self.ranks)
         self.register_buffer("beta", torch.full((pixels,), FIRST_BLEND))
         self.register_buffer("moments", torch.zeros(2, pixels))
         """Σ β² f² p / q³ and Σ (1 - β)² f² u / q³ of the discs and the uniform part: at the β of least variance
@@ -142,7 +142,8 @@ class SpotGuide(nn.Module):
 
     @torch.no_grad()
     def refit(self, mean_luminance: float) -> None:
-        """The lamps, and what the record buffer shows beside them; then list each pixel's candidates."""
+        """The lamps, and what the record buffer shows beside them; then list each pixel's candidates. Collective."""
+        self.record.merge()
         found = GaussianField().to(self.beta.device)
         self.spotlights = fit_gaussians(found, self.record, self.camera, mean_luminance)
         if len(found) == 0 and len(self.field) == len(self._lamps) > 0:
@@ -156,9 +157,9 @@ class SpotGuide(nn.Module):
         """List each pixel's candidates; to be called after any change of the field."""
         self.candidates: CandidateList | None = draw_candidates(self.field, self.camera) if len(self.field) else None
 
-    def images(self) -> dict[str, Tensor]:
-        """As `guide_images`."""
-        return guide_images(self.camera, self.record, self.spotlights, self.beta, self.candidates)
+    def blend_weights(self) -> Tensor:
+        """β of each pixel, `[pixels]`."""
+        return self.beta
 
     def load_state_dict(self, state_dict, *args, **kwargs):
         """Load β, moments, records and the field; then list each pixel's candidates."""
