@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+from bokehguide.render.clusters import ClusterTable
 from bokehguide.render.geometry import Geometry
-from bokehguide.render.lights import MIN_SHARE, Lights
+from bokehguide.render.light_choice import LightChoice
+from bokehguide.render.lights import BY_CELL, MIN_SHARE, Lights
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import dot
-from bokehguide.scene.types import Environment, Scene, Texture
+from bokehguide.scene.types import Environment, Scene, Sun, Texture
 from tests.sphere import SphereGrid
 from tests.statistical import SIGNIFICANCE, z_test
 from tests.tracing import DOWN, inward, lamp, matte, rectangle, scene, sky, sphere
@@ -42,6 +44,7 @@ def lamps(environment: Environment | None) -> Scene:
     return scene(meshes, materials, environment)
 
 
+SUNS = (Sun((0.6, 0.8, 0.0), 8.0, (2.0, 2.0, 2.0)), Sun((0.0, -0.6, -0.8), 12.0, (1.0, 1.0, 0.5)))
 ORIGIN = (0.0, 0.0, 0.0)
 PLACES = [ORIGIN, (0.6, 0.1, 1.6), (-30.0, 20.0, 9.0)]
 """Amid the lamps, between two of them, and far outside the grid."""
@@ -52,12 +55,22 @@ def at(place, count: int) -> torch.Tensor:
     return torch.tensor(place)[:, None].repeat(1, count)
 
 
-def sampled(scene: Scene, count: int = DRAWS, place=ORIGIN):
-    """The lights, the geometry, and light samples at one point."""
+def learnt_choice(lights: Lights, count: int, spread: float = 2.0) -> LightChoice:
+    """One of three rows for each of `count` paths, of probabilities that differ widely; some clusters are never chosen."""
+    weights = np.random.default_rng(3).lognormal(0.0, spread, (3, lights.clusters.count))
+    weights[:, ::5] = 0.0
+    weights[:, -1] = 1.0
+    table = ClusterTable(torch.from_numpy(weights / weights.sum(axis=1, keepdims=True)))
+    return LightChoice(torch.arange(count) % 3, table, 1)
+
+
+def sampled(scene: Scene, count: int = DRAWS, place=ORIGIN, learnt: bool = False):
+    """The lights, the geometry, the choice, if one was learnt, and light samples at one point."""
     geometry = Geometry(scene)
     lights = Lights(scene, geometry)
+    choice = learnt_choice(lights, count) if learnt else None
     uniforms = PixelRandom(0, 0, torch.arange(count)).uniform(0, 6)
-    return lights, geometry, lights.sample(at(place, count), uniforms)
+    return lights, geometry, choice, lights.sample(at(place, count), uniforms, choice)
 
 
 def seen_from(place, directions: torch.Tensor, geometry: Geometry):
@@ -81,11 +94,12 @@ def environment_share(lights: Lights, points: torch.Tensor) -> torch.Tensor:
     return lights.environment_pdf(points, direction.expand_as(points)) / pdf
 
 
+@pytest.mark.parametrize("learnt", [False, True])
 @pytest.mark.parametrize("environment", [None, window()], ids=["lamps", "lamps and sky"])
 @pytest.mark.parametrize("place", PLACES[:2])
-def test_weighted_draws_add_up_to_the_light_of_each_part_of_the_sphere(environment, place):
+def test_weighted_draws_add_up_to_the_light_of_each_part_of_the_sphere(environment, place, learnt):
     """Of the sky, what exceeds its mean."""
-    lights, geometry, light = sampled(lamps(environment), place=place)
+    lights, geometry, _, light = sampled(lamps(environment), place=place, learnt=learnt)
     grid = SphereGrid(8, 16, 48)
     _, met, _, radiance = seen_from(place, grid.directions, geometry)
     if environment:
@@ -102,22 +116,24 @@ def test_weighted_draws_add_up_to_the_light_of_each_part_of_the_sphere(environme
     assert z_test((mean - expected).sum(), total_error) > SIGNIFICANCE
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_the_density_of_a_draw_is_the_one_that_a_ray_finds_there(place):
-    lights, geometry, light = sampled(lamps(window()), place=place)
+@pytest.mark.parametrize("suns", [(), SUNS], ids=["no sun", "suns"])
+@pytest.mark.parametrize("place, learnt", [*((place, False) for place in PLACES), *((place, True) for place in PLACES[:2])])
+def test_the_density_of_a_draw_is_the_one_that_a_ray_finds_there(place, learnt, suns):
+    lights, geometry, choice, light = sampled(replace(lamps(window()), suns=suns), place=place, learnt=learnt)
     hit, met, cosine, _ = seen_from(place, light.direction, geometry)
     there = unoccluded(light, geometry, place) > 0.0
     points = at(place, DRAWS)
-    found = lights.environment_pdf(points, light.direction)
+    found = lights.environment_pdf(points, light.direction, choice)
     triangles = hit.triangle.clamp(min=0)
-    found = torch.where(met, lights.triangle_pdf(points, triangles, hit.distance, cosine), found)
+    found = torch.where(met, lights.triangle_pdf(points, triangles, hit.distance, cosine, choice), found)
     apart = (found[there] / light.pdf[there] - 1.0).abs() > 1e-2
-    assert there.float().mean() > 0.5
+    assert there.float().mean() > 0.4
     assert apart.float().mean() < 1e-3  # rounding across an edge
 
 
+@pytest.mark.parametrize("learnt", [False, True])
 @pytest.mark.parametrize("place", [ORIGIN, (0.9, -0.5, 0.2), (-0.2, 0.3, -1.1)])
-def test_densities_over_the_whole_sphere_integrate_to_one(place):
+def test_densities_over_the_whole_sphere_integrate_to_one(place, learnt):
     """Inside a closed lamp, with a map that gets its share of the draws though none of it is seen."""
     shell = scene([inward(sphere(0, (0.2, 0.1, -0.3), 1.5))], [lamp()], window())
     geometry = Geometry(shell)
@@ -127,8 +143,14 @@ def test_densities_over_the_whole_sphere_integrate_to_one(place):
     assert met.all()
     points = at(place, len(met))
     share = float(environment_share(lights, points[:, :1]))
-    near = grid.integral(lights.triangle_pdf(points, hit.triangle, hit.distance, cosine))
-    far = grid.integral(lights.environment_pdf(points, grid.directions))
+    choice = None
+    if learnt:
+        choice = learnt_choice(lights, 1, spread=0.2).select(torch.zeros(len(met), dtype=torch.int64))
+        clusters = torch.arange(lights.clusters.triangles, lights.clusters.count)
+        of_sky = float(choice.select(torch.zeros_like(clusters)).pdf(clusters).sum())
+        share = BY_CELL * share + (1.0 - BY_CELL) * of_sky
+    near = grid.integral(lights.triangle_pdf(points, hit.triangle, hit.distance, cosine, choice))
+    far = grid.integral(lights.environment_pdf(points, grid.directions, choice))
     assert far == pytest.approx(share, abs=1e-3)
     assert near == pytest.approx(1.0 - share, abs=1e-3)
 
@@ -170,16 +192,16 @@ def test_whatever_emits_may_be_drawn_everywhere_and_nothing_else():
 def test_a_lamp_seen_from_behind_is_black_unless_double_sided():
     for double_sided in (False, True):
         away = scene([rectangle(0, (0, 0, 1.0))], [lamp(2.0, double_sided=double_sided)])
-        _, _, light = sampled(away, 1000)
+        *_, light = sampled(away, 1000)
         assert bool(light.radiance.any()) == double_sided
         facing = scene([rectangle(0, (0, 0, 1.0), (180.0, 0.0, 0.0))], [lamp(2.0, double_sided=double_sided)])
-        _, _, light = sampled(facing, 1000)
+        *_, light = sampled(facing, 1000)
         assert torch.equal(light.radiance, torch.tensor([2.0, 4.0, 6.0])[:, None].expand(3, 1000))
 
 
 def test_draws_lie_on_the_lamp_at_the_given_distance():
     ball = scene([sphere(0, (0.0, 0.0, 3.0), 0.5)], [lamp()])
-    _, _, light = sampled(ball, 10_000)
+    *_, light = sampled(ball, 10_000)
     point = light.direction * light.distance
     radius = (point - torch.tensor([[0.0], [0.0], [3.0]])).norm(dim=0)
     assert ((radius - 0.5).abs() < 5e-3).all()

@@ -67,7 +67,7 @@ def test_draws_spread_evenly_over_the_disc(direction, angle):
 def test_radiance_within_the_disc_adds_up_to_the_irradiance(angle):
     """On a facing surface: draws, weighed by their cosine, over their density."""
     light = EnvironmentLight(None, (sun(angle=angle, irradiance=7.0),))
-    direction, pdf = light.sample(uniforms(100_000, 5))
+    direction, pdf = light.sample(uniforms(1_000_000, 5))
     cosine = torch.tensor(TILTED) @ direction
     worth = (light.radiance(direction) * cosine / pdf.clamp(min=1e-30)).double().numpy()
     assert mean_test(worth, (7.0, 14.0, 21.0), 2e-4) > SIGNIFICANCE

@@ -19,50 +19,73 @@ class EnvironmentLight:
     """The map, the suns or both: their radiances add up, and `sample` chooses between them by power.
 
     visible: whether camera rays see it. power: luminance that `sample` accounts for,
-    integrated over the sphere; where it is 0 there is nothing to sample.
+    integrated over the sphere; where it is 0 there is nothing to sample. map, suns: those that are there.
     """
 
     def __init__(
         self, environment: Environment | None, suns: tuple[Sun, ...] = (), device: torch.device | str = "cpu"
     ):
         self.visible = environment is None or environment.visible
-        self._map = EnvironmentMap(environment, device) if environment is not None else None
-        self._suns = [disc for disc in (SunDisc(sun, device) for sun in suns) if disc.power > 0.0]
-        powers = np.array([self._map.power if self._map else 0.0, *(disc.power for disc in self._suns)])
+        self.map = EnvironmentMap(environment, device) if environment is not None else None
+        self.suns = [disc for disc in (SunDisc(sun, device) for sun in suns) if disc.power > 0.0]
+        powers = np.array([self.map.power if self.map else 0.0, *(disc.power for disc in self.suns)])
         self.power = float(powers.sum())
         self._share = powers / self.power if self.power > 0.0 else powers
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
-        color = torch.zeros_like(directions) if self._map is None else self._map.radiance(directions)
-        for disc in self._suns:
+        color = torch.zeros_like(directions) if self.map is None else self.map.radiance(directions)
+        for disc in self.suns:
             color = color + disc.color * disc.contains(directions)
         return color
 
     def alpha(self, directions: Tensor) -> Tensor:
         """What hides the background of camera rays `[3, N]`: all of a map, but of suns alone their discs; `[N]`."""
-        if self._map is not None:
+        if self.map is not None:
             return torch.ones_like(directions[0])
-        return sum((disc.contains(directions) for disc in self._suns), torch.zeros_like(directions[0])).clamp(max=1.0)
+        return sum((disc.contains(directions) for disc in self.suns), torch.zeros_like(directions[0])).clamp(max=1.0)
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         """Unit directions `[3, N]` and their solid-angle densities `[N]` from uniform numbers `[5, N]`."""
-        if not self._suns:
-            return self._map.sample(uniforms[0:4])
-        edges = np.cumsum(self._share).tolist()
-        direction = self._suns[-1].sample(uniforms[0:2])
-        for disc, edge in zip(self._suns[-2::-1], edges[-2:0:-1]):
-            direction = torch.where(uniforms[4] < edge, disc.sample(uniforms[0:2]), direction)
-        if self._share[0] > 0.0:
-            direction = torch.where(uniforms[4] < edges[0], self._map.sample(uniforms[0:4])[0], direction)
-        return direction, self.pdf(direction)
+        element = self.pick(uniforms[[0, 1, 4]])
+        direction = self.directions(element, uniforms[2:4])
+        return direction, self.pdf(direction, self.texels(direction, element))
 
-    def pdf(self, directions: Tensor) -> Tensor:
-        """Solid-angle density `[N]` of `sample` at unit directions `[3, N]`."""
+    def pick(self, uniforms: Tensor) -> Tensor:
+        """What to sample, by power, from uniform numbers `[3, N]`: texels of the map, or -1, -2, … for the suns."""
+        texel = self.map.pick(uniforms[0:2]) if self._share[0] > 0.0 else None
+        if not self.suns:
+            return texel
+        edges = torch.tensor(np.cumsum(self._share[:-1]), dtype=torch.float32, device=uniforms.device)
+        sun = (uniforms[2] >= edges[:, None]).sum(0)
+        return -sun if texel is None else torch.where(sun > 0, -sun, texel)
+
+    def directions(self, element: Tensor, uniforms: Tensor) -> Tensor:
+        """Unit directions `[3, N]` within elements `[N]` as `pick` has them, from uniform numbers `[2, N]`."""
+        direction = torch.zeros(3, len(element), device=element.device)
+        if self._share[0] > 0.0:
+            direction = self.map.directions(element.clamp(min=0), uniforms)
+        for number, disc in enumerate(self.suns, start=1):
+            direction = torch.where(element == -number, disc.sample(uniforms), direction)
+        return direction
+
+    def texels(self, directions: Tensor, element: Tensor | None = None) -> Tensor:
+        """Texels of the map `[N]` that unit directions `[3, N]` lie in: those they were drawn in, where they were.
+
+        All 0 where no map is sampled.
+        """
+        if self._share[0] == 0.0:
+            return torch.zeros(directions.shape[1], dtype=torch.int64, device=directions.device)
+        if element is None:
+            return self.map.texel_at(directions)
+        return torch.where(element < 0, self.map.texel_at(directions), element) if self.suns else element
+
+    def pdf(self, directions: Tensor, texel: Tensor | None = None) -> Tensor:
+        """Solid-angle density `[N]` of `sample` at unit directions `[3, N]`; their texels may be given."""
         density = torch.zeros_like(directions[0])
         if self._share[0] > 0.0:
-            density = self._map.pdf(directions) * self._share[0]
-        for disc, share in zip(self._suns, self._share[1:]):
+            density = self.map.density(self.map.texel_at(directions) if texel is None else texel) * self._share[0]
+        for disc, share in zip(self.suns, self._share[1:]):
             density = density + share * disc.density * disc.contains(directions)
         return density
 
@@ -104,23 +127,45 @@ class EnvironmentMap:
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         """Unit directions `[3, N]` and their solid-angle densities `[N]` from uniform numbers `[4, N]`."""
-        texel = self._table.sample(uniforms[0:2])
-        row, column = texel // self.width, texel % self.width
-        phi = 2.0 * math.pi * ((column + uniforms[2]) / self.width - 0.5 - self._turn)
-        top, bottom = torch.cos(math.pi * row / self.height), torch.cos(math.pi * (row + 1) / self.height)
-        y = top + (bottom - top) * uniforms[3]
-        sine = (1.0 - y * y).clamp(min=0.0).sqrt()
-        return torch.stack((sine * phi.sin(), y, -sine * phi.cos())), self._density(texel, row)
+        texel = self.pick(uniforms[0:2])
+        return self.directions(texel, uniforms[2:4]), self.density(texel)
 
     def pdf(self, directions: Tensor) -> Tensor:
         """Solid-angle density `[N]` of `sample` at unit directions `[3, N]`."""
+        return self.density(self.texel_at(directions))
+
+    def pick(self, uniforms: Tensor) -> Tensor:
+        """Texels `[N]`, by power, from uniform numbers `[2, N]`."""
+        return self._table.sample(uniforms)
+
+    def directions(self, texel: Tensor, uniforms: Tensor) -> Tensor:
+        """Unit directions `[3, N]`, even over texels `[N]`, from uniform numbers `[2, N]`."""
+        row, column = texel // self.width, texel % self.width
+        phi = 2.0 * math.pi * ((column + uniforms[0]) / self.width - 0.5 - self._turn)
+        top, bottom = torch.cos(math.pi * row / self.height), torch.cos(math.pi * (row + 1) / self.height)
+        y = top + (bottom - top) * uniforms[1]
+        sine = (1.0 - y * y).clamp(min=0.0).sqrt()
+        return torch.stack((sine * phi.sin(), y, -sine * phi.cos()))
+
+    def texel_at(self, directions: Tensor) -> Tensor:
+        """Texels `[N]` that unit directions `[3, N]` lie in."""
         u, v = self._uv(directions)
         row = (v * self.height).long().clamp(0, self.height - 1)
-        column = (u * self.width).long() % self.width
-        return self._density(row * self.width + column, row)
+        return row * self.width + (u * self.width).long() % self.width
 
-    def _density(self, texel: Tensor, row: Tensor) -> Tensor:
-        return self._table.pdf(texel) / self._solid_angle.index_select(0, row)
+    def density(self, texel: Tensor) -> Tensor:
+        """Solid-angle density `[N]` of `sample` in texels `[N]`."""
+        return self._table.pdf(texel) * self.evenness(texel)
+
+    def evenness(self, texel: Tensor) -> Tensor:
+        """Solid-angle density `[N]` within texels `[N]`, of directions that are even over them."""
+        return 1.0 / self._solid_angle.index_select(0, texel // self.width)
+
+    def shares(self) -> np.ndarray:
+        """Probability of each texel, float32 `[H, W]`; 0 where there is nothing to sample."""
+        if self._table is None:
+            return np.zeros((self.height, self.width), np.float32)
+        return self._table.probability.cpu().numpy().reshape(self.height, self.width)
 
     def _uv(self, directions: Tensor) -> tuple[Tensor, Tensor]:
         x, y, z = directions.unbind(0)

@@ -7,7 +7,6 @@ each cell knows how much light each cluster could send to it, unshadowed.
 
 from __future__ import annotations
 
-import heapq
 import math
 from typing import NamedTuple
 
@@ -16,9 +15,8 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
+from bokehguide.render.clusters import ClusterTable, gather
 
-LEVELS = 7
-"""Up to 2^7 clusters; a choice takes as many bisections."""
 RESOLUTION = 24
 """Cells along the grid's longest side."""
 DEFENSIVE = 0.1
@@ -81,28 +79,23 @@ class _Clusters(NamedTuple):
 class LightGrid:
     """A choice among K triangles that depends on the shaded point; the measure is counting.
 
-    light: `[cells]`, how much each cell may get of it, as luminance integrated over solid angle.
+    light: `[cells]`, how much each cell may get of it, as luminance integrated over solid angle. clusters: how many.
     """
 
     def __init__(self, lamps: GridLamps, device: torch.device):
         features = np.concatenate((lamps.center, lamps.normal * _direction_scale(lamps.center)), axis=1)
-        cluster, count = _cluster(features, lamps.power)
+        cluster, self.clusters = gather(features, lamps.power)
         order = np.argsort(cluster, kind="stable")
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
-        self._table = AliasTable(lamps.power[order], device, np.searchsorted(cluster[order], np.arange(count + 1)))
+        starts = np.searchsorted(cluster[order], np.arange(self.clusters + 1))
+        self._within = AliasTable(lamps.power[order], device, starts)
         self._order, self._place, self._cluster = (torch.from_numpy(a).to(device) for a in (order, place, cluster))
         self._layout = _layout(lamps.center)
-        clusters = _gathered(lamps, cluster, count)
+        clusters = _gathered(lamps, cluster, self.clusters)
         light = _cell_light(self._layout, clusters)
         self.light = torch.from_numpy(light.sum(axis=1).astype(np.float32)).to(device)
-        cumulative = np.cumsum(_defensive(light, clusters.total), axis=1).astype(np.float32)
-        cumulative[:, -1] = 1.0
-        probability = np.diff(cumulative, axis=1, prepend=np.float32(0.0))
-        self._probability = torch.from_numpy(probability.reshape(-1)).to(device)
-        padded = np.pad(cumulative, ((0, 0), (0, 2**LEVELS - count)), constant_values=1.0)
-        self._cumulative = torch.from_numpy(padded.reshape(-1)).to(device)
-        self._count = count
+        self._table = ClusterTable(torch.from_numpy(_defensive(light, clusters.total)).to(device))
 
     def cells(self, points: Tensor) -> Tensor:
         """Cell `[N]` of each point `[3, N]`; points outside belong to the nearest cell."""
@@ -114,50 +107,28 @@ class LightGrid:
 
     def sample(self, cells: Tensor, uniforms: Tensor) -> Tensor:
         """Triangles `[N]` for points in `cells` `[N]`, from uniform numbers `[3, N]`."""
-        base = cells << LEVELS
-        cluster = torch.zeros_like(cells)
-        for level in reversed(range(LEVELS)):  # the first cluster whose cumulative share exceeds u
-            step = 1 << level
-            below = self._cumulative.index_select(0, base + cluster + (step - 1)) <= uniforms[0]
-            cluster = cluster + below * step
-        return self._order.index_select(0, self._table.sample(uniforms[1:3], cluster))
+        return self.sample_within(self._table.sample(cells, uniforms[0]), uniforms[1:3])
+
+    def sample_within(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
+        """Triangles `[N]` of clusters `[N]`, by power, from uniform numbers `[2, N]`."""
+        return self._order.index_select(0, self._within.sample(uniforms, cluster))
 
     def pdf(self, cells: Tensor, triangle: Tensor) -> Tensor:
         """Probability `[N]` of choosing each triangle for a point in each cell."""
-        cluster = self._cluster.index_select(0, triangle)
-        share = self._probability.index_select(0, cells * self._count + cluster)
-        return share * self._table.pdf(self._place.index_select(0, triangle))
+        return self._table.pdf(cells, self.cluster(triangle)) * self.pdf_within(triangle)
+
+    def cluster(self, triangle: Tensor) -> Tensor:
+        """Cluster `[N]` of each triangle."""
+        return self._cluster.index_select(0, triangle)
+
+    def pdf_within(self, triangle: Tensor) -> Tensor:
+        """Probability `[N]` of choosing each triangle in its cluster."""
+        return self._within.pdf(self._place.index_select(0, triangle))
 
 
 def _direction_scale(centers: np.ndarray) -> float:
     """Length that a turn of a normal counts for beside a change of place: small lamps split last."""
     return 0.02 * float(np.linalg.norm(np.ptp(centers, axis=0)))
-
-
-def _cluster(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, int]:
-    """Cluster of each triangle and their number: bisections of whatever spreads its power widest."""
-    groups = {0: np.arange(len(power))}
-    queue = [(-_spread(features, power), 0)]
-    while queue and len(groups) < 2**LEVELS:
-        _, name = heapq.heappop(queue)
-        members = groups[name]
-        points = features[members]
-        axis = int(np.argmax(np.ptp(points, axis=0)))
-        middle = 0.5 * (points[:, axis].min() + points[:, axis].max())
-        upper = points[:, axis] > middle
-        if not upper.any() or upper.all():
-            continue
-        groups[name], groups[len(groups)] = members[~upper], members[upper]
-        for half in (name, len(groups) - 1):
-            heapq.heappush(queue, (-_spread(features[groups[half]], power[groups[half]]), half))
-    cluster = np.empty(len(power), np.int64)
-    for name, members in groups.items():
-        cluster[members] = name
-    return cluster, len(groups)
-
-
-def _spread(features: np.ndarray, power: np.ndarray) -> float:
-    return float(power.sum()) * float(np.linalg.norm(np.ptp(features, axis=0)))
 
 
 def _layout(centers: np.ndarray) -> _Layout:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +13,7 @@ from torch import Tensor
 
 from bokehguide.render.environment import EnvironmentLight
 from bokehguide.render.geometry import Geometry
+from bokehguide.render.light_choice import LightChoice, LightClusters
 from bokehguide.render.light_grid import GridLamps, LightGrid
 from bokehguide.render.suns import cap_directions, frame_about
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
@@ -23,23 +26,51 @@ POWER_GRID = 4
 """The power of a textured triangle is averaged over this many squared points."""
 CONE_DIRECTIONS = 64
 """That of a spotlight over this many directions within its cone."""
+BY_CELL = 0.25
+"""Share of the light samples that a `LightChoice` leaves to the cell of the grid, so that no light is ever left out."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 class LightSample(NamedTuple):
-    """direction: unit, `[3, N]`; distance `[N]`; radiance `[3, N]`; pdf per solid angle `[N]`."""
+    """direction: unit, `[3, N]`; distance `[N]`; radiance `[3, N]`; pdf per solid angle `[N]`.
+
+    Under a `LightChoice`, also the cluster that was chosen, whichever way, int64 `[N]`, and the probability of that, `[N]`.
+    """
 
     direction: Tensor
     distance: Tensor
     radiance: Tensor
     pdf: Tensor
+    cluster: Tensor | None = None
+    share: Tensor | None = None
+
+
+@dataclass
+class _Asked:
+    """How N points choose: cells of the grid and their share for the environment, `[N]`; under a choice that has
+    learnt something, the clusters it took, -1 where it leaves it to the cell."""
+
+    cells: Tensor
+    environment_share: Tensor
+    choice: LightChoice | None
+    cluster: Tensor | None = None
+
+    @property
+    def learnt(self) -> bool:
+        return self.choice is not None and self.choice.table is not None
+
+    def select(self, index: Tensor) -> _Asked:
+        picked = (None if v is None else v[index] for v in (self.cells, self.environment_share, self.cluster))
+        cells, share, cluster = picked
+        return _Asked(cells, share, None if self.choice is None else self.choice.select(index), cluster)
 
 
 class Lights:
     """Emissive triangles (chosen by a `LightGrid`) and what lies at infinity: environment map and suns.
 
     Each cell of the grid chooses between the two kinds by how much light it may get from
-    either. All densities are per unit solid angle at the shaded point and include the choice.
+    either. Where a `LightChoice` is given, it chooses among clusters of lights of both kinds in all but
+    BY_CELL of the draws. All densities are per unit solid angle at the shaded point and include the choice.
     """
 
     def __init__(self, scene: Scene, geometry: Geometry):
@@ -79,33 +110,58 @@ class Lights:
             return torch.zeros(points.shape[1], dtype=torch.int64, device=points.device)
         return self._grid.cells(points)
 
-    def sample(self, points: Tensor, uniforms: Tensor) -> LightSample:
+    @cached_property
+    def clusters(self) -> LightClusters:
+        """All that `sample` may fall on, in clusters."""
+        return LightClusters(self._grid if len(self._triangles) else None, self.environment if self._sky > 0.0 else None)
+
+    def sample(self, points: Tensor, uniforms: Tensor, choice: LightChoice | None = None) -> LightSample:
         """One light sample for each shaded point `[3, N]` from uniform numbers `[6, N]`."""
         cells = self._cells(points)
-        share = self.environment_share(cells)
-        sky = uniforms[0] < share
+        asked = _Asked(cells, self.environment_share(cells), choice)
+        sky = uniforms[0] < asked.environment_share
+        if asked.learnt:
+            asked.cluster = torch.where(uniforms[0] < BY_CELL, -1, choice.sample((uniforms[0] - BY_CELL) / (1.0 - BY_CELL)))
+            by_cell = uniforms[0] < BY_CELL * asked.environment_share
+            sky = torch.where(asked.cluster < 0, by_cell, asked.cluster >= self.clusters.triangles)
         far, near = sky.nonzero()[:, 0], (~sky).nonzero()[:, 0]
         uniforms = uniforms[1:]
         if len(near) == 0:
-            return self._sample_environment(share, uniforms)
+            return self._sample_environment(asked, uniforms)
         if len(far) == 0:
-            return self._sample_triangles(points, cells, 1.0 - share, uniforms)
+            return self._sample_triangles(points, asked, uniforms)
         index = torch.cat((far, near))
         back = torch.empty_like(index)
         back[index] = torch.arange(len(index), device=index.device)
         pairs = zip(
-            self._sample_environment(share[far], uniforms[:, far]),
-            self._sample_triangles(points[:, near], cells[near], 1.0 - share[near], uniforms[:, near]),
+            self._sample_environment(asked.select(far), uniforms[:, far]),
+            self._sample_triangles(points[:, near], asked.select(near), uniforms[:, near]),
         )
-        return LightSample(*(torch.cat(pair, dim=-1).index_select(-1, back) for pair in pairs))
+        return LightSample(*(None if one is None else torch.cat((one, two), -1).index_select(-1, back) for one, two in pairs))
 
-    def _sample_environment(self, share: Tensor, uniforms: Tensor) -> LightSample:
-        direction, pdf = self.environment.sample(uniforms[0:5])
-        distance = torch.full_like(pdf, MISS_DISTANCE)
-        return LightSample(direction, distance, self.environment.radiance(direction), pdf * share)
+    def _sample_environment(self, asked: _Asked, uniforms: Tensor) -> LightSample:
+        element = self.environment.pick(uniforms[[0, 1, 4]])
+        if asked.cluster is not None:
+            element = torch.where(asked.cluster < 0, element, self.clusters.pick(asked.cluster, uniforms[0:2]))
+        direction = self.environment.directions(element, uniforms[2:4])
+        pdf = self._environment_pdf(asked, direction, self.environment.texels(direction, element))
+        light = LightSample(direction, torch.full_like(pdf, MISS_DISTANCE), self.environment.radiance(direction), pdf)
+        if asked.choice is None:
+            return light
+        return light._replace(cluster=self.clusters.cluster(element), share=pdf / self.clusters.pdf_within(element))
 
-    def _sample_triangles(self, points: Tensor, cells: Tensor, share: Tensor, uniforms: Tensor) -> LightSample:
-        lamp = self._grid.sample(cells, uniforms[0:3])
+    def _environment_pdf(self, asked: _Asked, direction: Tensor, texel: Tensor) -> Tensor:
+        by_cell = asked.environment_share * self.environment.pdf(direction, texel)
+        if not asked.learnt:
+            return by_cell
+        return BY_CELL * by_cell + (1.0 - BY_CELL) * self.clusters.environment_pdf(asked.choice, direction, texel)
+
+    def _sample_triangles(self, points: Tensor, asked: _Asked, uniforms: Tensor) -> LightSample:
+        lamp = self._grid.sample(asked.cells, uniforms[0:3])
+        if asked.cluster is not None:
+            chosen = (asked.cluster >= 0).nonzero()[:, 0]
+            cluster = asked.cluster.index_select(0, chosen)
+            lamp[chosen] = self._grid.sample_within(cluster, uniforms[1:3].index_select(1, chosen))
         rows = self._rows.index_select(1, lamp)
         root = uniforms[3].sqrt()
         u, v = root * (1.0 - uniforms[4]), root * uniforms[4]
@@ -122,10 +178,24 @@ class Lights:
             radiance = radiance * transmittance
         if self._geometry.materials.has_sheer:
             radiance = radiance * self._geometry.opacity(hit)
-        share = share * self._grid.pdf(cells, lamp)
-        return LightSample(direction, distance, radiance, share * rows[12] * squared / cosine.abs().clamp(min=1e-12))
+        share = self._triangle_share(asked, lamp)
+        pdf = share * rows[12] * squared / cosine.abs().clamp(min=1e-12)
+        light = LightSample(direction, distance, radiance, pdf)
+        if asked.choice is None:
+            return light
+        return light._replace(cluster=self._grid.cluster(lamp), share=share / self._grid.pdf_within(lamp))
 
-    def triangle_pdf(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
+    def _triangle_share(self, asked: _Asked, lamp: Tensor) -> Tensor:
+        """Probability `[N]` of choosing each of the emissive triangles."""
+        by_cell = (1.0 - asked.environment_share) * self._grid.pdf(asked.cells, lamp)
+        if not asked.learnt:
+            return by_cell
+        learnt = asked.choice.pdf(self._grid.cluster(lamp)) * self._grid.pdf_within(lamp)
+        return BY_CELL * by_cell + (1.0 - BY_CELL) * learnt
+
+    def triangle_pdf(
+        self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor, choice: LightChoice | None = None
+    ) -> Tensor:
         """Density `[N]` with which `sample` at points `[3, N]` finds `triangle` at `distance` under `cosine`.
 
         Triangles that emit nothing are never sampled: their density is 0.
@@ -135,14 +205,16 @@ class Lights:
         lamp = self._lamp.index_select(0, triangle)
         known = lamp.clamp(min=0)
         cells = self._cells(points)
-        share = (1.0 - self.environment_share(cells)) * self._grid.pdf(cells, known) * (lamp >= 0)
+        share = self._triangle_share(_Asked(cells, self.environment_share(cells), choice), known) * (lamp >= 0)
         return share * self._rows[12].index_select(0, known) * distance * distance / cosine.abs().clamp(min=1e-12)
 
-    def environment_pdf(self, points: Tensor, directions: Tensor) -> Tensor:
+    def environment_pdf(self, points: Tensor, directions: Tensor, choice: LightChoice | None = None) -> Tensor:
         """Density `[N]` with which `sample` at points `[3, N]` finds environment directions `[3, N]`."""
         if self._sky == 0.0:
             return torch.zeros_like(directions[0])
-        return self.environment_share(self._cells(points)) * self.environment.pdf(directions)
+        cells = self._cells(points)
+        asked = _Asked(cells, self.environment_share(cells), choice)
+        return self._environment_pdf(asked, directions, self.environment.texels(directions))
 
 
 def _grid_lamps(scene: Scene, geometry: Geometry, triangles: Tensor, power: Tensor) -> GridLamps:

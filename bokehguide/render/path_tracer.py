@@ -7,19 +7,21 @@ lenses, films or guiding.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from bokehguide.render.dielectric import DELTA_PDF
 from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
 from bokehguide.render.opacity import MAX_CROSSINGS, Opacity
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
-from bokehguide.render.vector import dot, length
+from bokehguide.render.vector import dot, length, luminance
 from bokehguide.scene.types import Scene
 
 ROULETTE_DEPTH = 2
@@ -39,7 +41,9 @@ class PathSamples:
     radiance, and of the first surface normal, albedo and emission: `[3, N]`; distance to it,
     MISS_DISTANCE where there is none; alpha: 1 where the camera sees a surface or what lies
     at infinity, else 0; triangle: that of the first surface, int32, -1 where there is none;
-    rays: number of rays traced.
+    rays: number of rays traced. Under a `LightChoice`, also the cluster of the light sample there, int64, -1 where
+    there was none, and its worth: the luminance it brought times the root of the cluster's probability, whose square
+    is on average the sum over clusters of the squared luminance each would have brought.
     """
 
     radiance: Tensor
@@ -50,20 +54,27 @@ class PathSamples:
     alpha: Tensor
     triangle: Tensor
     rays: int = 0
+    light_cluster: Tensor | None = None
+    light_worth: Tensor | None = None
 
     @classmethod
-    def empty(cls, count: int, device: torch.device) -> PathSamples:
-        """Rays that met nothing."""
+    def empty(cls, count: int, device: torch.device, chooses: bool = False) -> PathSamples:
+        """Rays that met nothing. chooses: whether under a `LightChoice`."""
         vectors = torch.zeros(4, 3, count, device=device)
         distance = torch.full((count,), MISS_DISTANCE, device=device)
         triangle = torch.full((count,), -1, dtype=torch.int32, device=device)
-        return cls(vectors[0], distance, *vectors[1:], torch.zeros(count, device=device), triangle)
+        empty = cls(vectors[0], distance, *vectors[1:], torch.zeros(count, device=device), triangle)
+        if chooses:
+            empty.light_cluster = torch.full((count,), -1, device=device)
+            empty.light_worth = torch.zeros(count, device=device)
+        return empty
 
     def spread(self, index: Tensor, count: int) -> PathSamples:
         """`count` samples, of which these are the ones at `index` and the others met nothing."""
-        spread = PathSamples.empty(count, self.radiance.device)
-        for name in ("radiance", "distance", "normal", "albedo", "emission", "alpha", "triangle"):
-            getattr(spread, name)[..., index] = getattr(self, name)
+        spread = PathSamples.empty(count, self.radiance.device, self.light_cluster is not None)
+        for name, value in vars(self).items():
+            if isinstance(value, Tensor):
+                getattr(spread, name)[..., index] = value
         spread.rays = self.rays
         return spread
 
@@ -73,7 +84,7 @@ class _Paths:
     """The paths still alive, compacted after each segment.
 
     vertex: where the last scattering was and lights were sampled for; origin: the same,
-    off the surface.
+    off the surface; choice: how they were, or will be, where not as everywhere.
     """
 
     index: Tensor
@@ -84,10 +95,12 @@ class _Paths:
     radiance: Tensor
     pdf: Tensor
     random: PixelRandom
+    choice: LightChoice | None
 
     def select(self, index: Tensor) -> _Paths:
         names = ("index", "vertex", "origin", "direction", "throughput", "radiance", "pdf")
-        return _Paths(*(getattr(self, name).index_select(-1, index) for name in names), self.random.select(index))
+        choice = None if self.choice is None else self.choice.select(index)
+        return _Paths(*(getattr(self, name).index_select(-1, index) for name in names), self.random.select(index), choice)
 
 
 def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
@@ -108,15 +121,24 @@ class PathTracer:
         self.max_depth = scene.film.max_depth
 
     def trace(
-        self, origin: Tensor, direction: Tensor, random: PixelRandom, timer: PhaseTimer, max_depth: int | None = None
+        self,
+        origin: Tensor,
+        direction: Tensor,
+        random: PixelRandom,
+        timer: PhaseTimer,
+        max_depth: int | None = None,
+        choice: LightChoice | None = None,
     ) -> PathSamples:
-        """Trace rays with world origins and unit directions `[3, N]`; one path a ray, of max_depth segments if given."""
+        """Trace rays with world origins and unit directions `[3, N]`; one path a ray, of max_depth segments if given.
+
+        choice: of lights at first surfaces.
+        """
         count = origin.shape[1]
         ones = torch.ones(count, device=origin.device)
-        result = PathSamples.empty(count, origin.device)
+        result = PathSamples.empty(count, origin.device, choice is not None)
         index = torch.arange(count, device=origin.device)
         paths = _Paths(
-            index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random
+            index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random, choice
         )
         last = max_depth or self.max_depth
         for depth in range(1, last + 1):
@@ -147,15 +169,18 @@ class PathTracer:
         self._add_emission(paths, hit, surface)
         if depth == 1:
             result.emission[:, paths.index] = paths.radiance
+        else:
+            paths.choice = None
         if last:
             return _finish(paths, result)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
-        draw = paths.random.stratified if depth == 1 else paths.random.uniform
+        draw = paths.random.uniform
+        if depth == 1:
+            draw = partial(paths.random.stratified, first=paths.choice.block if paths.choice else 1)
         choice = draw(dimension, 1)[0] if self.geometry.materials.has_transmission else None
         scattering = Scattering(surface, choice)
         if not self.lights.empty:
-            uniforms = draw(dimension + 5, 6)
-            result.rays += self._add_direct_light(paths, surface, scattering, uniforms, timer)
+            self._add_direct_light(paths, surface, scattering, draw(dimension + 5, 6), result, timer)
         return self._scatter(paths, surface, scattering, draw(dimension + 1, 4), depth, result)
 
     def _end_in_environment(self, paths: _Paths, hit: Hit, depth: int, result: PathSamples) -> tuple[_Paths, Hit]:
@@ -166,7 +191,7 @@ class PathTracer:
         gone = paths.select(missed)
         environment = self.lights.environment
         if environment is not None and (depth > 1 or environment.visible):
-            weight = power_heuristic(gone.pdf, self.lights.environment_pdf(gone.vertex, gone.direction))
+            weight = power_heuristic(gone.pdf, self.lights.environment_pdf(gone.vertex, gone.direction, gone.choice))
             gone.radiance += gone.throughput * environment.radiance(gone.direction) * weight
             if depth == 1:
                 result.alpha[gone.index] = environment.alpha(gone.direction)
@@ -188,15 +213,22 @@ class PathTracer:
         offset = surface.position.index_select(1, index) - vertex
         distance = length(offset)
         cosine = dot(surface.geometric_normal.index_select(1, index), offset) / distance.clamp(min=1e-30)
-        other = self.lights.triangle_pdf(vertex, lamp.triangle, distance, cosine)
+        choice = None if paths.choice is None else paths.choice.select(index)
+        other = self.lights.triangle_pdf(vertex, lamp.triangle, distance, cosine, choice)
         weight = power_heuristic(paths.pdf.index_select(0, index), other)
         paths.radiance[:, index] += paths.throughput.index_select(1, index) * radiance * weight
 
     def _add_direct_light(
-        self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, timer: PhaseTimer
-    ) -> int:
-        """Next-event estimation: one shadow ray a path; returns the number of rays traced."""
-        light = self.lights.sample(surface.position, uniforms)
+        self,
+        paths: _Paths,
+        surface: Surface,
+        scattering: Scattering,
+        uniforms: Tensor,
+        result: PathSamples,
+        timer: PhaseTimer,
+    ) -> None:
+        """Next-event estimation: one shadow ray a path."""
+        light = self.lights.sample(surface.position, uniforms, paths.choice)
         value, pdf = scattering.evaluate(light.direction)
         weight = power_heuristic(light.pdf, pdf) / light.pdf.clamp(min=1e-30)
         contribution = paths.throughput * value * light.radiance * weight
@@ -211,8 +243,12 @@ class PathTracer:
             share, rays = self._opacity.transmittance(origin, direction, distance)
         visibility = torch.zeros_like(pdf)
         visibility[index] = share
-        paths.radiance += contribution * visibility
-        return rays
+        result.rays += rays
+        contribution = contribution * visibility
+        paths.radiance += contribution
+        if paths.choice is not None:
+            result.light_cluster[paths.index] = light.cluster
+            result.light_worth[paths.index] = luminance(contribution) * light.share.sqrt()
 
     def _scatter(
         self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, depth: int, result: PathSamples
@@ -232,7 +268,7 @@ class PathTracer:
             _finish(last, result)
         origin = surface.leave(direction)
         paths = _Paths(
-            paths.index, surface.position, origin, direction, throughput, paths.radiance, pdf, paths.random
+            paths.index, surface.position, origin, direction, throughput, paths.radiance, pdf, paths.random, paths.choice
         )
         return paths.select((survival > 0.0).nonzero()[:, 0])
 

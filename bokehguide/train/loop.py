@@ -17,6 +17,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.models.lens_distribution import LensDensity
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import Film, FilmSamples, earliest
+from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.pixels import Pixels, box_pixels, pixel_numbers
 from bokehguide.render.random import PixelRandom
@@ -25,7 +26,8 @@ from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
 from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
-from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide, guide_images, uniform_draw
+from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide, guide_images, starts_block, uniform_draw
+from bokehguide.train.light_guide import LightGuide
 from bokehguide.train.ranks import Ranks, available_cores
 from bokehguide.train.record_buffer import FAR
 from bokehguide.train.settings import RenderSettings
@@ -74,6 +76,9 @@ class RenderLoop:
         pinhole = scene.camera.aperture_radius == 0.0
         guided = settings.lens_mode != "uniform" and not pinhole
         self.guide = self._make_guide() if guided else None
+        self.light_guide: LightGuide | None = None
+        if isinstance(self.guide, SpotGuide) and not self.tracer.lights.empty:
+            self.light_guide = LightGuide(self.camera, self.tracer.lights.clusters.count, self.ranks)
         self.reuse = SpatialReuse(self.camera, self.tracer, settings.reuse_radius, settings.seed) if settings.reuses else None
         self.step_number = 0
         self._threads = settings.threads or available_cores()
@@ -142,7 +147,8 @@ class RenderLoop:
             focus = camera.focus_points(raster)
             points, weight, batch, at = self._draw(pixels, raster, focus, random)
         with timer.measure("shading"):
-            samples, directions = self._trace(focus, points, weight, random, timer)
+            choice = self.light_guide.choice(numbers) if self.light_guide else None
+            samples, directions = self._trace(focus, points, weight, random, choice, timer)
             if self.step_number == 1 and batch is not None:
                 samples.rays += self._prime(places, focus, random, timer)
         with timer.measure("output"):
@@ -160,6 +166,8 @@ class RenderLoop:
             recorded = finite(self.guide.recorded(samples), good)
             result.records = self._records(points, directions, samples.distance, weight, recorded)
             result.counts = GuideCounts.of(batch, weight)
+            if choice is not None:
+                result.lights = (choice.row, samples.light_cluster, samples.light_worth)
         return result
 
     def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
@@ -190,14 +198,21 @@ class RenderLoop:
         return self.guide.draw(self.step_number, pixels, raster, focus, random)
 
     def _trace(
-        self, focus: Tensor, points: Tensor, weight: Tensor, random: PixelRandom, timer: PhaseTimer
+        self,
+        focus: Tensor,
+        points: Tensor,
+        weight: Tensor,
+        random: PixelRandom,
+        choice: LightChoice | None,
+        timer: PhaseTimer,
     ) -> tuple[PathSamples, Tensor]:
         """Radiance of the rays that pass the aperture, 0 for the others; world directions `[3, N]`."""
         origins, directions = self.camera.rays(focus, points)
         inside = (weight > 0.0).nonzero()[:, 0]
         if len(inside) == len(weight):
-            return self.tracer.trace(origins, directions, random, timer), directions
-        traced = self.tracer.trace(origins[:, inside], directions[:, inside], random.select(inside), timer)
+            return self.tracer.trace(origins, directions, random, timer, choice=choice), directions
+        choice = None if choice is None else choice.select(inside)
+        traced = self.tracer.trace(origins[:, inside], directions[:, inside], random.select(inside), timer, choice=choice)
         return traced.spread(inside, len(weight)), directions
 
     def _film_samples(self, samples: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
@@ -232,6 +247,11 @@ class RenderLoop:
         self._mean_luminance = light / max(count, 1.0)
         lessons = [result.lesson for result in results if result.lesson is not None]
         self.guide.update(self.step_number, lessons, self._mean_luminance)
+        if self.light_guide is not None and self._mean_luminance > 0.0:
+            for result in results:
+                self.light_guide.add(*result.lights, self._mean_luminance)
+        if self.light_guide is not None and starts_block(self.step_number + 1):
+            self.light_guide.update(self.step_number + 1)
 
     def picture(self) -> Film:
         """The film with the pixels of all ranks; collective."""
@@ -262,6 +282,9 @@ class RenderLoop:
             self.guide.record.merge()
             optimizers = {name: optimizer.state_dict() for name, optimizer in self.guide.optimizers.items()}
             state |= self.ranks.merged({"guide": self.guide.state_dict(), "optimizers": optimizers}, self._mine())
+        if self.light_guide is not None:
+            self.light_guide.merge()
+            state["light_guide"] = self.light_guide.state_dict()
         return state
 
     def _mine(self) -> Tensor:
@@ -294,6 +317,8 @@ class RenderLoop:
             self.guide.load_state_dict(learnt)
             for name, optimizer in self.guide.optimizers.items():
                 optimizer.load_state_dict(deepcopy(state["optimizers"][name]))  # it would share its tensors
+        if self.light_guide is not None:
+            self.light_guide.load_state_dict(state["light_guide"])
         self.step_number, self._mean_luminance = state["step"], state["mean_luminance"]
         self._phases = Counter(state["phases"])
 

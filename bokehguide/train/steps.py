@@ -45,7 +45,8 @@ class GuideCounts(NamedTuple):
 
 @dataclass
 class BatchResult:
-    """What a batch leaves behind, beside the film: records are cells, positions and luminance for the record buffer."""
+    """What a batch leaves behind, beside the film: records are cells, positions and luminance for the record buffer;
+    lights are tiles, clusters and worth for the light guide."""
 
     samples: int
     rays: int
@@ -53,6 +54,7 @@ class BatchResult:
     counts: GuideCounts = GuideCounts()
     lesson: BatchLesson | None = None
     records: tuple[Tensor, Tensor, Tensor] | None = None
+    lights: tuple[Tensor, Tensor, Tensor] | None = None
 
 
 def step_stats(step: int, results: list[BatchResult], seconds: float, gaussians: int, ranks: Ranks) -> StepStats:

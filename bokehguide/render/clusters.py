@@ -1,0 +1,71 @@
+"""Clusters of lights: many alike as one, and a choice among them that depends on where one is."""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+LEVELS = 7
+"""Up to 2^7 clusters of one kind of light."""
+
+
+class ClusterTable:
+    """A choice among C clusters in each of R rows; the measure is counting.
+
+    probability: float64 `[R, C]`, rows that sum to one.
+    """
+
+    def __init__(self, probability: Tensor):
+        self.count = probability.shape[1]
+        self._levels = max((self.count - 1).bit_length(), 1)
+        cumulative = probability.cumsum(1).float().clamp(max=1.0)
+        cumulative[:, -1] = 1.0
+        self._probability = torch.diff(cumulative, dim=1, prepend=torch.zeros_like(cumulative[:, :1])).reshape(-1)
+        self._cumulative = pad(cumulative, (0, 2**self._levels - self.count), value=1.0).reshape(-1)
+
+    def sample(self, row: Tensor, uniforms: Tensor) -> Tensor:
+        """Clusters `[N]` for rows `[N]`, from uniform numbers `[N]`: the first whose cumulative share exceeds the number."""
+        base = row << self._levels
+        cluster = torch.zeros_like(row)
+        for level in reversed(range(self._levels)):
+            step = 1 << level
+            below = self._cumulative.index_select(0, base + cluster + (step - 1)) <= uniforms
+            cluster = cluster + below * step
+        return cluster
+
+    def pdf(self, row: Tensor, cluster: Tensor) -> Tensor:
+        """Probability of each cluster in each row, `[N]`."""
+        return self._probability.index_select(0, row * self.count + cluster)
+
+
+def gather(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, int]:
+    """Cluster of each light and their number: bisections of whatever spreads its power widest.
+
+    features: `[K, F]`, what is alike in a cluster; power: `[K]`.
+    """
+    groups = {0: np.arange(len(power))}
+    queue = [(-_spread(features, power), 0)]
+    while queue and len(groups) < 2**LEVELS:
+        _, name = heapq.heappop(queue)
+        members = groups[name]
+        points = features[members]
+        axis = int(np.argmax(np.ptp(points, axis=0)))
+        middle = 0.5 * (points[:, axis].min() + points[:, axis].max())
+        upper = points[:, axis] > middle
+        if not upper.any() or upper.all():
+            continue
+        groups[name], groups[len(groups)] = members[~upper], members[upper]
+        for half in (name, len(groups) - 1):
+            heapq.heappush(queue, (-_spread(features[groups[half]], power[groups[half]]), half))
+    cluster = np.empty(len(power), np.int64)
+    for name, members in groups.items():
+        cluster[members] = name
+    return cluster, len(groups)
+
+
+def _spread(features: np.ndarray, power: np.ndarray) -> float:
+    return float(power.sum()) * float(np.linalg.norm(np.ptp(features, axis=0)))

@@ -1,0 +1,91 @@
+"""Which lights the surfaces that a pixel sees are lit by: learnt for tiles of pixels, block by block of steps.
+
+What is out of focus hides behind nothing: once the lens points are guided, most of the noise that is left is that of
+direct light where the camera's rays first land. There the power of the lamps and their distance say little: they do
+not know what is in the shade, what a glossy surface mirrors, or which way it faces. The second moments
+of what each cluster of lights brought do: a choice by their roots has the least variance.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d
+
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.clusters import ClusterTable
+from bokehguide.render.light_choice import LightChoice
+from bokehguide.train.ranks import Ranks
+
+TILES, SMALLEST = 80, 4
+"""Tiles along the longer side of the frame, and pixels along the side of a tile: in a smaller one there is too little to learn from."""
+POOLS = ((1, 0.5), (3, 0.3), (7, 0.2))
+"""Tiles across the squares whose moments are shared, and their weights."""
+BRIGHTEST = 1e18
+"""Above this, in units of the frame's mean, a sample counts as one of this: its square is still a single-precision number."""
+
+
+class LightGuide(nn.Module):
+    """Learns which clusters of lights to sample where a pixel's rays first land.
+
+    clusters: how many there are. `add` takes what steps have seen; `update` ends a block.
+    moments: `[tiles, clusters]`, sums of squared worth (see `PathSamples`) in units of the frame's mean;
+    probability: what the present block chooses by, `[tiles, clusters]`, all 0 in the first.
+    """
+
+    def __init__(self, camera: ThinLensCamera, clusters: int, ranks: Ranks | None = None):
+        super().__init__()
+        self.ranks, self._width = ranks or Ranks(), camera.width
+        self._size = max(-(-max(camera.width, camera.height) // TILES), SMALLEST)
+        self._across, self._down = -(-camera.width // self._size), -(-camera.height // self._size)
+        device = camera.position.device
+        shape = (self._across * self._down, clusters)
+        self.register_buffer("moments", torch.zeros(shape, device=device))
+        self.register_buffer("probability", torch.zeros(shape, device=device))
+        self.register_buffer("block", torch.tensor(1))
+        self._own = None if self.ranks.alone else torch.zeros_like(self.moments)
+        """Of this rank's samples since the last `merge`."""
+        self._table: ClusterTable | None = None
+
+    def tiles(self, pixels: Tensor) -> Tensor:
+        """Tile of each flat pixel number, int64 `[N]`."""
+        row, column = pixels // self._width, pixels % self._width
+        return (row // self._size * self._across + column // self._size).long()
+
+    def choice(self, pixels: Tensor) -> LightChoice:
+        """How the paths of pixels `[N]` choose in this block."""
+        return LightChoice(self.tiles(pixels), self._table, int(self.block))
+
+    def add(self, tiles: Tensor, clusters: Tensor, worth: Tensor, unit: float) -> None:
+        """Add light samples, `[N]` each; clusters: -1 for none; unit: the frame's mean luminance."""
+        index = (clusters >= 0).nonzero()[:, 0]
+        place = tiles[index] * self.moments.shape[1] + clusters[index]
+        squared = (worth[index] / unit).nan_to_num(0.0, BRIGHTEST).clamp(max=BRIGHTEST).square()
+        moments = self.moments if self._own is None else self._own
+        moments.view(-1).index_add_(0, place, squared)
+
+    def merge(self) -> None:
+        """Let every rank know the samples of all; collective."""
+        if self._own is not None:
+            self.moments += self.ranks.total(self._own)
+            self._own.zero_()
+
+    def update(self, step: int) -> None:
+        """Begin a block of steps with `step`: choose by all that was seen before it; collective."""
+        self.merge()
+        self.block.fill_(step)
+        moments = self.moments.double().T.reshape(1, -1, self._down, self._across)
+        pooled = sum(share * avg_pool2d(moments, size, 1, size // 2, count_include_pad=False) for size, share in POOLS)
+        roots = pooled.reshape(self.moments.shape[::-1]).T.sqrt()
+        whole = roots.sum(1, keepdim=True)
+        self.probability.copy_(torch.where(whole > 0.0, roots / whole.clamp(min=1e-300), 1.0 / roots.shape[1]))
+        self._table = ClusterTable(self.probability.double())
+
+    def load_state_dict(self, state_dict, *args, **kwargs):
+        """Load what was learnt. Raises ValueError where rows of probabilities are none."""
+        result = super().load_state_dict(state_dict, *args, **kwargs)
+        whole, learnt = self.probability.sum(1), bool(self.probability.any())
+        if bool((self.moments < 0.0).any() or (self.probability < 0.0).any() or learnt and ((whole - 1.0).abs() > 1e-4).any()):
+            raise ValueError("what was learnt of lights is no choice among them")
+        self._table = ClusterTable(self.probability.double()) if learnt else None
+        return result

@@ -1,0 +1,156 @@
+"""What is learnt of lights: by tile, at the ends of blocks, without a trace in the mean."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scenes
+import torch
+from statistical import SIGNIFICANCE, z_test
+
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectangle
+from bokehguide.scene.types import Camera, Film, Material, Scene
+from bokehguide.train import RenderLoop, RenderSettings
+from bokehguide.train.light_guide import POOLS, SMALLEST, TILES, LightGuide
+
+WIDTH, HEIGHT = 48, 27
+
+
+def parted(factor: float = 1.0) -> Scene:
+    """A floor that a wall parts, a lamp on either side, the right one much brighter: what one lights, the other does not."""
+    white, black = Material("white", (0.7,) * 3, specular=0.0), Material("black", (0.0,) * 3, specular=0.0)
+    bulbs = [Material(f"bulb {each:g}", (0.0,) * 3, specular=0.0, emission=(each * factor,) * 3) for each in (30.0, 600.0)]
+    floor = transformed(unit_rectangle(), transform((0.0, 0.0, 0.0), (-90.0, 0.0, 0.0), 3.0))
+    wall = transformed(unit_rectangle(), transform((0.0, 1.0, 0.0), (0.0, 90.0, 0.0), (3.0, 1.0, 1.0)))
+    lamps = [replace(spheres(np.array([[x, 0.8, 0.0]]), 0.05, 1), material=2 + side) for side, x in enumerate((-1.0, 1.0))]
+    meshes = (floor, replace(wall, material=1), *lamps)
+    camera = Camera((0.0, 5.0, 0.01), (0.0, 0.0, 0.0), fov=40.0, aperture_radius=0.02, focus_distance=5.0)
+    materials = (white, replace(black, double_sided=True), *bulbs)
+    return Scene("parted", camera, meshes, materials, film=Film(WIDTH, HEIGHT, 2))
+
+
+def guide_of(width: int = WIDTH, height: int = HEIGHT, clusters: int = 5) -> LightGuide:
+    return LightGuide(ThinLensCamera(parted().camera, width, height, torch.device("cpu")), clusters)
+
+
+def rendered(scene: Scene, steps: int, seed: int = 0) -> RenderLoop:
+    loop = RenderLoop(scene, RenderSettings("guided", seed=seed, threads=1))
+    for _ in range(steps):
+        loop.step()
+    return loop
+
+
+@pytest.mark.parametrize("width, height", [(48, 27), (200, 100), (90, 333), (1, 1)])
+def test_tiles_are_squares_and_few(width, height):
+    guide = guide_of(width, height)
+    tiles = guide.tiles(torch.arange(width * height)).reshape(height, width)
+    size = max(-(-max(width, height) // TILES), SMALLEST)
+    assert torch.equal(tiles[::size, ::size].flatten(), torch.arange(len(guide.moments)))
+    assert bool((tiles == tiles[::size, ::size].repeat_interleave(size, 0).repeat_interleave(size, 1)[:height, :width]).all())
+    assert len(guide.moments) <= TILES**2
+
+
+def test_the_probability_is_by_the_roots_of_the_moments_around():
+    """Against plain loops over tiles."""
+    guide = guide_of(20 * SMALLEST, 12 * SMALLEST)
+    generator = torch.Generator().manual_seed(1)
+    count = 3000
+    tiles = torch.randint(240, (count,), generator=generator)
+    corner = tiles // 20 * SMALLEST * 20 * SMALLEST + tiles % 20 * SMALLEST
+    pixels = corner + torch.randint(SMALLEST, (count,), generator=generator) * (1 + 20 * SMALLEST)
+    clusters = torch.randint(-1, 4, (count,), generator=generator)  # the last cluster is never seen
+    worth = torch.rand(count, generator=generator) * (tiles > 60)
+    guide.add(guide.tiles(pixels), clusters, worth, 0.5)
+    guide.update(2)
+    moments = np.zeros((12, 20, 5))
+    for tile, cluster, value in zip(tiles.tolist(), clusters.tolist(), worth.tolist()):
+        if cluster >= 0:
+            moments[tile // 20, tile % 20, cluster] += (value / 0.5) ** 2
+    for row in range(12):
+        for column in range(20):
+            pooled = 0.0
+            for size, share in POOLS:
+                half = size // 2
+                around = moments[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
+                pooled = pooled + share * around.mean((0, 1))
+            expected = np.sqrt(pooled) / np.sqrt(pooled).sum() if pooled.any() else np.full(5, 0.2)
+            np.testing.assert_allclose(guide.probability[row * 20 + column], expected, rtol=1e-4, atol=1e-12)
+
+
+def test_a_lamp_behind_the_wall_is_hardly_asked_for():
+    loop = rendered(parted(), 16)
+    lamps = loop.tracer.lights
+    triangles = torch.arange(len(loop.tracer.geometry.material))[-len(lamps._triangles) :]
+    left = loop.tracer.geometry.corners(triangles).mean(0)[0] < 0.0
+    cluster = lamps._grid.cluster(lamps._lamp[triangles])
+    of_left = torch.zeros(lamps.clusters.count, dtype=torch.bool)
+    of_left[cluster[left]] = True
+    by_left = (loop.light_guide.probability * of_left).sum(1)[loop.light_guide.tiles(torch.arange(HEIGHT * WIDTH))]
+    by_left = by_left.reshape(HEIGHT, WIDTH)
+    assert by_left[:, :8].min() > 0.9 and by_left[:, 28:].max() < 0.05
+
+
+def errors(learns: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Means over the shade of 24 renders of 8 steps, and the variance of its pixels."""
+    found = []
+    for seed in range(24):
+        loop = RenderLoop(parted(), RenderSettings("guided", seed=seed, threads=1))
+        if not learns:
+            loop.light_guide.update = loop.light_guide.block.fill_
+        for _ in range(8):
+            loop.step()
+        found.append(loop.film.radiance()[:, :20, 1].numpy())
+    found = np.stack(found)
+    return found.mean((1, 2)), found.var(axis=0, ddof=1)
+
+
+def test_what_is_learnt_halves_the_variance_and_leaves_the_mean():
+    learning, by_cell = errors(True), errors(False)
+    assert np.median(learning[1]) < 0.5 * np.median(by_cell[1])
+    difference = learning[0].mean() - by_cell[0].mean()
+    error = np.sqrt(learning[0].var(ddof=1) / 24 + by_cell[0].var(ddof=1) / 24)
+    assert z_test(np.array([difference]), np.array([error])) > SIGNIFICANCE
+    assert error < 0.02 * by_cell[0].mean()
+
+
+def test_it_learns_at_the_ends_of_blocks_only():
+    loop = RenderLoop(parted(), RenderSettings("guided", threads=1))
+    seen = []
+    for _ in range(9):
+        loop.step()
+        seen.append((int(loop.light_guide.block), loop.light_guide.probability.clone()))
+    assert [block for block, _ in seen] == [2, 3, 3, 5, 5, 5, 5, 9, 9]
+    assert all(torch.equal(one[1], two[1]) == (one[0] == two[0]) for one, two in zip(seen[:-1], seen[1:]))
+
+
+def test_the_scenes_brightness_changes_nothing():
+    """A power of two, which rounds nothing."""
+    dim, bright = rendered(parted(), 9), rendered(parted(2.0**20), 9)
+    assert torch.equal(dim.light_guide.probability, bright.light_guide.probability)
+    assert torch.equal(dim.film.radiance() * 2.0**20, bright.film.radiance())
+
+
+def test_modes_of_the_paper_and_dark_scenes_have_none():
+    assert RenderLoop(parted(), RenderSettings("lis-o", threads=1)).light_guide is None
+    dark = rendered(parted(0.0), 3)
+    assert dark.light_guide is None and not dark.film.radiance().any()
+
+
+def test_a_loop_without_light_so_far_goes_on():
+    """Where the lamps are beyond what the paths reach, nothing is learnt and nothing goes wrong."""
+    shut = replace(scenes.lamps(32, 18), film=Film(32, 18, 1))
+    loop = rendered(shut, 5)
+    assert not loop.light_guide.moments.any()
+    assert bool((loop.light_guide.probability == 1.0 / loop.light_guide.moments.shape[1]).all())
+
+
+@pytest.mark.parametrize("name, value", [("moments", -1.0), ("probability", -0.1), ("probability", 0.4)])
+def test_what_is_no_choice_is_refused(name, value):
+    guide = guide_of()
+    guide.update(2)
+    state = guide.state_dict()
+    state[name] = state[name].clone()
+    state[name][3, 2] = value
+    with pytest.raises(ValueError, match="no choice"):
+        guide_of().load_state_dict(state)
