@@ -17,7 +17,8 @@ whatever q has become, and nothing of the past is left in it.
 
 Lens points may be stratified too, over a block of steps for which their density was settled
 before the block began: the block's scramble is its own, so that it knows nothing of the past
-that settled it.
+that settled it. The same holds for light samples whose choice is learnt, and then for first
+bounces as well: how much one counts beside a light sample (MIS) depends on what was learnt.
 """
 
 from __future__ import annotations

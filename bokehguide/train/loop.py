@@ -34,8 +34,8 @@ from bokehguide.train.settings import RenderSettings
 from bokehguide.train.spot_guide import SpotGuide
 from bokehguide.train.steps import BatchResult, GuideCounts, StepStats, finite, step_stats
 
-BATCH = 65536
-"""Pixels traced together at most: more would leave the cache."""
+BATCH = 131072
+"""Pixels traced together at most: more would leave the cache, and of fewer Python would be too large a part."""
 SMALL_BATCH, FEW_BATCHES = 28800, 4
 """A small frame is cut into up to four batches, all ranks together, so that threads have work, but none smaller
 than this: below it Python costs more than a second thread brings."""
