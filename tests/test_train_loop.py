@@ -154,8 +154,8 @@ def test_a_bad_sample_does_not_spoil_what_its_pixel_learns():
     loop = RenderLoop(scenes.lamps(32, 18), RenderSettings("lis-b", seed=3, threads=1))
     trace = loop.tracer.trace
 
-    def spoilt(*args):
-        samples = trace(*args)
+    def spoilt(*args, **keywords):
+        samples = trace(*args, **keywords)
         samples.radiance[:, ::3] = torch.nan
         return samples
 

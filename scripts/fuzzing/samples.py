@@ -187,16 +187,17 @@ def scene_with(sky: str, data: bytes) -> Sample:
     return Sample(files | {f"sky.{sky}": data}, (f"sky.{sky}",), "scene.toml")
 
 
-def checkpoint(folder: Path) -> Sample:
-    """A scene and the checkpoint of a render of it."""
+def checkpoint(folder: Path, mode: str) -> Sample:
+    """A scene and the checkpoint of a render of it, MODE.ckpt."""
     files = scene_with("hdr", hdr()).files
     for name, data in files.items():
         (folder / name).write_bytes(data)
-    loop = RenderLoop(load_scene(str(folder / "scene.toml")), RenderSettings("lis-o", threads=1))
+    loop = RenderLoop(load_scene(str(folder / "scene.toml")), RenderSettings(mode, threads=1))
     for _ in range(3):
         loop.step()
-    save_checkpoint(folder / "a.ckpt", loop, 1.0)
-    return Sample(files | {"a.ckpt": (folder / "a.ckpt").read_bytes()}, ("a.ckpt",), "a.ckpt")
+    name = f"{mode}.ckpt"
+    save_checkpoint(folder / name, loop, 1.0)
+    return Sample(files | {name: (folder / name).read_bytes()}, (name,), name)
 
 
 def textures() -> Sample:
@@ -218,7 +219,7 @@ SAMPLES: dict[str, Callable[[Path], list[Sample]]] = {
     "obj": lambda folder: [Sample(OBJ_FILES, ("square.obj", "square.mtl", "wood.png"), "square.obj")],
     "ply": lambda folder: [Sample({"a.ply": data, "wood.png": image("PNG")}, ("a.ply",), "a.ply") for data in (PLY.encode(), binary_ply())],
     "stl": lambda folder: [Sample({"a.stl": data}, ("a.stl",), "a.stl") for data in (ascii_stl(), binary_stl())],
-    "ckpt": lambda folder: [checkpoint(folder)],
+    "ckpt": lambda folder: [checkpoint(folder, mode) for mode in ("lis-o", "guided")],
 }
 """What there is of each format; made in a folder of its own."""
 EXR_KINDS = (OpenEXR.ZIP_COMPRESSION, OpenEXR.PIZ_COMPRESSION, OpenEXR.NO_COMPRESSION, OpenEXR.DWAA_COMPRESSION)

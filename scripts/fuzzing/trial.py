@@ -25,7 +25,7 @@ def trial(path: Path) -> bool:
     """Load a scene or a checkpoint, and trace; returns whether it could be loaded. Raises Fault, or whatever goes wrong."""
     try:
         if path.suffix == ".ckpt":
-            loop = sound_loop(path.with_name("scene.toml"))
+            loop = sound_loop(path.with_name("scene.toml"), path.stem)
             load_checkpoint(path, loop)
         else:
             scene = load_scene(str(path))
@@ -43,8 +43,8 @@ def trial(path: Path) -> bool:
     return True
 
 
-def sound_loop(path: Path) -> RenderLoop:
-    return RenderLoop(sound_scene(path), RenderSettings("lis-o", threads=1))
+def sound_loop(path: Path, mode: str) -> RenderLoop:
+    return RenderLoop(sound_scene(path), RenderSettings(mode, threads=1))
 
 
 @lru_cache(maxsize=1)
