@@ -13,7 +13,7 @@ from torch import Tensor
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.pixels import Pixels
+from bokehguide.render.pixels import Pixels, take
 
 MAX_CANDIDATES = 16
 """A pixel keeps this many of its strongest Gaussians."""
@@ -39,7 +39,7 @@ class CandidateList:
             start = self.start[pixels.start : pixels.stop + 1]
             low, high = int(start[0]), int(start[-1])
             return start - low, self.gaussian[low:high].long()
-        first, counts = self.start[pixels], self.counts()[pixels]
+        first, counts = take(self.start[:-1], pixels), take(self.start[1:], pixels) - take(self.start[:-1], pixels)
         start = torch.cat((torch.zeros_like(counts[:1]), counts.cumsum(0)))
         owner = torch.repeat_interleave(counts)
         place = torch.arange(len(owner), device=owner.device) + (first - start[:-1]).index_select(0, owner)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.render.pixels import Pixels
+from bokehguide.render.pixels import Pixels, increase, put, take
 from bokehguide.render.vector import luminance
 
 NO_DEPTH = 1e10
@@ -133,36 +133,37 @@ class Film:
         kept = (good if counted is None else good & counted).to(torch.float32)
         self._add_features(pixels, weight, features, kept, fresh)
         weight, value = weight * kept, value * kept
-        self._radiance[:, pixels] += value
-        self._emission[:, pixels] += emission * weight
-        self._square[pixels] += luminance(value.double()).square()
-        self._count[pixels] += kept
+        increase(self._radiance, pixels, value)
+        increase(self._emission, pixels, emission * weight)
+        increase(self._square, pixels, luminance(value.double()).square())
+        increase(self._count, pixels, kept)
         self._add_range(pixels, samples)
         return good
 
     def prime(self, pixels: Pixels, samples: FilmSamples) -> None:
         """Tell N different pixels of samples of the uniform lens that are not in the picture."""
-        self._control[0, pixels] += 1.0
-        self._control[1:, pixels] += samples.features().nan_to_num(0.0, 0.0, 0.0)
+        increase(self._control[0], pixels, torch.ones_like(samples.weight))
+        increase(self._control[1:], pixels, samples.features().nan_to_num(0.0, 0.0, 0.0))
         self._add_range(pixels, samples)
 
     def _add_range(self, pixels: Pixels, samples: FilmSamples) -> None:
         depth = samples.depth
-        self._nearest[pixels] = torch.minimum(self._nearest[pixels], depth)
-        self._farthest[pixels] = torch.maximum(self._farthest[pixels], depth * (depth < NO_DEPTH))
+        put(self._nearest, pixels, torch.minimum(take(self._nearest, pixels), depth))
+        put(self._farthest, pixels, torch.maximum(take(self._farthest, pixels), depth * (depth < NO_DEPTH)))
 
     def _add_features(self, pixels: Pixels, weight: Tensor, features: Tensor, kept: Tensor, fresh: bool) -> None:
         if self._passed is not None:
-            self._features[:, pixels] += features * (weight * kept)
-            self._passed[pixels] += weight * kept
+            increase(self._features, pixels, features * (weight * kept))
+            increase(self._passed, pixels, weight * kept)
             return
-        seen = self._control[:, pixels]
         if fresh:
-            self._center[:, pixels] = seen[1:] / seen[0].clamp(min=1e-30)
-        self._features[:, pixels] += torch.lerp(self._center[:, pixels], features, weight).mul_(kept)  # w (x - c) + c
+            seen = take(self._control, pixels)
+            put(self._center, pixels, seen[1:] / seen[0].clamp(min=1e-30))
+        # w (x - c) + c
+        increase(self._features, pixels, torch.lerp(take(self._center, pixels), features, weight).mul_(kept))
         square = weight * weight
-        self._control[0, pixels] += square
-        self._control[1:, pixels] += features * square
+        increase(self._control[0], pixels, square)
+        increase(self._control[1:], pixels, features * square)
 
     def _report_bad(self, pixels: Tensor, step: int) -> None:
         left, top = self.corner
@@ -183,8 +184,8 @@ class Film:
 
     def light(self, pixels: Pixels = slice(None)) -> tuple[float, float]:
         """Luminance of all samples of some pixels, and their number."""
-        total = luminance(self._radiance[:, pixels]).cpu().numpy().sum()  # in an order that no thread count changes
-        return float(total), float(self._count[pixels].cpu().numpy().sum())
+        total = luminance(take(self._radiance, pixels)).cpu().numpy().sum()  # in an order that no thread count changes
+        return float(total), float(take(self._count, pixels).cpu().numpy().sum())
 
     def mean_luminance(self) -> float:
         """Mean luminance of the frame so far."""

@@ -22,7 +22,7 @@ from torch.nn.functional import avg_pool2d, pad
 from bokehguide.metrics import EPSILON
 from bokehguide.render.film import NO_DEPTH, BadSample, Film, FilmSamples, earliest
 from bokehguide.render.path_tracer import PathTracer
-from bokehguide.render.pixels import Pixels
+from bokehguide.render.pixels import Pixels, increase, take
 from bokehguide.render.random import hash_int
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
@@ -98,9 +98,9 @@ class HalfLoop(RenderLoop):
 
     def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
         light = luminance(samples.radiance * samples.weight)
-        self.brightness[1, places] += light.nan_to_num(0.0, 0.0, 0.0)
+        increase(self.brightness[1], places, light.nan_to_num(0.0, 0.0, 0.0))
         fresh = self.guide is None or self.guide.is_fresh(self.step_number)
-        counted = None if self._counted is None else self._counted[places]
+        counted = None if self._counted is None else take(self._counted, places)
         return self.film.add(places, samples, self.step_number, fresh, counted)
 
     def end_round(self) -> Tensor:

@@ -25,7 +25,7 @@ from bokehguide.models.kl import one_sample_kl
 from bokehguide.models.lens_distribution import LensDensity
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.path_tracer import PathSamples
-from bokehguide.render.pixels import Pixels
+from bokehguide.render.pixels import Pixels, increase, take
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.scene.lamps import find_lamps
@@ -103,7 +103,7 @@ class SpotGuide(nn.Module):
         field, lens = self.field, self.camera.lens
         mean, radius = field.mean.index_select(1, spot), field.sigma.index_select(0, spot)
         weight = field.lens_weights(lens.focus_distance).index_select(0, spot)
-        return DiscLensDistribution(lens, focus, self.beta[pixels], start, mean, radius, weight)
+        return DiscLensDistribution(lens, focus, take(self.beta, pixels), start, mean, radius, weight)
 
     @torch.no_grad()
     def study(self, batch: GuidedBatch, ratio: Tensor, at: LensDensity) -> BatchLesson:
@@ -111,8 +111,8 @@ class SpotGuide(nn.Module):
         mixture, pixels = batch.distribution, batch.pixels
         of_discs = mixture.beta * at.mixture / at.density.clamp(min=1e-37)
         squared = ratio.clamp(max=BRIGHTEST).square() * mixture.guided  # the others have no β to tell of
-        self.moments[0, pixels] += squared * of_discs * mixture.beta
-        self.moments[1, pixels] += squared * (1.0 - of_discs) * (1.0 - mixture.beta)
+        increase(self.moments[0], pixels, squared * of_discs * mixture.beta)
+        increase(self.moments[1], pixels, squared * (1.0 - of_discs) * (1.0 - mixture.beta))
         return BatchLesson(float(one_sample_kl(ratio, at.density, mixture.lens.area)), pixels, None, None)
 
     def is_fresh(self, step: int) -> bool:
