@@ -25,7 +25,7 @@ class AliasTable:
             alias[low:high] = columns + low
         self.probability = torch.from_numpy(probability.astype(np.float32)).to(device)
         self._keep = torch.from_numpy(keep.astype(np.float32)).to(device)
-        self._alias = torch.from_numpy(alias).to(device)
+        self._alias = torch.from_numpy(alias.astype(np.int32)).to(device)  # maps of the environment are large
         self._start = torch.from_numpy(starts).to(device)
 
     def sample(self, uniforms: Tensor, row: Tensor | None = None) -> Tensor:
@@ -38,7 +38,7 @@ class AliasTable:
         position = (uniforms[0].double() + (uniforms[1].double() - 0.5) * 2.0**-23) * count
         slot = position.long()
         stays = (position - slot) < self._keep.index_select(0, slot + start)
-        return torch.where(stays, slot + start, self._alias.index_select(0, slot + start))
+        return torch.where(stays, slot + start, self._alias.index_select(0, slot + start).long())
 
     def pdf(self, index: Tensor) -> Tensor:
         """Probability of each index within its row, float32 `[N]`."""

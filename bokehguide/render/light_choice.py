@@ -96,23 +96,21 @@ class _MapClusters:
         self._light = light
         shares, device = light.shares(), light.texels.device
         tall, wide = -(-light.height // BLOCKS), -(-light.width // (2 * BLOCKS))
-        rows, columns = np.arange(light.height) // tall, np.arange(light.width) // wide
-        across = int(columns[-1]) + 1
-        block = (rows[:, None] * across + columns).reshape(-1)
-        power = np.bincount(block, shares.reshape(-1))
+        down, across = -(-light.height // tall), -(-light.width // wide)
+        self._tall, self._wide, self._across = tall, wide, across
+        edges = np.arange(0, light.height, tall), np.arange(0, light.width, wide)
+        power = np.add.reduceat(np.add.reduceat(shares.astype(np.float64), edges[0], 0), edges[1], 1).reshape(-1)
         lit = np.flatnonzero(power > 0.0)
-        of_lit, self.count = gather(_block_directions(lit // across, lit % across, rows[-1] + 1, across), power[lit])
-        of_block = np.zeros(len(power), np.int64)
+        of_lit, self.count = gather(_block_directions(lit // across, lit % across, down, across), power[lit])
+        of_block = np.zeros(len(power), np.uint8)
         of_block[lit] = of_lit
-        cluster = of_block[block]
-        order = np.argsort(cluster, kind="stable")
-        place = np.empty(len(order), np.int32)
+        cluster = of_block.reshape(down, across).repeat(tall, 0)[: light.height].repeat(wide, 1)[:, : light.width].reshape(-1)
+        order = np.argsort(cluster, kind="stable").astype(np.int32)
+        place = np.empty_like(order)
         place[order] = np.arange(len(order), dtype=np.int32)
         starts = np.searchsorted(cluster[order], np.arange(self.count + 1))
         self._within = AliasTable(shares.reshape(-1)[order], device, starts)
-        self._order, self._place, self._cluster = (
-            torch.from_numpy(values.astype(np.int32)).to(device) for values in (order, place, cluster)
-        )
+        self._order, self._place, self._of_block = (torch.from_numpy(values).to(device) for values in (order, place, of_block))
 
     def pick(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Texels `[N]` of clusters `[N]` from uniform numbers `[2, N]`."""
@@ -120,7 +118,8 @@ class _MapClusters:
 
     def cluster(self, texel: Tensor) -> Tensor:
         """Cluster `[N]` of each texel."""
-        return self._cluster.index_select(0, texel).long()
+        block = texel // self._light.width // self._tall * self._across + texel % self._light.width // self._wide
+        return self._of_block.index_select(0, block).long()
 
     def pdf(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of each texel in its cluster."""
