@@ -276,7 +276,7 @@ WRONG = {
     ("loop", "guide"): [],
     ("loop", "guide", "held"): torch.zeros(1, dtype=torch.bool).expand(10**12),
     ("loop", "guide", "spotlights"): torch.full((2,), 10**6),
-    ("loop", "guide", "block"): torch.tensor(2**40),
+    ("loop", "guide", "block"): torch.tensor(1000),
     ("loop", "guide", "field.mean"): torch.zeros(3, 1, dtype=torch.complex64),
     ("loop", "optimizers", "blend", "param_groups", 0, "lr"): math.inf,
 }

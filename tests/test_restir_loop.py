@@ -97,9 +97,9 @@ def test_a_bad_initial_sample_is_reported_in_its_pixel_and_reused_nowhere(few_ne
     loop = loop_of("area-restir")
     trace = loop.tracer.trace
 
-    def spoilt(*arguments):
+    def spoilt(*arguments, **keywords):
         loop.tracer.trace = trace  # the first pass only
-        samples = trace(*arguments)
+        samples = trace(*arguments, **keywords)
         samples.radiance[:, ::5] = torch.nan
         return samples
 
@@ -115,8 +115,8 @@ def test_a_bad_shift_is_reported(few_neighbours):
     loop = loop_of("area-restir")
     trace, calls = loop.tracer.trace, []
 
-    def spoilt(*arguments):
-        samples = trace(*arguments)
+    def spoilt(*arguments, **keywords):
+        samples = trace(*arguments, **keywords)
         calls.append(len(calls))
         if len(calls) == 3:
             samples.radiance[:, 10] = torch.inf

@@ -319,6 +319,9 @@ class RenderLoop:
                 optimizer.load_state_dict(deepcopy(state["optimizers"][name]))  # it would share its tensors
         if self.light_guide is not None:
             self.light_guide.load_state_dict(state["light_guide"])
+        guides = [guide for guide in (self.guide, self.light_guide) if guide is not None]
+        if not all(1 <= int(guide.block) <= state["step"] + 1 for guide in guides):
+            raise ValueError("a block of steps that has not begun")
         self.step_number, self._mean_luminance = state["step"], state["mean_luminance"]
         self._phases = Counter(state["phases"])
 
