@@ -273,9 +273,9 @@ def test_no_random_number_is_used_twice(monkeypatch):
     def record(kind: str) -> None:
         draw = getattr(PixelRandom, kind)
 
-        def recorded(self, dimension, count):
+        def recorded(self, dimension, count, **keywords):
             drawn.extend(range(dimension, dimension + count))
-            return draw(self, dimension, count)
+            return draw(self, dimension, count, **keywords)
 
         monkeypatch.setattr(PixelRandom, kind, recorded)
 

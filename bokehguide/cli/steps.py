@@ -28,9 +28,9 @@ def take_steps(
     logger = None
     if options.logdir:
         logger = RenderLogger(options.logdir, loop.scene, settings, options.exposure, done, silent=not ranks.first)
-    report = Report(f"{loop.scene.name} {settings.mode}", settings, done, earlier, silent=not ranks.first)
     end = None
-    with Interrupt() as interrupt:
+    with Interrupt() as interrupt:  # before the bar: who sees it may press Ctrl-C
+        report = Report(f"{loop.scene.name} {settings.mode}", settings, done, earlier, silent=not ranks.first)
         while loop.step_number < settings.spp and end is None:
             if isinstance(loop, AdaptiveLoop) and loop.finished:
                 end = f"every block is down to --target-noise {settings.target_noise:g}"
