@@ -153,7 +153,7 @@ def test_the_size_of_a_checkpoint_is_bounded(tmp_path):
         photographed = scenes.lamps(160, 90)
         loop = onwards(RenderLoop(photographed, settings(mode)), 9)
         save_checkpoint(tmp_path / "a.ckpt", loop, 0.0)
-        bytes_of_lights = 8 * loop.light_guide.moments.numel() if loop.light_guide else 0  # at most 1600 tiles by 256 clusters
+        bytes_of_lights = 8 * loop.light_guide.moments.numel() if loop.light_guide else 0
         assert (tmp_path / "a.ckpt").stat().st_size < 160 * 90 * bytes_a_pixel + bytes_of_lights + 50_000
 
 
@@ -276,7 +276,7 @@ WRONG = {
     ("loop", "guide"): [],
     ("loop", "guide", "held"): torch.zeros(1, dtype=torch.bool).expand(10**12),
     ("loop", "guide", "spotlights"): torch.full((2,), 10**6),
-    ("loop", "guide", "block"): torch.tensor(1000),
+    ("loop", "guide", "block"): torch.tensor(2**40),
     ("loop", "guide", "field.mean"): torch.zeros(3, 1, dtype=torch.complex64),
     ("loop", "optimizers", "blend", "param_groups", 0, "lr"): math.inf,
 }
@@ -287,6 +287,16 @@ def test_a_state_that_would_go_wrong_later_is_refused(keys, checkpoint, tmp_path
     torch.save(changed(checkpoint, *keys, value=WRONG[keys]), tmp_path / "a.ckpt")
     with pytest.raises(BokehguideError, match="is damaged or no checkpoint of a render"):
         load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
+
+
+@pytest.mark.parametrize("guide", ["guide", "light_guide"])
+@pytest.mark.parametrize("block", [0, 5])
+def test_so_is_a_block_of_steps_that_has_not_begun(guide, block, tmp_path):
+    save_checkpoint(tmp_path / "a.ckpt", rendered("guided", 3), 0.0)
+    wrong = changed(tmp_path / "a.ckpt", "loop", guide, "block", value=torch.tensor(block))
+    torch.save(wrong, tmp_path / "a.ckpt")
+    with pytest.raises(BokehguideError, match="is damaged or no checkpoint of a render"):
+        load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene("guided"), settings("guided")))
 
 
 def test_so_are_moments_that_do_not_fit_their_parameters(checkpoint, tmp_path):

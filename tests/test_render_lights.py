@@ -117,7 +117,7 @@ def test_weighted_draws_add_up_to_the_light_of_each_part_of_the_sphere(environme
 
 
 @pytest.mark.parametrize("suns", [(), SUNS], ids=["no sun", "suns"])
-@pytest.mark.parametrize("place, learnt", [*((place, False) for place in PLACES), *((place, True) for place in PLACES[:2])])
+@pytest.mark.parametrize("place, learnt", [*((place, False) for place in PLACES), (ORIGIN, True), ((0.4, 0.1, 0.6), True)])
 def test_the_density_of_a_draw_is_the_one_that_a_ray_finds_there(place, learnt, suns):
     lights, geometry, choice, light = sampled(replace(lamps(window()), suns=suns), place=place, learnt=learnt)
     hit, met, cosine, _ = seen_from(place, light.direction, geometry)
@@ -127,7 +127,7 @@ def test_the_density_of_a_draw_is_the_one_that_a_ray_finds_there(place, learnt, 
     triangles = hit.triangle.clamp(min=0)
     found = torch.where(met, lights.triangle_pdf(points, triangles, hit.distance, cosine, choice), found)
     apart = (found[there] / light.pdf[there] - 1.0).abs() > 1e-2
-    assert there.float().mean() > 0.4
+    assert there.float().mean() > 0.5
     assert apart.float().mean() < 1e-3  # rounding across an edge
 
 

@@ -39,7 +39,8 @@ class CandidateList:
             start = self.start[pixels.start : pixels.stop + 1]
             low, high = int(start[0]), int(start[-1])
             return start - low, self.gaussian[low:high].long()
-        first, counts = take(self.start[:-1], pixels), take(self.start[1:], pixels) - take(self.start[:-1], pixels)
+        first = take(self.start[:-1], pixels)
+        counts = take(self.start[1:], pixels) - first
         start = torch.cat((torch.zeros_like(counts[:1]), counts.cumsum(0)))
         owner = torch.repeat_interleave(counts)
         place = torch.arange(len(owner), device=owner.device) + (first - start[:-1]).index_select(0, owner)

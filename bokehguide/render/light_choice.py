@@ -61,7 +61,7 @@ class LightClusters:
         sun = self._first_sun - 1 - cluster
         if self._map is None:
             return sun
-        texel = self._map.pick((cluster - self.triangles).clamp(max=self._map.count - 1), uniforms)
+        texel = self._map.pick((cluster - self.triangles).clamp(0, self._map.count - 1), uniforms)
         return torch.where(sun < 0, sun, texel) if self._suns else texel
 
     def cluster(self, element: Tensor) -> Tensor:
@@ -114,7 +114,7 @@ class _MapClusters:
 
     def pick(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Texels `[N]` of clusters `[N]` from uniform numbers `[2, N]`."""
-        return self._order.index_select(0, self._within.sample(uniforms, cluster.clamp(min=0))).long()
+        return self._order.index_select(0, self._within.sample(uniforms, cluster)).long()
 
     def cluster(self, texel: Tensor) -> Tensor:
         """Cluster `[N]` of each texel."""

@@ -16,13 +16,12 @@ from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.clusters import ClusterTable
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.train.ranks import Ranks
+from bokehguide.train.spot_guide import BRIGHTEST
 
 TILES, SMALLEST = 80, 4
 """Tiles along the longer side of the frame, and pixels along the side of a tile: in a smaller one there is too little to learn from."""
 POOLS = ((1, 0.5), (3, 0.3), (7, 0.2))
 """Tiles across the squares whose moments are shared, and their weights."""
-BRIGHTEST = 1e18
-"""Above this, in units of the frame's mean, a sample counts as one of this: its square is still a single-precision number."""
 
 
 class LightGuide(nn.Module):
