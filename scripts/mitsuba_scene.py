@@ -111,6 +111,13 @@ class MitsubaRenderer:
         self._scene = mi.load_dict(_described(scene) | {"integrator": {"type": "moment", "path": path}})
         self._path = mi.load_dict(path)
 
+    def look_at(self, column: int, row: int) -> None:
+        """From now on render this pixel alone."""
+        parameters = mi.traverse(self._scene)
+        parameters["sensor.film.crop_offset"] = [column, row]
+        parameters["sensor.film.crop_size"] = [1, 1]
+        parameters.update()
+
     def picture(self, spp: int, seed: int) -> Tensor:
         """Radiance `[H, W, 3]` of an independent render, without the moments that `render` pays for."""
         image = mi.render(self._scene, integrator=self._path, spp=spp, seed=seed)

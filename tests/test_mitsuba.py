@@ -12,16 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 from statistical import SIGNIFICANCE, sidak
 
 mi = pytest.importorskip("mitsuba")
 
 from compare_mitsuba import Comparison, compare, mitsuba_reference, our_runs
-from mitsuba_scene import METAL_ROUGHNESS, comparable, environment_emitter, left_out
+from mitsuba_scene import METAL_ROUGHNESS, MitsubaRenderer, comparable, environment_emitter, left_out
+from second_look import SecondLook
 from studies import STUDIES
-from ztest import PIXELS_WITHIN
+from ztest import PIXELS_WITHIN, Runs, judge
 
 from bokehguide.errors import BokehguideError
+from bokehguide.evaluation import LongRender
 from bokehguide.render.environment import EnvironmentLight
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.types import Cone, Environment, Material, Scene, Sun, Texture
@@ -111,6 +114,45 @@ def test_mistakes_show(mistake, reference, tmp_path):
     scene = small(STUDIES[name]())
     found = comparison(mutate(scene), "uniform", reference(scene), tmp_path, SPP // 2)
     assert not agrees(found), found
+
+
+def test_second_look_tells_disagreement_from_rare_light():
+    """Pixels of a study agree when looked at again, and do not where the renderers' scenes differ by a fiftieth."""
+    scene = small(STUDIES["metal"]())
+    scene = replace(scene, film=replace(scene.film, width=24, height=14))
+    chosen = torch.zeros(14, 24, dtype=torch.bool)
+    chosen[4:10:2, 5:20:3] = True
+    look = SecondLook(scene, "lis-o", runs=2, spp=1024, mitsuba_spp=2048)
+    mean, variance, expected, other = look(chosen)
+    assert mean.shape == expected.shape == (int(chosen.sum()),)
+    z = (mean - expected) / (variance + other).sqrt()
+    assert sidak(2.0 * norm.sf(z.abs().numpy())) > SIGNIFICANCE
+    first = MitsubaRenderer(scene).render(look.mitsuba_spp, seed=3).variance()[chosen]
+    assert 10.0 < float((first / other).median()) < 25.0  # that of 16 times the samples
+    darker, *_ = replace(look, scene=with_material(scene, "gold", base_color=(0.98, 0.755, 0.333)))(chosen)
+    assert float(((darker - mean) / (variance + other).sqrt()).min()) < -5.0
+
+
+def test_only_what_fails_again_fails(tmp_path):
+    """Of three pixels that fail one passes when looked at again; of many, none is looked at again."""
+    scene = small(STUDIES["diffuse"]())
+    expected, variance = torch.ones(27, 48, dtype=torch.float64), torch.full((27, 48), 1e-4, dtype=torch.float64)
+    reference = LongRender(expected[..., None].expand(-1, -1, 3), variance)
+    runs = Runs(expected.repeat(2, 1, 1), 2.0 * variance.repeat(2, 1, 1))
+    runs.mean[:, 5, 7:10] += 0.2
+    asked = []
+
+    def again(failing):
+        asked.append(failing.nonzero().tolist())
+        found = torch.tensor([[1.2, 1.0, 1.2], [1e-6] * 3, [1.0] * 3, [1e-6] * 3], dtype=torch.float64)
+        return tuple(found)
+
+    pixels = judge(scene, "uniform", runs, reference, tmp_path, look_again=again)[0]
+    assert asked == [[[5, 7], [5, 8], [5, 9]]]
+    assert pixels.at_first == pytest.approx(1.0 - 3 / 1296) and pixels.within == pytest.approx(1.0 - 2 / 1296)
+    runs.mean[:, 9, :20] += 0.2
+    pixels = judge(scene, "uniform", runs, reference, tmp_path, look_again=again)[0]
+    assert len(asked) == 1 and pixels.within == pixels.at_first == pytest.approx(1.0 - 23 / 1296)
 
 
 @pytest.mark.parametrize("rotation", [0.0, 37.0, -120.0])

@@ -40,7 +40,7 @@ def offset_gradient(
     ratio: Tensor,
     at: LensDensity,
 ) -> Tensor:
-    """∂ loss / ∂ coefficients `[3, 6, G]`, through the candidate with the largest w p at each point.
+    """∂ loss / ∂ coefficients, float64 `[3, 6, G]`, through the candidate with the largest w p at each point.
 
     gaussian: Gaussian of each candidate `[M]`; raster: `[2, N]`; ratio: `[N]`.
     """
@@ -55,4 +55,5 @@ def offset_gradient(
     scale = -ratio[pixel] * guide.beta[pixel] * contribution[chosen] / at.density[pixel]
     basis = offsets.basis(gaussian[chosen], raster[:, pixel])
     outer = (mean_gradient * scale)[:, None] * basis[None]  # [3, 6, K]
-    return torch.zeros_like(offsets.coefficients).index_add_(2, gaussian[chosen], outer)
+    gradient = torch.zeros_like(offsets.coefficients, dtype=torch.float64)
+    return gradient.index_add_(2, gaussian[chosen], outer.double())

@@ -11,9 +11,13 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from bokehguide.models.projection import lens_density, project_to_lens
 from bokehguide.render.lens import Lens
+
+WHOLE = 2.0**40
+"""Of which a candidate's share is a whole part when it is drawn."""
 
 
 class UniformLensDistribution:
@@ -71,13 +75,14 @@ class LensMixture:
         self.beta = beta * self.guided
         self.weight = share.float()
         """Mixture weights `[M]`, which sum to 1 over the candidates of a guided pixel."""
-        self._cumulative = torch.cat((share.new_zeros(1), share.cumsum(0)))
+        # Whole numbers add up the same wherever a batch begins.
+        self._cumulative = pad((share * WHOLE).long().cumsum(0), (1, 0))
         self._low, self._high = self._cumulative[start[:-1]], self._cumulative[start[1:]]
 
     def choose(self, index: Tensor, uniforms: Tensor) -> Tensor:
         """Candidates `[K]` of the pixels at `index` `[K]`, drawn by weight."""
         low, high = self._low[index], self._high[index]
-        target = low + (high - low) * uniforms.double()
+        target = low + ((high - low) * uniforms.double()).long()
         found = torch.searchsorted(self._cumulative, target, right=True) - 1
         return found.clamp(max=len(self.weight) - 1)
 

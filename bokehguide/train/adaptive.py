@@ -81,9 +81,8 @@ class HalfLoop(RenderLoop):
         """Luminance of the samples before this round and in it, summed, `[2, pixels]`."""
         self._counted: Tensor | None = None
 
-    def render_only(self, active: Tensor, counted: Tensor) -> None:
-        """From now on render the pixels `active` and put those `counted` on the film, bool `[pixels]`."""
-        self._places = (active & self._mine_of_film().to(active.device)).nonzero()[:, 0]
+    def count_only(self, counted: Tensor) -> None:
+        """From now on put on the film the samples of those pixels that are `counted`, bool `[pixels]`."""
         self._counted = counted
 
     def freeze(self) -> None:
@@ -187,7 +186,8 @@ class AdaptiveLoop:
         """
         active = self.open.any(0)[self._block]
         for half, counted, decided in zip(self.halves, self.open, self.open.flip(0)):
-            half.render_only(active, counted[self._block])
+            half.render_only(active)
+            half.count_only(counted[self._block])
             if not bool(decided.all()):
                 half.freeze()
 

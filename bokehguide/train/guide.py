@@ -181,7 +181,8 @@ class LensGuide(nn.Module):
             self.optimizers["blend"].zero_grad()
         if self.offsets is not None:
             gradients = [lesson.offset_gradient for lesson in lessons if lesson.offset_gradient is not None]
-            self.offsets.coefficients.grad = self.ranks.total(sum(gradients, torch.zeros_like(self.offsets.coefficients)))
+            none = torch.zeros_like(self.offsets.coefficients, dtype=torch.float64)
+            self.offsets.coefficients.grad = self.ranks.total(sum(gradients, none)).float()
             self.optimizers["offsets"].step()
         if self.offsets is None:
             opens = starts_block(step + 1)

@@ -34,11 +34,9 @@ from bokehguide.train.settings import RenderSettings
 from bokehguide.train.spot_guide import SpotGuide
 from bokehguide.train.steps import BatchResult, GuideCounts, StepStats, finite, step_stats
 
-BATCH = 131072
-"""Pixels traced together at most: more would leave the cache, and of fewer Python would be too large a part."""
-SMALL_BATCH, FEW_BATCHES = 28800, 4
-"""A small frame is cut into up to four batches, all ranks together, so that threads have work, but none smaller
-than this: below it Python costs more than a second thread brings."""
+BATCH, SMALL_BATCH = 262144, 28800
+"""Pixels traced together: each thread has as many batches, as large as memory allows, since Python costs the same for
+large ones and small ones. Below the second number it costs more than another thread brings."""
 PRIMING_DIMENSION = LENS_DIMENSION + 5
 """Random dimensions of the lens points that prime the film: from this one on two."""
 PHASES = ("tracing rays", "shading", "guiding", "learning", "output")
@@ -47,8 +45,8 @@ PHASES = ("tracing rays", "shading", "guiding", "learning", "output")
 class RenderLoop:
     """Renders a scene step by step; after each step `film` holds the picture so far.
 
-    Batches are cut by the number of pixels alone and random numbers are keyed by pixel, so the
-    number of threads changes nothing but the speed.
+    Random numbers are keyed by pixel and what batches learn is added up in the pixels' order or in double precision,
+    so the number of threads, which cuts the batches, changes nothing but the speed.
 
     ranks: the processes that share the work. Their Gaussians are the same, each knows the film and β of
     its own pixels, and all of them take every step, `picture` and `state_dict` together. tracer: that of another
@@ -99,6 +97,10 @@ class RenderLoop:
         device, vignettes = self.camera.position.device, self.camera.lens.vignettes
         return Film(width, height, self.settings.seed, device, vignettes, (left, top))
 
+    def render_only(self, active: Tensor) -> None:
+        """From now on render those of the film's pixels that are `active`, bool `[pixels]`."""
+        self._places = (active & self._mine_of_film().to(active.device)).nonzero()[:, 0]
+
     @property
     def phases(self) -> dict[str, float]:
         """Seconds of wall time so far by phase, all of PHASES."""
@@ -123,8 +125,8 @@ class RenderLoop:
         start = time.perf_counter()
         places = self._places
         pixels = self.film.width * self.film.height if places is None else len(places)
-        few = max(FEW_BATCHES // self.ranks.count, 1)
-        count = max(math.ceil(pixels / BATCH), min(few, pixels // SMALL_BATCH), 1)
+        rounds = math.ceil(pixels / (BATCH * self._threads))
+        count = max(min(rounds * self._threads, pixels // SMALL_BATCH), 1)
         size = max(math.ceil(pixels / count), 1)
         spans = [slice(first, min(first + size, pixels)) for first in range(0, pixels, size)]
         results = list(self._pool.map(work, spans if places is None else [places[span] for span in spans]))
