@@ -44,23 +44,33 @@ def points(*places) -> Tensor:
 PLACES = [(0.0, 0.0, 0.0), (1.0, 0.5, -0.3), (-3.9, 0.9, 1.9), (1e3, -40.0, 7.0), (-1e30, 0.0, 1e30)]
 
 
+def drawn_from(grid: LightGrid, cells: torch.Tensor, uniforms: torch.Tensor) -> torch.Tensor:
+    """Lamps `[N]` from uniform numbers `[3, N]`."""
+    return grid.sample_within(grid.sample_cluster(cells, uniforms[0]), uniforms[1:3])
+
+
+def density(grid: LightGrid, cells: torch.Tensor, lamps: torch.Tensor) -> torch.Tensor:
+    """Probability `[N]` of each lamp in each cell."""
+    return grid.cluster_pdf(cells, grid.cluster(lamps)) * grid.pdf_within(lamps)
+
+
 def choice(grid: LightGrid, place, count: int) -> np.ndarray:
     """Probabilities of all `count` lamps at one point, float64."""
-    return grid.pdf(grid.cells(points(place)).expand(count), torch.arange(count)).double().numpy()
+    return density(grid, grid.cells(points(place)).expand(count), torch.arange(count)).double().numpy()
 
 
 @pytest.mark.parametrize("place", PLACES)
 def test_draws_follow_the_pdf(place):
     grid = crowd()
     uniforms = PixelRandom(4, 0, torch.arange(DRAWS)).uniform(0, 3)
-    drawn = grid.sample(grid.cells(points(place)).expand(DRAWS), uniforms)
+    drawn = drawn_from(grid, grid.cells(points(place)).expand(DRAWS), uniforms)
     assert chi_square(np.bincount(drawn.numpy(), minlength=400), choice(grid, place, 400)) > SIGNIFICANCE
 
 
 def test_the_pdf_sums_to_one_in_every_cell():
     grid = crowd()
     cells = torch.arange(len(grid.light))
-    total = sum(grid.pdf(cells, torch.full_like(cells, lamp)).double() for lamp in range(400))
+    total = sum(density(grid, cells, torch.full_like(cells, lamp)).double() for lamp in range(400))
     torch.testing.assert_close(total, torch.ones_like(total), rtol=0.0, atol=1e-5)
 
 
@@ -79,7 +89,7 @@ def test_the_bisection_is_a_search_in_the_cumulative_sums():
     cells = grid.cells(points(*PLACES)).repeat_interleave(5000)
     u = PixelRandom(5, 0, torch.arange(len(cells))).uniform(0, 3)
     u[0, ::5] = sums[cells[::5], torch.arange(len(cells) // 5) % (2**LEVELS - 1)].clamp(max=1.0 - 2.0**-24)
-    cluster = grid._cluster[grid.sample(cells, u)]
+    cluster = grid._cluster[drawn_from(grid, cells, u)]
     expected = torch.searchsorted(sums[cells], u[0, :, None], right=True)[:, 0]
     assert torch.equal(cluster, expected)
     assert len(cluster.unique()) > 100
@@ -101,15 +111,15 @@ def test_a_single_triangle_is_always_chosen(center):
     grid = grid_of([center], DOWN, 2.5)
     cells = grid.cells(points(*PLACES, center))
     uniforms = PixelRandom(6, 0, torch.arange(len(cells))).uniform(0, 3)
-    assert not grid.sample(cells, uniforms).any()
-    assert (grid.pdf(cells, torch.zeros_like(cells)) == 1.0).all()
+    assert not drawn_from(grid, cells, uniforms).any()
+    assert (density(grid, cells, torch.zeros_like(cells)) == 1.0).all()
 
 
 def test_thousands_of_lamps_in_one_place_are_chosen_alike():
     grid = grid_of(np.full((5000, 3), 0.7), DOWN, 1e-3)
     for place in PLACES:
         np.testing.assert_allclose(choice(grid, place, 5000), 1.0 / 5000, rtol=1e-5)
-    drawn = grid.sample(grid.cells(points(PLACES[0])).expand(DRAWS), PixelRandom(7, 0, torch.arange(DRAWS)).uniform(0, 3))
+    drawn = drawn_from(grid, grid.cells(points(PLACES[0])).expand(DRAWS), PixelRandom(7, 0, torch.arange(DRAWS)).uniform(0, 3))
     assert chi_square(np.bincount(drawn.numpy(), minlength=5000), np.full(5000, 1.0 / 5000)) > SIGNIFICANCE
 
 

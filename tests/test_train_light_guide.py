@@ -12,7 +12,7 @@ from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectangle
 from bokehguide.scene.types import Camera, Film, Material, Scene
 from bokehguide.train import RenderLoop, RenderSettings
-from bokehguide.train.light_guide import POOLS, SMALLEST, TILES, LightGuide
+from bokehguide.train.light_guide import DARKEST, POOLS, SEEN_BEFORE, SMALLEST, TILES, LightGuide
 
 WIDTH, HEIGHT = 48, 27
 
@@ -41,14 +41,35 @@ def rendered(scene: Scene, steps: int, seed: int = 0) -> RenderLoop:
     return loop
 
 
+def seen_in(guide: LightGuide, pixels: torch.Tensor, depth: float = 5.0) -> torch.Tensor:
+    """World points `[3, N]` that the middle of the lens sees in the middle of pixels, `depth` metres away along the axis."""
+    camera = guide._camera
+    raster = torch.stack((pixels % camera.width + 0.5, pixels // camera.width + 0.5))
+    x, y = camera.slopes(raster) * depth
+    return camera.axes @ torch.stack((x, y, torch.full_like(x, depth))) + camera.position
+
+
+@pytest.mark.parametrize("depth", [0.3, 5.0, 400.0])
 @pytest.mark.parametrize("width, height", [(48, 27), (200, 100), (90, 333), (1, 1)])
-def test_tiles_are_squares_and_few(width, height):
+def test_tiles_are_squares_and_few(width, height, depth):
+    """As the middle of the lens sees them, however far away."""
     guide = guide_of(width, height)
-    tiles = guide.tiles(torch.arange(width * height)).reshape(height, width)
+    tiles = guide.tiles(seen_in(guide, torch.arange(width * height), depth)).reshape(height, width)
     size = max(-(-max(width, height) // TILES), SMALLEST)
-    assert torch.equal(tiles[::size, ::size].flatten(), torch.arange(len(guide.moments)))
+    assert torch.equal(tiles[::size, ::size].flatten(), torch.arange(len(guide.probability)))
     assert bool((tiles == tiles[::size, ::size].repeat_interleave(size, 0).repeat_interleave(size, 1)[:height, :width]).all())
-    assert len(guide.moments) <= TILES**2
+    assert len(guide.probability) <= TILES**2
+
+
+def test_what_the_middle_of_the_lens_does_not_see_has_a_tile_at_the_edge():
+    guide = guide_of()
+    corners = torch.tensor([0, WIDTH - 1, (HEIGHT - 1) * WIDTH, HEIGHT * WIDTH - 1])
+    inside = seen_in(guide, corners)
+    middle = guide._camera.position + 5.0 * guide._camera.axes[:, 2:]
+    assert torch.equal(guide.tiles(middle + 3.0 * (inside - middle)), guide.tiles(inside))
+    everywhere = torch.cat((torch.randn(3, 1000) * 100.0, guide._camera.position, torch.full((3, 1), 1e37)), dim=1)
+    tiles = guide.tiles(everywhere)
+    assert tiles.min() >= 0 and tiles.max() < len(guide.probability)
 
 
 def test_the_probability_is_by_the_roots_of_the_moments_around():
@@ -57,25 +78,28 @@ def test_the_probability_is_by_the_roots_of_the_moments_around():
     generator = torch.Generator().manual_seed(1)
     count = 3000
     tiles = torch.randint(240, (count,), generator=generator)
-    corner = tiles // 20 * SMALLEST * 20 * SMALLEST + tiles % 20 * SMALLEST
-    pixels = corner + torch.randint(SMALLEST, (count,), generator=generator) * (1 + 20 * SMALLEST)
     clusters = torch.randint(-1, 4, (count,), generator=generator)  # the last cluster is never seen
     worth = torch.rand(count, generator=generator) * (tiles > 60)
-    guide.add(guide.tiles(pixels), clusters, worth, 0.5)
+    seen = torch.rand(count, generator=generator) * (clusters != 3)
+    guide.add(tiles, clusters, worth, seen, 0.5)
     guide.update(2)
-    moments = np.zeros((12, 20, 5))
-    for tile, cluster, value in zip(tiles.tolist(), clusters.tolist(), worth.tolist()):
+    sums = np.zeros((12, 20, 3, 5))
+    for tile, cluster, value, arrived in zip(tiles.tolist(), clusters.tolist(), worth.tolist(), seen.tolist()):
         if cluster >= 0:
-            moments[tile // 20, tile % 20, cluster] += (value / 0.5) ** 2
+            sums[tile // 20, tile % 20, :, cluster] += (value / 0.5) ** 2, 1.0, arrived
     for row in range(12):
         for column in range(20):
             pooled = 0.0
             for size, share in POOLS:
                 half = size // 2
-                around = moments[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
+                around = sums[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
                 pooled = pooled + share * around.mean((0, 1))
-            expected = np.sqrt(pooled) / np.sqrt(pooled).sum() if pooled.any() else np.full(5, 0.2)
+            moments, tried, arrived = pooled
+            expected = np.sqrt(moments) / np.sqrt(moments).sum() if moments.any() else np.full(5, 0.2)
             np.testing.assert_allclose(guide.probability[row * 20 + column], expected, rtol=1e-4, atol=1e-12)
+            share = np.maximum((arrived + SEEN_BEFORE) / (tried + SEEN_BEFORE), DARKEST)
+            np.testing.assert_allclose(guide.seen[row * 20 + column], share, rtol=1e-4)
+    assert bool((guide.seen[:, 4] == 1.0).all()) and 0.0 < float(guide.seen[:, 3].max()) < 1.0
 
 
 def test_a_lamp_behind_the_wall_is_hardly_asked_for():
@@ -86,7 +110,7 @@ def test_a_lamp_behind_the_wall_is_hardly_asked_for():
     cluster = lamps._grid.cluster(lamps._lamp[triangles])
     of_left = torch.zeros(lamps.clusters.count, dtype=torch.bool)
     of_left[cluster[left]] = True
-    by_left = (loop.light_guide.probability * of_left).sum(1)[loop.light_guide.tiles(torch.arange(HEIGHT * WIDTH))]
+    by_left = (loop.light_guide.probability * of_left).sum(1)[loop.light_guide.tiles(seen_in(loop.light_guide, torch.arange(HEIGHT * WIDTH)))]
     by_left = by_left.reshape(HEIGHT, WIDTH)
     assert by_left[:, :8].min() > 0.9 and by_left[:, 28:].max() < 0.05
 
@@ -141,16 +165,16 @@ def test_a_loop_without_light_so_far_goes_on():
     """Where the lamps are beyond what the paths reach, nothing is learnt and nothing goes wrong."""
     shut = replace(scenes.lamps(32, 18), film=Film(32, 18, 1))
     loop = rendered(shut, 5)
-    assert not loop.light_guide.moments.any()
-    assert bool((loop.light_guide.probability == 1.0 / loop.light_guide.moments.shape[1]).all())
+    assert not loop.light_guide.sums[0].any()
+    assert bool((loop.light_guide.probability == 1.0 / loop.light_guide.probability.shape[1]).all())
 
 
-@pytest.mark.parametrize("name, value", [("moments", -1.0), ("probability", -0.1), ("probability", 0.4)])
+@pytest.mark.parametrize("name, value", [("sums", -1.0), ("seen", -0.1), ("probability", -0.1), ("probability", 0.4)])
 def test_what_is_no_choice_is_refused(name, value):
     guide = guide_of()
     guide.update(2)
     state = guide.state_dict()
     state[name] = state[name].clone()
-    state[name][3, 2] = value
+    state[name][..., 3, 2] = value
     with pytest.raises(ValueError, match="no choice"):
         guide_of().load_state_dict(state)

@@ -29,13 +29,13 @@ class ClusterTable:
 
     def sample(self, row: Tensor, uniforms: Tensor) -> Tensor:
         """Clusters `[N]` for rows `[N]`, from uniform numbers `[N]`: the first whose cumulative share exceeds the number."""
-        base = row << self._levels
-        cluster = torch.zeros_like(row)
+        base = (row << self._levels) - 1
+        place = base.clone()  # of the last cluster that is known to lie below
         for level in reversed(range(self._levels)):
             step = 1 << level
-            below = self._cumulative.index_select(0, base + cluster + (step - 1)) <= uniforms
-            cluster = cluster + below * step
-        return cluster
+            below = self._cumulative.index_select(0, place + step) <= uniforms
+            place.add_(below, alpha=step)
+        return place - base
 
     def pdf(self, row: Tensor, cluster: Tensor) -> Tensor:
         """Probability of each cluster in each row, `[N]`."""

@@ -22,16 +22,18 @@ class LightChoice:
     """How N paths are to choose among clusters of lights at their first surface.
 
     row: of the table for each path, int64 `[N]`. table: None while nothing is learnt. block: the step from which on
-    it has been what it is; numbers that choose by it may be stratified from there on.
+    it has been what it is; numbers that choose by it may be stratified from there on. seen: how much of each cluster's
+    light may be expected to arrive, positive, `[rows, clusters]`, where that is learnt.
     """
 
     row: Tensor
     table: ClusterTable | None
     block: int
+    seen: Tensor | None = None
 
     def select(self, index: Tensor) -> LightChoice:
         """That of the paths at `index`."""
-        return LightChoice(self.row.index_select(0, index), self.table, self.block)
+        return LightChoice(self.row.index_select(0, index), self.table, self.block, self.seen)
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Clusters `[N]` from uniform numbers `[N]`."""
@@ -40,6 +42,12 @@ class LightChoice:
     def pdf(self, cluster: Tensor) -> Tensor:
         """Probability `[N]` of each cluster."""
         return self.table.pdf(self.row, cluster)
+
+    def visibility(self, cluster: Tensor) -> Tensor:
+        """Share of each cluster's light that may be expected to arrive, `[N]`."""
+        if self.seen is None:
+            return torch.ones(cluster.shape, device=cluster.device)
+        return self.seen.view(-1).index_select(0, self.row * self.seen.shape[1] + cluster)
 
 
 class LightClusters:

@@ -105,17 +105,17 @@ class LightGrid:
         ]
         return (columns[0] * int(shape[1]) + columns[1]) * int(shape[2]) + columns[2]
 
-    def sample(self, cells: Tensor, uniforms: Tensor) -> Tensor:
-        """Triangles `[N]` for points in `cells` `[N]`, from uniform numbers `[3, N]`."""
-        return self.sample_within(self._table.sample(cells, uniforms[0]), uniforms[1:3])
+    def sample_cluster(self, cells: Tensor, uniforms: Tensor) -> Tensor:
+        """Clusters `[N]` for points in `cells` `[N]`, from uniform numbers `[N]`."""
+        return self._table.sample(cells, uniforms)
 
     def sample_within(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Triangles `[N]` of clusters `[N]`, by power, from uniform numbers `[2, N]`."""
         return self._order.index_select(0, self._within.sample(uniforms, cluster))
 
-    def pdf(self, cells: Tensor, triangle: Tensor) -> Tensor:
-        """Probability `[N]` of choosing each triangle for a point in each cell."""
-        return self._table.pdf(cells, self.cluster(triangle)) * self.pdf_within(triangle)
+    def cluster_pdf(self, cells: Tensor, cluster: Tensor) -> Tensor:
+        """Probability `[N]` of choosing each cluster for a point in each cell."""
+        return self._table.pdf(cells, cluster)
 
     def cluster(self, triangle: Tensor) -> Tensor:
         """Cluster `[N]` of each triangle."""

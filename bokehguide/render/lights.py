@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ POWER_GRID = 4
 """The power of a textured triangle is averaged over this many squared points."""
 CONE_DIRECTIONS = 64
 """That of a spotlight over this many directions within its cone."""
-BY_CELL = 0.25
+BY_CELL = 0.125
 """Share of the light samples that a `LightChoice` leaves to the cell of the grid, so that no light is ever left out."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
@@ -46,23 +46,26 @@ class LightSample(NamedTuple):
 
 
 @dataclass
-class _Asked:
-    """How N points choose: cells of the grid and their share for the environment, `[N]`; under a choice that has
-    learnt something, the clusters it took, -1 where it leaves it to the cell."""
+class LightQuery:
+    """N points `[3, N]` to be lit: cells of the grid and their share for the environment, `[N]`; their choice, if they
+    have one; and, once it is made under one that has learnt something, which samples leave it to the cell, bool `[N]`,
+    and the clusters of the others."""
 
+    points: Tensor
     cells: Tensor
     environment_share: Tensor
     choice: LightChoice | None
+    by_cell: Tensor | None = None
     cluster: Tensor | None = None
 
     @property
     def learnt(self) -> bool:
         return self.choice is not None and self.choice.table is not None
 
-    def select(self, index: Tensor) -> _Asked:
-        picked = (None if v is None else v[index] for v in (self.cells, self.environment_share, self.cluster))
-        cells, share, cluster = picked
-        return _Asked(cells, share, None if self.choice is None else self.choice.select(index), cluster)
+    def select(self, index: Tensor) -> LightQuery:
+        names = ("points", "cells", "environment_share", "choice", "by_cell", "cluster")
+        values = (getattr(self, name) for name in names)
+        return LightQuery(*(v.index_select(-1, index) if isinstance(v, Tensor) else v and v.select(index) for v in values))
 
 
 class Lights:
@@ -115,57 +118,61 @@ class Lights:
         """All that `sample` may fall on, in clusters."""
         return LightClusters(self._grid if len(self._triangles) else None, self.environment if self._sky > 0.0 else None)
 
+    def query(self, points: Tensor, choice: LightChoice | None = None) -> LightQuery:
+        """Points `[3, N]` to be lit, for `draw`."""
+        cells = self._cells(points)
+        return LightQuery(points, cells, self.environment_share(cells), choice)
+
     def sample(self, points: Tensor, uniforms: Tensor, choice: LightChoice | None = None) -> LightSample:
         """One light sample for each shaded point `[3, N]` from uniform numbers `[6, N]`."""
-        cells = self._cells(points)
-        asked = _Asked(cells, self.environment_share(cells), choice)
-        sky = uniforms[0] < asked.environment_share
-        if asked.learnt:
-            asked.cluster = torch.where(uniforms[0] < BY_CELL, -1, choice.sample((uniforms[0] - BY_CELL) / (1.0 - BY_CELL)))
-            by_cell = uniforms[0] < BY_CELL * asked.environment_share
-            sky = torch.where(asked.cluster < 0, by_cell, asked.cluster >= self.clusters.triangles)
-        far, near = sky.nonzero()[:, 0], (~sky).nonzero()[:, 0]
-        uniforms = uniforms[1:]
-        if len(near) == 0:
-            return self._sample_environment(asked, uniforms)
-        if len(far) == 0:
-            return self._sample_triangles(points, asked, uniforms)
-        index = torch.cat((far, near))
-        back = torch.empty_like(index)
-        back[index] = torch.arange(len(index), device=index.device)
-        pairs = zip(
-            self._sample_environment(asked.select(far), uniforms[:, far]),
-            self._sample_triangles(points[:, near], asked.select(near), uniforms[:, near]),
-        )
-        return LightSample(*(None if one is None else torch.cat((one, two), -1).index_select(-1, back) for one, two in pairs))
+        return self.draw(self.query(points, choice), uniforms)
 
-    def _sample_environment(self, asked: _Asked, uniforms: Tensor) -> LightSample:
+    def draw(self, query: LightQuery, uniforms: Tensor) -> LightSample:
+        """One light sample for each point of the query from uniform numbers `[6, N]`."""
+        sky = uniforms[0] < query.environment_share
+        if query.learnt:
+            cluster = query.choice.sample((uniforms[0] - BY_CELL) / (1.0 - BY_CELL))
+            by_cell = uniforms[0] < BY_CELL
+            far = by_cell & (uniforms[0] < BY_CELL * query.environment_share)
+            sky = far | (~by_cell & (cluster >= self.clusters.triangles))
+            query = replace(query, by_cell=by_cell, cluster=cluster)
+        far, near = sky.nonzero()[:, 0], (~sky).nonzero()[:, 0]
+        # The one kind is drawn for all points, where there is any, and the rarer one then put in its place.
+        kinds = [(near, self._sample_triangles), (far, self._sample_environment)]
+        (rare, draw_rare), (_, draw_most) = sorted(kinds, key=lambda kind: len(kind[0]))
+        light = draw_most(query, uniforms[1:])
+        if len(rare) > 0:
+            others = draw_rare(query.select(rare), uniforms[1:].index_select(1, rare))
+            for value, other in zip(light, others):
+                if value is not None:
+                    value.index_copy_(-1, rare, other)
+        return light
+
+    def _sample_environment(self, query: LightQuery, uniforms: Tensor) -> LightSample:
         element = self.environment.pick(uniforms[[0, 1, 4]])
-        if asked.cluster is not None:
-            element = torch.where(asked.cluster < 0, element, self.clusters.pick(asked.cluster, uniforms[0:2]))
+        if query.learnt:
+            picked = self.clusters.pick(query.cluster.clamp(min=self.clusters.triangles), uniforms[0:2])
+            element = torch.where(query.by_cell, element, picked)
         direction = self.environment.directions(element, uniforms[2:4])
-        pdf = self._environment_pdf(asked, direction, self.environment.texels(direction, element))
+        pdf = self._environment_pdf(query, direction, self.environment.texels(direction, element))
         light = LightSample(direction, torch.full_like(pdf, MISS_DISTANCE), self.environment.radiance(direction), pdf)
-        if asked.choice is None:
+        if query.choice is None:
             return light
         return light._replace(cluster=self.clusters.cluster(element), share=pdf / self.clusters.pdf_within(element))
 
-    def _environment_pdf(self, asked: _Asked, direction: Tensor, texel: Tensor) -> Tensor:
-        by_cell = asked.environment_share * self.environment.pdf(direction, texel)
-        if not asked.learnt:
+    def _environment_pdf(self, query: LightQuery, direction: Tensor, texel: Tensor) -> Tensor:
+        by_cell = query.environment_share * self.environment.pdf(direction, texel)
+        if not query.learnt:
             return by_cell
-        return BY_CELL * by_cell + (1.0 - BY_CELL) * self.clusters.environment_pdf(asked.choice, direction, texel)
+        return BY_CELL * by_cell + (1.0 - BY_CELL) * self.clusters.environment_pdf(query.choice, direction, texel)
 
-    def _sample_triangles(self, points: Tensor, asked: _Asked, uniforms: Tensor) -> LightSample:
-        lamp = self._grid.sample(asked.cells, uniforms[0:3])
-        if asked.cluster is not None:
-            chosen = (asked.cluster >= 0).nonzero()[:, 0]
-            cluster = asked.cluster.index_select(0, chosen)
-            lamp[chosen] = self._grid.sample_within(cluster, uniforms[1:3].index_select(1, chosen))
+    def _sample_triangles(self, query: LightQuery, uniforms: Tensor) -> LightSample:
+        cluster = self._cluster_of_triangles(query, uniforms[0])
+        lamp = self._grid.sample_within(cluster, uniforms[1:3])
         rows = self._rows.index_select(1, lamp)
         root = uniforms[3].sqrt()
         u, v = root * (1.0 - uniforms[4]), root * uniforms[4]
-        offset = rows[0:3] + u * rows[3:6] + v * rows[6:9] - points
+        offset = rows[0:3] + u * rows[3:6] + v * rows[6:9] - query.points
         squared = dot(offset, offset).clamp(min=1e-30)
         distance = squared.sqrt()
         direction = offset / distance
@@ -178,20 +185,25 @@ class Lights:
             radiance = radiance * transmittance
         if self._geometry.materials.has_sheer:
             radiance = radiance * self._geometry.opacity(hit)
-        share = self._triangle_share(asked, lamp)
-        pdf = share * rows[12] * squared / cosine.abs().clamp(min=1e-12)
+        share = self._cluster_share(query, cluster)
+        pdf = share * self._grid.pdf_within(lamp) * rows[12] * squared / cosine.abs().clamp(min=1e-12)
         light = LightSample(direction, distance, radiance, pdf)
-        if asked.choice is None:
-            return light
-        return light._replace(cluster=self._grid.cluster(lamp), share=share / self._grid.pdf_within(lamp))
+        return light if query.choice is None else light._replace(cluster=cluster, share=share)
 
-    def _triangle_share(self, asked: _Asked, lamp: Tensor) -> Tensor:
-        """Probability `[N]` of choosing each of the emissive triangles."""
-        by_cell = (1.0 - asked.environment_share) * self._grid.pdf(asked.cells, lamp)
-        if not asked.learnt:
+    def _cluster_of_triangles(self, query: LightQuery, uniforms: Tensor) -> Tensor:
+        """A cluster for each point, from uniform numbers `[N]`, as far as it is not chosen yet."""
+        if not query.learnt:
+            return self._grid.sample_cluster(query.cells, uniforms)
+        index = query.by_cell.nonzero()[:, 0]
+        by_cell = self._grid.sample_cluster(query.cells.index_select(0, index), uniforms.index_select(0, index))
+        return query.cluster.clamp(max=self._grid.clusters - 1).index_copy_(0, index, by_cell)
+
+    def _cluster_share(self, query: LightQuery, cluster: Tensor) -> Tensor:
+        """Probability `[N]` of choosing each of the clusters of triangles."""
+        by_cell = (1.0 - query.environment_share) * self._grid.cluster_pdf(query.cells, cluster)
+        if not query.learnt:
             return by_cell
-        learnt = asked.choice.pdf(self._grid.cluster(lamp)) * self._grid.pdf_within(lamp)
-        return BY_CELL * by_cell + (1.0 - BY_CELL) * learnt
+        return BY_CELL * by_cell + (1.0 - BY_CELL) * query.choice.pdf(cluster)
 
     def triangle_pdf(
         self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor, choice: LightChoice | None = None
@@ -204,17 +216,15 @@ class Lights:
             return torch.zeros_like(distance)
         lamp = self._lamp.index_select(0, triangle)
         known = lamp.clamp(min=0)
-        cells = self._cells(points)
-        share = self._triangle_share(_Asked(cells, self.environment_share(cells), choice), known) * (lamp >= 0)
-        return share * self._rows[12].index_select(0, known) * distance * distance / cosine.abs().clamp(min=1e-12)
+        share = self._cluster_share(self.query(points, choice), self._grid.cluster(known)) * (lamp >= 0)
+        within = self._grid.pdf_within(known) * self._rows[12].index_select(0, known)
+        return share * within * distance * distance / cosine.abs().clamp(min=1e-12)
 
     def environment_pdf(self, points: Tensor, directions: Tensor, choice: LightChoice | None = None) -> Tensor:
         """Density `[N]` with which `sample` at points `[3, N]` finds environment directions `[3, N]`."""
         if self._sky == 0.0:
             return torch.zeros_like(directions[0])
-        cells = self._cells(points)
-        asked = _Asked(cells, self.environment_share(cells), choice)
-        return self._environment_pdf(asked, directions, self.environment.texels(directions))
+        return self._environment_pdf(self.query(points, choice), directions, self.environment.texels(directions))
 
 
 def _grid_lamps(scene: Scene, geometry: Geometry, triangles: Tensor, power: Tensor) -> GridLamps:

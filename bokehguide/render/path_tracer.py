@@ -6,6 +6,7 @@ lenses, films or guiding.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,6 +14,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.dielectric import DELTA_PDF
+from bokehguide.render.direct_light import direct_light, power_heuristic
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
@@ -21,7 +23,7 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
-from bokehguide.render.vector import dot, length, luminance
+from bokehguide.render.vector import dot, length
 from bokehguide.scene.types import Scene
 
 ROULETTE_DEPTH = 2
@@ -41,9 +43,10 @@ class PathSamples:
     radiance, and of the first surface normal, albedo and emission: `[3, N]`; distance to it,
     MISS_DISTANCE where there is none; alpha: 1 where the camera sees a surface or what lies
     at infinity, else 0; triangle: that of the first surface, int32, -1 where there is none;
-    rays: number of rays traced. Under a `LightChoice`, also the cluster of the light sample there, int64, -1 where
-    there was none, and its worth: the luminance it brought times the root of the cluster's probability, whose square
-    is on average the sum over clusters of the squared luminance each would have brought.
+    rays: number of rays traced. Under a `LightChoice`, also its row there, the cluster of the light sample, int64
+    both, -1 where there was none, and its worth: the luminance it brought times the root of the cluster's probability,
+    whose square is on average the sum over clusters of the squared luminance each would have brought; and light_seen,
+    the share of it that nothing blocked.
     """
 
     radiance: Tensor
@@ -54,8 +57,10 @@ class PathSamples:
     alpha: Tensor
     triangle: Tensor
     rays: int = 0
+    light_row: Tensor | None = None
     light_cluster: Tensor | None = None
     light_worth: Tensor | None = None
+    light_seen: Tensor | None = None
 
     @classmethod
     def empty(cls, count: int, device: torch.device, chooses: bool = False) -> PathSamples:
@@ -65,8 +70,9 @@ class PathSamples:
         triangle = torch.full((count,), -1, dtype=torch.int32, device=device)
         empty = cls(vectors[0], distance, *vectors[1:], torch.zeros(count, device=device), triangle)
         if chooses:
+            empty.light_row = torch.full((count,), -1, device=device)
             empty.light_cluster = torch.full((count,), -1, device=device)
-            empty.light_worth = torch.zeros(count, device=device)
+            empty.light_worth, empty.light_seen = torch.zeros(2, count, device=device)
         return empty
 
     def spread(self, index: Tensor, count: int) -> PathSamples:
@@ -103,11 +109,6 @@ class _Paths:
         return _Paths(*(getattr(self, name).index_select(-1, index) for name in names), self.random.select(index), choice)
 
 
-def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
-    """MIS weight of a sample of density `pdf` beside a technique of density `other` (Veach 1997)."""
-    return 1.0 / (1.0 + (other / pdf.clamp(min=1e-30)).square())
-
-
 class PathTracer:
     """Radiance along batches of rays. Threads may call `trace` side by side.
 
@@ -127,27 +128,35 @@ class PathTracer:
         random: PixelRandom,
         timer: PhaseTimer,
         max_depth: int | None = None,
-        choice: LightChoice | None = None,
+        choose: Callable[[Tensor], LightChoice] | None = None,
     ) -> PathSamples:
         """Trace rays with world origins and unit directions `[3, N]`; one path a ray, of max_depth segments if given.
 
-        choice: of lights at first surfaces.
+        choose: how lights are chosen at first surfaces, by their positions `[3, N]`.
         """
         count = origin.shape[1]
         ones = torch.ones(count, device=origin.device)
-        result = PathSamples.empty(count, origin.device, choice is not None)
+        result = PathSamples.empty(count, origin.device, choose is not None)
         index = torch.arange(count, device=origin.device)
         paths = _Paths(
-            index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random, choice
+            index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random, None
         )
         last = max_depth or self.max_depth
         for depth in range(1, last + 1):
-            paths = self._segment(paths, depth, depth == last, result, timer)
+            paths = self._segment(paths, depth, depth == last, choose if depth == 1 else None, result, timer)
             if len(paths.index) == 0:
                 break
         return result
 
-    def _segment(self, paths: _Paths, depth: int, last: bool, result: PathSamples, timer: PhaseTimer) -> _Paths:
+    def _segment(
+        self,
+        paths: _Paths,
+        depth: int,
+        last: bool,
+        choose: Callable[[Tensor], LightChoice] | None,
+        result: PathSamples,
+        timer: PhaseTimer,
+    ) -> _Paths:
         """Trace the paths to their next surface, gather light there, and choose how they go on."""
         with timer.measure("tracing rays"):
             dimension = FIRST_CROSSING + MAX_CROSSINGS * depth
@@ -169,8 +178,7 @@ class PathTracer:
         self._add_emission(paths, hit, surface)
         if depth == 1:
             result.emission[:, paths.index] = paths.radiance
-        else:
-            paths.choice = None
+        paths.choice = None if choose is None else choose(surface.position)
         if last:
             return _finish(paths, result)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
@@ -191,7 +199,8 @@ class PathTracer:
         gone = paths.select(missed)
         environment = self.lights.environment
         if environment is not None and (depth > 1 or environment.visible):
-            weight = power_heuristic(gone.pdf, self.lights.environment_pdf(gone.vertex, gone.direction, gone.choice))
+            other = self.lights.environment_pdf(gone.vertex, gone.direction, gone.choice)
+            weight = power_heuristic(gone.pdf, other)
             gone.radiance += gone.throughput * environment.radiance(gone.direction) * weight
             if depth == 1:
                 result.alpha[gone.index] = environment.alpha(gone.direction)
@@ -228,10 +237,8 @@ class PathTracer:
         timer: PhaseTimer,
     ) -> None:
         """Next-event estimation: one shadow ray a path."""
-        light = self.lights.sample(surface.position, uniforms, paths.choice)
-        value, pdf = scattering.evaluate(light.direction)
-        weight = power_heuristic(light.pdf, pdf) / light.pdf.clamp(min=1e-30)
-        contribution = paths.throughput * value * light.radiance * weight
+        light = direct_light(self.lights, surface, scattering, paths.choice, uniforms, paths.random)
+        contribution = paths.throughput * light.value
         index = (contribution.amax(0) > 0.0).nonzero()[:, 0]
         origin = surface.leave(light.direction)
         # From the origin off the surface to the same point: a lamp close by must not shadow itself.
@@ -241,14 +248,15 @@ class PathTracer:
         origin, direction = origin.index_select(1, index), target / stretch
         with timer.measure("tracing rays"):
             share, rays = self._opacity.transmittance(origin, direction, distance)
-        visibility = torch.zeros_like(pdf)
+        visibility = torch.zeros_like(light.distance)
         visibility[index] = share
         result.rays += rays
-        contribution = contribution * visibility
-        paths.radiance += contribution
+        paths.radiance += contribution * visibility
         if paths.choice is not None:
+            result.light_row[paths.index] = paths.choice.row
             result.light_cluster[paths.index] = light.cluster
-            result.light_worth[paths.index] = luminance(contribution) * light.share.sqrt()
+            result.light_worth[paths.index] = light.worth * visibility
+            result.light_seen[paths.index] = visibility
 
     def _scatter(
         self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, depth: int, result: PathSamples

@@ -22,69 +22,84 @@ TILES, SMALLEST = 80, 4
 """Tiles along the longer side of the frame, and pixels along the side of a tile: in a smaller one there is too little to learn from."""
 POOLS = ((1, 0.5), (3, 0.3), (7, 0.2))
 """Tiles across the squares whose moments are shared, and their weights."""
+SEEN_BEFORE = 0.2
+"""Samples of each cluster in each tile that are taken to have arrived already."""
+DARKEST = 0.05
+"""Least share of a cluster's light that is expected to arrive."""
 
 
 class LightGuide(nn.Module):
     """Learns which clusters of lights to sample where a pixel's rays first land.
 
     clusters: how many there are. `add` takes what steps have seen; `update` ends a block.
-    moments: `[tiles, clusters]`, sums of squared worth (see `PathSamples`) in units of the frame's mean;
-    probability: what the present block chooses by, `[tiles, clusters]`, all 0 in the first.
+    sums: `[3, tiles, clusters]`, of squared worth (see `PathSamples`) in units of the frame's mean, of samples, and of
+    the share of their light that arrived; probability, seen: what the present block chooses by, `[tiles, clusters]`, all
+    0 in the first.
     """
 
     def __init__(self, camera: ThinLensCamera, clusters: int, ranks: Ranks | None = None):
         super().__init__()
-        self.ranks, self._width = ranks or Ranks(), camera.width
+        self.ranks, self._camera = ranks or Ranks(), camera
         self._size = max(-(-max(camera.width, camera.height) // TILES), SMALLEST)
         self._across, self._down = -(-camera.width // self._size), -(-camera.height // self._size)
         device = camera.position.device
         shape = (self._across * self._down, clusters)
-        self.register_buffer("moments", torch.zeros(shape, device=device))
+        self.register_buffer("sums", torch.zeros(3, *shape, device=device))
         self.register_buffer("probability", torch.zeros(shape, device=device))
+        self.register_buffer("seen", torch.zeros(shape, device=device))
         self.register_buffer("block", torch.tensor(1))
-        self._own = None if self.ranks.alone else torch.zeros_like(self.moments)
+        self._own = None if self.ranks.alone else torch.zeros_like(self.sums)
         """Of this rank's samples since the last `merge`."""
         self._table: ClusterTable | None = None
 
-    def tiles(self, pixels: Tensor) -> Tensor:
-        """Tile of each flat pixel number, int64 `[N]`."""
-        row, column = pixels // self._width, pixels % self._width
-        return (row // self._size * self._across + column // self._size).long()
+    def tiles(self, points: Tensor) -> Tensor:
+        """Tile in which the middle of the lens sees each world point `[3, N]`, int64 `[N]`; the nearest for one that it does not see."""
+        local = self._camera.axes.T @ (points - self._camera.position)
+        column, row = (self._camera.raster(local) / self._size).nan_to_num(0.0, 0.0, 0.0)
+        column, row = column.clamp(0.0, self._across - 1.0), row.clamp(0.0, self._down - 1.0)
+        return row.long() * self._across + column.long()
 
-    def choice(self, pixels: Tensor) -> LightChoice:
-        """How the paths of pixels `[N]` choose in this block."""
-        return LightChoice(self.tiles(pixels), self._table, int(self.block))
+    def choice(self, points: Tensor) -> LightChoice:
+        """How paths choose in this block at world points `[3, N]`."""
+        return LightChoice(self.tiles(points), self._table, int(self.block), None if self._table is None else self.seen)
 
-    def add(self, tiles: Tensor, clusters: Tensor, worth: Tensor, unit: float) -> None:
+    def add(self, tiles: Tensor, clusters: Tensor, worth: Tensor, seen: Tensor, unit: float) -> None:
         """Add light samples, `[N]` each; clusters: -1 for none; unit: the frame's mean luminance."""
         index = (clusters >= 0).nonzero()[:, 0]
-        place = tiles[index] * self.moments.shape[1] + clusters[index]
+        sums = (self.sums if self._own is None else self._own).view(3, -1)
+        place = tiles[index] * self.probability.shape[1] + clusters[index]
         squared = (worth[index] / unit).nan_to_num(0.0, BRIGHTEST).clamp(max=BRIGHTEST).square()
-        moments = self.moments if self._own is None else self._own
-        moments.view(-1).index_add_(0, place, squared)
+        for total, values in zip(sums, (squared, torch.ones_like(squared), seen[index])):
+            total.index_add_(0, place, values)
 
     def merge(self) -> None:
         """Let every rank know the samples of all; collective."""
         if self._own is not None:
-            self.moments += self.ranks.total(self._own)
+            self.sums += self.ranks.total(self._own)
             self._own.zero_()
 
     def update(self, step: int) -> None:
         """Begin a block of steps with `step`: choose by all that was seen before it; collective."""
         self.merge()
         self.block.fill_(step)
-        moments = self.moments.double().T.reshape(1, -1, self._down, self._across)
-        pooled = sum(share * avg_pool2d(moments, size, 1, size // 2, count_include_pad=False) for size, share in POOLS)
-        roots = pooled.reshape(self.moments.shape[::-1]).T.sqrt()
+        moments, tried, arrived = (self._pooled(total) for total in self.sums)
+        roots = moments.sqrt()
         whole = roots.sum(1, keepdim=True)
         self.probability.copy_(torch.where(whole > 0.0, roots / whole.clamp(min=1e-300), 1.0 / roots.shape[1]))
+        self.seen.copy_(((arrived + SEEN_BEFORE) / (tried + SEEN_BEFORE)).clamp(min=DARKEST))
         self._table = ClusterTable(self.probability.double())
+
+    def _pooled(self, total: Tensor) -> Tensor:
+        """A sum `[tiles, clusters]`, in double precision, as tiles share it with those around."""
+        images = total.double().T.reshape(1, -1, self._down, self._across)
+        pooled = sum(share * avg_pool2d(images, size, 1, size // 2, count_include_pad=False) for size, share in POOLS)
+        return pooled.reshape(total.shape[::-1]).T
 
     def load_state_dict(self, state_dict, *args, **kwargs):
         """Load what was learnt. Raises ValueError where rows of probabilities are none."""
         result = super().load_state_dict(state_dict, *args, **kwargs)
         whole, learnt = self.probability.sum(1), bool(self.probability.any())
-        if bool((self.moments < 0.0).any() or (self.probability < 0.0).any() or learnt and ((whole - 1.0).abs() > 1e-4).any()):
+        if bool((self.sums < 0.0).any() or (self.seen < 0.0).any() or (self.probability < 0.0).any() or learnt and ((whole - 1.0).abs() > 1e-4).any()):
             raise ValueError("what was learnt of lights is no choice among them")
         self._table = ClusterTable(self.probability.double()) if learnt else None
         return result

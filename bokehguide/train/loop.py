@@ -17,7 +17,6 @@ from bokehguide.errors import BokehguideError
 from bokehguide.models.lens_distribution import LensDensity
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import Film, FilmSamples, earliest
-from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.pixels import Pixels, box_pixels, pixel_numbers
 from bokehguide.render.random import PixelRandom
@@ -149,8 +148,7 @@ class RenderLoop:
             focus = camera.focus_points(raster)
             points, weight, batch, at = self._draw(pixels, raster, focus, random)
         with timer.measure("shading"):
-            choice = self.light_guide.choice(numbers) if self.light_guide else None
-            samples, directions = self._trace(focus, points, weight, random, choice, timer)
+            samples, directions = self._trace(focus, points, weight, random, timer)
             if self.step_number == 1 and batch is not None:
                 samples.rays += self._prime(places, focus, random, timer)
         with timer.measure("output"):
@@ -168,8 +166,8 @@ class RenderLoop:
             recorded = finite(self.guide.recorded(samples), good)
             result.records = self._records(points, directions, samples.distance, weight, recorded)
             result.counts = GuideCounts.of(batch, weight)
-            if choice is not None:
-                result.lights = (choice.row, samples.light_cluster, samples.light_worth)
+            if self.light_guide is not None:
+                result.lights = (samples.light_row, samples.light_cluster, samples.light_worth, samples.light_seen)
         return result
 
     def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
@@ -200,21 +198,15 @@ class RenderLoop:
         return self.guide.draw(self.step_number, pixels, raster, focus, random)
 
     def _trace(
-        self,
-        focus: Tensor,
-        points: Tensor,
-        weight: Tensor,
-        random: PixelRandom,
-        choice: LightChoice | None,
-        timer: PhaseTimer,
+        self, focus: Tensor, points: Tensor, weight: Tensor, random: PixelRandom, timer: PhaseTimer
     ) -> tuple[PathSamples, Tensor]:
         """Radiance of the rays that pass the aperture, 0 for the others; world directions `[3, N]`."""
+        choose = self.light_guide.choice if self.light_guide else None
         origins, directions = self.camera.rays(focus, points)
         inside = (weight > 0.0).nonzero()[:, 0]
         if len(inside) == len(weight):
-            return self.tracer.trace(origins, directions, random, timer, choice=choice), directions
-        choice = None if choice is None else choice.select(inside)
-        traced = self.tracer.trace(origins[:, inside], directions[:, inside], random.select(inside), timer, choice=choice)
+            return self.tracer.trace(origins, directions, random, timer, choose=choose), directions
+        traced = self.tracer.trace(origins[:, inside], directions[:, inside], random.select(inside), timer, choose=choose)
         return traced.spread(inside, len(weight)), directions
 
     def _film_samples(self, samples: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
