@@ -12,7 +12,7 @@ from lens_cases import INNER_RINGS, LENS, LensCase, PolarGrid, grid
 from statistical import SIGNIFICANCE, chi_square
 from test_models_density import X_F, mixture, spot
 
-from bokehguide.models.disc_distribution import DiscLensDistribution, overlap
+from bokehguide.models.disc_distribution import DiscLensDistribution, balls, overlap, packed
 from bokehguide.models.projection import project_to_lens
 from bokehguide.render.lens import Lens
 
@@ -21,10 +21,31 @@ DRAWS = 100_000
 
 @dataclass(frozen=True)
 class DiscCase(LensCase):
-    """As a LensCase, with the balls' radii for sigma."""
+    """As a LensCase, with the balls' radii for sigma; or half axes `[M, 3, 3]`, one a row, for ellipsoids."""
 
-    kind = DiscLensDistribution
+    axes: tuple | None = None
 
+    def outlines(self) -> torch.Tensor:
+        if self.axes is None:
+            return balls(torch.tensor(self.sigma))
+        axes = torch.tensor(self.axes)
+        return packed(axes.transpose(1, 2) @ axes)
+
+    def distribution(self, count: int) -> DiscLensDistribution:
+        candidates = len(self.sigma)
+        return DiscLensDistribution(
+            self.lens,
+            torch.tensor(self.focus)[:, None].expand(3, count).contiguous(),
+            torch.full((count,), self.beta),
+            torch.arange(count + 1) * candidates,
+            torch.tensor(self.mean).reshape(3, candidates).repeat(1, count),
+            self.outlines().repeat(1, count),
+            torch.tensor(self.weight).repeat(count),
+        )
+
+
+TURNED = ((0.05, 0.02, 0.0), (-0.004, 0.01, 0.02), (0.002, -0.005, 0.0022))
+FLAT = ((0.0, 0.02, 0.01), (0.003, -0.01, 0.1), (0.0, 0.0, 0.0))
 
 CASES = [
     DiscCase("before", X_F, 1.0, spot(0.02, 0.01, 1.2), [0.01], [1.0]),
@@ -32,6 +53,17 @@ CASES = [
     DiscCase("larger than the lens", X_F, 0.7, spot(0.0, 0.05, 2.2), [0.05], [1.0], reach=10.0),
     DiscCase("centre outside", X_F, 1.0, spot(0.13, -0.02, 5.0), [0.08], [1.0]),
     DiscCase("outside", X_F, 0.9, spot(0.3, -0.02, 5.0), [0.08], [1.0]),
+    DiscCase("ellipsoid", X_F, 1.0, spot(-0.03, 0.02, 6.0), [0.06], [1.0], axes=(TURNED,)),
+    DiscCase("panel at the side", X_F, 0.8, spot(1.0, 0.6, 6.0), [0.1], [1.0], reach=30.0, axes=(FLAT,)),
+    DiscCase(
+        "ball and ellipsoid",
+        X_F,
+        0.9,
+        mixture(spot(0.03, 0.03, 1.3), spot(0.0, 0.0, 5.0)),
+        [0.02, 0.06],
+        [1.0, 2.0],
+        axes=(((0.02, 0.0, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, 0.0)), TURNED),
+    ),
     DiscCase("blend", X_F, 0.6, mixture(spot(0.0, 0.07, 1.5), spot(-0.05, 0.0, 4.0)), [0.01, 0.06], [1.0, 1.0]),
     DiscCase(
         "overlapping, of uneven weight",
@@ -85,15 +117,23 @@ def test_a_wrong_density_fails(defect, monkeypatch):
     assert wrong_sum or chi_square(observed[:-1], probability.ravel() / probability.sum()) < SIGNIFICANCE
 
 
-def test_a_ball_is_drawn_where_rays_through_it_leave_the_lens():
-    """The edge of the disc through its centre, projected point by point."""
-    case = next(case for case in CASES if case.name == "behind")
+@pytest.mark.parametrize("name", ["behind", "ellipsoid", "panel at the side"])
+def test_an_outline_is_drawn_where_rays_through_it_leave_the_lens(name):
+    """A thousandth of the ellipsoid, where the projection is affine, point by point: all inside, and up to the edge everywhere."""
+    case = next(case for case in CASES if case.name == name)
     distribution = case.distribution(1)
-    angle = torch.linspace(0.0, 2.0 * math.pi, 100)
-    rim = torch.tensor(case.mean) + case.sigma[0] * torch.stack((angle.cos(), angle.sin(), torch.zeros(100)))
-    shown = project_to_lens(rim, distribution.focus.expand(3, 100))
-    distance = (shown - distribution.center).square().sum(0).sqrt()
-    torch.testing.assert_close(distance, distribution.radius.expand(100), rtol=1e-4, atol=0.0)
+    directions = torch.nn.functional.normalize(torch.randn(3, 20_000, generator=torch.Generator().manual_seed(0)).double(), dim=0)
+    axes = torch.tensor(case.axes[0] if case.axes else np.diag([case.sigma[0], case.sigma[0], 0.0])).double()
+    shell = torch.tensor(case.mean).double() + 1e-3 * axes.T @ directions
+    shown = project_to_lens(shell, distribution.focus.double().expand(3, 20_000))
+    x, y = (shown - project_to_lens(torch.tensor(case.mean).double(), distribution.focus.double())) * 1e3
+    x = x / distribution.width
+    y = (y - distribution.tilt * x) / distribution.height
+    size, angle = (x * x + y * y).sqrt(), torch.atan2(y, x)
+    assert float(size.max()) < 1.001
+    for sector in torch.linspace(-math.pi, math.pi, 25)[:-1].tolist():
+        inside = (angle >= sector) & (angle < sector + math.pi / 12)
+        assert float(size[inside].max()) > 0.98
 
 
 def test_pixels_without_a_disc_on_the_lens_are_uniform():
@@ -110,7 +150,7 @@ def test_evenly_spread_numbers_give_evenly_spread_points():
     place = (torch.stack(torch.meshgrid(torch.arange(32), torch.arange(32), indexing="ij")).reshape(2, -1) + 0.5) / 32
     distribution = case.distribution(1024)
     points = distribution.sample(torch.cat((torch.full((1, 1024), 0.5), place)))
-    ring = ((points - distribution.center).square().sum(0) / distribution.radius.square() * 32).long()
+    ring = ((points - distribution.center).square().sum(0) / distribution.width.square() * 32).long()
     assert (torch.bincount(ring) == 32).all()
 
 

@@ -129,6 +129,26 @@ def test_a_box_is_one_lamp_and_its_far_neighbour_another():
     np.testing.assert_allclose(sorted(lamps.centres[:, 0]), (0.0, 0.5), atol=1e-6)
 
 
+def half_axes(outline: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.linalg.eigvalsh(outline))
+
+
+def test_outlines_have_the_proportions_of_lamps_and_hold_them():
+    """A ball's is the ball; a rectangle's half axes are its half sides times √2, and it has no depth; at infinity there are none."""
+    ball = spheres([[0.3, 0.0, -6.0]], 0.05, 0)
+    panel = transformed(unit_rectangle(), transform((1.0, 0.0, -6.0), (20.0, 70.0, -10.0), (0.5, 0.02, 1.0)))
+    lamps = find_lamps(scene_with([ball, panel], peak_map(slice(127, 129), slice(255, 257))))
+    np.testing.assert_allclose(half_axes(lamps.outlines[0]), 0.05, rtol=0.02)
+    sides = np.linalg.norm(np.diff(panel.vertices[panel.triangles[0]], axis=0), axis=1)
+    np.testing.assert_allclose(half_axes(lamps.outlines[1])[1:], np.sort(sides) / np.sqrt(2.0), rtol=1e-3)
+    assert half_axes(lamps.outlines[1])[0] < 3e-3 * sides.max()
+    assert not lamps.outlines[2].any()
+    for number, mesh in enumerate((ball, panel)):
+        offset = mesh.vertices - lamps.centres[number]
+        inside = np.einsum("vi,ij,vj->v", offset, np.linalg.inv(lamps.outlines[number]), offset)
+        assert inside.max() == pytest.approx(1.0, rel=1e-3)
+
+
 def test_how_far_lamps_reach_and_how_bright_they_are():
     box = transformed(unit_box(), transform((0.0, 0.0, -6.0), scale=0.02))
     lamps = find_lamps(scene_with([box], peak_map(slice(127, 129), slice(255, 257))))

@@ -7,6 +7,7 @@ import pytest
 import scenes
 import torch
 
+from bokehguide.models.disc_distribution import balls
 from bokehguide.models.projection import project_to_lens
 from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_rectangle
 from bokehguide.scene.types import Environment, Material, Scene
@@ -54,6 +55,37 @@ def test_the_scenes_brightness_changes_nothing(scale):
     one, other = rendered(lit(1.0), 12), rendered(lit(scale), 12)
     torch.testing.assert_close(other.guide.beta, one.guide.beta, rtol=1e-3, atol=1e-4)
     torch.testing.assert_close(other.film.radiance() / scale, one.film.radiance(), rtol=1e-2, atol=1e-3)
+
+
+def shares_of_hits(scene: Scene) -> tuple[float, float]:
+    """Share of the draws that meet the only lamp, and that of draws from balls about it, in pixels that see it in mid-lens."""
+    loop = rendered(scene, 0)
+    guide, camera, found = loop.guide, loop.camera, []
+    pixels = WIDTH * HEIGHT
+    raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
+    focus = camera.focus_points(raster)
+    for outlines in (guide._outlines, balls(guide.field.sigma)):
+        guide._outlines = outlines
+        mixture = guide._mixture(slice(0, pixels), focus)
+        mixture.beta = mixture.guided.float()
+        seen = mixture.owner[mixture.center.norm(dim=0) < 0.3 * mixture.lens.radius]
+        hits = 0.0
+        for step in range(16):
+            points = mixture.sample(torch.rand(3, pixels, generator=torch.Generator().manual_seed(step)))
+            hit = loop.tracer.geometry.tracer.intersect(*camera.rays(focus[:, seen], points[:, seen]))
+            hits += float((hit.triangle >= 0).float().mean()) / 16
+        found.append(hits)
+    return found[0], found[1]
+
+
+def test_panels_and_strips_are_drawn_in_their_own_shape():
+    """A panel seen nearly from its edge, and a strip: at least half of the draws meet it, and many times those of a ball."""
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    for angles, size in (((0.0, 80.0, 0.0), (0.15, 0.15, 1.0)), ((0.0, 0.0, 30.0), (0.15, 0.01, 1.0))):
+        panel = replace(transformed(unit_rectangle(), transform((0.0, 0.0, -5.0), angles, size)), material=0)
+        lamp = replace(scenes.LAMP, double_sided=True)
+        shaped, round_ = shares_of_hits(replace(scene, meshes=(panel,), materials=(lamp,), environment=None))
+        assert shaped > 0.45 and shaped > 3.0 * round_
 
 
 def test_lamps_in_focus_behind_the_camera_or_unlit_are_none():
@@ -128,7 +160,7 @@ def test_beta_is_that_of_least_variance(monkeypatch):
             light = (3.0 * at.mixture * mixture.lens.area + 1.0) * mixture.lens.contains(points)
             guide.study(GuidedBatch(slice(0, pixels), raster, mixture), light / (mixture.lens.area * at.density), at)
         guide.update(64, [], 1.0)
-    beyond = (mixture.center.square().sum(0).sqrt() + mixture.radius > mixture.lens.radius).float()
+    beyond = (mixture.center.square().sum(0).sqrt() + torch.maximum(mixture.width, mixture.height) > mixture.lens.radius).float()
     inside = mixture.guided & (torch.zeros(pixels).index_add(0, mixture.owner, beyond) == 0.0)
     assert inside.sum() > 20
     assert float(guide.beta[inside].median()) == pytest.approx(0.75, abs=0.03)

@@ -23,13 +23,15 @@ class Lamps:
 
     Lamps of an environment lie at infinity: their centres are unit directions and
     their radii the tangents of the angular radii; `infinite` `[N]` says which. extents: radii
-    of the spheres about the centres that hold all of each lamp. luminance: of their radiance, `[N]`;
+    of the spheres about the centres that hold all of each lamp. outlines: `[N, 3, 3]`, of ellipsoids of the lamps'
+    proportions that do: sums of the squares of their half axes, 0 at infinity. luminance: of their radiance, `[N]`;
     textures are not looked at. mesh: number of each lamp's mesh in the scene, -1 at infinity, `[N]`.
     """
 
     centres: np.ndarray
     radii: np.ndarray
     extents: np.ndarray
+    outlines: np.ndarray
     luminance: np.ndarray
     infinite: np.ndarray
     mesh: np.ndarray
@@ -40,11 +42,11 @@ def find_lamps(scene: Scene) -> Lamps:
     emitting = [number for number, mesh in enumerate(scene.meshes) if scene.materials[mesh.material].emits]
     meshes = [scene.meshes[number] for number in emitting]
     parts = [_components(mesh, LUMINANCE @ scene.materials[mesh.material].emission) for mesh in meshes]
-    near = np.repeat(np.array(emitting, int), [len(radii) for _, radii, _, _ in parts])
+    near = np.repeat(np.array(emitting, int), [len(part[0]) for part in parts])
     if scene.environment is not None:
         parts.append(_peaks(scene.environment.radiance, scene.environment.rotation))
     parts += [_disc(sun) for sun in scene.suns]
-    parts.append((np.zeros((0, 3)), *np.zeros((3, 0))))
+    parts.append((np.zeros((0, 3)), *np.zeros((2, 0)), np.zeros((0, 3, 3)), np.zeros(0)))
     centres, *columns = (np.concatenate(arrays) for arrays in zip(*parts))
     mesh = np.full(len(centres), -1)
     mesh[: len(near)] = near
@@ -98,11 +100,11 @@ def _camera_space(camera: Camera, lamps: Lamps) -> tuple[np.ndarray, np.ndarray,
 def _disc(sun: Sun) -> tuple[np.ndarray, ...]:
     radius = math.tan(math.radians(0.5 * sun.angle))
     luminance = LUMINANCE @ sun.irradiance / (math.pi * math.sin(math.radians(0.5 * sun.angle)) ** 2)
-    return np.array([sun.direction]), np.array([radius]), np.array([radius]), np.array([luminance])
+    return np.array([sun.direction]), np.array([radius]), np.array([radius]), np.zeros((1, 3, 3)), np.array([luminance])
 
 
 def _components(mesh: Mesh, luminance: float) -> tuple[np.ndarray, ...]:
-    """Centres, radii, extents and luminance of the pieces of `mesh` that share vertex positions.
+    """Centres, radii, extents, outlines and luminance of the pieces of `mesh` that share vertex positions.
 
     A closed piece shows a quarter of its surface on average (Cauchy), an open one
     the length of its vector area.
@@ -124,14 +126,35 @@ def _components(mesh: Mesh, luminance: float) -> tuple[np.ndarray, ...]:
     facing = np.linalg.norm([np.bincount(labels, column) for column in vectors.T], axis=0)
     projected = np.where(facing < 0.1 * total, total / 4.0, facing)
     centres /= total[:, None]
+    corners = np.stack((a, b, c)) - centres[labels]
     extents = np.zeros(len(total))
-    for corner in (a, b, c):
-        np.maximum.at(extents, labels, np.linalg.norm(corner - centres[labels], axis=1))
-    return centres, np.sqrt(projected / np.pi), extents, np.full(len(total), luminance)
+    for corner in corners:
+        np.maximum.at(extents, labels, np.linalg.norm(corner, axis=1))
+    outlines = _outlines(corners, areas, labels)
+    return centres, np.sqrt(projected / np.pi), extents, outlines, np.full(len(total), luminance)
+
+
+def _outlines(corners: np.ndarray, areas: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Squared half axes `[K, 3, 3]` of the least ellipsoids of the pieces' own proportions that hold their corners.
+
+    corners: of triangles, from the middles of their pieces, `[3, T, 3]`; areas, labels: of the triangles, `[T]`.
+    """
+    whole = corners.sum(0)
+    products = (np.einsum("cti,ctj->tij", corners, corners) + whole[:, :, None] * whole[:, None]) * areas[:, None, None] / 12.0
+    total = np.bincount(labels, areas)
+    spread = np.stack([np.bincount(labels, column) for column in products.reshape(-1, 9).T], axis=1) / total[:, None]
+    spread = spread.reshape(-1, 3, 3)
+    widest = np.trace(spread, axis1=1, axis2=2)
+    spread += (1e-6 * widest + 1e-30)[:, None, None] * np.eye(3)  # of flat pieces, too
+    inverse = np.linalg.inv(spread)[labels]
+    reach = np.zeros(len(total))
+    for corner in corners:
+        np.maximum.at(reach, labels, np.einsum("ti,tij,tj->t", corner, inverse, corner))
+    return spread * reach[:, None, None]
 
 
 def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, ...]:
-    """Directions, tangents of the angular radii and extents, and luminance of the bright spots of a map `[H, W, 3]`."""
+    """Directions, tangents of the angular radii and extents, no outlines, and luminance of the bright spots of a map `[H, W, 3]`."""
     height, width = radiance.shape[:2]
     theta = np.pi * (np.arange(height) + 0.5) / height
     solid_angle = np.sin(theta)[:, None] * np.full(width, 2.0 * np.pi**2 / (height * width))
@@ -158,4 +181,4 @@ def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, ...]:
     extents = np.zeros(len(which))
     np.maximum.at(extents, number, np.arccos(np.clip(cosine, -1.0, 1.0)) + np.pi / height)
     mean = ndimage.sum(luminance * solid_angle, labels, which) / angles
-    return centres, np.sqrt(angles / np.pi), np.tan(np.minimum(extents, 1.5)), mean
+    return centres, np.sqrt(angles / np.pi), np.tan(np.minimum(extents, 1.5)), np.zeros((len(which), 3, 3)), mean

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 
 from bokehguide.models.candidates import CandidateList, draw_candidates
-from bokehguide.models.disc_distribution import DiscLensDistribution
+from bokehguide.models.disc_distribution import DiscLensDistribution, balls, packed
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.kl import one_sample_kl
 from bokehguide.models.lens_distribution import LensDensity
@@ -41,8 +41,8 @@ LOWEST, HIGHEST = 0.05, 0.9
 """Bounds of β: weights stay below 10, and a lamp that comes into sight is still found."""
 REACH = 1.1
 """Radius of a lamp's disc by its extent: what misses the disc is left to the uniform part."""
-LONGEST = 4.0
-"""A piece that reaches further than this many radii of the disc of its area is no lamp but a strip, left to be found."""
+EMPTIEST = 16.0
+"""A piece whose outline has more than this many times the area that it shows is no lamp but a tangle, left to be found."""
 WIDEST = 3.0
 """A lamp's disc of so many lens radii is no help: nine draws in ten would miss the lens."""
 POOLED = 5
@@ -76,7 +76,7 @@ class SpotGuide(nn.Module):
         self.to(device)
         self.register_buffer("spotlights", torch.zeros(0, dtype=torch.int64, device=device))
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
-        self._lamps, known, self._knows_sky = _lamps(scene, camera)
+        self._lamps, self._lamp_outlines, known, self._knows_sky = _lamps(scene, camera)
         triangles = torch.tensor([len(mesh.triangles) for mesh in scene.meshes])
         self._known = torch.repeat_interleave(known, triangles).to(device)
         """Triangles whose light is that of lamps in the field, bool `[T]`."""
@@ -101,9 +101,9 @@ class SpotGuide(nn.Module):
         if len(spot) == 0:
             return None
         field, lens = self.field, self.camera.lens
-        mean, radius = field.mean.index_select(1, spot), field.sigma.index_select(0, spot)
+        mean, outline = field.mean.index_select(1, spot), self._outlines.index_select(1, spot)
         weight = field.lens_weights(lens.focus_distance).index_select(0, spot)
-        return DiscLensDistribution(lens, focus, take(self.beta, pixels), start, mean, radius, weight)
+        return DiscLensDistribution(lens, focus, take(self.beta, pixels), start, mean, outline, weight)
 
     @torch.no_grad()
     def study(self, batch: GuidedBatch, ratio: Tensor, at: LensDensity) -> BatchLesson:
@@ -155,6 +155,9 @@ class SpotGuide(nn.Module):
 
     def set_candidates(self) -> None:
         """List each pixel's candidates; to be called after any change of the field."""
+        found = balls(self.field.sigma[len(self._lamps) :])
+        self._outlines = torch.cat((self._lamp_outlines, found), dim=1)
+        """Of the field's ellipsoids (see `DiscLensDistribution`): of what was found, only radii are known."""
         self.candidates: CandidateList | None = draw_candidates(self.field, self.camera) if len(self.field) else None
 
     def blend_weights(self) -> Tensor:
@@ -169,18 +172,23 @@ class SpotGuide(nn.Module):
         return result
 
 
-def _lamps(scene: Scene, camera: ThinLensCamera) -> tuple[GaussianField, Tensor, bool]:
-    """The scene's lamps that the lens can see out of focus, as balls in the camera frame.
+def _lamps(scene: Scene, camera: ThinLensCamera) -> tuple[GaussianField, Tensor, Tensor, bool]:
+    """The scene's lamps that the lens can see out of focus, as balls in the camera frame, and their outlines `[6, L]`.
 
     Also which meshes, bool `[meshes]`, and whether the sky, have no light but theirs.
     """
     lamps = find_lamps(scene)
-    centre, reach, bright = (torch.from_numpy(x).float() for x in (lamps.centres.T, lamps.extents, lamps.luminance))
-    infinite, compact = (torch.from_numpy(x) for x in (lamps.infinite, lamps.extents <= LONGEST * lamps.radii))
+    arrays = (lamps.centres.T, lamps.extents, lamps.radii, lamps.luminance, lamps.outlines)
+    centre, reach, size, bright, outline = (torch.from_numpy(x).float() for x in arrays)
+    infinite, axes = torch.from_numpy(lamps.infinite), camera.axes.cpu()
     scale = torch.where(infinite, FAR * camera.lens.focus_distance, 1.0)
     world = centre - torch.where(infinite, 0.0, camera.position.cpu())
-    mean, radius = (camera.axes.T.cpu() @ world) * scale, REACH * reach * scale
+    mean, radius = (axes.T @ world) * scale, REACH * reach * scale
+    outline = torch.where(infinite, balls(radius), packed(axes.T @ outline @ axes) * REACH**2)
     energy = bright * radius.square()
+    # Rings and other tangles fill little of their outlines.
+    area = torch.linalg.eigvalsh(torch.from_numpy(lamps.outlines))[:, 1:].prod(1).sqrt().float()
+    compact = area <= EMPTIEST * size.square()
     visible = scene.environment is None or scene.environment.visible
     seen = (mean[2] > radius) & (~infinite | visible) & compact & (energy > 0.0) & energy.isfinite()
     # Near the focus, or through a tiny lens, a lamp's disc is far larger than the lens: there is nothing to guide.
@@ -191,4 +199,5 @@ def _lamps(scene: Scene, camera: ThinLensCamera) -> tuple[GaussianField, Tensor,
     known = torch.ones(len(scene.meshes), dtype=torch.bool)
     known[lamps.mesh[(~seen & ~infinite).numpy()]] = False
     knows_sky = bool(infinite.any() and seen[infinite].all())
-    return field.to(camera.position.device), known, knows_sky
+    device = camera.position.device
+    return field.to(device), outline[:, seen].to(device), known, knows_sky
