@@ -56,13 +56,13 @@ class DiscLensDistribution(LensMixture):
         """
         points = self.lens.sample(uniforms[1:3])
         index = (uniforms[0] < self.beta).nonzero()[:, 0]
-        chosen = self.choose(index, uniforms[0, index] / self.beta[index])
-        radius = (1.0 - 1e-6) * uniforms[1, index].sqrt()
-        angle = 2.0 * math.pi * uniforms[2, index]
+        choice, radius, angle = uniforms[0:3].index_select(1, index)
+        chosen = self.choose(index, choice / self.beta.index_select(0, index))
+        radius, angle = (1.0 - 1e-6) * radius.sqrt(), 2.0 * math.pi * angle
         x, y = radius * angle.cos(), radius * angle.sin()
         width, tilt, height = (part.index_select(0, chosen) for part in (self.width, self.tilt, self.height))
-        points[:, index] = self.center.index_select(1, chosen) + torch.stack((width * x, tilt * x + height * y))
-        return points
+        drawn = self.center.index_select(1, chosen) + torch.stack((width * x, tilt * x + height * y))
+        return points.index_copy_(1, index, drawn)
 
     def component_pdf(self, points: Tensor) -> Tensor:
         x, y = (points.index_select(1, self.owner) - self.center).unbind(0)

@@ -81,7 +81,7 @@ class LensMixture:
 
     def choose(self, index: Tensor, uniforms: Tensor) -> Tensor:
         """Candidates `[K]` of the pixels at `index` `[K]`, drawn by weight."""
-        low, high = self._low[index], self._high[index]
+        low, high = self._low.index_select(0, index), self._high.index_select(0, index)
         target = low + ((high - low) * uniforms.double()).long()
         found = torch.searchsorted(self._cumulative, target, right=True) - 1
         return found.clamp(max=len(self.weight) - 1)

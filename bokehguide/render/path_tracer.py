@@ -80,7 +80,7 @@ class PathSamples:
         spread = PathSamples.empty(count, self.radiance.device, self.light_cluster is not None)
         for name, value in vars(self).items():
             if isinstance(value, Tensor):
-                getattr(spread, name)[..., index] = value
+                getattr(spread, name).index_copy_(-1, index, value)
         spread.rays = self.rays
         return spread
 
@@ -167,17 +167,17 @@ class PathTracer:
             return paths
         surface = self.geometry.surface(paths.origin, paths.direction, hit)
         if depth == 1:
-            result.distance[paths.index] = hit.distance
-            result.triangle[paths.index] = hit.triangle
-            result.normal[:, paths.index] = surface.normal
-            result.albedo[:, paths.index] = surface.base_color
-            result.alpha[paths.index] = 1.0
+            result.distance.index_copy_(0, paths.index, hit.distance)
+            result.triangle.index_copy_(0, paths.index, hit.triangle)
+            result.normal.index_copy_(1, paths.index, surface.normal)
+            result.albedo.index_copy_(1, paths.index, surface.base_color)
+            result.alpha.index_fill_(0, paths.index, 1.0)
         transmittance = self.geometry.transmittance(hit, surface.front)
         if transmittance is not None:
             paths.throughput *= transmittance
         self._add_emission(paths, hit, surface)
         if depth == 1:
-            result.emission[:, paths.index] = paths.radiance
+            result.emission.index_copy_(1, paths.index, paths.radiance)
         paths.choice = None if choose is None else choose(surface.position)
         if last:
             return _finish(paths, result)
@@ -225,7 +225,7 @@ class PathTracer:
         choice = None if paths.choice is None else paths.choice.select(index)
         other = self.lights.triangle_pdf(vertex, lamp.triangle, distance, cosine, choice)
         weight = power_heuristic(paths.pdf.index_select(0, index), other)
-        paths.radiance[:, index] += paths.throughput.index_select(1, index) * radiance * weight
+        paths.radiance.index_add_(1, index, paths.throughput.index_select(1, index) * radiance * weight)
 
     def _add_direct_light(
         self,
@@ -249,14 +249,14 @@ class PathTracer:
         with timer.measure("tracing rays"):
             share, rays = self._opacity.transmittance(origin, direction, distance)
         visibility = torch.zeros_like(light.distance)
-        visibility[index] = share
+        visibility.index_copy_(0, index, share)
         result.rays += rays
         paths.radiance += contribution * visibility
         if paths.choice is not None:
-            result.light_row[paths.index] = paths.choice.row
-            result.light_cluster[paths.index] = light.cluster
-            result.light_worth[paths.index] = light.worth * visibility
-            result.light_seen[paths.index] = visibility
+            found = (paths.choice.row, light.cluster, light.worth * visibility, visibility)
+            kept = (result.light_row, result.light_cluster, result.light_worth, result.light_seen)
+            for values, value in zip(kept, found):
+                values.index_copy_(0, paths.index, value)
 
     def _scatter(
         self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, depth: int, result: PathSamples
@@ -283,5 +283,5 @@ class PathTracer:
 
 def _finish(paths: _Paths, result: PathSamples) -> _Paths:
     """Write the radiance of ended paths to the result; returns an empty batch."""
-    result.radiance[:, paths.index] = paths.radiance
+    result.radiance.index_copy_(1, paths.index, paths.radiance)
     return paths.select(paths.index[:0])

@@ -67,9 +67,10 @@ class LightGuide(nn.Module):
         """Add light samples, `[N]` each; clusters: -1 for none; unit: the frame's mean luminance."""
         index = (clusters >= 0).nonzero()[:, 0]
         sums = (self.sums if self._own is None else self._own).view(3, -1)
-        place = tiles[index] * self.probability.shape[1] + clusters[index]
-        squared = (worth[index] / unit).nan_to_num(0.0, BRIGHTEST).clamp(max=BRIGHTEST).square()
-        for total, values in zip(sums, (squared, torch.ones_like(squared), seen[index])):
+        tiles, clusters, worth, seen = (values.index_select(0, index) for values in (tiles, clusters, worth, seen))
+        place = tiles * self.probability.shape[1] + clusters
+        squared = (worth / unit).nan_to_num(0.0, BRIGHTEST).clamp(max=BRIGHTEST).square()
+        for total, values in zip(sums, (squared, torch.ones_like(squared), seen)):
             total.index_add_(0, place, values)
 
     def merge(self) -> None:

@@ -206,7 +206,8 @@ class RenderLoop:
         inside = (weight > 0.0).nonzero()[:, 0]
         if len(inside) == len(weight):
             return self.tracer.trace(origins, directions, random, timer, choose=choose), directions
-        traced = self.tracer.trace(origins[:, inside], directions[:, inside], random.select(inside), timer, choose=choose)
+        starts, ways = origins.index_select(1, inside), directions.index_select(1, inside)
+        traced = self.tracer.trace(starts, ways, random.select(inside), timer, choose=choose)
         return traced.spread(inside, len(weight)), directions
 
     def _film_samples(self, samples: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:

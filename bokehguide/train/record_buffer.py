@@ -45,11 +45,11 @@ class RecordBuffer(nn.Module):
     def add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
         index = (cells >= 0).nonzero()[:, 0]
-        cells, light = cells[index], luminance[index]
+        cells, light = cells.index_select(0, index), luminance.index_select(0, index)
         count, radiance, *places = self.sums if self._own is None else self._own
         count.index_add_(0, cells, torch.ones_like(light))
         radiance.index_add_(0, cells, light)
-        x, y, depth = points[:, index].unbind(0)
+        x, y, depth = points.index_select(1, index).unbind(0)
         for total, value in zip(places, (x / depth, y / depth, 1.0 / depth)):
             total.index_add_(0, cells, light * value)
 
