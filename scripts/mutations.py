@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.models import lens_distribution
-from bokehguide.render import path_tracer
+from bokehguide.render import mis
 from bokehguide.render.film import Film
 from bokehguide.render.pixels import Pixels
 
@@ -53,7 +53,7 @@ MUTATIONS = {
     "drop-zero": (Film, "add", drop_zero),
     "drop-weight": (Film, "add", drop_weight),
     "drop-cosine": (lens_distribution, "lens_density", drop_cosine),
-    "drop-mis": (path_tracer, "power_heuristic", drop_mis),
+    "drop-mis": (mis, "power_heuristic", drop_mis),
 }
 
 

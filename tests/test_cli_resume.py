@@ -62,7 +62,7 @@ def kept_spp(path, mode: str) -> int:
 def test_samples_are_added_to_a_finished_render(render, tmp_path, capsys):
     assert render("--spp", 4, "--json", "a.json") == 0
     first = json.loads((tmp_path / "a.json").read_text())
-    assert "wrote a.ckpt (0.2 MB), from which --resume goes on to more SPP" in capsys.readouterr().out
+    assert "wrote a.ckpt (0.3 MB), from which --resume goes on to more SPP" in capsys.readouterr().out
     assert render("--spp", 9, "--resume", "--json", "a.json") == 0
     assert "bokehguide: resuming a.ckpt at 4 SPP" in capsys.readouterr().err
     assert render("--spp", 9, out="b.exr") == 0

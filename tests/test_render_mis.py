@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from bokehguide.render import path_tracer
+from bokehguide.render import mis
 from bokehguide.render.bsdf import OpaqueBSDF
 from bokehguide.render.lens import Lens
 from bokehguide.render.lights import Lights
@@ -57,7 +57,7 @@ def room(material: Material, environment: Environment | None, light: Material):
 
 def bsdf_sampling_only(monkeypatch) -> None:
     monkeypatch.setattr(Lights, "empty", property(lambda self: True))
-    monkeypatch.setattr(path_tracer, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
+    monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
 
 
 @pytest.mark.parametrize("light", ["plain", "checkered", "neon", "sky", "lamps and sky"])
@@ -111,7 +111,7 @@ def glare() -> float:
 
 
 def test_a_dropped_mis_weight_is_found(monkeypatch):
-    monkeypatch.setattr(path_tracer, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
+    monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
     assert direct_light() < SIGNIFICANCE
     assert glare() < SIGNIFICANCE
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from bokehguide.render import path_tracer
+from bokehguide.render import mis, path_tracer
 from bokehguide.render.dielectric import DELTA_PDF
 from bokehguide.render.geometry import Geometry
 from bokehguide.render.opacity import Opacity
@@ -170,7 +170,7 @@ def one_technique(technique: str, monkeypatch) -> None:
                 add_emission(self, paths, hit, surface)
 
         monkeypatch.setattr(PathTracer, "_add_emission", seen_directly)
-        monkeypatch.setattr(path_tracer, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
+        monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
 
 
 HUNG = rectangle(1, (0.3, 1.0, 0.1), DOWN, 0.5)

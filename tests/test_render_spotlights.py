@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from bokehguide.render import path_tracer
+from bokehguide.render import mis
 from bokehguide.render.geometry import Geometry
 from bokehguide.render.lights import Lights
 from bokehguide.render.random import PixelRandom
@@ -107,5 +107,5 @@ def test_both_techniques_together_agree_with_one_alone(monkeypatch):
     ray = (1.0, 1.0, 1.0), (-0.8, -1.0, -0.8)
     together = estimates(lit, *ray, 50_000)
     monkeypatch.setattr(Lights, "empty", property(lambda self: True))
-    monkeypatch.setattr(path_tracer, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
+    monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
     assert agreement(together, estimates(lit, *ray, 200_000, 1)) > SIGNIFICANCE

@@ -8,7 +8,7 @@ import pytest
 import scenes
 import torch
 
-from bokehguide.render import path_tracer
+from bokehguide.render import mis
 from bokehguide.render.environment import EnvironmentLight
 from bokehguide.render.lights import Lights
 from bokehguide.render.random import PixelRandom
@@ -131,7 +131,7 @@ def test_both_techniques_together_agree_with_one_alone(environment, material, mo
     ray = (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)
     together = estimates(lit, *ray, 50_000)
     monkeypatch.setattr(Lights, "empty", property(lambda self: True))
-    monkeypatch.setattr(path_tracer, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
+    monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
     assert agreement(together, estimates(lit, *ray, 200_000, 1)) > SIGNIFICANCE
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from bokehguide.render import mis
 from bokehguide.render.geometry import Surface
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import LightQuery, Lights, LightSample
@@ -34,11 +35,6 @@ class DirectLight(NamedTuple):
     value: Tensor
     cluster: Tensor | None = None
     worth: Tensor | None = None
-
-
-def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
-    """MIS weight of a sample of density `pdf` beside a technique of density `other` (Veach 1997)."""
-    return 1.0 / (1.0 + (other / pdf.clamp(min=1e-30)).square())
 
 
 def direct_light(
@@ -88,4 +84,4 @@ def _candidate(lights: Lights, query: LightQuery, scattering: Scattering, unifor
     """A light sample, and BSDF times cosine times radiance over its density, with its MIS weight, `[3, N]`."""
     light = lights.draw(query, uniforms)
     value, pdf = scattering.evaluate(light.direction)
-    return light, value * light.radiance * (power_heuristic(light.pdf, pdf) / light.pdf.clamp(min=1e-30))
+    return light, value * light.radiance * (mis.power_heuristic(light.pdf, pdf) / light.pdf.clamp(min=1e-30))

@@ -13,8 +13,9 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from bokehguide.render import mis
 from bokehguide.render.dielectric import DELTA_PDF
-from bokehguide.render.direct_light import direct_light, power_heuristic
+from bokehguide.render.direct_light import direct_light
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
@@ -200,7 +201,7 @@ class PathTracer:
         environment = self.lights.environment
         if environment is not None and (depth > 1 or environment.visible):
             other = self.lights.environment_pdf(gone.vertex, gone.direction, gone.choice)
-            weight = power_heuristic(gone.pdf, other)
+            weight = mis.power_heuristic(gone.pdf, other)
             gone.radiance += gone.throughput * environment.radiance(gone.direction) * weight
             if depth == 1:
                 result.alpha[gone.index] = environment.alpha(gone.direction)
@@ -224,7 +225,7 @@ class PathTracer:
         cosine = dot(surface.geometric_normal.index_select(1, index), offset) / distance.clamp(min=1e-30)
         choice = None if paths.choice is None else paths.choice.select(index)
         other = self.lights.triangle_pdf(vertex, lamp.triangle, distance, cosine, choice)
-        weight = power_heuristic(paths.pdf.index_select(0, index), other)
+        weight = mis.power_heuristic(paths.pdf.index_select(0, index), other)
         paths.radiance.index_add_(1, index, paths.throughput.index_select(1, index) * radiance * weight)
 
     def _add_direct_light(
