@@ -104,10 +104,10 @@ def costs(mode: str, amounts: dict[str, int], workers: int | None) -> dict[str, 
 
 
 def guide_memory(loop: RenderLoop) -> tuple[float, float]:
-    """MiB of all that the guide holds, its optimisers and candidates too, and of its record buffer."""
+    """MiB of all that the guides hold, optimisers and candidates too, and of the record buffer."""
     if loop.guide is None:
         return 0.0, 0.0
-    held = list(loop.guide.state_dict().values())
+    held = [value for guide in (loop.guide, loop.light_guide) if guide is not None for value in guide.state_dict().values()]
     held += [value for one in loop.guide.optimizers.values() for state in one.state.values() for value in state.values()]
     held += [] if loop.guide.candidates is None else [loop.guide.candidates.start, loop.guide.candidates.gaussian]
     sizes = (sum(value.numel() * value.element_size() for value in values) for values in (held, [loop.guide.record.sums]))
