@@ -35,7 +35,7 @@ if importlib.util.find_spec("mitsuba") is None:
     sys.exit("compare_mitsuba: error: Mitsuba is not installed; pip install '.[peers]'")
 
 from experiment import experiment_parser
-from mitsuba_scene import MitsubaFilm, MitsubaRenderer, comparable, left_out
+from mitsuba_scene import CHUNK_SAMPLES, MitsubaFilm, MitsubaRenderer, comparable, left_out
 from second_look import SecondLook
 from studies import STUDIES
 from torch.nn.functional import avg_pool2d
@@ -49,8 +49,6 @@ from bokehguide.image import check_writable, replacing
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import RenderSettings
 
-CHUNK_SAMPLES = 1 << 22
-"""Of one chunk of Mitsuba's: it keeps them all in memory."""
 ROUNDING = 1e-4
 """Relative error granted to pixels that Mitsuba added up."""
 MEANS_WITHIN, STANDARD_ERROR = 5e-3, 1.5e-3

@@ -27,7 +27,7 @@ from torch import Tensor
 if importlib.util.find_spec("mitsuba") is None:
     sys.exit("equal_time: error: Mitsuba is not installed; pip install '.[peers]'")
 
-from mitsuba_scene import MitsubaRenderer, comparable
+from mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer, comparable
 
 from bokehguide.cli.arguments import duration, positive, size, threads
 from bokehguide.cli.report import write_json
@@ -40,8 +40,6 @@ from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
 SCENES = ("fairy-lights", "night-street", "chrome", "daylight")
 TURN = 1.0
 """Seconds of a turn."""
-CHUNK_SAMPLES = 1 << 22
-"""Most samples of one of Mitsuba's renders: it keeps them all in memory."""
 PEER = "Mitsuba"
 SEED = 5_000_000
 """Of the renders that are measured; no reference has it."""

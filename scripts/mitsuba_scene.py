@@ -36,6 +36,8 @@ FINE_MASK = 32
 """Texels of a cut-out's image to one of the texture, across and down."""
 NEAR, FAR = 1e-4, 1e5
 """Clipping planes of Mitsuba's camera, metres."""
+CHUNK_SAMPLES = 1 << 22
+"""Most samples of one render: Mitsuba keeps them all in memory."""
 APART = 1e-5
 """The back of a lamp that emits from both faces lies this far behind its front, in scene sizes."""
 

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from mitsuba_scene import MitsubaRenderer
+from mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 from tqdm import tqdm
@@ -28,8 +28,6 @@ FINE = 16
 """Our pixels to one, across and down: the few that are left make batches that are worth their while."""
 WHOLE = 16
 """Steps of ours in which guides learn from the whole frame, as they do in the first look."""
-CHUNK = 1 << 22
-"""Samples of one of Mitsuba's renders: it keeps them all in memory."""
 FIRST_RUN, FIRST_CHUNK = 1_000, 1_000_000
 """Seeds of ours and of Mitsuba's that the first look has not used; the later ones follow."""
 
@@ -71,7 +69,7 @@ class SecondLook:
 
     def _mitsubas(self, chosen: Tensor) -> tuple[Tensor, Tensor]:
         renderer = MitsubaRenderer(self.scene)
-        spp = max(2, min(CHUNK, AGAIN * self.mitsuba_spp))
+        spp = max(2, min(CHUNK_SAMPLES, AGAIN * self.mitsuba_spp))
         found = []
         for row, column in tqdm(chosen.nonzero().tolist(), desc=f"{self.scene.name} Mitsuba, again", unit="pixel"):
             renderer.look_at(column, row)

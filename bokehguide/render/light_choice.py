@@ -1,4 +1,4 @@
-"""A choice of lights that was learnt: by pixels, among clusters of all that light samples may fall on."""
+"""A choice of lights that was learnt: by place, among clusters of all that light samples may fall on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which lights the surfaces that a pixel sees are lit by: learnt for tiles of pixels, block by block of steps.
+"""Which lights surfaces are lit by: learnt for tiles of the frame as the middle of the lens sees it, block by block of steps.
 
 What is out of focus hides behind nothing: once the lens points are guided, most of the noise that is left is that of
 direct light where the camera's rays first land. There the power of the lamps and their distance say little: they do
@@ -100,7 +100,8 @@ class LightGuide(nn.Module):
         """Load what was learnt. Raises ValueError where rows of probabilities are none."""
         result = super().load_state_dict(state_dict, *args, **kwargs)
         whole, learnt = self.probability.sum(1), bool(self.probability.any())
-        if bool((self.sums < 0.0).any() or (self.seen < 0.0).any() or (self.probability < 0.0).any() or learnt and ((whole - 1.0).abs() > 1e-4).any()):
+        negative = any(bool((values < 0.0).any()) for values in (self.sums, self.seen, self.probability))
+        if negative or learnt and bool(((whole - 1.0).abs() > 1e-4).any()):
             raise ValueError("what was learnt of lights is no choice among them")
         self._table = ClusterTable(self.probability.double()) if learnt else None
         return result
