@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bokehguide.cli.arguments import natural, positive, size, threads
+from bokehguide.cli.arguments import COMPILE_HELP, natural, positive, size, threads
 from bokehguide.cli.report import peak_memory_mb, write_json
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import Overrides, Scene, load_scene
@@ -40,6 +40,7 @@ def main() -> None:
     parser.add_argument("--spp", type=positive, default=16, help="measured steps of each mode, default 16")
     parser.add_argument("--warm-up", type=natural, default=8, help="steps before them, default 8: those of the global fit")
     parser.add_argument("--threads", type=threads, help="default: one per core")
+    parser.add_argument("--compile", action="store_true", help=COMPILE_HELP)
     parser.add_argument("--peers", action="store_true", help="compare with Mitsuba 3 (pip install '.[peers]')")
     parser.add_argument("--json", type=Path, help="also write the figures here")
     args = parser.parse_args()
@@ -115,7 +116,7 @@ def render_alone(mode: str, args: argparse.Namespace) -> float:
 
 def start(mode: str, args: argparse.Namespace) -> RenderLoop:
     spp = args.warm_up + args.spp
-    return RenderLoop(measured_scene(args), RenderSettings(mode=mode, spp=spp, threads=args.threads))
+    return RenderLoop(measured_scene(args), RenderSettings(mode=mode, spp=spp, threads=args.threads, compile=args.compile))
 
 
 def measured_scene(args: argparse.Namespace) -> Scene:

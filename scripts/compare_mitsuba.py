@@ -149,7 +149,7 @@ def by_mitsuba(scene: Scene) -> Callable[[Scene, RenderSettings, tqdm], MitsubaF
 def our_runs(scene: Scene, mode: str, count: int, spp: int, threads: int | None = None) -> Runs:
     """Independent renders of `spp` samples a pixel, made with finer pixels."""
     film = replace(scene.film, width=FINE * scene.film.width, height=FINE * scene.film.height)
-    runs = independent_runs(replace(scene, film=film), mode, count, spp // FINE**2, threads)
+    runs = independent_runs(replace(scene, film=film), RenderSettings(mode, spp // FINE**2, threads=threads), count)
     return Runs(avg_pool2d(runs.mean, FINE), avg_pool2d(runs.variance, FINE) / FINE**2)
 
 

@@ -29,7 +29,7 @@ if importlib.util.find_spec("mitsuba") is None:
 
 from mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer, comparable
 
-from bokehguide.cli.arguments import duration, positive, size, threads
+from bokehguide.cli.arguments import COMPILE_HELP, duration, positive, size, threads
 from bokehguide.cli.report import write_json
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import errors, made_reference, markdown, progress, regions
@@ -84,6 +84,7 @@ def main() -> None:
     add("--size", type=size, default="640x360", metavar="WxH", help="default 640x360")
     add("--seconds", type=duration, default=60.0, metavar="S", help="of each renderer, default 60")
     add("--reference-spp", type=positive, default=4096, metavar="N", help="default 4096")
+    add("--compile", action="store_true", help=COMPILE_HELP)
     add("--threads", type=threads, metavar="N", help="of bokehguide, default one per core; Mitsuba takes all")
     add("--cache", type=Path, metavar="DIR", help="where references are kept, default the user's cache folder")
     add("--out", type=Path, default=Path("out/equal-time"), metavar="DIR", help="default out/equal-time")
@@ -101,7 +102,7 @@ def main() -> None:
 
 def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
     """Both renderers with their histories."""
-    settings = RenderSettings(spp=args.reference_spp, threads=args.threads)
+    settings = RenderSettings(spp=args.reference_spp, threads=args.threads, compile=args.compile)
     reference = made_reference(scene, settings, args.out / f"{scene.name}-reference.exr", args.cache).radiance
     masks = {name: mask for name, mask in regions(scene).items() if name in ("frame", "insets")}
     runners = [ours(scene, args), mitsubas(scene)]
@@ -115,7 +116,7 @@ def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
 
 def ours(scene: Scene, args: argparse.Namespace) -> Runner:
     start = time.perf_counter()
-    loop = RenderLoop(scene, RenderSettings(args.mode, 1 << 20, SEED, threads=args.threads))
+    loop = RenderLoop(scene, RenderSettings(args.mode, 1 << 20, SEED, threads=args.threads, compile=args.compile))
     built = time.perf_counter() - start
 
     def advance() -> int:

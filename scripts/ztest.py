@@ -42,7 +42,7 @@ from scipy import stats
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from bokehguide.cli.arguments import positive
+from bokehguide.cli.arguments import COMPILE_HELP, positive
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import LongRender, accumulate, progress, render, warn_of_bad_samples
 from bokehguide.image import write_png
@@ -109,7 +109,8 @@ def main() -> int:
                 print(f"{scene.name} {mode}: time is up")
                 unfinished += 1
                 continue
-            runs = independent_runs(scene, mode, args.runs, args.spp, args.threads, args.mutate)
+            settings = RenderSettings(mode, args.spp, threads=args.threads, compile=args.compile)
+            runs = independent_runs(scene, settings, args.runs, args.mutate)
             outcomes += judge(scene, mode, runs, uniform, args.cache)
     return 1 if report(outcomes) or unfinished else 0
 
@@ -121,6 +122,7 @@ def parse() -> argparse.Namespace:
     add("--runs", type=at_least_two, default=16, metavar="R", help="of each mode, default 16")
     add("--uniform-spp", type=positive, default=16384, metavar="N", help="default 16384")
     add("--cache", type=Path, required=True, metavar="DIR", help="where the uniform renders are kept")
+    add("--compile", action="store_true", help=COMPILE_HELP)
     add("--mutate", choices=MUTATIONS, help="break the estimator, to see the tests fail")
     args = parser.parse_args()
     if args.uniform_spp % FINE**2:
@@ -144,16 +146,14 @@ def at_least_two(text: str) -> int:
     return int(text)
 
 
-def independent_runs(
-    scene: Scene, mode: str, count: int, spp: int, threads: int | None, mutation: str | None = None
-) -> Runs:
-    """So many renders of one mode, mutated if so asked."""
-    films = []
-    with progress(f"{scene.name} {mode}", count * spp) as bar, Mutation(mutation):
+def independent_runs(scene: Scene, settings: RenderSettings, count: int, mutation: str | None = None) -> Runs:
+    """So many renders at seeds 0, 1, …, mutated if so asked."""
+    films, title = [], f"{scene.name} {settings.mode}"
+    with progress(title, count * settings.spp) as bar, Mutation(mutation):
         for seed in range(count):
-            films.append(render(scene, RenderSettings(mode, spp, seed, threads=threads), bar))
+            films.append(render(scene, replace(settings, seed=seed), bar))
             if mutation is None:
-                warn_of_bad_samples(films[-1], f"{scene.name} {mode}, seed {seed}")
+                warn_of_bad_samples(films[-1], f"{title}, seed {seed}")
     means = [brightness(film.radiance().cpu()) for film in films]
     return Runs(torch.stack(means), torch.stack([film.variance().cpu().double() for film in films]))
 

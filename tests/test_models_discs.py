@@ -12,7 +12,7 @@ from lens_cases import INNER_RINGS, LENS, LensCase, PolarGrid, grid
 from statistical import SIGNIFICANCE, chi_square
 from test_models_density import X_F, mixture, spot
 
-from bokehguide.models.disc_distribution import DiscLensDistribution, balls, overlap, packed
+from bokehguide.models.disc_distribution import DiscLensDistribution, Shapes, balls, overlap, packed
 from bokehguide.models.projection import project_to_lens
 from bokehguide.render.lens import Lens
 
@@ -21,9 +21,17 @@ DRAWS = 100_000
 
 @dataclass(frozen=True)
 class DiscCase(LensCase):
-    """As a LensCase, with the balls' radii for sigma; or half axes `[M, 3, 3]`, one a row, for ellipsoids."""
+    """As a LensCase, with the balls' radii for sigma; or half axes `[M, 3, 3]`, one a row, for ellipsoids.
+
+    factor: of each candidate's weight, 1 where there are none.
+    """
 
     axes: tuple | None = None
+    factor: tuple[float, ...] = ()
+
+    def shapes(self, count: int) -> Shapes | None:
+        """Which of the candidates of `count` pixels are no ellipsoids."""
+        return None
 
     def outlines(self) -> torch.Tensor:
         if self.axes is None:
@@ -41,6 +49,8 @@ class DiscCase(LensCase):
             torch.tensor(self.mean).reshape(3, candidates).repeat(1, count),
             self.outlines().repeat(1, count),
             torch.tensor(self.weight).repeat(count),
+            torch.tensor(self.factor or (1.0,) * candidates).repeat(count),
+            self.shapes(count),
         )
 
 
@@ -156,5 +166,5 @@ def test_evenly_spread_numbers_give_evenly_spread_points():
 
 @pytest.mark.parametrize("x, radius, expected", [(0.0, 0.02, 1.0), (0.0, 0.2, 0.25), (0.13, 0.02, 0.0), (0.1, 0.02, 0.5)])
 def test_overlap_with_the_lens(x, radius, expected):
-    found = overlap(torch.tensor([[x], [0.0]]), torch.tensor([radius]), Lens(0.1, 2.0).radius)
+    found = overlap(torch.tensor([[x], [0.0]]), torch.tensor([radius]), torch.tensor(Lens(0.1, 2.0).radius))
     assert float(found) == pytest.approx(expected, abs=0.06)

@@ -153,8 +153,8 @@ def test_how_far_lamps_reach_and_how_bright_they_are():
     box = transformed(unit_box(), transform((0.0, 0.0, -6.0), scale=0.02))
     lamps = find_lamps(scene_with([box], peak_map(slice(127, 129), slice(255, 257))))
     assert lamps.extents[0] == pytest.approx(0.01 * np.sqrt(3.0), rel=1e-5)
-    # To the middles of 2 × 2 texels of π / 256 each, and one texel on, for the bilinear interpolation.
-    assert lamps.extents[1] == pytest.approx(np.pi / 256 * (np.sqrt(0.5) + 1.0), rel=0.01)
+    # To the middles of 2 × 2 texels of π / 256 each, and from there to the corner of what the bilinear interpolation lights.
+    assert lamps.extents[1] == pytest.approx(np.pi / 256 * (np.sqrt(0.5) + np.sqrt(2.0)), rel=0.01)
     assert lamps.luminance[0] == pytest.approx(np.dot((0.2126, 0.7152, 0.0722), scene_with([box]).materials[0].emission))
     assert lamps.luminance[1] == pytest.approx(500.0, rel=1e-5)
 

@@ -9,12 +9,13 @@ import torch
 
 from bokehguide.models.disc_distribution import balls
 from bokehguide.models.projection import project_to_lens
-from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_rectangle
-from bokehguide.scene.types import Environment, Material, Scene
+from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_box, unit_rectangle, unit_sphere
+from bokehguide.scene.types import Environment, Material, Mesh, Scene
 from bokehguide.train import RenderLoop, RenderSettings, spot_guide
 from bokehguide.train.guide import GuidedBatch
+from bokehguide.train.known_lamps import REACH
 from bokehguide.train.record_buffer import FAR
-from bokehguide.train.spot_guide import HIGHEST, LOWEST, REACH
+from bokehguide.train.spot_guide import HIGHEST, LOWEST
 
 WIDTH, HEIGHT = 64, 36
 
@@ -42,7 +43,7 @@ def test_what_is_no_compact_lamp_is_left_to_be_found():
     mesh = joined([strip, spheres(np.array([[0.0, -0.2, -5.0]]), 0.05, material=0)])
     loop = rendered(replace(scene, meshes=(replace(mesh, material=0),)), 8)
     guide = loop.guide
-    assert len(guide._lamps) == 1 and len(guide.field) > 2 and len(guide.spotlights) > 0
+    assert len(guide._lamps.field) == 1 and len(guide.field) > 2 and len(guide.spotlights) > 0
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
@@ -57,35 +58,63 @@ def test_the_scenes_brightness_changes_nothing(scale):
     torch.testing.assert_close(other.film.radiance() / scale, one.film.radiance(), rtol=1e-2, atol=1e-3)
 
 
-def shares_of_hits(scene: Scene) -> tuple[float, float]:
-    """Share of the draws that meet the only lamp, and that of draws from balls about it, in pixels that see it in mid-lens."""
-    loop = rendered(scene, 0)
-    guide, camera, found = loop.guide, loop.camera, []
+def shares_of_hits(lamp: Mesh) -> tuple[float, float]:
+    """Share of the draws that meet the only lamp, and of draws from a ball about it, in pixels that see it in mid-lens."""
+    materials = (replace(scenes.LAMP, double_sided=True),)
+    loop = rendered(replace(scenes.lamps(WIDTH, HEIGHT), meshes=(lamp,), materials=materials, environment=None), 0)
+    shaped, guide = share_of_hits(loop), loop.guide
+    guide._outlines, guide._numbers = balls(guide.field.sigma), torch.full_like(guide._numbers, -1)
+    return shaped, share_of_hits(loop)
+
+
+def share_of_hits(loop: RenderLoop) -> float:
     pixels = WIDTH * HEIGHT
     raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
-    focus = camera.focus_points(raster)
-    for outlines in (guide._outlines, balls(guide.field.sigma)):
-        guide._outlines = outlines
-        mixture = guide._mixture(slice(0, pixels), focus)
-        mixture.beta = mixture.guided.float()
-        seen = mixture.owner[mixture.center.norm(dim=0) < 0.3 * mixture.lens.radius]
-        hits = 0.0
-        for step in range(16):
-            points = mixture.sample(torch.rand(3, pixels, generator=torch.Generator().manual_seed(step)))
-            hit = loop.tracer.geometry.tracer.intersect(*camera.rays(focus[:, seen], points[:, seen]))
-            hits += float((hit.triangle >= 0).float().mean()) / 16
-        found.append(hits)
-    return found[0], found[1]
+    focus = loop.camera.focus_points(raster)
+    mixture, _ = loop.guide._mixture(slice(0, pixels), focus)
+    mixture.beta = mixture.guided.float()
+    seen = mixture.owner[mixture.center.norm(dim=0) < 0.3 * mixture.lens.radius]
+    hits = 0.0
+    for step in range(256):
+        points = mixture.sample(torch.rand(3, pixels, generator=torch.Generator().manual_seed(step)))
+        hit = loop.tracer.geometry.tracer.intersect(*loop.camera.rays(focus[:, seen], points[:, seen]))
+        hits += float((hit.triangle >= 0).float().mean()) / 256
+    return hits
 
 
-def test_panels_and_strips_are_drawn_in_their_own_shape():
-    """A panel seen nearly from its edge, and a strip: at least half of the draws meet it, and many times those of a ball."""
-    scene = scenes.lamps(WIDTH, HEIGHT)
-    for angles, size in (((0.0, 80.0, 0.0), (0.15, 0.15, 1.0)), ((0.0, 0.0, 30.0), (0.15, 0.01, 1.0))):
-        panel = replace(transformed(unit_rectangle(), transform((0.0, 0.0, -5.0), angles, size)), material=0)
-        lamp = replace(scenes.LAMP, double_sided=True)
-        shaped, round_ = shares_of_hits(replace(scene, meshes=(panel,), materials=(lamp,), environment=None))
-        assert shaped > 0.45 and shaped > 3.0 * round_
+EDGE_ON, STRIP = ((0.0, 80.0, 0.0), (0.15, 0.15, 1.0)), ((0.0, 0.0, 30.0), (0.15, 0.01, 1.0))
+
+
+@pytest.mark.parametrize("angles, size", [EDGE_ON, STRIP], ids=["edge-on", "strip"])
+def test_panels_are_drawn_in_their_own_shape(angles, size):
+    """Nearly all of the draws meet it, and many times those of a ball."""
+    panel = transformed(unit_rectangle(), transform((0.0, 0.0, -5.0), angles, size))
+    exact, round_ = shares_of_hits(panel)
+    assert exact > 0.97 and exact > 3.0 * round_
+
+
+@pytest.mark.parametrize("shape, size, least", [(unit_sphere, 0.15, 0.6), (unit_box, 0.3, 0.35)], ids=["ball", "box"])
+def test_what_is_long_and_thin_is_drawn_by_its_outline(shape, size, least):
+    """A needle that leans to the side and away: as many draws meet it as it fills of an ellipse about it."""
+    needle = transformed(shape(), transform((0.0, 0.0, -5.0), (0.0, 25.0, 30.0), (size, size / 15.0, size / 15.0)))
+    shaped, round_ = shares_of_hits(needle)
+    assert shaped > least and shaped > 3.0 * round_
+
+
+def test_the_smallest_panels_are_as_bright_as_they_are():
+    """Half a millimetre at 6 m, seen in all pixels: the share of the lens that shows it, with no bright pixel among them."""
+    scene = scenes.lamps(32, 18)
+    panel = transformed(unit_rectangle(), transform((0.0, 0.0, -6.0), (20.0, 30.0, 10.0), (5e-4, 5e-4, 1.0)))
+    camera = replace(scene.camera, fov=3.0)
+    loop = rendered(replace(scene, camera=camera, meshes=(panel,), environment=None), 256)
+    raster = torch.rand(2, 100_000, generator=torch.Generator().manual_seed(0)) * torch.tensor([[32.0], [18.0]])
+    focus = loop.camera.focus_points(raster).double()
+    corners = torch.from_numpy(panel.vertices).double() * torch.tensor([1.0, 1.0, -1.0])
+    first, second, third, _ = (project_to_lens(corner[:, None].expand_as(focus), focus) for corner in corners)
+    (a, b), (c, d) = second - first, third - second
+    expected = float((a * d - b * c).abs().mean()) / loop.camera.lens.area * scenes.LAMP.emission[1]
+    found = loop.film.radiance()[:, :, 1]
+    assert float(found.mean()) == pytest.approx(expected, rel=0.01) and float(found.max()) < 1.5 * expected
 
 
 def test_lamps_in_focus_behind_the_camera_or_unlit_are_none():
@@ -94,7 +123,7 @@ def test_lamps_in_focus_behind_the_camera_or_unlit_are_none():
     dark = spheres(np.array([[0.0, 0.0, -5.0]]), 0.05, material=1)
     materials = (scenes.LAMP, replace(scenes.LAMP, emission=(0.0, 0.0, 0.0)))
     loop = rendered(replace(scene, meshes=(focused, dark), materials=materials), 3)
-    assert len(loop.guide._lamps) == 0 and loop.film.radiance().max() > 1.0
+    assert len(loop.guide._lamps.field) == 0 and loop.film.radiance().max() > 1.0
 
 
 def test_peaks_of_an_environment_are_far_lamps():
@@ -153,12 +182,12 @@ def test_beta_is_that_of_least_variance(monkeypatch):
     raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
     for block in range(3):  # nearer to it with every block
         guide.moments.zero_()
-        mixture = guide._mixture(slice(0, pixels), guide.camera.focus_points(raster))
+        mixture, spot = guide._mixture(slice(0, pixels), guide.camera.focus_points(raster))
         for step in range(64):
             points = mixture.sample(torch.rand(3, pixels, generator=torch.Generator().manual_seed(64 * block + step)))
             at = mixture.evaluate(points)
             light = (3.0 * at.mixture * mixture.lens.area + 1.0) * mixture.lens.contains(points)
-            guide.study(GuidedBatch(slice(0, pixels), raster, mixture), light / (mixture.lens.area * at.density), at)
+            guide.study(GuidedBatch(slice(0, pixels), raster, mixture, spot), light / (mixture.lens.area * at.density), at)
         guide.update(64, [], 1.0)
     beyond = (mixture.center.square().sum(0).sqrt() + torch.maximum(mixture.width, mixture.height) > mixture.lens.radius).float()
     inside = mixture.guided & (torch.zeros(pixels).index_add(0, mixture.owner, beyond) == 0.0)
@@ -202,6 +231,6 @@ def test_a_fresh_guide_that_loads_the_state_draws_alike(tmp_path):
     raster = torch.rand(2, WIDTH * HEIGHT) * torch.tensor([[WIDTH], [HEIGHT]])
     focus = loop.camera.focus_points(raster)
     points = 0.05 * torch.randn(2, WIDTH * HEIGHT)
-    old, new = (guide._mixture(slice(0, WIDTH * HEIGHT), focus).pdf(points) for guide in (loop.guide, fresh))
+    old, new = (guide._mixture(slice(0, WIDTH * HEIGHT), focus)[0].pdf(points) for guide in (loop.guide, fresh))
     assert torch.equal(old, new) and int(fresh.block) == 9
     assert project_to_lens(fresh.field.mean[:, :1], focus[:, :1]).isfinite().all()

@@ -13,6 +13,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS
 
 SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml scene file, or a .glb .gltf .obj .ply .stl model"
+COMPILE_HELP = "render with compiled kernels: faster, once they have been compiled, which takes minutes on each machine"
 REUSE_HELP = "in which area-restir reuses samples, in pixels (default: 50, for pictures 1920 wide)"
 
 
@@ -59,6 +60,7 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--reference", type=Path, metavar="REF.exr", help="report the error against this image as the render goes on")
     add("--device", choices=("cpu", "cuda"), default="cpu", help="where tensors live (default: cpu)")
     add("--threads", type=threads, metavar="N", help="threads that trace and shade (default: one per core)")
+    add("--compile", action="store_true", help=COMPILE_HELP)
     add("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as one JSON object")
     add("--exposure", type=exposure, default=0.0, metavar="EV", help="of PNG and TensorBoard pictures (default: 0)")
     box = "render only this part: pixels from the frame's top left or, if W and H are at most 1, fractions of the frame"
@@ -91,6 +93,7 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
     add("--device", choices=("cpu", "cuda"), default="cpu", help="where tensors live (default: cpu)")
     add("--threads", type=threads, metavar="N", help="threads that trace and shade (default: one per core)")
+    add("--compile", action="store_true", help=COMPILE_HELP)
     add("--exposure", type=exposure, default=0.0, metavar="EV", help="of the pictures (default: 0)")
     _add_allow_outside(compare)
     _add_overrides(compare)

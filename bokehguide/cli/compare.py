@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     scene = load_scene(options.scene, overrides_from(options), options.allow_outside)
     if options.inset:
         scene = replace(scene, insets=tuple(Inset(*box) for box in options.inset))
-    common = {"spp": options.spp, "seed": SEED, "device": options.device, "threads": options.threads}
+    common = {"spp": options.spp, "seed": SEED, "device": options.device, "threads": options.threads, "compile": options.compile}
     every = [RenderSettings(mode, **common, reuse_radius=options.reuse_radius) for mode in options.modes]
     check_device(options.device)
     reference = given_reference(options.reference, scene) if options.reference else None

@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
 
 def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
     """Raises BokehguideError for a value out of range."""
-    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise")
+    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "compile")
     crop = options.crop and crop_pixels(options.crop, scene.film)
     return RenderSettings(**{name: getattr(options, name) for name in names}, crop=crop)
 

@@ -6,6 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.render.kernels import kernel
+
 
 class AliasTable:
     """Index i with probability weights[i] / sum(weights); the measure is counting.
@@ -33,16 +35,21 @@ class AliasTable:
 
         Together they give 46 random bits, enough for the column and for the choice in it.
         """
-        start = 0 if row is None else self._start.index_select(0, row)
-        count = len(self._keep) if row is None else self._start.index_select(0, row + 1) - start
-        position = (uniforms[0].double() + (uniforms[1].double() - 0.5) * 2.0**-23) * count
-        slot = position.long()
-        stays = (position - slot) < self._keep.index_select(0, slot + start)
-        return torch.where(stays, slot + start, self._alias.index_select(0, slot + start).long())
+        return _drawn(self._keep, self._alias, None if row is None else self._start, uniforms, row)
 
     def pdf(self, index: Tensor) -> Tensor:
         """Probability of each index within its row, float32 `[N]`."""
         return self.probability.index_select(0, index)
+
+
+@kernel
+def _drawn(keep: Tensor, alias: Tensor, starts: Tensor | None, uniforms: Tensor, row: Tensor | None) -> Tensor:
+    start = 0 if row is None else starts.index_select(0, row)
+    count = len(keep) if row is None else starts.index_select(0, row + 1) - start
+    position = (uniforms[0].double() + (uniforms[1].double() - 0.5) * 2.0**-23) * count
+    slot = position.long()
+    stays = (position - slot) < keep.index_select(0, slot + start)
+    return torch.where(stays, slot + start, alias.index_select(0, slot + start).long())
 
 
 def _columns(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -28,6 +28,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.geometry import Surface
+from bokehguide.render.kernels import record
 from bokehguide.render.materials import CLEARCOAT_F0
 from bokehguide.render.vector import dot, fifth_power, luminance, normalize, tangent_frame, to_local, to_world
 
@@ -71,6 +72,7 @@ def smith_root(cosine: Tensor, a2: Tensor) -> Tensor:
     return (a2 + (1.0 - a2) * cosine * cosine).sqrt()
 
 
+@record
 class _Microfacets:
     """GGX facets of roughness α `[N]` that mirror light to a viewer under `cosine` `[N]`."""
 
@@ -86,6 +88,7 @@ class _Microfacets:
         return visibility, distribution / (self._cosine + self._root)
 
 
+@record
 class _Clearcoat:
     """The layer of KHR_materials_clearcoat.
 
@@ -130,6 +133,7 @@ class _Clearcoat:
         return value * (cosine * above), pdf * (half[2] > 0.0).to(torch.float32), beneath, above
 
 
+@record
 class OpaqueBSDF:
     """Mixture of a Lambertian base under a dielectric coat, and a metal; a clearcoat over both if there is any.
 
@@ -139,7 +143,7 @@ class OpaqueBSDF:
 
     def __init__(self, outgoing: Tensor, surface: Surface, clearcoat_normal: Tensor | None = None):
         self._outgoing = outgoing
-        self._surface = surface
+        self.surface = surface
         self._cosine = outgoing[2].clamp(min=1e-6)
         ratio = ((surface.ior - 1.0) / (surface.ior + 1.0)).square()
         self._f0 = peak = surface.specular * ratio
@@ -166,7 +170,7 @@ class OpaqueBSDF:
         The base counts as if seen head-on: at grazing angles its light still comes through
         microfacets that face the viewer. peak: the largest channel of f0 `[N]`.
         """
-        surface = self._surface
+        surface = self.surface
         grazing = fifth_power(1.0 - self._cosine)
         base, metal = luminance(surface.base_color), surface.metallic
         coat = peak + (self._f90 - peak) * grazing
@@ -179,7 +183,7 @@ class OpaqueBSDF:
 
     def evaluate(self, incoming: Tensor) -> tuple[Tensor, Tensor]:
         """BRDF times cosine `[3, N]` and the density `[N]` of `sample`; 0 below the surface."""
-        surface = self._surface
+        surface = self.surface
         above = (incoming[2] > 0.0).to(torch.float32)
         cosine = incoming[2].clamp(min=1e-6)
         half = normalize(self._outgoing + incoming)
@@ -204,7 +208,7 @@ class OpaqueBSDF:
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Incoming directions `[3, N]`, possibly below the surface, from uniform numbers `[3, N]`."""
-        outgoing, alpha, microfacet_share = self._outgoing, self._surface.alpha, self._specular_share
+        outgoing, alpha, microfacet_share = self._outgoing, self.surface.alpha, self._specular_share
         if self._clearcoat is not None:
             share = self._clearcoat_share
             over = (uniforms[0] < share).to(torch.float32)

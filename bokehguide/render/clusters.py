@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from bokehguide.render.kernels import kernel
+
 LEVELS = 7
 """Up to 2^7 clusters of one kind of light."""
 
@@ -29,17 +31,20 @@ class ClusterTable:
 
     def sample(self, row: Tensor, uniforms: Tensor) -> Tensor:
         """Clusters `[N]` for rows `[N]`, from uniform numbers `[N]`: the first whose cumulative share exceeds the number."""
-        base = (row << self._levels) - 1
-        place = base.clone()  # of the last cluster that is known to lie below
-        for level in reversed(range(self._levels)):
-            step = 1 << level
-            below = self._cumulative.index_select(0, place + step) <= uniforms
-            place.add_(below, alpha=step)
-        return place - base
+        return _first_above(self._cumulative, row, uniforms, self._levels)
 
     def pdf(self, row: Tensor, cluster: Tensor) -> Tensor:
         """Probability of each cluster in each row, `[N]`."""
         return self._probability.index_select(0, row * self.count + cluster)
+
+
+@kernel
+def _first_above(cumulative: Tensor, row: Tensor, uniforms: Tensor, levels: int) -> Tensor:
+    base = (row << levels) - 1
+    place = base  # of the last cluster that is known to lie below
+    for level in reversed(range(levels)):
+        place = place + ((cumulative.index_select(0, place + (1 << level)) <= uniforms).long() << level)
+    return place - base
 
 
 def gather(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, int]:

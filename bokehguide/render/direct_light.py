@@ -9,6 +9,7 @@ from torch import Tensor
 
 from bokehguide.render import mis
 from bokehguide.render.geometry import Surface
+from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import LightQuery, Lights, LightSample
 from bokehguide.render.random import PixelRandom
@@ -51,37 +52,54 @@ def direct_light(
     be expected to bring. For MIS they count as one: what blocks the way to a light is asked for one alone.
     """
     query = lights.query(surface.position, choice)
-    light, value = _candidate(lights, query, scattering, uniforms)
+    light, other = _candidate(lights, query, scattering, uniforms)
     if choice is None:
-        return DirectLight(light.direction, light.distance, value)
-    target = total = _target(value, light, choice)
-    kept, cluster = _joined(light, value, target), light.cluster
+        return DirectLight(light.direction, light.distance, _worth(light, other, None)[0])
+    value, total = _worth(light, other, choice.visibility(light.cluster))
+    kept = _Kept(light.direction, light.distance, value, light.share, total, light.cluster)
     for number in range(1, CANDIDATES):
         spare = random.uniform(FIRST_CANDIDATE + SPARE * number, 7)
         # The choice among clusters is even over the candidates, as it is over the steps.
         spare[0] = ((uniforms[0] + number / CANDIDATES) % 1.0).clamp(2.0**-24, 1.0 - 2.0**-24)
-        light, value = _candidate(lights, query, scattering, spare)
-        target = _target(value, light, choice)
-        total = total + target
-        better = (spare[6] * total < target).nonzero()[:, 0]
-        kept.index_copy_(1, better, _joined(light, value, target).index_select(1, better))
-        cluster.index_copy_(0, better, light.cluster.index_select(0, better))
-    scale = total / (CANDIDATES * kept[8].clamp(min=1e-30))
-    worth = luminance(kept[4:7]) * (kept[7] * scale).sqrt()
-    return DirectLight(kept[0:3], kept[3], kept[4:7] * scale, cluster, worth)
+        light, other = _candidate(lights, query, scattering, spare)
+        kept, total = _better(kept, total, light, other, choice.visibility(light.cluster), spare[6])
+    scale = total / (CANDIDATES * kept.target.clamp(min=1e-30))
+    worth = luminance(kept.value) * (kept.share * scale).sqrt()
+    return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.cluster, worth)
 
 
-def _target(value: Tensor, light: LightSample, choice: LightChoice) -> Tensor:
-    """What candidates are kept by, `[N]`: the luminance they may be expected to bring."""
-    return luminance(value) * choice.visibility(light.cluster)
+class _Kept(NamedTuple):
+    """The candidate that is kept so far; target: what it is kept by, the luminance it may be expected to bring, `[N]`."""
+
+    direction: Tensor
+    distance: Tensor
+    value: Tensor
+    share: Tensor
+    target: Tensor
+    cluster: Tensor
 
 
-def _joined(light: LightSample, value: Tensor, target: Tensor) -> Tensor:
-    return torch.cat((light.direction, light.distance[None], value, light.share[None], target[None]))
-
-
-def _candidate(lights: Lights, query: LightQuery, scattering: Scattering, uniforms: Tensor) -> tuple[LightSample, Tensor]:
-    """A light sample, and BSDF times cosine times radiance over its density, with its MIS weight, `[3, N]`."""
+def _candidate(lights: Lights, query: LightQuery, scattering: Scattering, uniforms: Tensor) -> tuple[LightSample, tuple[Tensor, Tensor]]:
+    """A light sample, and the BSDF times cosine `[3, N]` and the density of scattering `[N]` towards it."""
     light = lights.draw(query, uniforms)
-    value, pdf = scattering.evaluate(light.direction)
-    return light, value * light.radiance * (mis.power_heuristic(light.pdf, pdf) / light.pdf.clamp(min=1e-30))
+    return light, scattering.evaluate(light.direction)
+
+
+@kernel
+def _worth(light: LightSample, scattered: tuple[Tensor, Tensor], seen: Tensor | None) -> tuple[Tensor, ...]:
+    """What a sample would bring over its density, with its MIS weight, `[3, N]`; and the luminance to expect of it, `[N]`."""
+    value = scattered[0] * light.radiance * (mis.power_heuristic(light.pdf, scattered[1]) / light.pdf.clamp(min=1e-30))
+    return (value,) if seen is None else (value, luminance(value) * seen)
+
+
+@kernel
+def _better(
+    kept: _Kept, total: Tensor, light: LightSample, scattered: tuple[Tensor, Tensor], seen: Tensor, uniform: Tensor
+) -> tuple[_Kept, Tensor]:
+    """The candidate kept so far or one more, by chance, and the sum of what they are kept by, `[N]`."""
+    value = scattered[0] * light.radiance * (mis.power_heuristic(light.pdf, scattered[1]) / light.pdf.clamp(min=1e-30))
+    target = luminance(value) * seen
+    total = total + target
+    changes = uniform * total < target
+    new = (light.direction, light.distance, value, light.share, target, light.cluster)
+    return _Kept(*(torch.where(changes, one, other) for one, other in zip(new, kept))), total

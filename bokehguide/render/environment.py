@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
+from bokehguide.render.equirectangular import Equirectangular
 from bokehguide.render.suns import SunDisc
-from bokehguide.render.vector import polar_angle
 from bokehguide.scene.lamps import LUMINANCE
 from bokehguide.scene.types import Environment, Sun
 
@@ -93,8 +93,7 @@ class EnvironmentLight:
 class EnvironmentMap:
     """Bilinear radiance over directions, sampled by texel.
 
-    The map's centre lies at -z and u grows towards +x. `sample` and `pdf` are densities
-    per unit solid angle, constant within a texel and proportional to what the bilinear
+    `sample` and `pdf` are densities per unit solid angle, constant within a texel and proportional to what the bilinear
     interpolant's mean there exceeds the map's mean by: what is even is left to BSDF
     sampling ("MIS compensation", Karlík et al. 2019). A map of one colour has nothing to
     sample: its power is 0.
@@ -104,7 +103,7 @@ class EnvironmentMap:
         radiance = np.asarray(environment.radiance, np.float32)
         self.height, self.width = radiance.shape[:2]
         self.texels = torch.from_numpy(radiance.reshape(-1, 3)).T.contiguous().to(device)
-        self._turn = math.radians(environment.rotation) / (2.0 * math.pi)
+        self._layout = Equirectangular(self.height, self.width, environment.rotation, device)
         rows = np.cos(np.pi * np.arange(self.height + 1) / self.height)
         self._solid_angle = torch.from_numpy((rows[:-1] - rows[1:]) * 2.0 * math.pi / self.width).float().to(device)
         excess = _excess(radiance @ LUMINANCE, self._solid_angle.cpu().numpy()[:, None])
@@ -114,8 +113,7 @@ class EnvironmentMap:
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
-        u, v = self._uv(directions)
-        x, y = u * self.width - 0.5, v * self.height - 0.5
+        x, y = (place - 0.5 for place in self._layout.place(directions))
         left, top = x.floor(), y.floor()
         fx, fy = x - left, y - top
         color = torch.zeros_like(directions)
@@ -141,17 +139,13 @@ class EnvironmentMap:
     def directions(self, texel: Tensor, uniforms: Tensor) -> Tensor:
         """Unit directions `[3, N]`, even over texels `[N]`, from uniform numbers `[2, N]`."""
         row, column = texel // self.width, texel % self.width
-        phi = 2.0 * math.pi * ((column + uniforms[0]) / self.width - 0.5 - self._turn)
         top, bottom = torch.cos(math.pi * row / self.height), torch.cos(math.pi * (row + 1) / self.height)
-        y = top + (bottom - top) * uniforms[1]
-        sine = (1.0 - y * y).clamp(min=0.0).sqrt()
-        return torch.stack((sine * phi.sin(), y, -sine * phi.cos()))
+        return self._layout.around(column + uniforms[0], top + (bottom - top) * uniforms[1])
 
     def texel_at(self, directions: Tensor) -> Tensor:
         """Texels `[N]` that unit directions `[3, N]` lie in."""
-        u, v = self._uv(directions)
-        row = (v * self.height).long().clamp(0, self.height - 1)
-        return row * self.width + (u * self.width).long() % self.width
+        column, row = (place.long() for place in self._layout.place(directions))
+        return row.clamp(0, self.height - 1) * self.width + column % self.width
 
     def density(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of `sample` in texels `[N]`."""
@@ -166,11 +160,6 @@ class EnvironmentMap:
         if self._table is None:
             return np.zeros((self.height, self.width), np.float32)
         return self._table.probability.cpu().numpy().reshape(self.height, self.width)
-
-    def _uv(self, directions: Tensor) -> tuple[Tensor, Tensor]:
-        x, y, z = directions.unbind(0)
-        u = 0.5 + polar_angle(x, -z) / (2.0 * math.pi) + self._turn
-        return u - u.floor(), torch.acos(y.clamp(-1.0, 1.0)) / math.pi
 
 
 def _excess(luminance: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:

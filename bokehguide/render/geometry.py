@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render import triangles
+from bokehguide.render.kernels import kernel, record
 from bokehguide.render.materials import CLEARCOAT_F0, Materials
 from bokehguide.render.tracer import Hit, Tracer
 from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
@@ -35,6 +36,7 @@ TARGETS = {
 their squares, as α = roughness² needs it."""
 
 
+@record
 @dataclass
 class Surface:
     """What the paths of a batch hit, as component arrays; all vectors are in world space.
@@ -125,27 +127,16 @@ class Geometry:
     def surface(self, origins: Tensor, directions: Tensor, hit: Hit) -> Surface:
         """The surfaces at valid hits of rays `[3, N]`."""
         rows = self._normals.index_select(1, hit.triangle)
-        geometric = rows[0:3]
-        outgoing = -directions
-        side = dot(geometric, outgoing)
-        front = (side > 0.0).to(torch.float32)
-        geometric = geometric * torch.copysign(torch.ones_like(side), side)
-        normal = _interpolate(rows[3:12], hit.u, hit.v)
-        normal = normalize(normal * torch.copysign(torch.ones_like(side), dot(normal, geometric)))
-        # A shading normal that faces away from the viewer gives way to the geometric one.
-        facing = (dot(normal, outgoing) > MIN_FACING).to(torch.float32)
-        normal = normal * facing + geometric * (1.0 - facing)
-        position = origins + hit.distance * directions
-        offset = leaving_distance(position, hit.distance)
+        sides = _sides(rows, origins, directions, hit)
         material = self.material.index_select(0, hit.triangle)
         values = self.materials.parameters.index_select(1, material)
-        surface = Surface(position, outgoing, geometric, normal, front, offset, values[0:3], *values[3:])
+        surface = Surface(*sides, values[0:3], *values[3:])
         if self.materials.specular_color is not None:
             surface.specular_color = self.materials.specular_color.index_select(1, material)
         if self.materials.clearcoat is not None:
             surface.clearcoat, surface.clearcoat_alpha = self.materials.clearcoat.index_select(1, material)
         if self.materials.tilts_coats:
-            surface.clearcoat_normal = normal.clone()
+            surface.clearcoat_normal = surface.normal.clone()
         self._paint(surface, hit, material)
         surface.alpha.clamp_(min=MIN_ALPHA)
         if surface.clearcoat_alpha is not None:
@@ -243,6 +234,22 @@ class Geometry:
     def transmittance(self, hit: Hit, front: Tensor) -> Tensor | None:
         """What solids leave `[3, N]` of the light on the ways that end at hits; None where none absorbs."""
         return self.materials.transmittance(self.material.index_select(0, hit.triangle), front, hit.distance)
+
+
+@kernel
+def _sides(rows: Tensor, origins: Tensor, directions: Tensor, hit: Hit) -> tuple[Tensor, ...]:
+    """The fields of `Surface` up to `offset`, from the triangles' normals `[12, N]`."""
+    geometric, outgoing = rows[0:3], -directions
+    side = dot(geometric, outgoing)
+    front = (side > 0.0).to(torch.float32)
+    geometric = geometric * torch.copysign(torch.ones_like(side), side)
+    normal = _interpolate(rows[3:12], hit.u, hit.v)
+    normal = normalize(normal * torch.copysign(torch.ones_like(side), dot(normal, geometric)))
+    # A shading normal that faces away from the viewer gives way to the geometric one.
+    facing = (dot(normal, outgoing) > MIN_FACING).to(torch.float32)
+    normal = normal * facing + geometric * (1.0 - facing)
+    position = origins + hit.distance * directions
+    return position, outgoing, geometric, normal, front, leaving_distance(position, hit.distance)
 
 
 def leaving_distance(position: Tensor, distance: Tensor) -> Tensor:

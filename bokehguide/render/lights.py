@@ -13,6 +13,7 @@ from torch import Tensor
 
 from bokehguide.render.environment import EnvironmentLight
 from bokehguide.render.geometry import Geometry
+from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice, LightClusters
 from bokehguide.render.light_grid import GridLamps, LightGrid
 from bokehguide.render.suns import cap_directions, frame_about
@@ -170,15 +171,8 @@ class Lights:
         cluster = self._cluster_of_triangles(query, uniforms[0])
         lamp = self._grid.sample_within(cluster, uniforms[1:3])
         rows = self._rows.index_select(1, lamp)
-        root = uniforms[3].sqrt()
-        u, v = root * (1.0 - uniforms[4]), root * uniforms[4]
-        offset = rows[0:3] + u * rows[3:6] + v * rows[6:9] - query.points
-        squared = dot(offset, offset).clamp(min=1e-30)
-        distance = squared.sqrt()
-        direction = offset / distance
-        cosine = -dot(rows[9:12], direction)
+        direction, distance, u, v, front, density = _on_triangle(rows, query.points, uniforms[3:5])
         hit = Hit(self._triangles.index_select(0, lamp), distance, u, v)
-        front = (cosine > 0.0).to(torch.float32)
         radiance = self._geometry.emission(hit, front, -direction)
         transmittance = self._geometry.transmittance(hit, front)
         if transmittance is not None:
@@ -186,8 +180,7 @@ class Lights:
         if self._geometry.materials.has_sheer:
             radiance = radiance * self._geometry.opacity(hit)
         share = self._cluster_share(query, cluster)
-        pdf = share * self._grid.pdf_within(lamp) * rows[12] * squared / cosine.abs().clamp(min=1e-12)
-        light = LightSample(direction, distance, radiance, pdf)
+        light = LightSample(direction, distance, radiance, share * self._grid.pdf_within(lamp) * density)
         return light if query.choice is None else light._replace(cluster=cluster, share=share)
 
     def _cluster_of_triangles(self, query: LightQuery, uniforms: Tensor) -> Tensor:
@@ -225,6 +218,24 @@ class Lights:
         if self._sky == 0.0:
             return torch.zeros_like(directions[0])
         return self._environment_pdf(self.query(points, choice), directions, self.environment.texels(directions))
+
+
+@kernel
+def _on_triangle(rows: Tensor, points: Tensor, uniforms: Tensor) -> tuple[Tensor, ...]:
+    """Points, even over triangles, that light `points` `[3, N]`, from uniform numbers `[2, N]`.
+
+    rows: first corners, edges from them, normals, one over the areas, `[13, N]`. Unit directions `[3, N]`; distances,
+    barycentric u and v, 1 where the front is seen, else 0, and densities per unit solid angle, `[N]` each.
+    """
+    root = uniforms[0].sqrt()
+    u, v = root * (1.0 - uniforms[1]), root * uniforms[1]
+    offset = rows[0:3] + u * rows[3:6] + v * rows[6:9] - points
+    squared = dot(offset, offset).clamp(min=1e-30)
+    distance = squared.sqrt()
+    direction = offset / distance
+    cosine = -dot(rows[9:12], direction)
+    front = (cosine > 0.0).to(torch.float32)
+    return direction, distance, u, v, front, rows[12] * squared / cosine.abs().clamp(min=1e-12)
 
 
 def _grid_lamps(scene: Scene, geometry: Geometry, triangles: Tensor, power: Tensor) -> GridLamps:

@@ -17,6 +17,7 @@ from bokehguide.render import mis
 from bokehguide.render.dielectric import DELTA_PDF
 from bokehguide.render.direct_light import direct_light
 from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
 from bokehguide.render.opacity import MAX_CROSSINGS, Opacity
@@ -239,14 +240,9 @@ class PathTracer:
     ) -> None:
         """Next-event estimation: one shadow ray a path."""
         light = direct_light(self.lights, surface, scattering, paths.choice, uniforms, paths.random)
-        contribution = paths.throughput * light.value
-        index = (contribution.amax(0) > 0.0).nonzero()[:, 0]
-        origin = surface.leave(light.direction)
-        # From the origin off the surface to the same point: a lamp close by must not shadow itself.
-        target = (light.direction - (origin - surface.position) / light.distance).index_select(1, index)
-        stretch = length(target)
-        distance = light.distance.index_select(0, index) * stretch * (1.0 - 1e-4)
-        origin, direction = origin.index_select(1, index), target / stretch
+        contribution, brightest, *ray = _shadow_ray(surface, paths.throughput, light.direction, light.distance, light.value)
+        index = (brightest > 0.0).nonzero()[:, 0]
+        origin, direction, distance = (values.index_select(-1, index) for values in ray)
         with timer.measure("tracing rays"):
             share, rays = self._opacity.transmittance(origin, direction, distance)
         visibility = torch.zeros_like(light.distance)
@@ -264,22 +260,45 @@ class PathTracer:
     ) -> _Paths:
         """Sample the BSDF, play Russian roulette, and compact the paths that go on."""
         direction, weight, pdf = scattering.sample(uniforms[0:3])
-        throughput = paths.throughput * weight
-        survival = throughput.amax(0)
-        if depth >= ROULETTE_DEPTH:
-            chance = survival.clamp(max=0.95)
-            survival = chance * (uniforms[3] < chance)
-            throughput = throughput / chance.clamp(min=1e-20)
+        origin, throughput, survival = _next_segment(
+            surface, paths.throughput, direction, weight, uniforms[3], depth >= ROULETTE_DEPTH
+        )
         ended = (~(survival > 0.0)).nonzero()[:, 0]
         if len(ended) > 0:
             last = paths.select(ended)
             last.radiance += 0.0 * throughput.index_select(1, ended)  # a NaN is the film's to report
             _finish(last, result)
-        origin = surface.leave(direction)
         paths = _Paths(
             paths.index, surface.position, origin, direction, throughput, paths.radiance, pdf, paths.random, paths.choice
         )
         return paths.select((survival > 0.0).nonzero()[:, 0])
+
+
+@kernel
+def _shadow_ray(surface: Surface, throughput: Tensor, direction: Tensor, distance: Tensor, value: Tensor) -> tuple[Tensor, ...]:
+    """What light samples bring if nothing blocks them, `[3, N]`, its largest channel, and origins, directions and lengths of rays.
+
+    Rays lead from the origin off the surface to the same point: a lamp close by must not shadow itself.
+    """
+    contribution = throughput * value
+    origin = surface.leave(direction)
+    target = direction - (origin - surface.position) / distance
+    stretch = length(target)
+    return contribution, contribution.amax(0), origin, target / stretch, distance * stretch * (1.0 - 1e-4)
+
+
+@kernel
+def _next_segment(
+    surface: Surface, throughput: Tensor, direction: Tensor, weight: Tensor, uniform: Tensor, may_end: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Origins and throughputs `[3, N]` of paths that go on, and a number `[N]` that is positive where they do (Russian roulette)."""
+    throughput = throughput * weight
+    survival = throughput.amax(0)
+    if may_end:
+        chance = survival.clamp(max=0.95)
+        survival = chance * (uniform < chance)
+        throughput = throughput / chance.clamp(min=1e-20)
+    return surface.leave(direction), throughput, survival
 
 
 def _finish(paths: _Paths, result: PathSamples) -> _Paths:

@@ -23,8 +23,12 @@ bounces as well: how much one counts beside a light sample (MIS) depends on what
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor
+
+from bokehguide.render.kernels import kernel
 
 _MASK = 0xFFFFFFFF
 _BITS = 31
@@ -76,6 +80,19 @@ def _to_unit(bits: Tensor) -> Tensor:
     return bits.bitwise_right_shift_(8).bitwise_and_(0x7FFFFF).to(torch.float32).add_(0.5).mul_(2.0**-23)
 
 
+@kernel
+def _uniform(pixel_keys: Tensor, keys: Tensor) -> Tensor:
+    """Numbers float32 `[keys, N]` from a hash of every key and pixel."""
+    return _to_unit(hash_tensor(pixel_keys ^ keys[:, None]).bitwise_right_shift_(1))
+
+
+@kernel
+def _scrambles(pixel_keys: Tensor, keys: Tensor) -> tuple[Tensor, Tensor]:
+    """Digital shifts and first columns of matrices for every key and pixel, int32 `[keys, N]` both."""
+    values = hash_tensor(pixel_keys ^ keys[:, None])
+    return values, (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)
+
+
 class PixelRandom:
     """Uniform numbers for the paths of some pixels at one step.
 
@@ -101,13 +118,10 @@ class PixelRandom:
 
         Multiples of 2^-23 shifted by half a step: never 0 and never 1.
         """
-        keys = [hash_int(self.step_key + 0x3C6EF372 * (dimension + i)) for i in range(count)]
-        return _to_unit(self._hash(keys).bitwise_right_shift_(1))
+        return _uniform(self.pixel_keys, self._keys(self.step_key + 0x3C6EF372 * (dimension + i) for i in range(count)))
 
-    def _hash(self, keys: list[int]) -> Tensor:
-        """A hash of every key and pixel, int32 `[keys, N]`."""
-        keys = torch.tensor([_signed(key) for key in keys], dtype=torch.int32, device=self.pixel_keys.device)
-        return hash_tensor(self.pixel_keys ^ keys[:, None])
+    def _keys(self, keys: Iterable[int]) -> Tensor:
+        return torch.tensor([_signed(hash_int(key)) for key in keys], dtype=torch.int32, device=self.pixel_keys.device)
 
     def stratified(self, dimension: int, count: int, first: int = 1) -> Tensor:
         """Like `uniform`, with numbers that are one point of a `count`-dimensional sequence over the steps from `first` on.
@@ -117,8 +131,7 @@ class PixelRandom:
         """
         key = hash_int(self.seed_key + 0x3C6EF372 * dimension + hash_int(first - 1))
         index = shuffle_index(self.index - (first - 1), key)
-        values = self._hash([hash_int(key + i) for i in range(count)])
-        columns = (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)
+        values, columns = _scrambles(self.pixel_keys, self._keys(key + i for i in range(count)))
         moved = torch.empty_like(self.pixel_keys)
         for i, (value, column) in enumerate(zip(values, columns)):
             point = sobol_point(index, i)

@@ -8,6 +8,7 @@ from torch import Tensor
 from bokehguide.render.bsdf import OpaqueBSDF
 from bokehguide.render.dielectric import DielectricBSDF
 from bokehguide.render.geometry import Surface
+from bokehguide.render.kernels import kernel
 from bokehguide.render.vector import dot, tangent_frame, to_local, to_world
 
 
@@ -20,46 +21,79 @@ class Scattering:
     """
 
     def __init__(self, surface: Surface, choice: Tensor | None):
-        self._surface = surface
-        self._frame = (*tangent_frame(surface.normal), surface.normal)
-        outgoing = to_local(surface.outgoing, *self._frame)
-        coat = surface.clearcoat_normal
-        self._opaque = OpaqueBSDF(outgoing, surface, None if coat is None else to_local(coat, *self._frame))
+        self._frame, self._opaque = _prepared(surface)
+        self._opaque.surface = surface
         self._glass = None
         if choice is not None:
             index = (choice < surface.transmission * (1.0 - surface.metallic)).nonzero()[:, 0]
             if len(index) > 0:
                 self._glass_index = index
-                self._glass = DielectricBSDF(outgoing.index_select(1, index), surface.select(index))
-
-    def _allowed(self, direction: Tensor, above: Tensor) -> Tensor:
-        """1 where shading and geometric normal agree on the side of `direction`, else 0.
-
-        above: the direction's cosine to the shading normal. Where a clear coat has a normal of
-        its own either may agree: each lobe ends at its own horizon.
-        """
-        if self._surface.clearcoat_normal is not None:
-            cosine, above = above, torch.maximum(above, dot(self._surface.clearcoat_normal, direction))
-            if self._glass is not None:
-                above[self._glass_index] = cosine[self._glass_index]
-        return ((dot(self._surface.geometric_normal, direction) > 0.0) == (above > 0.0)).to(torch.float32)
+                self._glass_surface = surface.select(index)
+                self._glass_frame = tuple(axis.index_select(1, index) for axis in self._frame)
+                self._glass = DielectricBSDF(to_local(self._glass_surface.outgoing, *self._glass_frame), self._glass_surface)
 
     def evaluate(self, direction: Tensor) -> tuple[Tensor, Tensor]:
         """BSDF times |cosine| `[3, N]` towards world directions, and the density `[N]` of `sample`."""
-        local = to_local(direction, *self._frame)
-        value, pdf = self._opaque.evaluate(local)
+        value, pdf = _evaluated(self._frame, self._opaque, direction)
         if self._glass is not None:
             index = self._glass_index
-            value[:, index], pdf[index] = self._glass.evaluate(local.index_select(1, index))
-        return value * self._allowed(direction, local[2]), pdf
+            towards = direction.index_select(1, index)
+            local = to_local(towards, *self._glass_frame)
+            of_glass, pdf[index] = self._glass.evaluate(local)
+            value[:, index] = of_glass * _agree(self._glass_surface, towards, local[2])
+        return value, pdf
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """World directions `[3, N]`, weights BSDF·|cos|/pdf `[3, N]` and densities `[N]`, from uniforms `[3, N]`."""
-        local = self._opaque.sample(uniforms)
-        value, pdf = self._opaque.evaluate(local)
-        weight = value / pdf.clamp(min=1e-20)
+        direction, weight, pdf = _sampled(self._frame, self._opaque, uniforms)
         if self._glass is not None:
             index = self._glass_index
-            local[:, index], weight[:, index], pdf[index] = self._glass.sample(uniforms.index_select(1, index))
-        direction = to_world(local, *self._frame)
-        return direction, weight * self._allowed(direction, local[2]), pdf
+            local, of_glass, pdf[index] = self._glass.sample(uniforms.index_select(1, index))
+            towards = to_world(local, *self._glass_frame)
+            direction[:, index] = towards
+            weight[:, index] = of_glass * _agree(self._glass_surface, towards, local[2])
+        return direction, weight, pdf
+
+
+Frame = tuple[Tensor, Tensor, Tensor]
+"""Two tangents and the shading normal, `[3, N]` each."""
+
+
+@kernel
+def _prepared(surface: Surface) -> tuple[Frame, OpaqueBSDF]:
+    """The shading frame, and the opaque part of the BSDF without its surface, which need not come out again."""
+    frame = (*tangent_frame(surface.normal), surface.normal.clone())
+    coat = surface.clearcoat_normal
+    opaque = OpaqueBSDF(to_local(surface.outgoing, *frame), surface, None if coat is None else to_local(coat, *frame))
+    opaque.surface = None
+    return frame, opaque
+
+
+@kernel
+def _evaluated(frame: Frame, opaque: OpaqueBSDF, direction: Tensor) -> tuple[Tensor, Tensor]:
+    local = to_local(direction, *frame)
+    value, pdf = opaque.evaluate(local)
+    return value * _allowed(opaque.surface, direction, local[2]), pdf
+
+
+@kernel
+def _sampled(frame: Frame, opaque: OpaqueBSDF, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    local = opaque.sample(uniforms)
+    value, pdf = opaque.evaluate(local)
+    direction = to_world(local, *frame)
+    return direction, value / pdf.clamp(min=1e-20) * _allowed(opaque.surface, direction, local[2]), pdf
+
+
+def _allowed(surface: Surface, direction: Tensor, above: Tensor) -> Tensor:
+    """1 where shading and geometric normal agree on the side of `direction`, else 0, for the opaque part.
+
+    above: the direction's cosine to the shading normal. Where a clear coat has a normal of
+    its own either may agree: each lobe ends at its own horizon.
+    """
+    if surface.clearcoat_normal is not None:
+        above = torch.maximum(above, dot(surface.clearcoat_normal, direction))
+    return _agree(surface, direction, above)
+
+
+def _agree(surface: Surface, direction: Tensor, above: Tensor) -> Tensor:
+    return ((dot(surface.geometric_normal, direction) > 0.0) == (above > 0.0)).to(torch.float32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy import ndimage, sparse
@@ -25,7 +26,9 @@ class Lamps:
     their radii the tangents of the angular radii; `infinite` `[N]` says which. extents: radii
     of the spheres about the centres that hold all of each lamp. outlines: `[N, 3, 3]`, of ellipsoids of the lamps'
     proportions that do: sums of the squares of their half axes, 0 at infinity. luminance: of their radiance, `[N]`;
-    textures are not looked at. mesh: number of each lamp's mesh in the scene, -1 at infinity, `[N]`.
+    textures are not looked at. panels: half edges `[N, 2, 3]` of those that are parallelograms of two triangles, 0 of the
+    others. mesh: number of each lamp's mesh in the scene, -1 at infinity, `[N]`. texels: which lamp
+    each texel of the map belongs to, -1 for none, `[H, W]`; None where there is no map.
     """
 
     centres: np.ndarray
@@ -33,8 +36,10 @@ class Lamps:
     extents: np.ndarray
     outlines: np.ndarray
     luminance: np.ndarray
+    panels: np.ndarray
     infinite: np.ndarray
     mesh: np.ndarray
+    texels: np.ndarray | None
 
 
 def find_lamps(scene: Scene) -> Lamps:
@@ -43,14 +48,17 @@ def find_lamps(scene: Scene) -> Lamps:
     meshes = [scene.meshes[number] for number in emitting]
     parts = [_components(mesh, LUMINANCE @ scene.materials[mesh.material].emission) for mesh in meshes]
     near = np.repeat(np.array(emitting, int), [len(part[0]) for part in parts])
+    texels = None
     if scene.environment is not None:
-        parts.append(_peaks(scene.environment.radiance, scene.environment.rotation))
+        texels, peaks = _peaks(scene.environment.radiance, scene.environment.rotation)
+        texels = np.where(texels >= 0, texels + len(near), -1)
+        parts.append(peaks)
     parts += [_disc(sun) for sun in scene.suns]
-    parts.append((np.zeros((0, 3)), *np.zeros((2, 0)), np.zeros((0, 3, 3)), np.zeros(0)))
+    parts.append(_at_infinity(*np.zeros((2, 0)), np.zeros((0, 3)), np.zeros(0)))
     centres, *columns = (np.concatenate(arrays) for arrays in zip(*parts))
     mesh = np.full(len(centres), -1)
     mesh[: len(near)] = near
-    return Lamps(centres, *columns, infinite=mesh < 0, mesh=mesh)
+    return Lamps(centres, *columns, infinite=mesh < 0, mesh=mesh, texels=texels)
 
 
 def lens_coverage(scene: Scene, lamps: Lamps | None = None) -> float | None:
@@ -100,11 +108,17 @@ def _camera_space(camera: Camera, lamps: Lamps) -> tuple[np.ndarray, np.ndarray,
 def _disc(sun: Sun) -> tuple[np.ndarray, ...]:
     radius = math.tan(math.radians(0.5 * sun.angle))
     luminance = LUMINANCE @ sun.irradiance / (math.pi * math.sin(math.radians(0.5 * sun.angle)) ** 2)
-    return np.array([sun.direction]), np.array([radius]), np.array([radius]), np.zeros((1, 3, 3)), np.array([luminance])
+    return _at_infinity(np.array([radius]), np.array([radius]), np.array([sun.direction]), np.array([luminance]))
+
+
+def _at_infinity(radii: np.ndarray, extents: np.ndarray, centres: np.ndarray, luminance: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The columns of `Lamps` up to `panels`, of lamps without outlines."""
+    count = len(radii)
+    return centres, radii, extents, np.zeros((count, 3, 3)), luminance, np.zeros((count, 2, 3))
 
 
 def _components(mesh: Mesh, luminance: float) -> tuple[np.ndarray, ...]:
-    """Centres, radii, extents, outlines and luminance of the pieces of `mesh` that share vertex positions.
+    """The columns of `Lamps` up to `panels`, of the pieces of `mesh` that share vertex positions.
 
     A closed piece shows a quarter of its surface on average (Cauchy), an open one
     the length of its vector area.
@@ -131,7 +145,31 @@ def _components(mesh: Mesh, luminance: float) -> tuple[np.ndarray, ...]:
     for corner in corners:
         np.maximum.at(extents, labels, np.linalg.norm(corner, axis=1))
     outlines = _outlines(corners, areas, labels)
-    return centres, np.sqrt(projected / np.pi), extents, outlines, np.full(len(total), luminance)
+    panels = _panels(np.moveaxis(corners, 0, 1), labels)
+    return centres, np.sqrt(projected / np.pi), extents, outlines, np.full(len(total), luminance), panels
+
+
+def _panels(corners: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Half edges `[K, 2, 3]` of the pieces that are parallelograms of two triangles, 0 of the others.
+
+    corners: of triangles, from the middles of their pieces, `[T, 3, 3]`; labels: of the triangles, `[T]`.
+    """
+    counts = np.bincount(labels)
+    edges = np.zeros((len(counts), 2, 3))
+    order = np.argsort(labels, kind="stable")
+    pairs = order[np.repeat(counts == 2, counts)].reshape(-1, 2)
+    one, other = corners[pairs[:, 0]], corners[pairs[:, 1]]
+    shared = (one[:, :, None] == other[:, None]).all(3)  # by exact positions: pieces are joined by them
+    middle = shared.any(2).sum(1) == 2
+    alone = np.argmin(shared.any(2), axis=1)
+    pieces, one, alone = labels[pairs[:, 0]][middle], one[middle], alone[middle]
+    across = np.argmin(shared[middle].any(1), axis=1)
+    rows = np.arange(len(one))
+    first, last = one[rows, alone], other[middle][rows, across]
+    left, right = one[rows, (alone + 1) % 3], one[rows, (alone + 2) % 3]
+    closes = np.linalg.norm(first + last - left - right, axis=1) < 1e-4 * np.linalg.norm(right - left, axis=1)
+    edges[pieces[closes]] = 0.5 * np.stack((left - first, right - first), axis=1)[closes]
+    return edges
 
 
 def _outlines(corners: np.ndarray, areas: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -153,18 +191,24 @@ def _outlines(corners: np.ndarray, areas: np.ndarray, labels: np.ndarray) -> np.
     return spread * reach[:, None, None]
 
 
-def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, ...]:
-    """Directions, tangents of the angular radii and extents, no outlines, and luminance of the bright spots of a map `[H, W, 3]`."""
+def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Bright spots of a map `[H, W, 3]`, which do not touch: which of them texels belong to, -1 for none; and the columns
+    of `Lamps` up to `panels`.
+
+    Extents hold all of what a spot lights of the bilinear interpolant.
+    """
     height, width = radiance.shape[:2]
     theta = np.pi * (np.arange(height) + 0.5) / height
     solid_angle = np.sin(theta)[:, None] * np.full(width, 2.0 * np.pi**2 / (height * width))
     luminance = radiance.astype(np.float64) @ LUMINANCE
     mean = np.sum(luminance * solid_angle) / np.sum(solid_angle)
-    labels, count = ndimage.label(luminance > PEAK * mean)
+    labels, count = ndimage.label(luminance > PEAK * mean, np.ones((3, 3)))
     # The map closes on itself: pieces that meet across its left and right edge are one.
-    for left, right in zip(labels[:, 0], labels[:, -1]):
-        if left and right and left != right:
-            labels[labels == right] = left
+    for row, beside in product(range(height), (-1, 0, 1)):
+        if 0 <= row + beside < height:
+            left, right = labels[row, 0], labels[row + beside, -1]
+            if left > 0 and right > 0 and left != right:
+                labels[labels == right] = left
     which = np.unique(labels)[1:]
     phi = 2.0 * np.pi * (np.arange(width) + 0.5) / width - np.pi - np.radians(rotation)
     directions = np.stack(np.broadcast_arrays(
@@ -179,6 +223,9 @@ def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, ...]:
     number = np.searchsorted(which, labels.ravel()[bright])
     cosine = (centres[number] * directions.reshape(3, -1).T[bright]).sum(1)
     extents = np.zeros(len(which))
-    np.maximum.at(extents, number, np.arccos(np.clip(cosine, -1.0, 1.0)) + np.pi / height)
+    np.maximum.at(extents, number, np.arccos(np.clip(cosine, -1.0, 1.0)) + math.sqrt(2.0) * np.pi / height)
     mean = ndimage.sum(luminance * solid_angle, labels, which) / angles
-    return centres, np.sqrt(angles / np.pi), np.tan(np.minimum(extents, 1.5)), np.zeros((len(which), 3, 3)), mean
+    texels = np.full(labels.shape, -1)
+    texels.reshape(-1)[bright] = number
+    extents = np.tan(np.minimum(extents, 1.5))
+    return texels, _at_infinity(np.sqrt(angles / np.pi), extents, centres, mean)

@@ -56,12 +56,14 @@ class GuidedBatch:
 
 @dataclass
 class BatchLesson:
-    """What one batch teaches: its loss, and the gradients of its pixels' β and of the polynomial coefficients."""
+    """What one batch teaches: its loss, and the gradients of its pixels' β and of the polynomial coefficients, or what
+    `LampYield.add` takes."""
 
     kl: float
     pixels: Pixels
-    blend_gradient: Tensor | None
-    offset_gradient: Tensor | None
+    blend_gradient: Tensor | None = None
+    offset_gradient: Tensor | None = None
+    draws: tuple[Tensor, Tensor] | None = None
 
 
 class LensDraw(NamedTuple):
@@ -223,6 +225,10 @@ class LensGuide(nn.Module):
         self.offsets = PolynomialOffset(self.field, self.camera)
         self.optimizers["offsets"] = torch.optim.Adam(self.offsets.parameters(), lr=OFFSET_RATE)
         self.set_candidates(OFFSET_SLACK)
+
+    def merge(self) -> None:
+        """Let every rank know the samples of all; collective."""
+        self.record.merge()
 
     def load_state_dict(self, state_dict, *args, **kwargs):
         """Load Gaussians, β, records and, of a frozen guide, offsets; then list each pixel's candidates.

@@ -9,12 +9,13 @@ of what each cluster of lights brought do: a choice by their roots has the least
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.clusters import ClusterTable
 from bokehguide.render.light_choice import LightChoice
+from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import Ranks
 from bokehguide.train.spot_guide import BRIGHTEST
 
@@ -28,7 +29,7 @@ DARKEST = 0.05
 """Least share of a cluster's light that is expected to arrive."""
 
 
-class LightGuide(nn.Module):
+class LightGuide(RankSums):
     """Learns which clusters of lights to sample where a pixel's rays first land.
 
     clusters: how many there are. `add` takes what steps have seen; `update` ends a block.
@@ -38,18 +39,14 @@ class LightGuide(nn.Module):
     """
 
     def __init__(self, camera: ThinLensCamera, clusters: int, ranks: Ranks | None = None):
-        super().__init__()
-        self.ranks, self._camera = ranks or Ranks(), camera
-        self._size = max(-(-max(camera.width, camera.height) // TILES), SMALLEST)
-        self._across, self._down = -(-camera.width // self._size), -(-camera.height // self._size)
-        device = camera.position.device
-        shape = (self._across * self._down, clusters)
-        self.register_buffer("sums", torch.zeros(3, *shape, device=device))
+        size = max(-(-max(camera.width, camera.height) // TILES), SMALLEST)
+        across, down = -(-camera.width // size), -(-camera.height // size)
+        device, shape = camera.position.device, (across * down, clusters)
+        super().__init__(torch.zeros(3, *shape, device=device), ranks)
+        self._camera, self._size, self._across, self._down = camera, size, across, down
         self.register_buffer("probability", torch.zeros(shape, device=device))
         self.register_buffer("seen", torch.zeros(shape, device=device))
         self.register_buffer("block", torch.tensor(1))
-        self._own = None if self.ranks.alone else torch.zeros_like(self.sums)
-        """Of this rank's samples since the last `merge`."""
         self._table: ClusterTable | None = None
 
     def tiles(self, points: Tensor) -> Tensor:
@@ -66,18 +63,12 @@ class LightGuide(nn.Module):
     def add(self, tiles: Tensor, clusters: Tensor, worth: Tensor, seen: Tensor, unit: float) -> None:
         """Add light samples, `[N]` each; clusters: -1 for none; unit: the frame's mean luminance."""
         index = (clusters >= 0).nonzero()[:, 0]
-        sums = (self.sums if self._own is None else self._own).view(3, -1)
+        sums = self.mine.view(3, -1)
         tiles, clusters, worth, seen = (values.index_select(0, index) for values in (tiles, clusters, worth, seen))
         place = tiles * self.probability.shape[1] + clusters
         squared = (worth / unit).nan_to_num(0.0, BRIGHTEST).clamp(max=BRIGHTEST).square()
         for total, values in zip(sums, (squared, torch.ones_like(squared), seen)):
             total.index_add_(0, place, values)
-
-    def merge(self) -> None:
-        """Let every rank know the samples of all; collective."""
-        if self._own is not None:
-            self.sums += self.ranks.total(self._own)
-            self._own.zero_()
 
     def update(self, step: int) -> None:
         """Begin a block of steps with `step`: choose by all that was seen before it; collective."""

@@ -17,6 +17,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.models.lens_distribution import LensDensity
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import Film, FilmSamples, earliest
+from bokehguide.render.kernels import compile_kernels
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.pixels import Pixels, box_pixels, pixel_numbers
 from bokehguide.render.random import PixelRandom
@@ -81,6 +82,7 @@ class RenderLoop:
         self._threads = settings.threads or available_cores()
         # Threads work on batches. Those that torch would start inside operations only fight them.
         torch.set_num_threads(1)
+        compile_kernels(self._threads if settings.compile else 0)
         self._pool = ThreadPoolExecutor(self._threads, initializer=torch.set_num_threads, initargs=(1,))
         self._learns = guided
         self._phases: Counter[str] = Counter()
@@ -274,7 +276,7 @@ class RenderLoop:
         state = {"step": self.step_number, "film": self._film_state()}
         state |= {"mean_luminance": self._mean_luminance, "phases": dict(self._phases)}
         if self.guide is not None:
-            self.guide.record.merge()
+            self.guide.merge()
             optimizers = {name: optimizer.state_dict() for name, optimizer in self.guide.optimizers.items()}
             state |= self.ranks.merged({"guide": self.guide.state_dict(), "optimizers": optimizers}, self._mine())
         if self.light_guide is not None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import Ranks
 
 MARGIN = 0.1
@@ -18,23 +19,20 @@ FAR = 1000.0
 """The environment is recorded at this many focus distances."""
 
 
-class RecordBuffer(nn.Module):
+class RecordBuffer(RankSums):
     """A raster with a margin whose cells keep sample count, radiance and position.
 
     Positions are averaged with the radiance as weight, or a small highlight would be mixed
     with what lies behind it, and as slopes and inverse depth, or a dim environment, which
     is recorded far away, would carry a lamp before it off. sums: `[5, cells]`: count, Σ L,
-    Σ L·(X/Z, Y/Z, 1/Z), camera frame; of the samples of all ranks up to the last `merge`.
+    Σ L·(X/Z, Y/Z, 1/Z), camera frame.
     """
 
     def __init__(self, camera: ThinLensCamera, ranks: Ranks | None = None):
-        super().__init__()
-        self.ranks = ranks or Ranks()
-        self.border = math.ceil(MARGIN * camera.width)
-        self.width, self.height = camera.width + 2 * self.border, camera.height + 2 * self.border
-        self.register_buffer("sums", torch.zeros(5, self.width * self.height))
-        self.register_buffer("_own", None if self.ranks.alone else torch.zeros_like(self.sums), persistent=False)
-        """Of this rank's samples since then."""
+        border = math.ceil(MARGIN * camera.width)
+        width, height = camera.width + 2 * border, camera.height + 2 * border
+        super().__init__(torch.zeros(5, width * height), ranks)
+        self.border, self.width, self.height = border, width, height
 
     def cells(self, camera: ThinLensCamera, points: Tensor) -> Tensor:
         """Cell of each camera-frame point `[3, N]`, int64 `[N]`; -1 outside or behind the lens."""
@@ -46,18 +44,12 @@ class RecordBuffer(nn.Module):
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
         index = (cells >= 0).nonzero()[:, 0]
         cells, light = cells.index_select(0, index), luminance.index_select(0, index)
-        count, radiance, *places = self.sums if self._own is None else self._own
+        count, radiance, *places = self.mine
         count.index_add_(0, cells, torch.ones_like(light))
         radiance.index_add_(0, cells, light)
         x, y, depth = points.index_select(1, index).unbind(0)
         for total, value in zip(places, (x / depth, y / depth, 1.0 / depth)):
             total.index_add_(0, cells, light * value)
-
-    def merge(self) -> None:
-        """Let every rank know the samples of all; collective."""
-        if self._own is not None:
-            self.sums += self.ranks.total(self._own)
-            self._own.zero_()
 
     def radiance(self) -> Tensor:
         """Mean luminance of each cell, `[height, width]`."""

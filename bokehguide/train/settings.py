@@ -26,6 +26,8 @@ class RenderSettings:
     picture of 1920 × 1080, and 50 · width / 1920 takes in the same part of a smaller one.
     crop: x, y, width, height in pixels from the top left, of the part of the frame to render.
     target_noise: estimated relative error at which a block of pixels is done; None: all get spp samples.
+    compile: whether kernels are compiled (see `render/kernels.py`), which takes minutes once on a machine and renders
+    faster from then on; the picture is the same but for rounding.
     Raises BokehguideError for a value out of range.
     """
 
@@ -37,6 +39,7 @@ class RenderSettings:
     reuse_radius: float = 50.0
     crop: tuple[int, int, int, int] | None = None
     target_noise: float | None = None
+    compile: bool = False
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:

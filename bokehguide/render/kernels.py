@@ -1,0 +1,194 @@
+"""Element-wise arithmetic compiled ahead of time, once for a machine.
+
+Eager PyTorch writes every intermediate result to memory. Functions of tensors that are marked `kernel` may be compiled
+(torch.export and AOTInductor) into loops that keep them in registers, which is about ten times as fast. What is compiled
+is kept on disk, because compiling takes seconds for each and loading takes milliseconds. Until `compile_kernels` is
+called, on other devices than CPUs, and where there is no C++ compiler, they run eagerly: the functions themselves are
+the reference, and results agree but for rounding.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import itertools
+import os
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import platformdirs
+import torch
+from torch import Tensor
+from torch._C._aoti import AOTIModelPackageLoader  # as torch._inductor.aoti_load_package, which takes 2 s to import
+
+from bokehguide import __version__
+
+SOURCES = (Path(__file__).parent, Path(__file__).parent.parent / "models")
+"""Folders of the code that kernels are made of."""
+
+
+class _Compiling:
+    """Whether kernels are compiled, for all of the process: how many threads run them; where they are kept."""
+
+    threads = 0
+    folder: Path | None = None
+    announced = False
+    lock = threading.Lock()
+
+
+def compile_kernels(threads: int, folder: Path | None = None) -> None:
+    """From now on compile kernels when they are first used, for so many threads; 0: run eagerly again.
+
+    folder: where they are kept, by default the user's cache folder.
+    """
+    _Compiling.threads = threads
+    _Compiling.folder = folder or platformdirs.user_cache_path("bokehguide") / "kernels"
+
+
+def kernel(function: Callable) -> Callable:
+    """Mark a pure function that is to be compiled.
+
+    Its arguments are tensors, tuples and `record`s of them, None, or values that are part of the code: each different one is compiled
+    anew. Last dimensions may be of any size. All results are tensors.
+    """
+    return functools.wraps(function)(_Kernel(function))
+
+
+_records: set[type] = set()
+
+
+def record(kind: type) -> type:
+    """Let objects of a class be arguments and results of kernels, as the tuples of their attributes that they are."""
+    _records.add(kind)
+    return kind
+
+
+def _flatten(value: object, tensors: list[Tensor], marks: list) -> None:
+    """Append the tensors in `value`, and what else of it is part of the code, in the same order for the same structure."""
+    if isinstance(value, Tensor):
+        shape = value.shape
+        tensors.append(value)
+        marks.append((value.dtype, shape[:-1] if len(shape) > 1 else len(shape), shape[-1:] == _ONE))
+    elif isinstance(value, tuple):
+        marks.append((type(value), len(value)))
+        for part in value:
+            _flatten(part, tensors, marks)
+    elif type(value) in _records:
+        parts = vars(value)
+        marks.append((type(value), *parts))
+        for part in parts.values():
+            _flatten(part, tensors, marks)
+    else:
+        marks.append(value)
+
+
+_ONE = torch.Size([1])
+
+
+def _rebuilt(like: object, tensors: Iterator[Tensor]) -> object:
+    """What `_flatten` was given, with other tensors."""
+    if isinstance(like, Tensor):
+        return next(tensors)
+    if isinstance(like, tuple):
+        parts = [_rebuilt(part, tensors) for part in like]
+        return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)
+    if type(like) in _records:
+        made = object.__new__(type(like))
+        vars(made).update((name, _rebuilt(part, tensors)) for name, part in vars(like).items())
+        return made
+    return like
+
+
+class _Kernel:
+    def __init__(self, function: Callable):
+        self._function = function
+        self._variants: dict[object, _Variant | None] = {}
+
+    def __call__(self, *arguments):
+        if _Compiling.threads == 0:
+            return self._function(*arguments)
+        tensors, marks = [], []
+        _flatten(arguments, tensors, marks)
+        if tensors[0].device.type != "cpu" or any(tensor.numel() == 0 for tensor in tensors):
+            return self._function(*arguments)
+        key = tuple(marks)
+        if key not in self._variants:
+            with _Compiling.lock:
+                if key not in self._variants:
+                    self._variants[key] = _variant(self._function, arguments, tensors, repr(key))
+        variant = self._variants[key]
+        return self._function(*arguments) if variant is None else variant(tensors)
+
+
+class _Variant:
+    """A compiled kernel for one structure of arguments; results: some that it had."""
+
+    def __init__(self, path: Path, results: object):
+        self._loader = AOTIModelPackageLoader(str(path), "model", False, _Compiling.threads, -1)
+        self._results = _rebuilt(results, itertools.repeat(torch.empty(0)))
+
+    def __call__(self, tensors: list[Tensor]):
+        return _rebuilt(self._results, iter(self._loader.boxed_run([tensor.contiguous() for tensor in tensors])))
+
+
+class _Flat(torch.nn.Module):
+    """The function of a flat list of tensors."""
+
+    def __init__(self, function: Callable, arguments: tuple):
+        super().__init__()
+        self._function, self._arguments = function, arguments
+
+    def forward(self, *tensors: Tensor) -> list[Tensor]:
+        results: list[Tensor] = []
+        _flatten(self._function(*_rebuilt(self._arguments, iter(tensors))), results, [])
+        return results
+
+
+def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: str) -> _Variant | None:
+    """The compiled function, from disk if it is there; None where it cannot be compiled."""
+    with torch.no_grad():
+        results = function(*arguments)
+    name = f"{function.__module__}.{function.__qualname__}"
+    path = _Compiling.folder / f"{name}-{hashlib.sha256(f'{_state()} {name} {key}'.encode()).hexdigest()[:24]}.pt2"
+    try:
+        if not path.exists():
+            _announce()
+            # Of one tensor that is given twice, torch.export would make one argument.
+            _compile(_Flat(function, arguments), tuple(tensor.clone(memory_format=torch.contiguous_format) for tensor in tensors), path)
+        return _Variant(path, results)
+    except Exception as error:  # whatever a compiler may fail with: pictures come out the same without it
+        path.unlink(missing_ok=True)
+        reason = str(error).strip().splitlines() or [type(error).__name__]
+        print(f"bokehguide: {name} is not compiled ({reason[0][:120]}); it runs more slowly", file=sys.stderr)
+        return None
+
+
+def _announce() -> None:
+    if not _Compiling.announced:
+        _Compiling.announced = True
+        print(f"bokehguide: compiling kernels, once on this machine; they are kept in {_Compiling.folder}", file=sys.stderr)
+
+
+def _compile(flat: _Flat, tensors: tuple[Tensor, ...], path: Path) -> None:
+    from torch._inductor import aoti_compile_and_package, config
+
+    any_size = tuple({tensor.ndim - 1: torch.export.Dim.AUTO} if tensor.ndim and tensor.shape[-1] > 1 else None for tensor in tensors)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(f".{os.getpid()}.pt2")
+    with warnings.catch_warnings(), torch.no_grad(), config.patch({"cpp.threads": 1, "aot_inductor.compile_wrapper_opt_level": "O0"}):
+        warnings.simplefilter("ignore")
+        program = torch.export.export(flat, tensors, dynamic_shapes=(any_size,), strict=False)
+        aoti_compile_and_package(program, package_path=str(temporary))
+    temporary.replace(path)
+
+
+@functools.cache
+def _state() -> str:
+    """What compiled code depends on beside its arguments."""
+    sources = hashlib.sha256()
+    for file in sorted(file for folder in SOURCES for file in folder.glob("*.py")):
+        sources.update(file.read_bytes())
+    return f"{__version__} {torch.__version__} {torch.backends.cpu.get_cpu_capability()} {sources.hexdigest()}"

@@ -1,0 +1,130 @@
+"""Balls, lamps of the map and panels in one mixture: draws against the density, the density against 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import torch
+from lens_cases import grid
+from statistical import SIGNIFICANCE, chi_square
+from test_models_density import X_F, mixture, spot
+from test_models_discs import DRAWS, DiscCase, probabilities
+
+from bokehguide.models.disc_distribution import Shapes
+from bokehguide.models.panels import Panels, SeenPanels
+from bokehguide.models.sky_lamps import SeenSky, SkyLamps
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.scene.types import Camera, Environment
+
+HEIGHT = 256
+
+
+def sky() -> SkyLamps:
+    """Two lamps of a map, of four uneven texels each: the second is seen through X_F from the middle of the lens."""
+    radiance, lamp = np.zeros((HEIGHT, 2 * HEIGHT, 3), np.float32), np.full((HEIGHT, 2 * HEIGHT), -1)
+    for number, column in enumerate((100, 267)):
+        radiance[135:137, column : column + 2] = np.array(((1.0, 4.0), (2.0, 2.0)))[..., None]
+        lamp[135:137, column : column + 2] = number
+    camera = Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), aperture_radius=0.1, focus_distance=2.0)
+    return SkyLamps(Environment(radiance), lamp, ThinLensCamera(camera, 64, 36))
+
+
+def panels() -> Panels:
+    """One clipped by the lens, one within it."""
+    return Panels(
+        torch.tensor(((1.2, 0.795), (-0.4, -0.545), (7.0, 5.0))),
+        torch.tensor(((0.5, 0.1), (0.0, 0.02), (0.3, 0.1))),
+        torch.tensor(((0.0, -0.03), (0.4, 0.12), (0.1, 0.0))),
+    )
+
+
+@dataclass(frozen=True)
+class ShapesCase(DiscCase):
+    """As a DiscCase; sky_lamp, panel: which of them each candidate is, -1 for none."""
+
+    sky_lamp: tuple[int, ...] = ()
+    panel: tuple[int, ...] = ()
+
+    def shapes(self, count: int) -> Shapes:
+        sky_lamp, panel = (torch.tensor(numbers).repeat(count) for numbers in (self.sky_lamp, self.panel))
+        return Shapes(sky(), sky_lamp, panels(), panel, torch.tensor((3.0, 8.0)))
+
+
+BALL, FAR_AWAY, WALL = spot(0.05, -0.04, 1.3), spot(0.0, 0.0, 2e6), spot(-0.03, 0.03, 5.0)
+OF_MAP = ShapesCase("lamp of the map", X_F, 1.0, FAR_AWAY, [1e5], [1.0], sky_lamp=(1,), panel=(-1,))
+PANEL = ShapesCase("panel", X_F, 0.8, WALL, [0.2], [1.0], sky_lamp=(-1,), panel=(1,))
+ALL = ShapesCase(
+    "all",
+    X_F,
+    0.9,
+    mixture(BALL, FAR_AWAY, WALL),
+    [0.02, 1e5, 0.2],
+    [0.01, 0.02, 1.0],
+    sky_lamp=(-1, 1, -1),
+    panel=(-1, -1, 1),
+)
+LEARNT = ShapesCase(
+    "all, and what is learnt of them",
+    X_F,
+    0.9,
+    mixture(WALL, BALL, FAR_AWAY, WALL),
+    [0.2, 0.02, 1e5, 0.3],
+    [1.0, 0.01, 0.02, 1.0],
+    factor=(0.5, 2.0, 0.3, 1.0),
+    sky_lamp=(-1, -1, 1, -1),
+    panel=(0, -1, -1, 1),
+)
+BY_NAME = pytest.mark.parametrize("case", [OF_MAP, PANEL, ALL, LEARNT], ids=lambda case: case.name)
+
+
+@BY_NAME
+def test_draws_follow_the_density(case):
+    cells = grid(case)
+    probability = probabilities(case, cells)
+    observed = cells.count(case.draw(DRAWS, seed=1))
+    assert observed[-1] == 0  # nothing reaches beyond the grid
+    assert chi_square(observed[:-1], probability.ravel() / probability.sum()) > SIGNIFICANCE
+
+
+@BY_NAME
+def test_the_density_integrates_to_one(case):
+    assert probabilities(case, grid(case)).sum() == pytest.approx(1.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("case", [PANEL, LEARNT], ids=lambda case: case.name)
+def test_candidates_are_drawn_by_their_weights(case):
+    """And the mixture tells from which each pixel's draw is; -1 for a uniform one."""
+    distribution = case.distribution(DRAWS)
+    distribution.sample(torch.rand(3, DRAWS, generator=torch.Generator().manual_seed(2)))
+    candidates = len(case.sigma)
+    drawn = distribution.chosen
+    guided = drawn >= 0
+    assert torch.equal(distribution.owner[drawn[guided]], guided.nonzero()[:, 0])
+    counts = np.bincount(np.where(guided, drawn % candidates, candidates), minlength=candidates + 1)
+    share = case.beta * distribution.weight[:candidates].double().numpy()
+    assert chi_square(counts, np.append(share, 1.0 - share.sum())) > SIGNIFICANCE
+
+
+def test_what_is_learnt_multiplies_the_weights():
+    """By which candidates were drawn; how bright they are stays the same."""
+    learnt = LEARNT.distribution(1)
+    plain = replace(LEARNT, factor=()).distribution(1)
+    expected = plain.weight * torch.tensor(LEARNT.factor)
+    torch.testing.assert_close(learnt.weight, expected / expected.sum())
+    assert torch.equal(learnt.bright, plain.bright)
+
+
+def test_a_panel_counts_by_the_light_it_sends():
+    """Its luminance times the area of the lens plane that shows it over π, as a ball does by its disc's."""
+    density = PANEL.distribution(DRAWS).component_pdf(PANEL.draw(DRAWS, seed=3))
+    area = float((1.0 / density[density > 0.0]).mean())
+    assert float(PANEL.distribution(1).bright) == pytest.approx(8.0 * area / np.pi, rel=0.2)
+
+
+@pytest.mark.parametrize("part", [SeenPanels, SeenSky])
+def test_a_wrong_density_of_one_shape_fails(part, monkeypatch):
+    right = part.pdf
+    monkeypatch.setattr(part, "pdf", lambda self, points: 1.2 * right(self, points))
+    assert abs(probabilities(ALL, grid(ALL)).sum() - 1.0) > 2e-3

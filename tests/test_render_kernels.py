@@ -1,0 +1,180 @@
+"""Compiled kernels against the functions they are made of."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scenes
+import torch
+
+from bokehguide.image.exr import read_rgb
+from bokehguide.render import kernels
+from bokehguide.scene.shapes import transform, transformed, unit_rectangle
+from bokehguide.scene.types import Environment, Material
+from bokehguide.train import RenderLoop, RenderSettings
+
+STEPS = 3
+needs_a_compiler = pytest.mark.skipif(not any(map(shutil.which, ("g++", "clang++", "c++"))), reason="no C++ compiler")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def own_cache(tmp_path_factory):
+    """Kernels are kept in a folder that the tests of this file share; afterwards all is eager again."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+    kernels.compile_kernels(0)
+
+
+def scene():
+    """Lamps, a panel and a map with a peak over a floor."""
+    radiance = np.full((64, 128, 3), 0.05, np.float32)
+    radiance[30:32, 62:64] = 100.0
+    lamps = scenes.lamps(48, 27)
+    panel = replace(transformed(unit_rectangle(), transform((0.3, 0.1, -5.0), (0.0, 20.0, 0.0), (0.2, 0.1, 1.0))), material=0)
+    floor = replace(transformed(unit_rectangle(), transform((0.0, -0.3, -4.0), (-90.0, 0.0, 0.0), 5.0)), material=len(lamps.materials))
+    materials = (*lamps.materials, Material("floor", (0.5, 0.4, 0.3), roughness=0.4, clearcoat=0.5))
+    meshes, film = (*lamps.meshes, panel, floor), replace(lamps.film, max_depth=3)
+    return replace(lamps, meshes=meshes, materials=materials, environment=Environment(radiance), film=film)
+
+
+def rendered(compiled: bool, threads: int = 1) -> torch.Tensor:
+    loop = RenderLoop(scene(), RenderSettings("guided", threads=threads, compile=compiled))
+    for _ in range(STEPS):
+        loop.step()
+    return loop.film.radiance()
+
+
+@pytest.fixture(scope="module")
+def calls():
+    """The arguments of one call of every variant of a kernel that the scene has, by name and key."""
+    found = {}
+    call = kernels._Kernel.__call__
+
+    def remember(self, *arguments):
+        tensors, marks = [], []
+        kernels._flatten(arguments, tensors, marks)
+        large = found.get((self._function.__qualname__, repr(marks)))
+        if large is None or tensors[-1].numel() > large[2]:
+            copied = kernels._rebuilt(arguments, iter([tensor.clone() for tensor in tensors]))
+            found[self._function.__qualname__, repr(marks)] = (self, copied, tensors[-1].numel())
+        return call(self, *arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kernels._Kernel, "__call__", remember)
+        rendered(compiled=False)
+    return [(name, self, arguments) for (name, _), (self, arguments, _) in found.items()]
+
+
+def tensors_of(value: object) -> list[torch.Tensor]:
+    tensors: list[torch.Tensor] = []
+    kernels._flatten(value, tensors, [])
+    return tensors
+
+
+@needs_a_compiler
+def test_all_agree_with_the_functions(calls, capsys):
+    """Whole numbers to the bit, others to rounding."""
+    kernels.compile_kernels(2)
+    assert len({name for name, _, _ in calls}) >= 15
+    for name, made, arguments in calls:
+        with torch.no_grad():
+            expected, found = tensors_of(made._function(*arguments)), tensors_of(made(*arguments))
+        assert len(expected) == len(found)
+        for one, other in zip(expected, found):
+            assert one.shape == other.shape and one.dtype == other.dtype, name
+            if not one.is_floating_point():
+                assert float((one == other).float().mean()) > 0.999, name  # of comparisons, some at the very edge
+            else:
+                scale = one.abs().clamp(min=1e-3 * float(one.abs().nan_to_num(0.0, 0.0, 0.0).mean()) + 1e-12)
+                apart = ((one - other).abs() / scale).nan_to_num(0.0)
+                assert float((apart > 1e-3).float().mean()) < 1e-2, name  # small differences of large numbers
+    assert "is not compiled" not in capsys.readouterr().err
+
+
+@kernels.kernel
+def sum_and_product(one: torch.Tensor, other: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    return one + other, one * other
+
+
+@needs_a_compiler
+def test_arguments_that_were_the_same_the_first_time_need_not_be_so_again():
+    """And sizes may change, down to 1 and 0."""
+    kernels.compile_kernels(2)
+    sum_and_product(*[torch.arange(5.0)] * 2)
+    for size in (7, 1, 0, 100_000):
+        one, other = torch.rand(2, 3, size, generator=torch.Generator().manual_seed(size))[:, 0]
+        for found, expected in zip(sum_and_product(one, other), (one + other, one * other)):
+            assert torch.equal(found, expected)
+    assert all(sum_and_product._variants.values())
+
+
+@needs_a_compiler
+def test_random_numbers_are_the_same_to_the_bit(calls):
+    kernels.compile_kernels(2)
+    found = 0
+    for name, made, arguments in calls:
+        if name in ("_uniform", "_scrambles"):
+            found += 1
+            for one, other in zip(tensors_of(made._function(*arguments)), tensors_of(made(*arguments))):
+                assert torch.equal(one, other)
+    assert found >= 2
+
+
+@needs_a_compiler
+def test_the_picture_is_the_same_but_for_rounding_and_threads_change_no_bit():
+    alone, together, eager = rendered(True), rendered(True, threads=2), rendered(False)
+    assert torch.equal(alone, together)
+    assert not torch.equal(alone, eager)  # or nothing was compiled
+    apart = (alone - eager).abs() / (eager + 0.01)
+    assert float((apart > 0.01).float().mean()) < 0.01
+
+
+@needs_a_compiler
+def test_what_is_compiled_is_kept(calls):
+    """The second time no file is written."""
+    kernels.compile_kernels(2)
+    for _, made, arguments in calls:
+        made(*arguments)
+    kept = {path: path.stat().st_mtime_ns for path in kernels._Compiling.folder.iterdir()}
+    for _, made, arguments in calls:
+        made._variants.clear()
+        made(*arguments)
+    assert kept and kept == {path: path.stat().st_mtime_ns for path in kernels._Compiling.folder.iterdir()}
+
+
+@needs_a_compiler
+def test_a_damaged_file_is_reported_and_removed(calls, capsys):
+    kernels.compile_kernels(2)
+    name, made, arguments = next(call for call in calls if call[0] == "_worth")
+    made(*arguments)
+    for path in kernels._Compiling.folder.iterdir():
+        if "._worth-" in path.name:
+            path.write_bytes(b"no package")
+    made._variants.clear()
+    for one, other in zip(tensors_of(made._function(*arguments)), tensors_of(made(*arguments))):
+        assert torch.equal(one, other)
+    assert "_worth is not compiled" in capsys.readouterr().err
+    made._variants.clear()
+    made(*arguments)
+    assert next(iter(made._variants.values())) is not None
+
+
+def test_without_a_compiler_it_renders_all_the_same(tmp_path):
+    """A line for each kernel says so, and the picture is that of no `--compile`, to the bit."""
+    environment = {**os.environ, "PATH": "", "CXX": "/no/such/compiler", "XDG_CACHE_HOME": str(tmp_path)}
+    common = ["render", "cutout", "--size", "32x18", "--spp", "2", "--mode", "uniform", "--threads", "1", "--out"]
+    for name, extra in (("with", ["--compile"]), ("without", [])):
+        command = [sys.executable, "-m", "bokehguide", *common, str(tmp_path / f"{name}.exr"), *extra]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr
+        assert ("is not compiled" in done.stderr) == (name == "with")
+        assert "Traceback" not in done.stderr
+    pictures = [read_rgb(tmp_path / f"{name}.exr") for name in ("with", "without")]
+    np.testing.assert_array_equal(*pictures)
