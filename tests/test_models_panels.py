@@ -13,6 +13,7 @@ from statistical import SIGNIFICANCE, sidak
 
 from bokehguide.models.panels import Panels, SeenPanels
 
+RADIUS = torch.tensor(LENS.radius)
 DRAWS = 100_000
 X_F, NEARER_X_F, FAR_X_F = (0.3, -0.2, 2.0), (0.05, -0.1, 2.0), (1.8e11, -1.2e11, 1e12)
 Point = tuple[float, float, float]
@@ -43,12 +44,12 @@ class PanelCase:
 
     def seen(self, count: int) -> SeenPanels:
         focus = torch.tensor(self.focus)[:, None].expand(3, count)
-        return SeenPanels(self.panels(), torch.ones(count, dtype=torch.int64), torch.arange(count), focus, LENS.radius)
+        return SeenPanels(self.panels(), torch.ones(count, dtype=torch.int64), torch.arange(count), focus, RADIUS)
 
     def window(self) -> np.ndarray:
         """Low and high coordinates `[2, 2]` of what is drawn."""
         one = self.panels().select(torch.tensor([1]))
-        return one.window(torch.tensor(self.focus)[:, None], torch.tensor(LENS.radius))[:, :, 0].double().numpy()
+        return one.window(torch.tensor(self.focus)[:, None], RADIUS)[:, :, 0].double().numpy()
 
     def cells(self) -> PolarGrid:
         return PolarGrid(self.reach * np.sqrt(np.linspace(0.0, 1.0, 9)), 16, self.middle)
