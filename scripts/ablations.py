@@ -8,7 +8,7 @@ Each row of the table is one change (CHANGES), each column a scene; a cell is MA
 seeds, with the standard error of the quotient (- with one seed). The last column is the geometric
 mean over the scenes.
 A change is made in the mode that shows it: all that `lis-o` does, or `lis-b` where offsets
-would make up for it. Writes ablations.md, the table, and ablations.json, the MAPE of each render by a
+would make up for it; what `guided` adds is left out one by one (`--only guided`). Writes ablations.md, the table, and ablations.json, the MAPE of each render by a
 digest of all that it depends on, into `--out`; renders that are there from an earlier run are kept.
 """
 
@@ -33,11 +33,20 @@ from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import errors, fingerprint, made_reference, progress, regions
 from bokehguide.image import check_writable, replacing
 from bokehguide.models import BlendWeightMap, GaussianField, polynomial_offset
+from bokehguide.models.disc_distribution import Shapes, balls
 from bokehguide.models.projection import lens_magnification
+from bokehguide.render import direct_light
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.light_choice import LightChoice
+from bokehguide.render.random import PixelRandom
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.digest import digest
-from bokehguide.train import RenderLoop, RenderSettings, fitting, guide
+from bokehguide.scene.lamps import Lamps
+from bokehguide.train import RenderLoop, RenderSettings, fitting, guide, known_lamps, spot_guide
+from bokehguide.train.known_lamps import KnownLamps
+from bokehguide.train.lamp_yield import LampYield
+from bokehguide.train.light_guide import LightGuide
 from bokehguide.train.record_buffer import RecordBuffer
 
 FIRST_SEED = 5_000_000
@@ -109,6 +118,50 @@ def by_area(field: GaussianField, focus_distance: float) -> Tensor:
     return (field.radius * lens_magnification(field.mean[2], focus_distance)).square()
 
 
+def no_lamps(scene: Scene, camera: ThinLensCamera) -> KnownLamps:
+    """Nothing known before the first ray."""
+    nothing = torch.zeros(0, dtype=torch.int64)
+    shapes = Shapes(None, nothing, None, nothing, torch.zeros(0))
+    return KnownLamps(GaussianField(), torch.zeros(6, 0), shapes, torch.zeros(len(scene.meshes), dtype=torch.bool), False)
+
+
+def no_shapes(scene: Scene, lamps: Lamps, seen: Tensor, camera: ThinLensCamera) -> Shapes:
+    """All lamps are ellipsoids."""
+    none = torch.full((int(seen.sum()),), -1)
+    return Shapes(None, none, None, none, torch.zeros(0))
+
+
+def as_balls(squared: Tensor) -> Tensor:
+    """Outlines of balls in the place of ellipsoids of squared half axes `[L, 3, 3]`."""
+    return balls(torch.linalg.eigvalsh(squared)[:, -1].clamp(min=0.0).sqrt())
+
+
+def independent_lens_points(random: PixelRandom, dimension: int, count: int, first: int = 1) -> Tensor:
+    """As `PixelRandom.stratified`, but of lens points every step is independent."""
+    return random.uniform(dimension, count) if dimension == guide.LENS_DIMENSION else STRATIFIED(random, dimension, count, first)
+
+
+STRATIFIED = PixelRandom.stratified
+
+
+def without(what: str, owner: object, attribute: str, value: object) -> Change:
+    """Mode `guided` without one of its parts."""
+    return Change(f"guided without {what}", "", ((owner, attribute, value),), "guided")
+
+
+GUIDED = [
+    without("known lamps", spot_guide, "known_lamps", no_lamps),
+    without("found highlights", spot_guide, "fit_gaussians", lambda *_: torch.zeros(0, dtype=torch.int64)),
+    without("shapes of map lamps and panels", known_lamps, "_shapes", no_shapes),
+    without("proportions (balls)", known_lamps, "packed", as_balls),
+    without("learnt yields of lamps", LampYield, "factor", lambda _, slots: torch.ones(slots.shape)),
+    Change("guided without learnt β", "0.65", ((spot_guide, "LOWEST", 0.65), (spot_guide, "HIGHEST", 0.65)), "guided"),
+    without("shared β", spot_guide, "POOLED", 1),
+    without("stratified lens points", PixelRandom, "stratified", independent_lens_points),
+    without("resampled lights", direct_light, "CANDIDATES", 1),
+    without("learnt visibility", LightChoice, "visibility", lambda _, cluster: torch.ones(cluster.shape)),
+    without("learnt lights", LightGuide, "update", lambda *_: None),
+]
 PLAIN = ((RecordBuffer, "add", add_plain), (RecordBuffer, "positions", plain_positions))
 CHANGES = {
     "alpha": constants("α of σ = α R_b", fitting, "ALPHA", [0.25, 0.35, 0.7, 1.0]),
@@ -120,6 +173,7 @@ CHANGES = {
     "blend-rate": constants("learning rate of β", guide, "BLEND_RATE", [0.02, 0.05, 0.2, 0.5], "lis-b"),
     "offset-rate": constants("learning rate of the offsets", guide, "OFFSET_RATE", [0.001, 0.003, 0.03, 0.1]),
     "fixed-beta": [start(0.5), start(0.65), start(0.9)],
+    "guided": GUIDED,
     "positions": [Change("record positions", "plain means", PLAIN)],
     "weights": [
         Change("mixture weights", name, ((GaussianField, "lens_weights", weights),))

@@ -1,0 +1,141 @@
+"""What mode `guided` is worth beside others at equal SPP, with intervals, and whether it is worse anywhere.
+
+    python scripts/seeds.py
+    python scripts/seeds.py night-street --modes uniform,lis-o,guided --seeds 8 --spp 64
+
+Every mode is rendered with so many seeds. The table has MAPE and relMSE over the insets (over the frame for a scene
+without), averaged over the seeds, and those of the last mode over each other one's, with 95 % intervals (Student's t of
+the logarithms' differences). Below it stands, of all blocks of 32 x 32 pixels, the largest ratio of the last mode's relMSE
+to the first one's, and how many of them are above WORSE with 95 % confidence for all blocks at once (Bonferroni).
+Writes seeds.md and, of each scene, SCENE-first.png, the first seed of the last mode at 8 SPP beside the first mode's at 8
+and at 256 SPP, into `--out`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from experiment import experiment_parser, load_scenes
+from scipy import stats
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from bokehguide.cli.arguments import positive
+from bokehguide.errors import BokehguideError
+from bokehguide.evaluation import errors, made_reference, progress, regions, render
+from bokehguide.image import check_writable, replacing, tone_map, write_png
+from bokehguide.metrics import EPSILON
+from bokehguide.scene import Scene
+from bokehguide.train import RenderSettings
+
+FIRST_SEED = 6_000_000
+REFERENCE_SHARE = 32
+"""SPP of a reference for one of a render's."""
+BLOCK, WORSE = 32, 1.1
+EARLY, LATE = 8, 256
+
+
+def main() -> None:
+    parser = experiment_parser(__doc__, "320x180", "uniform,lis-o,guided")
+    parser.add_argument("--spp", type=positive, default=64, metavar="N", help="default 64")
+    parser.add_argument("--seeds", type=positive, default=8, metavar="N", help="renders of each mode, default 8")
+    parser.add_argument("--cache", type=Path, metavar="DIR", help="where references are kept, default the user's cache folder")
+    parser.add_argument("--out", type=Path, default=Path("out/seeds"), metavar="DIR", help="default out/seeds")
+    args = parser.parse_args()
+    check_writable(args.out / "seeds.md")
+    lines = []
+    for scene in load_scenes(args):
+        table = [*report(scene, args), ""]
+        print("\n".join(table), flush=True)
+        lines += table
+        with replacing(args.out / "seeds.md") as temporary:
+            temporary.write_text("\n".join(lines) + "\n")
+        early_picture(scene, args)
+
+
+def report(scene: Scene, args: argparse.Namespace) -> Iterator[str]:
+    """The table of one scene, and the sentence on its blocks."""
+    settings = RenderSettings(spp=args.spp, threads=args.threads)
+    path = args.out / f"{scene.name}-reference.exr"
+    reference = made_reference(scene, replace(settings, spp=REFERENCE_SHARE * args.spp), path, args.cache).radiance.float()
+    mask = regions(scene).get("insets", regions(scene)["frame"])
+    pictures = {mode: renders(scene, replace(settings, mode=mode), args.seeds) for mode in args.modes}
+    found = {mode: measured(images, reference, mask) for mode, images in pictures.items()}
+    last = args.modes[-1]
+    yield f"| {scene.name} | MAPE | relMSE | MAPE of {last} over it | relMSE of {last} over it |"
+    yield "| --- | ---: | ---: | ---: | ---: |"
+    for mode, values in found.items():
+        means = " | ".join(f"{value:.4f}" for value in values.mean(0).tolist())
+        ratios = " | ".join(interval(found[last][:, column], values[:, column]) for column in range(2))
+        yield f"| {mode} | {means} | {ratios if mode != last else '1 | 1'} |"
+    yield ""
+    yield blocks(pictures[last], pictures[args.modes[0]], reference, args.modes)
+
+
+def renders(scene: Scene, settings: RenderSettings, count: int) -> list[Tensor]:
+    """Radiance `[H, W, 3]` at seeds from FIRST_SEED on."""
+    with progress(f"{scene.name} {settings.mode}", count * settings.spp) as bar:
+        seeds = range(FIRST_SEED, FIRST_SEED + count)
+        return [render(scene, replace(settings, seed=seed), bar).radiance().cpu() for seed in seeds]
+
+
+def measured(images: list[Tensor], reference: Tensor, mask: Tensor) -> Tensor:
+    """MAPE and relMSE of each image over the mask, `[seeds, 2]`."""
+    return torch.tensor([list(errors(image, reference, mask).values()) for image in images])
+
+
+def interval(ours: Tensor, others: Tensor) -> str:
+    """Quotient of two means over seeds, with its 95 % interval."""
+    if len(ours) == 1:
+        return f"{float(ours / others):.3f}"
+    ratio = float(ours.mean() / others.mean())
+    spread = stats.t.ppf(0.975, 2 * len(ours) - 2) * log_error(ours, others)
+    return f"{ratio:.3f} ({ratio * math.exp(-spread):.3f} … {ratio * math.exp(spread):.3f})"
+
+
+def log_error(ours: Tensor, others: Tensor) -> Tensor:
+    """Standard error of the logarithm of the quotient of two means over seeds `[seeds, ..]`."""
+    return sum(values.var(0) / values.mean(0).square() / len(values) for values in (ours, others)).sqrt()
+
+
+def blocks(ours: list[Tensor], others: list[Tensor], reference: Tensor, modes: list[str]) -> str:
+    if len(ours) == 1:
+        return "One seed: nothing to say of blocks."
+    one, other = (torch.stack([by_block(image, reference) for image in images]) for images in (ours, others))
+    ratio = (one.mean(0) / other.mean(0).clamp(min=1e-12)).double()
+    quantile = stats.t.ppf(1.0 - 0.05 / len(ratio), 2 * len(ours) - 2)
+    worse = int((ratio * torch.exp(-quantile * log_error(one, other).double()) > WORSE).sum())
+    return (
+        f"Of {len(ratio)} blocks of {BLOCK} x {BLOCK} pixels, the relMSE of {modes[-1]} over that of {modes[0]} is {ratio.max():.2f} "
+        f"in the worst and {ratio.median():.3f} in the median; {int((ratio > WORSE).sum())} are above {WORSE}, and {worse} surely."
+    )
+
+
+def by_block(image: Tensor, reference: Tensor) -> Tensor:
+    """relMSE of each block, `[blocks]`; those at the right and lower edge may be smaller."""
+    squares = ((image - reference) / (reference + EPSILON)).square().mean(2)
+    return avg_pool2d(squares[None, None], BLOCK, ceil_mode=True, count_include_pad=False).flatten()
+
+
+def early_picture(scene: Scene, args: argparse.Namespace) -> None:
+    """The last mode at EARLY SPP beside the first one's at EARLY and at LATE."""
+    parts = []
+    for mode, spp in ((args.modes[-1], EARLY), (args.modes[0], EARLY), (args.modes[0], LATE)):
+        parts += renders(scene, RenderSettings(mode, spp, threads=args.threads), 1)
+    write_png(args.out / f"{scene.name}-first.png", tone_map(torch.cat(parts, dim=1)))
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except BokehguideError as error:
+        print(f"seeds: error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit("seeds: interrupted; tables of finished scenes are kept")
