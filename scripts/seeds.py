@@ -35,7 +35,7 @@ from bokehguide.scene import Scene
 from bokehguide.train import RenderSettings
 
 FIRST_SEED = 6_000_000
-REFERENCE_SHARE = 32
+REFERENCE_SHARE = 16
 """SPP of a reference for one of a render's."""
 BLOCK, WORSE = 32, 1.1
 EARLY, LATE = 8, 256

@@ -22,7 +22,6 @@ from pathlib import Path
 import platformdirs
 import torch
 from torch import Tensor
-from torch._C._aoti import AOTIModelPackageLoader  # as torch._inductor.aoti_load_package, which takes 2 s to import
 
 from bokehguide import __version__
 
@@ -51,8 +50,8 @@ def compile_kernels(threads: int, folder: Path | None = None) -> None:
 def kernel(function: Callable) -> Callable:
     """Mark a pure function that is to be compiled.
 
-    Its arguments are tensors, tuples and `record`s of them, None, or values that are part of the code: each different one is compiled
-    anew. Last dimensions may be of any size. All results are tensors.
+    Its arguments are tensors, tuples and `record`s of them, None, or values that are part of the code: each different one
+    is compiled anew. Last dimensions may be of any size. Results are the same kinds of things.
     """
     return functools.wraps(function)(_Kernel(function))
 
@@ -127,6 +126,8 @@ class _Variant:
     """A compiled kernel for one structure of arguments; results: some that it had."""
 
     def __init__(self, path: Path, results: object):
+        from torch._C._aoti import AOTIModelPackageLoader  # what torch._inductor.aoti_load_package calls, which takes 2 s to import
+
         self._loader = AOTIModelPackageLoader(str(path), "model", False, _Compiling.threads, -1)
         self._results = _rebuilt(results, itertools.repeat(torch.empty(0)))
 
@@ -156,8 +157,9 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
     try:
         if not path.exists():
             _announce()
-            # Of one tensor that is given twice, torch.export would make one argument.
-            _compile(_Flat(function, arguments), tuple(tensor.clone(memory_format=torch.contiguous_format) for tensor in tensors), path)
+            # Copies: of one tensor that is given twice, torch.export would make one argument.
+            copies = [tensor.clone(memory_format=torch.contiguous_format) for tensor in tensors]
+            _compile(_Flat(function, arguments), tuple(copies), path)
         return _Variant(path, results)
     except Exception as error:  # whatever a compiler may fail with: pictures come out the same without it
         path.unlink(missing_ok=True)
@@ -175,12 +177,13 @@ def _announce() -> None:
 def _compile(flat: _Flat, tensors: tuple[Tensor, ...], path: Path) -> None:
     from torch._inductor import aoti_compile_and_package, config
 
-    any_size = tuple({tensor.ndim - 1: torch.export.Dim.AUTO} if tensor.ndim and tensor.shape[-1] > 1 else None for tensor in tensors)
+    last = [{tensor.ndim - 1: torch.export.Dim.AUTO} if tensor.ndim and tensor.shape[-1] > 1 else None for tensor in tensors]
+    options = {"cpp.threads": 1, "aot_inductor.compile_wrapper_opt_level": "O0"}
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(f".{os.getpid()}.pt2")
-    with warnings.catch_warnings(), torch.no_grad(), config.patch({"cpp.threads": 1, "aot_inductor.compile_wrapper_opt_level": "O0"}):
+    with warnings.catch_warnings(), torch.no_grad(), config.patch(options):
         warnings.simplefilter("ignore")
-        program = torch.export.export(flat, tensors, dynamic_shapes=(any_size,), strict=False)
+        program = torch.export.export(flat, tensors, dynamic_shapes=(tuple(last),), strict=False)
         aoti_compile_and_package(program, package_path=str(temporary))
     temporary.replace(path)
 
