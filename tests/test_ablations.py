@@ -67,7 +67,7 @@ def test_a_mistake_is_one_line(tmp_path):
 def test_every_kind_of_change_changes_the_picture_and_is_undone():
     scene = load_scene("glitter", Overrides(width=64, height=36))
     changes = [changes[-1] for changes in ablations.CHANGES.values()]
-    settings = {mode: RenderSettings(mode, spp=10, threads=1) for mode in ("lis", "lis-b", "lis-o")}
+    settings = {mode: RenderSettings(mode, spp=10, threads=1) for mode in ("lis", "lis-b", "lis-o", "guided")}
 
     def picture(change: ablations.Change) -> torch.Tensor:
         return ablations.rendered(scene, settings[change.mode], change)
@@ -78,6 +78,17 @@ def test_every_kind_of_change_changes_the_picture_and_is_undone():
         assert found.isfinite().all()
         assert not torch.equal(found, defaults[change.mode]), f"{change.what} {change.value} changes nothing"
     assert torch.equal(picture(ablations.Change("default", "lis-o")), defaults["lis-o"])
+
+
+def test_every_part_of_guided_that_is_left_out_changes_the_picture():
+    """On a scene that has them all: lamps of a map, panels, and reflections."""
+    scene = load_scene("night-street", Overrides(width=96, height=54))
+    settings = RenderSettings("guided", spp=10, threads=1)
+    default = ablations.rendered(scene, settings, ablations.Change("default", "guided", mode="guided"))
+    for change in ablations.GUIDED:
+        found = ablations.rendered(scene, settings, change)
+        assert found.isfinite().all()
+        assert not torch.equal(found, default), f"{change.what} changes nothing"
 
 
 def test_the_standard_error_is_that_of_repeated_quotients():
