@@ -166,6 +166,18 @@ def test_a_damaged_file_is_reported_and_removed(calls, capsys):
     assert next(iter(made._variants.values())) is not None
 
 
+def test_a_folder_that_cannot_be_is_told_and_no_traceback(tmp_path, calls, capsys):
+    """A file stands where the folder should be."""
+    (tmp_path / "file").write_text("")
+    kernels.compile_kernels(2, tmp_path / "file" / "kernels")
+    _, made, arguments = next(call for call in calls if call[0] == "_worth")
+    made._variants.clear()
+    for one, other in zip(tensors_of(made._function(*arguments)), tensors_of(made(*arguments))):
+        assert torch.equal(one, other)
+    made._variants.clear()
+    assert "_worth is not compiled" in capsys.readouterr().err
+
+
 def test_without_a_compiler_it_renders_all_the_same(tmp_path):
     """A line for each kernel says so, and the picture is that of no `--compile`, to the bit."""
     environment = {**os.environ, "PATH": "", "CXX": "/no/such/compiler", "XDG_CACHE_HOME": str(tmp_path)}

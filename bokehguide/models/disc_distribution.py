@@ -1,4 +1,4 @@
-"""Highlights as even discs on the lens: the density that mode `guided` draws from.
+"""Highlights as even discs on the lens, or in shapes of their own: the density that mode `guided` draws from.
 
 A ball seen through a focus point x_F covers a disc of the lens, and lights it evenly. A
 Gaussian has to be cut to that disc by the estimator: at the best σ, R / 1.78, its weights have

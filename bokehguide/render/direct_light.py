@@ -85,10 +85,15 @@ def _candidate(lights: Lights, query: LightQuery, scattering: Scattering, unifor
     return light, scattering.evaluate(light.direction)
 
 
+def _weighed(light: LightSample, scattered: Tensor, pdf: Tensor) -> Tensor:
+    """Scattered radiance over the sample's density, with its MIS weight, `[3, N]`."""
+    return scattered * light.radiance * (mis.power_heuristic(light.pdf, pdf) / light.pdf.clamp(min=1e-30))
+
+
 @kernel
 def _worth(light: LightSample, scattered: tuple[Tensor, Tensor], seen: Tensor | None) -> tuple[Tensor, ...]:
     """What a sample would bring over its density, with its MIS weight, `[3, N]`; and the luminance to expect of it, `[N]`."""
-    value = scattered[0] * light.radiance * (mis.power_heuristic(light.pdf, scattered[1]) / light.pdf.clamp(min=1e-30))
+    value = _weighed(light, *scattered)
     return (value,) if seen is None else (value, luminance(value) * seen)
 
 
@@ -97,7 +102,7 @@ def _better(
     kept: _Kept, total: Tensor, light: LightSample, scattered: tuple[Tensor, Tensor], seen: Tensor, uniform: Tensor
 ) -> tuple[_Kept, Tensor]:
     """The candidate kept so far or one more, by chance, and the sum of what they are kept by, `[N]`."""
-    value = scattered[0] * light.radiance * (mis.power_heuristic(light.pdf, scattered[1]) / light.pdf.clamp(min=1e-30))
+    value = _weighed(light, *scattered)
     target = luminance(value) * seen
     total = total + target
     changes = uniform * total < target

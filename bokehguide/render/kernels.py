@@ -9,6 +9,7 @@ the reference, and results agree but for rounding.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import itertools
@@ -162,7 +163,8 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
             _compile(_Flat(function, arguments), tuple(copies), path)
         return _Variant(path, results)
     except Exception as error:  # whatever a compiler may fail with: pictures come out the same without it
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # the folder itself may be what is wrong
+            path.unlink()
         reason = str(error).strip().splitlines() or [type(error).__name__]
         print(f"bokehguide: {name} is not compiled ({reason[0][:120]}); it runs more slowly", file=sys.stderr)
         return None
