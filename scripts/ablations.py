@@ -38,6 +38,7 @@ from bokehguide.models.projection import lens_magnification
 from bokehguide.render import direct_light
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.light_choice import LightChoice
+from bokehguide.render.mirrors import MirrorImages
 from bokehguide.render.random import PixelRandom
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.builtin import BUILTIN
@@ -120,9 +121,14 @@ def by_area(field: GaussianField, focus_distance: float) -> Tensor:
 
 def no_lamps(scene: Scene, camera: ThinLensCamera) -> KnownLamps:
     """Nothing known before the first ray."""
-    nothing = torch.zeros(0, dtype=torch.int64)
+    nothing, triangles = torch.zeros(0, dtype=torch.int64), sum(len(mesh.triangles) for mesh in scene.meshes)
     shapes = Shapes(None, nothing, None, nothing, torch.zeros(0))
-    return KnownLamps(GaussianField(), torch.zeros(6, 0), shapes, torch.zeros(len(scene.meshes), dtype=torch.bool), False)
+    return KnownLamps(GaussianField(), torch.zeros(6, 0), shapes, torch.zeros(triangles, dtype=torch.bool), False)
+
+
+def nothing_found(*_: object) -> tuple[Tensor, ...]:
+    """The field's lamps are all there is."""
+    return torch.zeros(0, dtype=torch.int64), torch.zeros(3, 0), torch.zeros(6, 0), torch.zeros(0), torch.zeros(0)
 
 
 def no_shapes(scene: Scene, lamps: Lamps, seen: Tensor, camera: ThinLensCamera) -> Shapes:
@@ -151,7 +157,8 @@ def without(what: str, owner: object, attribute: str, value: object) -> Change:
 
 GUIDED = [
     without("known lamps", spot_guide, "known_lamps", no_lamps),
-    without("found highlights", spot_guide, "fit_gaussians", lambda *_: torch.zeros(0, dtype=torch.int64)),
+    without("found highlights", spot_guide, "fit_ellipsoids", nothing_found),
+    without("mirror images", MirrorImages, "add", lambda *_: None),
     without("shapes of map lamps and panels", known_lamps, "_shapes", no_shapes),
     without("proportions (balls)", known_lamps, "packed", as_balls),
     without("learnt yields of lamps", LampYield, "factor", lambda _, slots: torch.ones(slots.shape)),

@@ -111,6 +111,11 @@ class Geometry:
         corners = self._vertices[self._triangles[triangle.cpu().numpy()]]
         return torch.from_numpy(corners).permute(1, 2, 0).contiguous().to(self.device)
 
+    def corner_normals(self, triangle: Tensor) -> Tensor:
+        """Shading normals `[corner, component, N]` at the corners of triangles `[N]`."""
+        first, second, third = self._normals[3:12].index_select(1, triangle).view(3, 3, -1)
+        return torch.stack((first, first + second, first + third))
+
     def areas(self, triangle: Tensor) -> Tensor:
         """Areas `[N]` of triangles `[N]`."""
         corners = self.corners(triangle)

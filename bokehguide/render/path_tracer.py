@@ -20,12 +20,13 @@ from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
+from bokehguide.render.mirrors import MirrorImages
 from bokehguide.render.opacity import MAX_CROSSINGS, Opacity
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
-from bokehguide.render.vector import dot, length
+from bokehguide.render.vector import dot, length, luminance
 from bokehguide.scene.types import Scene
 
 ROULETTE_DEPTH = 2
@@ -47,8 +48,9 @@ class PathSamples:
     at infinity, else 0; triangle: that of the first surface, int32, -1 where there is none;
     rays: number of rays traced. Under a `LightChoice`, also its row there, the cluster of the light sample, int64
     both, -1 where there was none, and its worth: the luminance it brought times the root of the cluster's probability,
-    whose square is on average the sum over clusters of the squared luminance each would have brought; and light_seen,
-    the share of it that nothing blocked.
+    whose square is on average the sum over clusters of the squared luminance each would have brought; light_seen,
+    the share of it that nothing blocked; and image, the distance at which most of the radiance appears to come from:
+    that of the first surface, or of what is mirrored there.
     """
 
     radiance: Tensor
@@ -63,6 +65,7 @@ class PathSamples:
     light_cluster: Tensor | None = None
     light_worth: Tensor | None = None
     light_seen: Tensor | None = None
+    image: Tensor | None = None
 
     @classmethod
     def empty(cls, count: int, device: torch.device, chooses: bool = False) -> PathSamples:
@@ -75,6 +78,7 @@ class PathSamples:
             empty.light_row = torch.full((count,), -1, device=device)
             empty.light_cluster = torch.full((count,), -1, device=device)
             empty.light_worth, empty.light_seen = torch.zeros(2, count, device=device)
+            empty.image = distance.clone()
         return empty
 
     def spread(self, index: Tensor, count: int) -> PathSamples:
@@ -144,10 +148,16 @@ class PathTracer:
             index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random, None
         )
         last = max_depth or self.max_depth
+        images = None if choose is None else MirrorImages(self.geometry, direction)
         for depth in range(1, last + 1):
-            paths = self._segment(paths, depth, depth == last, choose if depth == 1 else None, result, timer)
+            paths = self._segment(
+                paths, depth, depth == last, choose if depth == 1 else None, images if depth == 2 else None, result, timer
+            )
             if len(paths.index) == 0:
                 break
+        if images is not None:
+            mirrored = images.light > 0.5 * luminance(result.radiance)
+            result.image = torch.where(mirrored, images.distance, result.distance)
         return result
 
     def _segment(
@@ -156,6 +166,7 @@ class PathTracer:
         depth: int,
         last: bool,
         choose: Callable[[Tensor], LightChoice] | None,
+        images: MirrorImages | None,
         result: PathSamples,
         timer: PhaseTimer,
     ) -> _Paths:
@@ -164,7 +175,7 @@ class PathTracer:
             dimension = FIRST_CROSSING + MAX_CROSSINGS * depth
             hit, rays = self._opacity.nearest(paths.origin, paths.direction, paths.random, dimension)
         result.rays += rays
-        paths, hit = self._end_in_environment(paths, hit, depth, result)
+        paths, hit = self._end_in_environment(paths, hit, depth, images, result)
         if len(paths.index) == 0:
             return paths
         surface = self.geometry.surface(paths.origin, paths.direction, hit)
@@ -177,7 +188,7 @@ class PathTracer:
         transmittance = self.geometry.transmittance(hit, surface.front)
         if transmittance is not None:
             paths.throughput *= transmittance
-        self._add_emission(paths, hit, surface)
+        self._add_emission(paths, hit, surface, images, result)
         if depth == 1:
             result.emission.index_copy_(1, paths.index, paths.radiance)
         paths.choice = None if choose is None else choose(surface.position)
@@ -193,7 +204,9 @@ class PathTracer:
             self._add_direct_light(paths, surface, scattering, draw(dimension + 5, 6), result, timer)
         return self._scatter(paths, surface, scattering, draw(dimension + 1, 4), depth, result)
 
-    def _end_in_environment(self, paths: _Paths, hit: Hit, depth: int, result: PathSamples) -> tuple[_Paths, Hit]:
+    def _end_in_environment(
+        self, paths: _Paths, hit: Hit, depth: int, images: MirrorImages | None, result: PathSamples
+    ) -> tuple[_Paths, Hit]:
         """Add the environment's radiance to the paths that left the scene, and end them."""
         missed = (hit.triangle < 0).nonzero()[:, 0]
         if len(missed) == 0:
@@ -203,14 +216,19 @@ class PathTracer:
         if environment is not None and (depth > 1 or environment.visible):
             other = self.lights.environment_pdf(gone.vertex, gone.direction, gone.choice)
             weight = mis.power_heuristic(gone.pdf, other)
-            gone.radiance += gone.throughput * environment.radiance(gone.direction) * weight
+            arrived = gone.throughput * environment.radiance(gone.direction) * weight
+            gone.radiance += arrived
+            if images is not None:
+                _mirror(images, gone, torch.full_like(weight, MISS_DISTANCE), arrived, result)
             if depth == 1:
                 result.alpha[gone.index] = environment.alpha(gone.direction)
         _finish(gone, result)
         kept = (hit.triangle >= 0).nonzero()[:, 0]
         return paths.select(kept), Hit(*(field.index_select(0, kept) for field in hit))
 
-    def _add_emission(self, paths: _Paths, hit: Hit, surface: Surface) -> None:
+    def _add_emission(
+        self, paths: _Paths, hit: Hit, surface: Surface, images: MirrorImages | None, result: PathSamples
+    ) -> None:
         """Add what the surfaces that were hit emit, weighed against light sampling."""
         material = self.geometry.material.index_select(0, hit.triangle)
         index = self.geometry.materials.emissive.index_select(0, material).nonzero()[:, 0]
@@ -227,7 +245,10 @@ class PathTracer:
         choice = None if paths.choice is None else paths.choice.select(index)
         other = self.lights.triangle_pdf(vertex, lamp.triangle, distance, cosine, choice)
         weight = mis.power_heuristic(paths.pdf.index_select(0, index), other)
-        paths.radiance.index_add_(1, index, paths.throughput.index_select(1, index) * radiance * weight)
+        arrived = paths.throughput.index_select(1, index) * radiance * weight
+        paths.radiance.index_add_(1, index, arrived)
+        if images is not None:
+            _mirror(images, paths.select(index), distance, arrived, result)
 
     def _add_direct_light(
         self,
@@ -299,6 +320,12 @@ def _next_segment(
         survival = chance * (uniform < chance)
         throughput = throughput / chance.clamp(min=1e-20)
     return surface.leave(direction), throughput, survival
+
+
+def _mirror(images: MirrorImages, paths: _Paths, distance: Tensor, arrived: Tensor, result: PathSamples) -> None:
+    """Tell where paths that met light after `distance` `[K]` see it, which brought `arrived` `[3, K]`."""
+    triangle, reached = (values.index_select(0, paths.index) for values in (result.triangle, result.distance))
+    images.add(paths.index, triangle, reached, paths.direction, paths.pdf, distance, arrived)
 
 
 def _finish(paths: _Paths, result: PathSamples) -> _Paths:

@@ -27,7 +27,7 @@ class Lamps:
     of the spheres about the centres that hold all of each lamp. outlines: `[N, 3, 3]`, of ellipsoids of the lamps'
     proportions that do: sums of the squares of their half axes, 0 at infinity. luminance: of their radiance, `[N]`;
     textures are not looked at. panels: half edges `[N, 2, 3]` of those that are parallelograms of two triangles, 0 of the
-    others. mesh: number of each lamp's mesh in the scene, -1 at infinity, `[N]`. texels: which lamp
+    others. triangles: which lamp each of the scene's triangles belongs to, -1 for none, int32 `[T]`. texels: which lamp
     each texel of the map belongs to, -1 for none, `[H, W]`; None where there is no map.
     """
 
@@ -38,27 +38,31 @@ class Lamps:
     luminance: np.ndarray
     panels: np.ndarray
     infinite: np.ndarray
-    mesh: np.ndarray
+    triangles: np.ndarray
     texels: np.ndarray | None
 
 
 def find_lamps(scene: Scene) -> Lamps:
     """All emissive components of the geometry, all bright peaks of the environment, and all suns."""
-    emitting = [number for number, mesh in enumerate(scene.meshes) if scene.materials[mesh.material].emits]
-    meshes = [scene.meshes[number] for number in emitting]
-    parts = [_components(mesh, LUMINANCE @ scene.materials[mesh.material].emission) for mesh in meshes]
-    near = np.repeat(np.array(emitting, int), [len(part[0]) for part in parts])
+    parts, pieces, near = [], [], 0
+    for mesh in scene.meshes:
+        piece, material = np.full(len(mesh.triangles), -1, np.int32), scene.materials[mesh.material]
+        if material.emits:
+            piece = _pieces(mesh)
+            parts.append(_components(mesh, piece, LUMINANCE @ material.emission))
+            piece = piece + np.int32(near)
+            near += len(parts[-1][0])
+        pieces.append(piece)
     texels = None
     if scene.environment is not None:
         texels, peaks = _peaks(scene.environment.radiance, scene.environment.rotation)
-        texels = np.where(texels >= 0, texels + len(near), -1)
+        texels = np.where(texels >= 0, texels + near, -1)
         parts.append(peaks)
     parts += [_disc(sun) for sun in scene.suns]
     parts.append(_at_infinity(*np.zeros((2, 0)), np.zeros((0, 3)), np.zeros(0)))
     centres, *columns = (np.concatenate(arrays) for arrays in zip(*parts))
-    mesh = np.full(len(centres), -1)
-    mesh[: len(near)] = near
-    return Lamps(centres, *columns, infinite=mesh < 0, mesh=mesh, texels=texels)
+    triangles = np.concatenate(pieces) if pieces else np.zeros(0, np.int32)
+    return Lamps(centres, *columns, infinite=np.arange(len(centres)) >= near, triangles=triangles, texels=texels)
 
 
 def lens_coverage(scene: Scene, lamps: Lamps | None = None) -> float | None:
@@ -117,12 +121,8 @@ def _at_infinity(radii: np.ndarray, extents: np.ndarray, centres: np.ndarray, lu
     return centres, radii, extents, np.zeros((count, 3, 3)), luminance, np.zeros((count, 2, 3))
 
 
-def _components(mesh: Mesh, luminance: float) -> tuple[np.ndarray, ...]:
-    """The columns of `Lamps` up to `panels`, of the pieces of `mesh` that share vertex positions.
-
-    A closed piece shows a quarter of its surface on average (Cauchy), an open one
-    the length of its vector area.
-    """
+def _pieces(mesh: Mesh) -> np.ndarray:
+    """Number of the piece of `mesh`, whose triangles share vertex positions, that each triangle belongs to, int32 `[T]`."""
     points, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     corners = index.reshape(-1)[mesh.triangles]
     edges = sparse.coo_matrix(
@@ -130,8 +130,16 @@ def _components(mesh: Mesh, luminance: float) -> tuple[np.ndarray, ...]:
         shape=(len(points), len(points)),
     )
     labels = sparse.csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
-    labels = np.unique(labels, return_inverse=True)[1]
-    a, b, c = np.moveaxis(points[corners].astype(np.float64), 1, 0)
+    return np.unique(labels, return_inverse=True)[1].astype(np.int32)
+
+
+def _components(mesh: Mesh, labels: np.ndarray, luminance: float) -> tuple[np.ndarray, ...]:
+    """The columns of `Lamps` up to `panels`, of the pieces of `mesh` that its triangles `[T]` belong to.
+
+    A closed piece shows a quarter of its surface on average (Cauchy), an open one
+    the length of its vector area.
+    """
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles].astype(np.float64), 1, 0)
     vectors = 0.5 * np.cross(b - a, c - a)
     areas = np.linalg.norm(vectors, axis=1)
     total = np.bincount(labels, areas)

@@ -16,6 +16,8 @@ COC_THRESHOLD = 4.0
 """A spot's circle of confusion measures at least this many pixels across (4.2.2: "manually set")."""
 ALPHA = 0.5
 """σ = α R_b (section 4.2.4)."""
+AXES = 2.4
+"""Half axes of an ellipsoid by its light's standard deviations: those of an even disc, 2, and some more for a blurred edge."""
 DEPTH_GAP = 8.0
 """Connected cells belong to two spots where their depths, sorted, leap by so many cell widths."""
 
@@ -47,6 +49,30 @@ def label_patches(record: RecordBuffer, cells: Tensor, depth: Tensor, width: Ten
     patch = torch.empty_like(order)
     patch[order] = torch.cat((torch.zeros_like(order[:1]), leap.long().cumsum(0)))
     return patch
+
+
+def fit_ellipsoids(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> tuple[Tensor, ...]:
+    """One ellipsoid for each patch of spotlight cells: the cells `[K]`; means `[3, G]`, outlines `[6, G]` (see
+    `DiscLensDistribution`), largest half axes and energies `[G]`.
+
+    Mean and covariance are those of the light, not of the patch: a few cells at the edge, which a highlight seldom
+    reaches, would make the box around them several times as large.
+    """
+    cells, points = find_spotlights(record, camera, mean_luminance)
+    width = points[2] * camera.pixel_slope
+    patch = label_patches(record, cells, points[2], width)
+    count = int(patch.max()) + 1 if len(patch) else 0
+    light = record.radiance().reshape(-1)[cells] * width * width
+    empty = torch.zeros(6, count, device=points.device)
+    energy = empty[0].index_add(0, patch, light)
+    share = light / energy[patch]
+    mean = empty[:3].index_add(1, patch, share * points)
+    x, y, z = points - mean[:, patch]
+    within = width * width / 12.0  # of a cell, lit evenly
+    moments = torch.stack((x * x + within, x * y, x * z, y * y + within, y * z, z * z))
+    outline = AXES * AXES * empty.index_add(1, patch, share * moments)
+    spread = 0.5 * (outline[0] + outline[3])
+    return cells, mean, outline, (spread + ((outline[0] - spread).square() + outline[1].square()).sqrt()).sqrt(), energy
 
 
 def fit_gaussians(field: GaussianField, record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> Tensor:

@@ -173,6 +173,10 @@ class LensGuide(nn.Module):
         """Luminance `[N]` that the record buffer is told of."""
         return luminance(samples.radiance)
 
+    def apparent_distance(self, samples: PathSamples) -> Tensor:
+        """At which distances `[N]` the record buffer takes them to lie: where the first surface is."""
+        return samples.distance
+
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
         """End a step: one Adam step, then, while fitting goes on, the next set of Gaussians; collective."""
         if self.learns_blend and self.ranks.any(bool(lessons))[0]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -29,14 +30,14 @@ WIDEST = 3.0
 class KnownLamps:
     """Lamps that the lens can see out of focus, camera frame.
 
-    field: their balls; outlines: `packed`, `[6, L]`; shapes: which of them are something else. meshes `[meshes]`,
-    whole_sky: which meshes, and whether the sky, have no light but theirs.
+    field: their balls; outlines: `packed`, `[6, L]`; shapes: which of them are something else. triangles `[T]`,
+    whole_sky: which of the scene's, and whether the sky, send no light but theirs straight into the lens.
     """
 
     field: GaussianField
     outlines: Tensor
     shapes: Shapes
-    meshes: Tensor
+    triangles: Tensor
     whole_sky: bool
 
 
@@ -61,12 +62,12 @@ def known_lamps(scene: Scene, camera: ThinLensCamera) -> KnownLamps:
     seen &= (away > radius) & (WIDEST * away * lens.radius > radius * lens.focus_distance)
     field = GaussianField()
     field.assign(mean[:, seen], radius[seen], radius[seen], energy[seen])
-    known = torch.ones(len(scene.meshes), dtype=torch.bool)
-    known[lamps.mesh[(~seen & ~infinite).numpy()]] = False
+    left_out = (~seen & _in_sight(mean, radius, camera)).numpy()
+    known = torch.from_numpy(~np.append(left_out, False)[lamps.triangles])  # -1 is the last
     whole_sky = bool(infinite.any() and seen[infinite & _in_sight(mean, radius, camera)].all())
     shapes = _shapes(scene, lamps, seen, camera)
     device = camera.position.device
-    return KnownLamps(field.to(device), outline[:, seen].to(device), shapes, known, whole_sky)
+    return KnownLamps(field.to(device), outline[:, seen].to(device), shapes, known.to(device), whole_sky)
 
 
 def _in_sight(mean: Tensor, radius: Tensor, camera: ThinLensCamera) -> Tensor:

@@ -166,7 +166,7 @@ class RenderLoop:
             weight = weight.nan_to_num(0.0, 0.0, 0.0) * good
             result.lesson = self._study(batch, weight, finite(luminance(samples.radiance), good), at)
             recorded = finite(self.guide.recorded(samples), good)
-            result.records = self._records(points, directions, samples.distance, weight, recorded)
+            result.records = self._records(points, directions, self.guide.apparent_distance(samples), weight, recorded)
             result.counts = GuideCounts.of(batch, weight)
             if self.light_guide is not None:
                 result.lights = (samples.light_row, samples.light_cluster, samples.light_worth, samples.light_seen)

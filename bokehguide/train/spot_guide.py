@@ -4,7 +4,7 @@ It differs from the paper's (`guide.py`) in what is measured to pay:
 
 - The lamps that the scene holds (emissive pieces, peaks of the environment, suns) are in the
   field from the start; the record buffer is left to find what they show up in: reflections
-  and refractions.
+  and refractions. What is mirrored is recorded where its image is, and not where the mirror is.
 - A highlight is an even disc on the lens and no Gaussian; one of the map is as bright on the lens as the map has it.
 - It learns at the ends of blocks of steps only, which grow in powers of two. Within a block
   nothing that decides on a lens point changes, so all lens points are stratified over it.
@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, pad
 
 from bokehguide.models.candidates import CandidateList, draw_candidates
-from bokehguide.models.disc_distribution import DiscLensDistribution, Shapes, balls
+from bokehguide.models.disc_distribution import DiscLensDistribution, Shapes
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.kl import one_sample_kl
 from bokehguide.models.lens_distribution import LensDensity, owners
@@ -32,7 +32,7 @@ from bokehguide.render.pixels import Pixels, increase, take
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
-from bokehguide.train.fitting import fit_gaussians
+from bokehguide.train.fitting import fit_ellipsoids
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, guided_draw, starts_block, uniform_draw
 from bokehguide.train.known_lamps import known_lamps
 from bokehguide.train.lamp_yield import LampYield
@@ -73,14 +73,13 @@ class SpotGuide(nn.Module):
         self.register_buffer("block", torch.tensor(1))
         self.to(device)
         self.register_buffer("spotlights", torch.zeros(0, dtype=torch.int64, device=device))
+        self.register_buffer("outlines", torch.zeros(6, 0, device=device))
+        """Of the field's ellipsoids (see `DiscLensDistribution`)."""
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
         self._lamps = known_lamps(scene, camera)
         self.lamp_yield = LampYield(camera, len(self._lamps.field), self.ranks)
         self.register_buffer("unit", torch.tensor(1.0))
         """Luminance that `ratio` counts in, about."""
-        triangles = torch.tensor([len(mesh.triangles) for mesh in scene.meshes])
-        self._known = torch.repeat_interleave(self._lamps.meshes, triangles).to(device)
-        """Triangles whose light is that of lamps in the field, bool `[T]`."""
         self.refit(1.0)
 
     @torch.no_grad()
@@ -102,7 +101,7 @@ class SpotGuide(nn.Module):
         if len(spot) == 0:
             return None
         field, lens = self.field, self.camera.lens
-        mean, outline = field.mean.index_select(1, spot), self._outlines.index_select(1, spot)
+        mean, outline = field.mean.index_select(1, spot), self.outlines.index_select(1, spot)
         weight = field.lens_weights(lens.focus_distance).index_select(0, spot)
         known, (sky_lamp, panel) = self._lamps.shapes, self._numbers.index_select(1, spot)
         shapes = Shapes(known.sky, sky_lamp, known.panels, panel, known.light)
@@ -141,9 +140,13 @@ class SpotGuide(nn.Module):
     def recorded(self, samples: PathSamples) -> Tensor:
         """Luminance `[N]` for the record buffer: all but what the field's lamps send straight into the lens."""
         hit = samples.triangle >= 0
-        known = self._known[samples.triangle.clamp(min=0).long()] & hit
+        known = self._lamps.triangles[samples.triangle.clamp(min=0).long()] & hit
         light = luminance(samples.radiance - samples.emission * known)
         return light * hit if self._lamps.whole_sky else light
+
+    def apparent_distance(self, samples: PathSamples) -> Tensor:
+        """At which distances `[N]` the record buffer takes them to lie: mirrored lamps where their images are."""
+        return samples.distance if samples.image is None else samples.image
 
     @torch.no_grad()
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
@@ -167,22 +170,18 @@ class SpotGuide(nn.Module):
     def refit(self, mean_luminance: float) -> None:
         """The lamps, and what the record buffer shows beside them; then list each pixel's candidates. Collective."""
         self.record.merge()
-        found = GaussianField().to(self.beta.device)
-        self.spotlights = fit_gaussians(found, self.record, self.camera, mean_luminance)
-        if len(found) == 0 and len(self.field) == len(self._lamps.field) > 0:
+        self.spotlights, *found = fit_ellipsoids(self.record, self.camera, mean_luminance)
+        lamps = (self._lamps.field.mean, self._lamps.outlines, self._lamps.field.radius, self._lamps.field.energy)
+        mean, self.outlines, radius, energy = (torch.cat(part, dim=-1) for part in zip(lamps, found))
+        if len(radius) == len(self.field) == len(self._lamps.field) > 0:
             return
-        # σ stands for a disc's radius.
-        parts = [[getattr(part, name) for part in (self._lamps.field, found)] for name in ("mean", "radius", "radius", "energy")]
-        self.field.assign(*(torch.cat(part, dim=-1) for part in parts))
+        self.field.assign(mean, radius, radius, energy)  # σ stands for a disc's radius
         self.set_candidates()
 
     def set_candidates(self) -> None:
         """List each pixel's candidates; to be called after any change of the field."""
-        found = balls(self.field.sigma[len(self._lamps.field) :])
-        self._outlines = torch.cat((self._lamps.outlines, found), dim=1)
-        """Of the field's ellipsoids (see `DiscLensDistribution`): of what was found, only radii are known."""
-        shapes = self._lamps.shapes
-        self._numbers = pad(torch.stack((shapes.sky_lamp, shapes.panel)), (0, found.shape[1]), value=-1)
+        shapes, found = self._lamps.shapes, len(self.field) - len(self._lamps.field)
+        self._numbers = pad(torch.stack((shapes.sky_lamp, shapes.panel)), (0, found), value=-1)
         """Which lamp of the map, and which panel, each of the field is, -1 for none, `[2, G]`."""
         self.candidates: CandidateList | None = draw_candidates(self.field, self.camera) if len(self.field) else None
 
@@ -197,10 +196,11 @@ class SpotGuide(nn.Module):
 
     def load_state_dict(self, state_dict, *args, **kwargs):
         """Load all that is learnt, and the field; then list each pixel's candidates. Raises ValueError where draws are none."""
-        self.spotlights = torch.empty_like(state_dict["spotlights"], device=self.beta.device)
+        for name in ("spotlights", "outlines"):  # a fit decides how many there are
+            setattr(self, name, torch.empty_like(state_dict[name], device=self.beta.device))
         result = super().load_state_dict(state_dict, *args, **kwargs)
         positive = bool((self.lamp_yield.sums >= 0.0).all() and (self.lamp_yield.learnt > 0.0).all() and self.unit > 0.0)
-        if not positive:
+        if not positive or self.outlines.shape[1] != len(self.field) or not bool(self.outlines.isfinite().all()):
             raise ValueError("what was learnt of draws is none")
         self.set_candidates()
         return result
