@@ -92,13 +92,10 @@ def _texels_around(
     distance = dot(ray, ray).sqrt()
     right, up, forward = axes.T
     towards = normalize(right[:, None] * ray[0] + up[:, None] * ray[1] + forward[:, None] * ray[2])
-    x, y = layout.place(towards)
-    left, top = (x - 0.5).floor(), (y - 0.5).floor()
-    fx, fy = x - 0.5 - left, y - 0.5 - top
+    left, top, fx, fy = layout.corner(towards)
     up, down = (1.0 - fy) * (top >= 0.0), fy * (top + 1.0 < layout.height)
     tents = torch.stack(((1.0 - fx) * up, fx * up, (1.0 - fx) * down, fx * down))
-    rows = tuple(row.clamp(0.0, layout.height - 1.0).long() * layout.width for row in (top, top + 1.0))
-    columns = tuple((column - (column / layout.width).floor() * layout.width).long() for column in (left, left + 1.0))
+    rows, columns = layout.texels(left, top)
     sine = (towards[0] * towards[0] + towards[2] * towards[2]).sqrt()  # that of y has few digits near the poles
     solid_angle = 2.0 * math.pi**2 / (layout.height * layout.width) * sine
     return rows, columns, tents, focus[2] / (distance * distance * distance * solid_angle.clamp(min=1e-30))

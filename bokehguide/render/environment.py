@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
 from bokehguide.render.equirectangular import Equirectangular
+from bokehguide.render.kernels import kernel
 from bokehguide.render.suns import SunDisc
 from bokehguide.scene.lamps import LUMINANCE
 from bokehguide.scene.types import Environment, Sun
@@ -113,15 +114,8 @@ class EnvironmentMap:
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
-        x, y = (place - 0.5 for place in self._layout.place(directions))
-        left, top = x.floor(), y.floor()
-        fx, fy = x - left, y - top
-        color = torch.zeros_like(directions)
-        for dy, wy in ((0, 1.0 - fy), (1, fy)):
-            row = (top.long() + dy).clamp(0, self.height - 1) * self.width
-            for dx, wx in ((0, 1.0 - fx), (1, fx)):
-                color += self.texels.index_select(1, row + (left.long() + dx) % self.width) * (wx * wy)
-        return color
+        texels, across, down = _texels_about(self._layout, directions)
+        return _blended(*(self.texels.index_select(1, texel) for texel in texels), across, down)
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         """Unit directions `[3, N]` and their solid-angle densities `[N]` from uniform numbers `[4, N]`."""
@@ -144,8 +138,7 @@ class EnvironmentMap:
 
     def texel_at(self, directions: Tensor) -> Tensor:
         """Texels `[N]` that unit directions `[3, N]` lie in."""
-        column, row = (place.long() for place in self._layout.place(directions))
-        return row.clamp(0, self.height - 1) * self.width + column % self.width
+        return _texel_at(self._layout, directions)
 
     def density(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of `sample` in texels `[N]`."""
@@ -160,6 +153,28 @@ class EnvironmentMap:
         if self._table is None:
             return np.zeros((self.height, self.width), np.float32)
         return self._table.probability.cpu().numpy().reshape(self.height, self.width)
+
+
+@kernel
+def _texel_at(layout: Equirectangular, directions: Tensor) -> Tensor:
+    """Texels `[N]` that unit directions `[3, N]` lie in."""
+    column, row = (place.long() for place in layout.place(directions))
+    return row.clamp(0, layout.height - 1) * layout.width + column % layout.width
+
+
+@kernel
+def _texels_about(layout: Equirectangular, directions: Tensor) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
+    """The four texels about unit directions `[3, N]`, row by row, int64 `[N]`, and how far the directions are across and down."""
+    left, top, across, down = layout.corner(directions)
+    rows, columns = layout.texels(left, top)
+    return tuple(row + column for row in rows for column in columns), across, down
+
+
+@kernel
+def _blended(one: Tensor, two: Tensor, three: Tensor, four: Tensor, across: Tensor, down: Tensor) -> Tensor:
+    """Bilinear: what lies so far between four values `[3, N]`."""
+    top, bottom = (1.0 - across) * one + across * two, (1.0 - across) * three + across * four
+    return (1.0 - down) * top + down * bottom
 
 
 def _excess(luminance: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:

@@ -28,6 +28,19 @@ class Equirectangular:
         u = 0.5 + polar_angle(x, -z) / (2.0 * math.pi) + self._turn
         return (u - u.floor()) * self.width, torch.acos(y.clamp(-1.0, 1.0)) / math.pi * self.height
 
+    def corner(self, directions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Column and row of the first of the four texels whose middles lie about unit directions `[3, N]`, -1 beyond the
+        edges; and how far the directions are on the way to the last of them, 0 to 1. All `[N]`."""
+        x, y = (place - 0.5 for place in self.place(directions))
+        left, top = x.floor(), y.floor()
+        return left, top, x - left, y - top
+
+    def texels(self, left: Tensor, top: Tensor) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+        """Of the four texels of which these are column and row of the first: where both rows begin, and both columns, int64 `[N]`."""
+        rows = tuple(row.clamp(0.0, self.height - 1.0).long() * self.width for row in (top, top + 1.0))
+        columns = tuple((column - (column / self.width).floor() * self.width).long() for column in (left, left + 1.0))
+        return rows, columns
+
     def around(self, column: Tensor, y: Tensor) -> Tensor:
         """Unit directions `[3, N]` of the height `y` `[N]` above the horizon, at columns `[N]`."""
         phi = 2.0 * math.pi * (column / self.width - 0.5 - self._turn)

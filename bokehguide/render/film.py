@@ -66,7 +66,8 @@ class Film:
     `prime` provides its c. Where weights are stratified over a block of steps, c is from before it.
 
     vignetted: the weights' mean is less than 1 towards the frame's edge. Radiance and emission
-    darken with it. Alpha, normal and albedo do not: they are Σ w x / Σ w.
+    darken with it. Alpha, normal and albedo do not: they are Σ w x / Σ w. weighted: whether weights
+    may be other than 1 where nothing is vignetted; where all are 1, c would change nothing.
 
     corner: column and row of its first pixel in the frame of which it is a part.
     """
@@ -78,6 +79,7 @@ class Film:
         seed: int = 0,
         device: torch.device | str = "cpu",
         vignetted: bool = False,
+        weighted: bool = True,
         corner: tuple[int, int] = (0, 0),
     ):
         self.width, self.height, self.seed, self.corner = width, height, seed, corner
@@ -87,8 +89,9 @@ class Film:
         self._square = torch.zeros(pixels, dtype=torch.float64, device=device)
         self._count = torch.zeros(pixels, device=device)
         self._features = torch.zeros(9, pixels, dtype=torch.float64, device=device)  # alpha, hit, hit times depth, normal, albedo
-        self._control = torch.zeros(10, pixels, device=device)  # w², and w² times each feature
-        self._center = torch.zeros(9, pixels, device=device)  # c
+        controlled = weighted and not vignetted
+        self._control = torch.zeros(10, pixels, device=device) if controlled else None  # w², and w² times each feature
+        self._center = torch.zeros(9, pixels, device=device) if controlled else None  # c
         self._passed = torch.zeros(pixels, dtype=torch.float64, device=device) if vignetted else None  # w
         self._nearest = torch.full((pixels,), NO_DEPTH, device=device)
         self._farthest = torch.zeros(pixels, device=device)
@@ -142,8 +145,9 @@ class Film:
 
     def prime(self, pixels: Pixels, samples: FilmSamples) -> None:
         """Tell N different pixels of samples of the uniform lens that are not in the picture."""
-        increase(self._control[0], pixels, torch.ones_like(samples.weight))
-        increase(self._control[1:], pixels, samples.features().nan_to_num(0.0, 0.0, 0.0))
+        if self._control is not None:
+            increase(self._control[0], pixels, torch.ones_like(samples.weight))
+            increase(self._control[1:], pixels, samples.features().nan_to_num(0.0, 0.0, 0.0))
         self._add_range(pixels, samples)
 
     def _add_range(self, pixels: Pixels, samples: FilmSamples) -> None:
@@ -155,6 +159,9 @@ class Film:
         if self._passed is not None:
             increase(self._features, pixels, features * (weight * kept))
             increase(self._passed, pixels, weight * kept)
+            return
+        if self._control is None:
+            increase(self._features, pixels, features * kept)
             return
         if fresh:
             seen = take(self._control, pixels)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
 from bokehguide.render.clusters import ClusterTable, gather
+from bokehguide.render.kernels import kernel
 
 RESOLUTION = 24
 """Cells along the grid's longest side."""
@@ -91,19 +92,18 @@ class LightGrid:
         starts = np.searchsorted(cluster[order], np.arange(self.clusters + 1))
         self._within = AliasTable(lamps.power[order], device, starts)
         self._order, self._place, self._cluster = (torch.from_numpy(a).to(device) for a in (order, place, cluster))
-        self._layout = _layout(lamps.center)
+        layout = _layout(lamps.center)
+        low, cell, (x, y, z) = layout
+        self._box = [torch.tensor(values, device=device) for values in (low, [1.0 / cell], [x - 1, y - 1, z - 1], [y * z, z, 1])]
+        self._box = [values.reshape(-1, 1).float() for values in self._box[:3]] + [self._box[3][:, None]]
         clusters = _gathered(lamps, cluster, self.clusters)
-        light = _cell_light(self._layout, clusters)
+        light = _cell_light(layout, clusters)
         self.light = torch.from_numpy(light.sum(axis=1).astype(np.float32)).to(device)
         self._table = ClusterTable(torch.from_numpy(_defensive(light, clusters.total)).to(device))
 
     def cells(self, points: Tensor) -> Tensor:
         """Cell `[N]` of each point `[3, N]`; points outside belong to the nearest cell."""
-        low, cell, shape = self._layout
-        columns = [
-            ((points[axis] - float(low[axis])) * (1.0 / cell)).clamp(0.0, shape[axis] - 1.0).long() for axis in range(3)
-        ]
-        return (columns[0] * int(shape[1]) + columns[1]) * int(shape[2]) + columns[2]
+        return _cells(points, *self._box)
 
     def sample_cluster(self, cells: Tensor, uniforms: Tensor) -> Tensor:
         """Clusters `[N]` for points in `cells` `[N]`, from uniform numbers `[N]`."""
@@ -181,3 +181,11 @@ def _defensive(weights: np.ndarray, power: np.ndarray) -> np.ndarray:
     sums = weights.sum(axis=1, keepdims=True)
     guided = np.divide(weights, sums, out=np.broadcast_to(by_power, weights.shape).copy(), where=sums > 0.0)
     return (1.0 - DEFENSIVE) * guided + DEFENSIVE * by_power
+
+
+@kernel
+def _cells(points: Tensor, low: Tensor, scale: Tensor, last: Tensor, step: Tensor) -> Tensor:
+    """Numbers `[N]` of the cells of a grid that points `[3, N]` lie in. Where it begins, the last cell and how numbers grow
+    along each axis: `[3, 1]`; scale: cells to a metre, `[1, 1]`."""
+    x, y, z = torch.minimum(((points - low) * scale).clamp(min=0.0), last).long() * step
+    return x + y + z

@@ -96,7 +96,8 @@ class RenderLoop:
     def _empty_film(self) -> Film:
         left, top, width, height = self.settings.window(self.camera.width, self.camera.height)
         device, vignettes = self.camera.position.device, self.camera.lens.vignettes
-        return Film(width, height, self.settings.seed, device, vignettes, (left, top))
+        weighted = self.settings.lens_mode != "uniform" or self.settings.reuses
+        return Film(width, height, self.settings.seed, device, vignettes, weighted, (left, top))
 
     def render_only(self, active: Tensor) -> None:
         """From now on render those of the film's pixels that are `active`, bool `[pixels]`."""
