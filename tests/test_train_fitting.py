@@ -14,7 +14,7 @@ from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene.types import Camera, Environment
 from bokehguide.train import RenderLoop, RenderSettings
-from bokehguide.train.fitting import ALPHA, find_spotlights, fit_gaussians, label_patches
+from bokehguide.train.fitting import ALPHA, AXES, find_spotlights, fit_ellipsoids, fit_gaussians, label_patches
 from bokehguide.train.record_buffer import RecordBuffer
 
 CAMERA = Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), fov=40.0, aperture_radius=0.1, focus_distance=2.0)
@@ -250,3 +250,189 @@ def test_a_spot_of_the_environment_is_recorded_far_away():
     assert float((field.mean[:2, 0] / field.mean[2, 0]).norm()) < 0.01
     half_width = np.tan(np.pi / 64.0) * 1000.0 * focus_distance
     assert 0.5 * half_width < float(field.sigma[0]) < 2.0 * half_width
+
+
+def light_where(record: RecordBuffer, camera: ThinLensCamera, lit, depth: float = 4.0, radiance: float = 1e5) -> None:
+    """Add a bright sample to each cell of the frame whose middle's column and row are `lit`."""
+    row, column = (values.ravel() + 0.5 for values in torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij"))
+    inside = lit(column, row)
+    points = points_at(camera, column[inside], row[inside], depth)
+    record.add(record.cells(camera, points), points, torch.full((points.shape[1],), radiance))
+
+
+def disc(x: float, y: float, radius: float):
+    """Whether a cell's middle is within a disc."""
+    return lambda column, row: (column - x).square() + (row - y).square() <= radius**2
+
+
+def half_axes(outline: Tensor) -> Tensor:
+    """Half axes `[3, G]` of packed outlines, the smallest first, in double precision."""
+    xx, xy, xz, yy, yz, zz = outline.double()
+    matrices = torch.stack((xx, xy, xz, xy, yy, yz, xz, yz, zz), dim=1).reshape(-1, 3, 3)
+    squared = torch.linalg.eigvalsh(matrices)
+    assert (squared > -1e-5 * squared[:, 2:]).all()
+    return squared.clamp(min=0.0).sqrt().T
+
+
+@pytest.mark.parametrize("cells", [3.0, 8.0, 15.0])
+def test_the_ellipsoid_of_an_even_disc_is_as_wide_as_the_disc(camera, cells):
+    """But for AXES, which is 2 of an even disc; it is flat, lies where the disc does and is as bright as it."""
+    record = wall_record(camera)
+    light_where(record, camera, disc(200.0, 20.0, cells))
+    found, mean, outline, largest, energy = fit_ellipsoids(record, camera, 0.1)
+    assert mean.shape == (3, 1) and outline.shape == (6, 1) and largest.shape == energy.shape == (1,)
+    torch.testing.assert_close(mean, points_at(camera, torch.tensor([200.0]), torch.tensor([20.0]), 4.0), rtol=1e-4, atol=1e-4)
+    width = float(mean[2]) * camera.pixel_slope
+    thin, *wide = half_axes(outline)[:, 0] / width
+    radius = (len(found) / np.pi) ** 0.5  # of the cells that are lit
+    assert [float(axis) for axis in wide] == pytest.approx([0.5 * AXES * radius] * 2, rel=0.02)
+    assert float(thin) < 0.1
+    assert float(largest / width) == pytest.approx(float(wide[1]), rel=1e-3)
+    assert float(energy) == pytest.approx(len(found) * width**2 * 5e4, rel=0.01)  # half of each cell's samples are the wall's
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 90.0, 135.0])
+def test_the_ellipsoid_of_a_strip_lies_along_it(camera, degrees):
+    """Four to one: its axes are those of an even strip, and the outline's covariance points along it (rows run downwards)."""
+    along = torch.tensor([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], dtype=torch.float32)
+
+    def strip(column: Tensor, row: Tensor) -> Tensor:
+        x, y = column - 200.0, row - 20.0
+        return ((along[0] * x + along[1] * y).abs() <= 16.0) & ((along[0] * y - along[1] * x).abs() <= 4.0)
+
+    record = wall_record(camera)
+    light_where(record, camera, strip)
+    _, mean, outline, largest, _ = fit_ellipsoids(record, camera, 0.1)
+    width = float(mean[2]) * camera.pixel_slope
+    _, short, long = half_axes(outline)[:, 0] / width
+    assert float(long) == pytest.approx(AXES * 16.0 / 3.0**0.5, rel=0.03)
+    assert float(short) == pytest.approx(AXES * 4.0 / 3.0**0.5, rel=0.03)
+    assert float(largest / width) == pytest.approx(float(long), rel=1e-3)
+    xx, xy, _, yy, _, _ = outline[:, 0]
+    spread = along[0] ** 2 * xx - 2.0 * along[0] * along[1] * xy + along[1] ** 2 * yy
+    assert float(spread) ** 0.5 / width == pytest.approx(float(long), rel=0.01)
+
+
+def dim_tails(column: Tensor, row: Tensor) -> Tensor:
+    """Two cells high, to both sides of a disc of 4 cells."""
+    return ((column - 200.0).abs() < 20.0) & ((row - 20.0).abs() < 1.0) & ~disc(200.0, 20.0, 4.0)(column, row)
+
+
+def test_dim_cells_at_the_edge_hardly_count(camera):
+    """Two tails of a fiftieth of a per cent of the brightness: the box around them is several times as large, the light is not."""
+    sizes = []
+    for tails in (False, True):
+        record = wall_record(camera)
+        light_where(record, camera, disc(200.0, 20.0, 4.0))
+        if tails:
+            light_where(record, camera, dim_tails, radiance=20.0)
+        found, _, _, largest, _ = fit_ellipsoids(record, camera, 0.1)
+        sizes.append((len(found), float(largest), float(fitted(record, camera).radius)))
+    (few, small, box), (many, same, wide) = sizes
+    assert many == few + 64
+    assert wide > 3.0 * box and same == pytest.approx(small, rel=0.02)
+
+
+def test_two_patches_give_two_ellipsoids(camera):
+    """As one gives one: neither takes of the other's light, whichever is brighter."""
+    parts, together = [(100.5, 8.0, 4.0, 1e5), (300.5, 30.0, 6.0, 3e3)], wall_record(camera)
+    alone = []
+    for x, y, radius, radiance in parts:
+        record = wall_record(camera)
+        for each in (record, together):
+            light_where(each, camera, disc(x, y, radius), radiance=radiance)
+        alone.append(fit_ellipsoids(record, camera, 0.1))
+    both = fit_ellipsoids(together, camera, 0.1)
+    assert both[1].shape == (3, 2) and len(both[0]) == len(alone[0][0]) + len(alone[1][0])
+    order = both[1][0].argsort()
+    for number in range(1, 5):
+        expected = torch.cat([each[number] for each in alone], dim=-1)
+        torch.testing.assert_close(both[number][..., order], expected, rtol=1e-4, atol=1e-6)
+
+
+def test_no_spotlights_give_no_ellipsoids(camera):
+    for record in (RecordBuffer(camera), wall_record(camera)):
+        found = fit_ellipsoids(record, camera, 0.1)
+        assert [tuple(part.shape) for part in found] == [(0,), (3, 0), (6, 0), (0,), (0,)]
+        assert not found[0].is_floating_point() and all(part.dtype == torch.float32 for part in found[1:])
+
+
+def test_the_ellipsoid_of_one_cell_is_as_wide_as_the_cell(camera):
+    """A square's standard deviation is its side over √12."""
+    record = wall_record(camera)
+    light_up(record, camera, torch.tensor([200.0]), 20.0, 4.0)
+    _, mean, outline, largest, energy = fit_ellipsoids(record, camera, 0.1)
+    width = float(mean[2]) * camera.pixel_slope
+    assert float(largest / width) == pytest.approx(AXES / 12.0**0.5, rel=1e-4)
+    thin, *wide = half_axes(outline)[:, 0] / width
+    assert [float(axis) for axis in wide] == pytest.approx([AXES / 12.0**0.5] * 2, rel=1e-4)
+    assert float(energy) > 0.0 and outline.isfinite().all()
+
+
+def random_patches(camera: ThinLensCamera, light: float = 1.0) -> RecordBuffer:
+    """Many small patches, many samples a cell, of all depths and brightnesses."""
+    generator = torch.Generator().manual_seed(0)
+    record = RecordBuffer(camera)
+    row, column = torch.meshgrid(torch.arange(record.height) + 0.5, torch.arange(record.width) + 0.5, indexing="ij")
+    points = points_at(camera, column.ravel() - record.border, row.ravel() - record.border, WALL * camera.lens.focus_distance / 2.0)
+    record.add(record.cells(camera, points), points, torch.full((points.shape[1],), 0.1 * light))
+    cells = torch.rand(2, 20_000, generator=generator)
+    bright = torch.exp(3.0 * torch.randn(20_000, generator=generator))
+    depth = camera.lens.focus_distance * torch.exp(0.3 + 1.5 * torch.rand(20_000, generator=generator))
+    points = points_at(camera, WIDTH * cells[0], HEIGHT * cells[1], depth)
+    record.add(record.cells(camera, points), points, bright * light)
+    return record
+
+
+def test_outlines_are_those_of_ellipsoids(camera):
+    """No half axis is imaginary, and the largest is that of the ellipsoid seen along the axis."""
+    _, mean, outline, largest, energy = fit_ellipsoids(random_patches(camera), camera, 1.0)
+    assert len(largest) > 50
+    axes = half_axes(outline)  # asserts that they are
+    assert (axes[2] > 0.0).all() and (largest > 0.0).all() and (energy > 0.0).all() and (mean[2] > 0.0).all()
+    xx, xy, _, yy, _, _ = outline.double()
+    upright = torch.linalg.eigvalsh(torch.stack((xx, xy, xy, yy), dim=1).reshape(-1, 2, 2)).sqrt()
+    torch.testing.assert_close(largest.double(), upright[:, 1], rtol=1e-3, atol=0.0)
+    assert (upright[:, 0] >= AXES / 12.0**0.5 * 0.999 * mean[2] * camera.pixel_slope / 3.0).all()
+
+
+@pytest.mark.parametrize("light, length", [(0.01, 1.0), (100.0, 1.0), (1.0, 0.01), (1.0, 100.0), (1e-6, 1e-3), (1e12, 1e3)])
+def test_ellipsoids_do_not_depend_on_the_units(camera, light, length):
+    view = replace(CAMERA, aperture_radius=CAMERA.aperture_radius * length, focus_distance=CAMERA.focus_distance * length)
+    other = ThinLensCamera(view, WIDTH, HEIGHT)
+    cells, mean, outline, largest, energy = fit_ellipsoids(random_patches(camera), camera, 1.0)
+    scaled = fit_ellipsoids(random_patches(other, light), other, light)
+    assert len(set(cells.tolist()) ^ set(scaled[0].tolist())) <= 1 and scaled[1].shape == mean.shape
+    torch.testing.assert_close(scaled[1] / length, mean, rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(scaled[2] / scaled[3].square(), outline / largest.square(), rtol=1e-2, atol=1e-2)
+    torch.testing.assert_close(scaled[3] / length, largest, rtol=1e-2, atol=0.0)
+    torch.testing.assert_close(scaled[4] / (light * length**2), energy, rtol=1e-2, atol=0.0)
+
+
+@pytest.mark.parametrize("radiance", [1e-30, 1e30, 1e36])
+def test_ellipsoids_of_any_brightness_are_numbers(camera, radiance):
+    """A patch far away, 1000 focus distances off, as the record has the environment."""
+    record = RecordBuffer(camera)
+    light_where(record, camera, disc(200.0, 20.0, 4.0), 1000.0 * CAMERA.focus_distance, radiance)
+    _, mean, outline, largest, _ = fit_ellipsoids(record, camera, radiance / 100.0)
+    width = float(mean[2]) * camera.pixel_slope
+    assert float(mean[2]) == pytest.approx(1000.0 * CAMERA.focus_distance, rel=1e-3)
+    assert outline.isfinite().all() and float(largest / width) == pytest.approx(0.5 * AXES * 4.0, rel=0.1)
+
+
+def test_the_ellipsoids_that_a_render_finds_are_its_lamps(ellipsoids_of_lamps):
+    """Of lamps under a dim sky: as far, and as wide as AXES has it, give or take the cells' width."""
+    _, mean, _, largest, _ = ellipsoids_of_lamps
+    assert len(largest) == len(scenes.LAMP_RADII)
+    for (x, y, z), radius in zip(scenes.LAMP_CENTRES, scenes.LAMP_RADII):
+        nearest = int((mean - torch.tensor([[x], [y], [-z]])).square().sum(0).argmin())
+        assert float(mean[2, nearest]) == pytest.approx(-z, rel=0.03)
+        assert 0.9 * radius < float(largest[nearest]) < 1.7 * radius
+
+
+@pytest.fixture(scope="module")
+def ellipsoids_of_lamps() -> tuple[Tensor, ...]:
+    loop = RenderLoop(scenes.lamps(256, 144), RenderSettings("lis", threads=1))
+    for _ in range(8):
+        loop.step()
+    return fit_ellipsoids(loop.guide.record, loop.camera, loop._mean_luminance)

@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 import scenes
 import torch
+import trimesh
 
 from bokehguide.models.disc_distribution import balls
 from bokehguide.models.projection import project_to_lens
+from bokehguide.render.mirrors import MirrorImages
+from bokehguide.render.random import PixelRandom
+from bokehguide.render.timer import PhaseTimer
 from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_box, unit_rectangle, unit_sphere
 from bokehguide.scene.types import Environment, Material, Mesh, Scene
 from bokehguide.train import RenderLoop, RenderSettings, spot_guide
+from bokehguide.train.fitting import AXES
 from bokehguide.train.guide import GuidedBatch
 from bokehguide.train.known_lamps import REACH
 from bokehguide.train.record_buffer import FAR
@@ -234,3 +239,128 @@ def test_a_fresh_guide_that_loads_the_state_draws_alike(tmp_path):
     old, new = (guide._mixture(slice(0, WIDTH * HEIGHT), focus)[0].pdf(points) for guide in (loop.guide, fresh))
     assert torch.equal(old, new) and int(fresh.block) == 9
     assert project_to_lens(fresh.field.mean[:, :1], focus[:, :1]).isfinite().all()
+
+
+OTHERS = {"behind": (0.0, 0.0, 5.0), "beside": (0.5, 0.2, 0.02), "aside": (9.0, 0.0, -3.0), "in focus": (0.0, 0.0, -2.0)}
+
+
+@pytest.mark.parametrize("centre", OTHERS.values(), ids=OTHERS)
+def test_lamps_are_known_whatever_else_their_mesh_holds(centre):
+    """Three lamps in sight, in one mesh with a lamp that sends nothing straight into the frame, or is in focus."""
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    mesh = spheres(np.array([*scenes.LAMP_CENTRES, centre]), np.array([*scenes.LAMP_RADII, 0.03]), material=0)
+    guide = rendered(replace(scene, meshes=(mesh,)), 16).guide
+    depths = np.sort(guide._lamps.field.mean[2].numpy())
+    for depth in -scenes.LAMP_CENTRES[:, 2]:
+        assert np.abs(depths - depth).min() < 0.01
+    assert len(guide.spotlights) == 0 and len(guide.field) == len(depths)
+
+
+def annulus(centre: tuple[float, float, float], radius: float) -> Mesh:
+    """A thin flat ring, whose outline has many times the area that it shows, across the view."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 61)[:-1]
+    rim = np.stack((np.cos(angles), np.sin(angles), 0.0 * angles), axis=1)
+    inner, outer = np.arange(60, dtype=np.int32), np.arange(60, 120, dtype=np.int32)
+    beside = np.roll(outer, -1)
+    triangles = np.concatenate((np.stack((inner, outer, beside), 1), np.stack((inner, beside, np.roll(inner, -1)), 1)))
+    return Mesh((centre + np.concatenate((0.99 * rim, 1.01 * rim)) * radius).astype(np.float32), triangles, 0)
+
+
+def test_what_lights_the_picture_and_is_no_lamp_of_the_field_is_not_known():
+    """A ring close beside the lens, whose other half sees it: too much of a tangle to be a lamp."""
+    scene = replace(scenes.lamps(WIDTH, HEIGHT), meshes=(annulus((0.13, 0.0, -0.2), 0.02),), environment=None)
+    loop = rendered(replace(scene, materials=(replace(scenes.LAMP, double_sided=True),)), 64)
+    assert float(loop.film.radiance().max()) > 0.1 and len(loop.guide.field) == 0
+    assert not loop.guide._lamps.triangles.any()
+
+
+BALL, RADIUS = np.array([0.0, 0.0, -7.0]), 2.0
+AROUND = np.array([[2.0, 1.2, 0.0], [-2.2, 0.8, 0.5], [0.6, -1.6, 0.3]])
+
+
+def ball_of_lamps() -> Scene:
+    """Three lamps beside and behind the camera, far from its focus, mirrored in a metal ball that fills the frame."""
+    camera = replace(scenes.lamps(WIDTH, HEIGHT).camera, fov=12.0, aperture_radius=0.3)
+    lamps = spheres(AROUND, 0.3, material=0)
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    points = np.asarray(ball.vertices)
+    metal = Mesh((BALL + RADIUS * points).astype(np.float32), ball.faces.astype(np.int32), 1, points.astype(np.float32))
+    materials = (scenes.LAMP, Material("metal", (1.0, 1.0, 1.0), metallic=1.0, roughness=0.0))
+    scene = replace(scenes.lamps(WIDTH, HEIGHT), camera=camera, meshes=(lamps, metal), materials=materials, environment=None)
+    return replace(scene, film=replace(scene.film, max_depth=2))
+
+
+def images_in_the_ball() -> np.ndarray:
+    """Where the middle of the lens sees the lamps, camera frame `[3, 3]`: on the ball, where the normal halves the angle, and
+    from there on as far as a ball's image is on average over the principal planes."""
+    images = []
+    for lamp in AROUND:
+        normal = np.array([0.0, 0.0, 1.0])
+        for _ in range(100):
+            point = BALL + RADIUS * normal
+            normal = -point / np.linalg.norm(point) + (lamp - point) / np.linalg.norm(lamp - point)
+            normal /= np.linalg.norm(normal)
+        reached, cosine = np.linalg.norm(point), -normal @ point / np.linalg.norm(point)
+        behind = 1.0 / (1.0 / (np.linalg.norm(lamp - point) - 0.3) + (cosine + 1.0 / cosine) / RADIUS)
+        images.append(point * (1.0 + behind / reached))
+    return np.array(images) * (1.0, 1.0, -1.0)
+
+
+def share_of_bright_draws(loop: RenderLoop) -> float:
+    """Share of the draws from what was found that bring light, in pixels whose discs lie within the lens."""
+    pixels = WIDTH * HEIGHT
+    raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
+    focus = loop.camera.focus_points(raster)
+    mixture, _ = loop.guide._mixture(slice(0, pixels), focus)
+    mixture.beta = mixture.guided.float()
+    within = mixture.owner[mixture.center.norm(dim=0) < 0.8 * mixture.lens.radius].unique()
+    assert len(within) > 100
+    bright = []
+    for step in range(64):
+        points = mixture.sample(torch.rand(3, pixels, generator=torch.Generator().manual_seed(step)))
+        rays = loop.camera.rays(focus[:, within], points[:, within])
+        samples = loop.tracer.trace(*rays, PixelRandom(7, step, within), PhaseTimer())
+        bright.append(float((samples.radiance.amax(0) > 1.0).float().mean()))
+    return float(np.mean(bright))
+
+
+@pytest.fixture(scope="module")
+def found_on_a_ball() -> RenderLoop:
+    return rendered(ball_of_lamps(), 32)
+
+
+def test_highlights_on_a_metal_ball_are_found_where_its_images_are(found_on_a_ball):
+    """Each once, behind the ball's surface, within a tenth of what the ball's image lies behind it."""
+    expected, guide = images_in_the_ball(), found_on_a_ball.guide
+    assert len(guide._lamps.field) == 0 and len(guide.field) == 3
+    away = np.linalg.norm(guide.field.mean.T.numpy()[:, None] - expected, axis=2)
+    assert sorted(away.argmin(1)) == [0, 1, 2] and (away.min(1) < 0.03).all()
+
+
+def test_most_draws_meet_highlights_on_a_metal_ball(found_on_a_ball, monkeypatch):
+    """Nearly as many as AXES leaves of an even disc; far fewer where the highlights are taken to lie on the ball."""
+    share = share_of_bright_draws(found_on_a_ball)
+    monkeypatch.setattr(MirrorImages, "add", lambda *_: None)
+    loop = rendered(ball_of_lamps(), 32)
+    assert len(loop.guide.field) == 3 and float(loop.guide.field.mean[2].max()) < 5.2
+    assert share > 0.8 * (2.0 / AXES) ** 2 and share > 1.4 * share_of_bright_draws(loop)
+
+
+def test_what_was_found_is_drawn_alike_from_a_checkpoint(found_on_a_ball, tmp_path):
+    """With the very outlines, and from then on."""
+    torch.save(found_on_a_ball.guide.state_dict(), tmp_path / "guide.pt")
+    state = torch.load(tmp_path / "guide.pt", weights_only=True)
+    fresh = rendered(ball_of_lamps(), 0).guide
+    assert fresh.outlines.shape == (6, 0)
+    fresh.load_state_dict(state)
+    assert fresh.outlines.shape == (6, 3) and torch.equal(fresh.outlines, found_on_a_ball.guide.outlines)
+    pixels = WIDTH * HEIGHT
+    raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
+    focus, uniforms = fresh.camera.focus_points(raster), torch.rand(3, pixels, generator=torch.Generator().manual_seed(0))
+    old, new = (guide._mixture(slice(0, pixels), focus)[0] for guide in (found_on_a_ball.guide, fresh))
+    points = old.sample(uniforms)
+    assert torch.equal(points, new.sample(uniforms)) and torch.equal(old.pdf(points), new.pdf(points))
+    assert (old.chosen >= 0).sum() > 100
+    for outlines in (torch.full((6, 3), torch.nan), state["outlines"][:, :2]):
+        with pytest.raises(ValueError):
+            rendered(ball_of_lamps(), 0).guide.load_state_dict(state | {"outlines": outlines})

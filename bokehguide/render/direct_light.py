@@ -27,8 +27,8 @@ class DirectLight(NamedTuple):
     """One light sample for each of N paths.
 
     direction: unit, `[3, N]`; distance `[N]`; value: what it would bring, unshadowed, over its density and with its MIS
-    weight, `[3, N]`. Under a `LightChoice`, also its cluster, int64 `[N]`, and its worth (see `PathSamples`) if nothing
-    blocks it, `[N]`.
+    weight, `[3, N]`. Under a `LightChoice`, also its cluster, int64 `[N]`, its worth (see `PathSamples`) if nothing
+    blocks it, `[N]`, and the density with which the BSDF samples its direction, `[N]`.
     """
 
     direction: Tensor
@@ -36,6 +36,7 @@ class DirectLight(NamedTuple):
     value: Tensor
     cluster: Tensor | None = None
     worth: Tensor | None = None
+    pdf: Tensor | None = None
 
 
 def direct_light(
@@ -56,7 +57,7 @@ def direct_light(
     if choice is None:
         return DirectLight(light.direction, light.distance, _worth(light, other, None)[0])
     value, total = _worth(light, other, choice.visibility(light.cluster))
-    kept = _Kept(light.direction, light.distance, value, light.share, total, light.cluster)
+    kept = _Kept(light.direction, light.distance, value, light.share, total, light.cluster, other[1])
     for number in range(1, CANDIDATES):
         spare = random.uniform(FIRST_CANDIDATE + SPARE * number, 7)
         # The choice among clusters is even over the candidates, as it is over the steps.
@@ -65,11 +66,12 @@ def direct_light(
         kept, total = _better(kept, total, light, other, choice.visibility(light.cluster), spare[6])
     scale = total / (CANDIDATES * kept.target.clamp(min=1e-30))
     worth = luminance(kept.value) * (kept.share * scale).sqrt()
-    return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.cluster, worth)
+    return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.cluster, worth, kept.pdf)
 
 
 class _Kept(NamedTuple):
-    """The candidate that is kept so far; target: what it is kept by, the luminance it may be expected to bring, `[N]`."""
+    """The candidate that is kept so far; target: what it is kept by, the luminance it may be expected to bring, `[N]`;
+    pdf: the BSDF's."""
 
     direction: Tensor
     distance: Tensor
@@ -77,6 +79,7 @@ class _Kept(NamedTuple):
     share: Tensor
     target: Tensor
     cluster: Tensor
+    pdf: Tensor
 
 
 def _candidate(lights: Lights, query: LightQuery, scattering: Scattering, uniforms: Tensor) -> tuple[LightSample, tuple[Tensor, Tensor]]:
@@ -106,5 +109,5 @@ def _better(
     target = luminance(value) * seen
     total = total + target
     changes = uniform * total < target
-    new = (light.direction, light.distance, value, light.share, target, light.cluster)
+    new = (light.direction, light.distance, value, light.share, target, light.cluster, scattered[1])
     return _Kept(*(torch.where(changes, one, other) for one, other in zip(new, kept))), total

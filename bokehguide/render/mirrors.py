@@ -12,7 +12,7 @@ from torch import Tensor
 
 from bokehguide.render.geometry import Geometry
 from bokehguide.render.tracer import MISS_DISTANCE
-from bokehguide.render.vector import cross, dot, luminance, normalize
+from bokehguide.render.vector import cross, dot, length, luminance, normalize
 
 NARROW = 4.0
 """A BSDF that samples a direction with at least this density per steradian mirrors what lies there: GGX's α is below 0.14."""
@@ -21,40 +21,38 @@ GRAZING = 0.02
 
 
 class MirrorImages:
-    """Mirror images that N rays along unit directions `[3, N]` see in the first surfaces they meet.
+    """Mirror images that N rays see in the first surfaces they meet.
 
-    distance: along each ray, to the one of the last light that was added, in front of the mirror if it is hollow; light:
-    luminance, 0 where nothing was mirrored; `[N]` both.
+    directions: the rays', unit, `[3, N]`; triangle, reached: their first surfaces, int32, and the distances to them, `[N]`,
+    which may be written later. distance: along each ray, to that of the brightest light, MISS_DISTANCE where it is at infinity or behind the eye; light:
+    luminance of all that was mirrored; `[N]` both.
     """
 
-    def __init__(self, geometry: Geometry, directions: Tensor):
-        self._geometry, self._directions = geometry, directions
+    def __init__(self, geometry: Geometry, directions: Tensor, triangle: Tensor, reached: Tensor):
+        self._geometry, self._directions, self._triangle, self._reached = geometry, directions, triangle, reached
         self.distance, self.light = torch.zeros_like(directions[:2])
 
-    def add(
-        self, index: Tensor, triangle: Tensor, reached: Tensor, direction: Tensor, pdf: Tensor, distance: Tensor, radiance: Tensor
-    ) -> None:
-        """Add what some rays brought that went on from their first surface by its BSDF.
+    def add(self, index: Tensor, direction: Tensor, pdf: Tensor, distance: Tensor, radiance: Tensor) -> None:
+        """Add what some rays brought from beyond their first surface.
 
-        index: which rays, int64 `[K]`; triangle, reached: their first surface and its distance; direction `[3, K]`, pdf,
-        distance: in which they went on, with which density, and how far; radiance: what that brought, `[3, K]`.
+        index: which rays, int64 `[K]`; direction `[3, K]`, distance: where the light was from there; pdf: with which density
+        the BSDF samples that direction, `[K]`; radiance: what it brought, `[3, K]`.
         """
         light = luminance(radiance)
         narrow = ((pdf > NARROW) & (light > 0.0)).nonzero()[:, 0]
         if len(narrow) == 0:
             return
-        index, triangle, reached, direction, distance, light = (
-            values.index_select(-1, narrow) for values in (index, triangle, reached, direction, distance, light)
-        )
+        index, direction, distance, light = (v.index_select(-1, narrow) for v in (index, direction, distance, light))
+        triangle, reached = (values.index_select(0, index) for values in (self._triangle, self._reached))
         corners, normals = self._geometry.corners(triangle), self._geometry.corner_normals(triangle)
         incoming = self._directions.index_select(1, index)
-        curved = 1.0 / distance + mirror_vergence(corners, normals, incoming)
-        image = reached + torch.where(curved < 0.0, curved.clamp(max=-1.0 / MISS_DISTANCE), curved.clamp(min=1.0 / MISS_DISTANCE)).reciprocal()
-        seen = (dot(incoming, normals[0]) * dot(direction, normals[0]) < 0.0) & (image > 0.0)
-        seen = seen.nonzero()[:, 0]
-        index = index.index_select(0, seen)
-        self.distance.index_copy_(0, index, image.index_select(0, seen))
-        self.light.index_copy_(0, index, light.index_select(0, seen))
+        vergence = 1.0 / distance + mirror_vergence(corners, normals, incoming)
+        behind = reached + 1.0 / torch.where(vergence < 0.0, vergence.clamp(max=-1e-37), vergence.clamp(min=1e-37))
+        image = torch.where(behind > 0.0, behind.clamp(max=MISS_DISTANCE), MISS_DISTANCE)
+        light = light * (dot(incoming, normals[0]) * dot(direction, normals[0]) < 0.0)  # none through glass
+        before = self.light.index_select(0, index)
+        self.distance.index_copy_(0, index, torch.where(light > before, image, self.distance.index_select(0, index)))
+        self.light.index_copy_(0, index, before + light)
 
 
 def mirror_vergence(corners: Tensor, normals: Tensor, incoming: Tensor) -> Tensor:
@@ -78,8 +76,11 @@ def mirror_vergence(corners: Tensor, normals: Tensor, incoming: Tensor) -> Tenso
 def _curvature(corners: Tensor, normals: Tensor, along: Tensor) -> Tensor:
     """Normal curvature `[N]` of triangles along unit tangents `[3, N]`, positive where the side of their normals bulges."""
     first, second = corners[1] - corners[0], corners[2] - corners[0]
-    aa, ab, bb = dot(first, first), dot(first, second), dot(second, second)
-    a, b = dot(along, first), dot(along, second)
-    area = (aa * bb - ab * ab).clamp(min=1e-37)
-    u, v = (a * bb - b * ab) / area, (b * aa - a * ab) / area
+    base = length(first).clamp(min=1e-30)
+    first = first / base
+    skew = dot(first, second)
+    second = second - skew * first
+    height = length(second).clamp(min=1e-30)
+    v = dot(along, second / height) / height
+    u = (dot(along, first) - v * skew) / base
     return dot(along, u * (normals[1] - normals[0]) + v * (normals[2] - normals[0]))

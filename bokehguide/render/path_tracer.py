@@ -148,10 +148,10 @@ class PathTracer:
             index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random, None
         )
         last = max_depth or self.max_depth
-        images = None if choose is None else MirrorImages(self.geometry, direction)
+        images = None if choose is None else MirrorImages(self.geometry, direction, result.triangle, result.distance)
         for depth in range(1, last + 1):
             paths = self._segment(
-                paths, depth, depth == last, choose if depth == 1 else None, images if depth == 2 else None, result, timer
+                paths, depth, depth == last, choose if depth == 1 else None, images, result, timer
             )
             if len(paths.index) == 0:
                 break
@@ -175,7 +175,8 @@ class PathTracer:
             dimension = FIRST_CROSSING + MAX_CROSSINGS * depth
             hit, rays = self._opacity.nearest(paths.origin, paths.direction, paths.random, dimension)
         result.rays += rays
-        paths, hit = self._end_in_environment(paths, hit, depth, images, result)
+        mirrored = images if depth == 2 else None
+        paths, hit = self._end_in_environment(paths, hit, depth, mirrored, result)
         if len(paths.index) == 0:
             return paths
         surface = self.geometry.surface(paths.origin, paths.direction, hit)
@@ -188,7 +189,7 @@ class PathTracer:
         transmittance = self.geometry.transmittance(hit, surface.front)
         if transmittance is not None:
             paths.throughput *= transmittance
-        self._add_emission(paths, hit, surface, images, result)
+        self._add_emission(paths, hit, surface, mirrored)
         if depth == 1:
             result.emission.index_copy_(1, paths.index, paths.radiance)
         paths.choice = None if choose is None else choose(surface.position)
@@ -201,7 +202,7 @@ class PathTracer:
         choice = draw(dimension, 1)[0] if self.geometry.materials.has_transmission else None
         scattering = Scattering(surface, choice)
         if not self.lights.empty:
-            self._add_direct_light(paths, surface, scattering, draw(dimension + 5, 6), result, timer)
+            self._add_direct_light(paths, surface, scattering, draw(dimension + 5, 6), images, result, timer)
         return self._scatter(paths, surface, scattering, draw(dimension + 1, 4), depth, result)
 
     def _end_in_environment(
@@ -219,16 +220,14 @@ class PathTracer:
             arrived = gone.throughput * environment.radiance(gone.direction) * weight
             gone.radiance += arrived
             if images is not None:
-                _mirror(images, gone, torch.full_like(weight, MISS_DISTANCE), arrived, result)
+                images.add(gone.index, gone.direction, gone.pdf, torch.full_like(weight, MISS_DISTANCE), arrived)
             if depth == 1:
                 result.alpha[gone.index] = environment.alpha(gone.direction)
         _finish(gone, result)
         kept = (hit.triangle >= 0).nonzero()[:, 0]
         return paths.select(kept), Hit(*(field.index_select(0, kept) for field in hit))
 
-    def _add_emission(
-        self, paths: _Paths, hit: Hit, surface: Surface, images: MirrorImages | None, result: PathSamples
-    ) -> None:
+    def _add_emission(self, paths: _Paths, hit: Hit, surface: Surface, images: MirrorImages | None) -> None:
         """Add what the surfaces that were hit emit, weighed against light sampling."""
         material = self.geometry.material.index_select(0, hit.triangle)
         index = self.geometry.materials.emissive.index_select(0, material).nonzero()[:, 0]
@@ -248,7 +247,8 @@ class PathTracer:
         arrived = paths.throughput.index_select(1, index) * radiance * weight
         paths.radiance.index_add_(1, index, arrived)
         if images is not None:
-            _mirror(images, paths.select(index), distance, arrived, result)
+            rays, direction, pdf = (values.index_select(-1, index) for values in (paths.index, paths.direction, paths.pdf))
+            images.add(rays, direction, pdf, distance, arrived)
 
     def _add_direct_light(
         self,
@@ -256,6 +256,7 @@ class PathTracer:
         surface: Surface,
         scattering: Scattering,
         uniforms: Tensor,
+        images: MirrorImages | None,
         result: PathSamples,
         timer: PhaseTimer,
     ) -> None:
@@ -269,8 +270,10 @@ class PathTracer:
         visibility = torch.zeros_like(light.distance)
         visibility.index_copy_(0, index, share)
         result.rays += rays
-        paths.radiance += contribution * visibility
+        contribution *= visibility
+        paths.radiance += contribution
         if paths.choice is not None:
+            images.add(paths.index, light.direction, light.pdf, light.distance, contribution)
             found = (paths.choice.row, light.cluster, light.worth * visibility, visibility)
             kept = (result.light_row, result.light_cluster, result.light_worth, result.light_seen)
             for values, value in zip(kept, found):
@@ -320,12 +323,6 @@ def _next_segment(
         survival = chance * (uniform < chance)
         throughput = throughput / chance.clamp(min=1e-20)
     return surface.leave(direction), throughput, survival
-
-
-def _mirror(images: MirrorImages, paths: _Paths, distance: Tensor, arrived: Tensor, result: PathSamples) -> None:
-    """Tell where paths that met light after `distance` `[K]` see it, which brought `arrived` `[3, K]`."""
-    triangle, reached = (values.index_select(0, paths.index) for values in (result.triangle, result.distance))
-    images.add(paths.index, triangle, reached, paths.direction, paths.pdf, distance, arrived)
 
 
 def _finish(paths: _Paths, result: PathSamples) -> _Paths:

@@ -53,7 +53,7 @@ def label_patches(record: RecordBuffer, cells: Tensor, depth: Tensor, width: Ten
 
 def fit_ellipsoids(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> tuple[Tensor, ...]:
     """One ellipsoid for each patch of spotlight cells: the cells `[K]`; means `[3, G]`, outlines `[6, G]` (see
-    `DiscLensDistribution`), largest half axes and energies `[G]`.
+    `DiscLensDistribution`), largest half axes as the lens sees them and energies `[G]`.
 
     Mean and covariance are those of the light, not of the patch: a few cells at the edge, which a highlight seldom
     reaches, would make the box around them several times as large.
@@ -62,17 +62,18 @@ def fit_ellipsoids(record: RecordBuffer, camera: ThinLensCamera, mean_luminance:
     width = points[2] * camera.pixel_slope
     patch = label_patches(record, cells, points[2], width)
     count = int(patch.max()) + 1 if len(patch) else 0
-    light = record.radiance().reshape(-1)[cells] * width * width
+    light = record.radiance().reshape(-1)[cells].double() * width * width
+    energy = torch.zeros(count, device=points.device, dtype=torch.float64).index_add_(0, patch, light)
+    share = (light / energy[patch]).float()
     empty = torch.zeros(6, count, device=points.device)
-    energy = empty[0].index_add(0, patch, light)
-    share = light / energy[patch]
     mean = empty[:3].index_add(1, patch, share * points)
     x, y, z = points - mean[:, patch]
     within = width * width / 12.0  # of a cell, lit evenly
     moments = torch.stack((x * x + within, x * y, x * z, y * y + within, y * z, z * z))
     outline = AXES * AXES * empty.index_add(1, patch, share * moments)
     spread = 0.5 * (outline[0] + outline[3])
-    return cells, mean, outline, (spread + ((outline[0] - spread).square() + outline[1].square()).sqrt()).sqrt(), energy
+    radius = (spread + ((outline[0] - spread).square() + outline[1].square()).sqrt()).sqrt()
+    return cells, mean, outline, radius, energy.clamp(max=torch.finfo(torch.float32).max).float()
 
 
 def fit_gaussians(field: GaussianField, record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> Tensor:

@@ -62,8 +62,7 @@ def known_lamps(scene: Scene, camera: ThinLensCamera) -> KnownLamps:
     seen &= (away > radius) & (WIDEST * away * lens.radius > radius * lens.focus_distance)
     field = GaussianField()
     field.assign(mean[:, seen], radius[seen], radius[seen], energy[seen])
-    left_out = (~seen & _in_sight(mean, radius, camera)).numpy()
-    known = torch.from_numpy(~np.append(left_out, False)[lamps.triangles])  # -1 is the last
+    known = torch.from_numpy(np.append(seen.numpy(), True)[lamps.triangles])  # -1 is the last
     whole_sky = bool(infinite.any() and seen[infinite & _in_sight(mean, radius, camera)].all())
     shapes = _shapes(scene, lamps, seen, camera)
     device = camera.position.device

@@ -1,0 +1,464 @@
+"""Where mirrored light appears to be: a pencil of rays traced by hand off a quadric, and whole paths off real mirrors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from bokehguide.render.light_choice import LightChoice
+from bokehguide.render.mirrors import mirror_vergence
+from bokehguide.render.path_tracer import PathSamples, PathTracer
+from bokehguide.render.random import PixelRandom
+from bokehguide.render.timer import PhaseTimer
+from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.scene.types import Material, Mesh, Scene
+from tests.tracing import lamp, matte, rectangle, scene, sky, sphere
+
+FINE = 1e-4
+"""Displacements within a pencil, metres."""
+SIZE = 0.005
+"""Of the triangles that stand for a surface."""
+
+
+@dataclass(frozen=True)
+class Quadric:
+    """The points p, near the origin, of p·Ap + b·p = 0, in double precision. The normal at the origin is b's direction."""
+
+    a: np.ndarray
+    b: np.ndarray
+
+    def normal(self, point: np.ndarray) -> np.ndarray:
+        return unit(2.0 * self.a @ point + self.b)
+
+    def hit(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Where a line meets it, nearest the origin of space."""
+        square, linear = direction @ self.a @ direction, 2.0 * origin @ self.a @ direction + self.b @ direction
+        rest = origin @ self.a @ origin + self.b @ origin
+        roots = [-rest / linear] if abs(square) < 1e-12 else np.roots([square, linear, rest]).real
+        return min((origin + root * direction for root in roots), key=np.linalg.norm)
+
+    def triangle(self, turn: float) -> tuple[np.ndarray, np.ndarray]:
+        """Corners and normals `[3, 3]` of a triangle around the origin, turned by an angle about the normal."""
+        upright = unit(self.b)
+        first, second = across(upright)
+        angles = turn + 2.0 * np.pi * np.arange(3) / 3.0
+        flat = [SIZE * (math.cos(angle) * first + math.sin(angle) * second) for angle in angles]
+        corners = [self.hit(point, upright) for point in flat]
+        return np.array(corners), np.array([self.normal(corner) for corner in corners])
+
+
+def unit(vector) -> np.ndarray:
+    return np.asarray(vector, np.float64) / np.linalg.norm(vector)
+
+
+def across(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors perpendicular to a direction and to each other."""
+    first = unit(np.cross(direction, (0.3, 0.9, -0.1)))
+    return first, np.cross(direction, first)
+
+
+def mirrored(direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    return direction - 2.0 * (direction @ normal) * normal
+
+
+def bulging(radius: float) -> Quadric:
+    """A ball whose outside faces +z; hollow where the radius is negative."""
+    return Quadric(np.eye(3) / (2.0 * radius), np.array([0.0, 0.0, 1.0]))
+
+
+def rod(radius: float, degrees: float) -> Quadric:
+    """A cylinder whose outside faces +z and whose axis is turned by an angle from x."""
+    side = np.array([-math.sin(math.radians(degrees)), math.cos(math.radians(degrees)), 0.0])
+    return Quadric((np.outer(side, side) + np.diag([0.0, 0.0, 1.0])) / (2.0 * radius), np.array([0.0, 0.0, 1.0]))
+
+
+PLANE = Quadric(np.zeros((3, 3)), np.array([0.0, 0.0, 1.0]))
+EGG = Quadric(np.array([[0.9, 0.2, 0.1], [0.2, 0.4, -0.1], [0.1, -0.1, 0.6]]), np.array([0.0, 0.0, 1.0]))
+SADDLE = Quadric(np.array([[0.5, 0.4, 0.0], [0.4, -0.3, 0.0], [0.0, 0.0, 0.0]]), np.array([0.0, 0.0, 1.0]))
+SURFACES = {
+    "plane": PLANE,
+    "ball": bulging(0.7),
+    "bowl": bulging(-3.0),
+    "rod": rod(0.7, 0.0),
+    "rod askew": rod(0.7, 35.0),
+    "rod upright": rod(0.7, 90.0),
+    "gutter askew": rod(-3.0, 35.0),
+    "egg": EGG,
+    "saddle": SADDLE,
+}
+
+
+def incoming(degrees: float) -> np.ndarray:
+    """The direction of a ray that meets the xy plane from above, at an angle to its normal."""
+    return np.array([math.sin(math.radians(degrees)), 0.0, -math.cos(math.radians(degrees))])
+
+
+def meetings(surface: Quadric, direction: np.ndarray, lamp_distance: float) -> np.ndarray:
+    """Inverse distances behind the origin at which rays of a lamp's pencil meet the middle one, the least and the largest.
+
+    The middle one comes back along `direction`. Rays are displaced to all sides of it: where they come nearest to it is as
+    seen in the plane through it that they begin in, and the two extremes lie in the principal planes.
+    """
+    from_lamp = -mirrored(direction, surface.normal(np.zeros(3)))
+    place = -lamp_distance * from_lamp
+    found = []
+    for angle in np.arange(0.0, np.pi, np.pi / 180.0):
+        first, second = across(from_lamp)
+        aside = math.cos(angle) * first + math.sin(angle) * second
+        way = unit(from_lamp + FINE / lamp_distance * aside), unit(from_lamp - FINE / lamp_distance * aside)
+        found.append(np.mean([meeting(surface, place, each, direction) for each in way]))
+    return np.array([min(found), max(found)])
+
+
+def meeting(surface: Quadric, place: np.ndarray, way: np.ndarray, direction: np.ndarray) -> float:
+    """Inverse distance along `direction` at which a ray's mirror image crosses the line through the origin."""
+    point = surface.hit(place, way)
+    back = mirrored(way, surface.normal(point))
+    slope = back / (back @ direction) - direction
+    offset = point - (point @ direction) * (slope + direction)
+    return -(slope @ offset) / (offset @ offset)
+
+
+def vergence(surface: Quadric, direction: np.ndarray, turn: float = 0.4, backwards: bool = False, flipped: bool = False) -> float:
+    """What is tested, of a small triangle about the origin. backwards: the corners' order; flipped: the normals' side."""
+    corners, normals = surface.triangle(turn)
+    order = [2, 1, 0] if backwards else [0, 1, 2]
+    return float(of_triangle(corners[order], normals[order] * (-1.0 if flipped else 1.0), direction))
+
+
+def of_triangle(corners, normals, direction) -> torch.Tensor:
+    """`mirror_vergence` of one triangle, `[1]`."""
+    values = (torch.tensor(np.asarray(values), dtype=torch.float32)[..., None] for values in (corners, normals, direction))
+    return mirror_vergence(*values)
+
+
+def test_the_pencils_find_what_is_in_textbooks():
+    """Straight on: a lamp 2 m before a ball of 1 m is seen 0.4 m behind it, the sun half a radius before a bowl."""
+    down = np.array([0.0, 0.0, -1.0])
+    np.testing.assert_allclose(meetings(PLANE, down, 2.0), 0.5, rtol=1e-5)
+    np.testing.assert_allclose(meetings(bulging(1.0), down, 2.0), 2.5, rtol=1e-5)
+    np.testing.assert_allclose(meetings(bulging(-1.0), down, 1e4), -2.0, rtol=1e-3)
+    np.testing.assert_allclose(meetings(rod(1.0, 20.0), down, 2.0), [0.5, 2.5], rtol=1e-3)  # looks at every degree
+
+
+@pytest.mark.parametrize("distance", [0.5, 4.0, 1e4])
+@pytest.mark.parametrize("degrees", [0.0, 20.0, 50.0, 75.0])
+@pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES)
+def test_the_image_is_where_pencils_of_rays_meet(surface, degrees, distance):
+    """On average over the principal planes, as inverse distances; whatever the lamp's distance."""
+    direction = incoming(degrees)
+    expected = meetings(surface, direction, distance).mean() - 1.0 / distance
+    assert vergence(surface, direction) == pytest.approx(expected, rel=2e-3, abs=2e-4)
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("name", ["ball", "bowl", "rod askew", "egg"])
+def test_neither_the_winding_nor_the_side_of_the_normals_matters(name, flipped, backwards):
+    direction = incoming(40.0)
+    expected = meetings(SURFACES[name], direction, 3.0).mean() - 1.0 / 3.0
+    assert abs(expected) > 0.5
+    assert vergence(SURFACES[name], direction, 0.0, backwards, flipped) == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("turn", np.linspace(0.0, 6.0, 7))
+def test_the_triangles_own_orientation_does_not_matter(turn):
+    for direction in (incoming(0.0), incoming(60.0)):
+        expected = meetings(EGG, direction, 3.0).mean() - 1.0 / 3.0
+        assert vergence(EGG, direction, turn) == pytest.approx(expected, rel=2e-3)
+
+
+def test_the_back_of_a_bulging_surface_is_hollow():
+    """The same triangle from both sides: from inside, what bulges is a bowl."""
+    for degrees in (0.0, 50.0):
+        corners, normals = bulging(0.7).triangle(0.4)
+        outside, inside = (of_triangle(corners, normals, side * incoming(degrees)) for side in (1.0, -1.0))
+        assert float(outside) > 1.0 and float(inside) == pytest.approx(-float(outside), rel=1e-3)
+
+
+def test_flat_faces_bring_nothing_nearer():
+    """A ball's faces with the normal of the face at each corner."""
+    corners, _ = bulging(0.7).triangle(0.4)
+    face = unit(np.cross(corners[1] - corners[0], corners[2] - corners[0]))
+    for degrees in (0.0, 40.0, 89.0):
+        assert float(of_triangle(corners, [face] * 3, incoming(degrees))) == 0.0
+
+
+@pytest.mark.parametrize("segments", [16, 64, 256])
+def test_long_thin_triangles_are_as_round_as_their_rod(segments):
+    """Those of a rod 2 m long and 4 cm thick: straight on, half the curvature of a ball, from each corner."""
+    radius, step = 0.02, 2.0 * np.pi / segments
+    angles = np.array([0.0, step, step]) - 2.0 / 3.0 * step
+    normals = np.stack((np.sin(angles), np.zeros(3), np.cos(angles)), axis=1)
+    corners = radius * normals + np.array([[0.0, -1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+    for first in range(3):
+        found = of_triangle(np.roll(corners, first, 0), np.roll(normals, first, 0), (0.0, 0.0, -1.0))
+        assert float(found) == pytest.approx(1.0 / radius, rel=0.05)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-3, 1e3, 1e6])
+def test_the_unit_of_length_does_not_matter(size):
+    corners, normals = EGG.triangle(0.4)
+    direction = incoming(50.0)
+    assert float(of_triangle(size * corners, normals, direction)) * size == pytest.approx(vergence(EGG, direction), rel=1e-3)
+
+
+def degenerate() -> tuple[np.ndarray, np.ndarray]:
+    """Corners and normals `[M, 3, 3]` of triangles that are points, lines or needles, or that have lost their normals."""
+    corners, normals = bulging(0.7).triangle(0.4)
+    a, b, c = corners
+    shapes = [[a, a, a], [a, a, b], [a, b, a], [b, a, a], [a, b, a + 0.5 * (b - a)], [a, b, a + (1.0 + 1e-6) * (b - a)]]
+    shapes += [1e-12 * corners, 1e-20 * corners, 1e12 * corners, np.zeros((3, 3))]
+    others = [normals, np.zeros((3, 3)), [normals[0], -normals[0], normals[1]], [normals[0]] * 3]
+    pairs = [(shape, other) for shape in [*shapes, corners] for other in others]
+    return tuple(np.array(values) for values in zip(*pairs))
+
+
+def test_degenerate_triangles_and_grazing_rays_give_numbers():
+    corners, normals = degenerate()
+    angles = [0.0, 1e-6, 45.0, 89.0, 89.999, 90.0, 90.001, 135.0, 180.0]
+    directions = [*(incoming(degrees) for degrees in angles), np.zeros(3)]
+    for direction in directions:
+        ways = np.broadcast_to(direction, (len(corners), 3)).T
+        values = (np.moveaxis(corners, 0, 2), np.moveaxis(normals, 0, 2), ways)
+        found = mirror_vergence(*(torch.tensor(value, dtype=torch.float32) for value in map(np.array, values)))
+        assert found.shape == (len(corners),) and not found.isnan().any()
+
+
+# Whole paths.
+
+COUNT = 2000
+POLISHED = Material("polished", (1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
+BRIGHT = lamp(100.0)
+EYE = np.zeros(3)
+
+
+def as_in_a_render(points: torch.Tensor) -> LightChoice:
+    """How lights are chosen at first surfaces while nothing is learnt."""
+    return LightChoice(torch.zeros(points.shape[1], dtype=torch.int64), None, 1)
+
+
+def traced(scene: Scene, directions, choose=as_in_a_render, count: int = COUNT) -> PathSamples:
+    """Paths from the eye; directions: one, or `[3, N]`."""
+    directions = np.asarray(directions, np.float64)
+    directions = np.repeat(directions[:, None], count, axis=1) if directions.ndim == 1 else directions
+    directions = torch.tensor(directions / np.linalg.norm(directions, axis=0), dtype=torch.float32)
+    random = PixelRandom(0, 1, torch.arange(directions.shape[1]))
+    with torch.no_grad():
+        return PathTracer(scene).trace(torch.zeros_like(directions), directions, random, PhaseTimer(), choose=choose)
+
+
+def lit(samples: PathSamples) -> np.ndarray:
+    """Images `[M]` that the rays see that brought light."""
+    assert not samples.image.isnan().any() and (samples.image > 0.0).all()
+    return samples.image[samples.radiance.amax(0) > 0.0].double().numpy()
+
+
+def beyond(samples: PathSamples) -> np.ndarray:
+    """Of those, the images that are not at the first surface: all but a few, as one ray in a hundred leaves a mirror astray."""
+    found = lit(samples)
+    own = samples.distance[samples.radiance.amax(0) > 0.0].double().numpy()
+    assert len(found) > 0.9 * len(samples.image) and np.mean(found == own) < 0.02
+    return found[found != own]
+
+
+MIRROR = rectangle(0, (0.0, 0.0, -4.0), (10.0, -15.0, 0.0), 2.0)
+LAMP_PLACE = np.array([1.2, 0.9, -0.5])
+
+
+def image_in_mirror(place: np.ndarray) -> np.ndarray:
+    """Where a point is seen in MIRROR."""
+    corners = MIRROR.vertices[MIRROR.triangles[0]].astype(np.float64)
+    normal = unit(np.cross(corners[1] - corners[0], corners[2] - corners[0]))
+    return place - 2.0 * ((place - corners[0]) @ normal) * normal
+
+
+def flat_mirror(material: Material = POLISHED, radius: float = 0.1, mirror: Mesh = MIRROR) -> Scene:
+    return scene([mirror, sphere(1, LAMP_PLACE, radius)], [material, BRIGHT])
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_a_flat_mirror_shows_a_lamp_as_far_behind_it(flipped):
+    """At the length of the unfolded ray, to the lamp's surface; from the mirror's front and from its back."""
+    mirror = replace(MIRROR, triangles=np.ascontiguousarray(MIRROR.triangles[:, ::-1])) if flipped else MIRROR
+    place = image_in_mirror(LAMP_PLACE)
+    samples = traced(flat_mirror(mirror=mirror), place)
+    np.testing.assert_allclose(beyond(samples), np.linalg.norm(place) - 0.1, rtol=0.006)
+
+
+@pytest.mark.parametrize("roughness, radius", [(0.05, 0.1), (0.1, 0.1), (0.1, 0.03), (0.2, 0.1)])
+def test_polished_mirrors_show_lamps_smaller_than_their_lobe_where_they_are(roughness, radius):
+    """Most of the light that they bring, whether by the BSDF's samples or by the light's."""
+    place = image_in_mirror(LAMP_PLACE)
+    samples = traced(flat_mirror(replace(POLISHED, roughness=roughness), radius), place, count=20_000)
+    light = samples.radiance[0].double().numpy()
+    behind = np.abs(samples.image.double().numpy() / np.linalg.norm(place) - 1.0) < 0.05
+    assert light[behind].sum() > 0.8 * light.sum() > 0.0
+
+
+def test_a_flat_mirror_shows_the_environment_at_infinity():
+    samples = traced(scene([MIRROR], [POLISHED], sky(1.0)), (0.0, 0.0, -1.0))
+    assert (samples.distance < 5.0).all() and samples.image.isfinite().all()
+    assert (beyond(samples) >= np.float32(MISS_DISTANCE)).all()
+
+
+def test_the_rounding_of_a_flat_mirrors_normals_does_not_bring_the_environment_to_it():
+    """A finely cut mirror whose normals differ in their last digits: hollow in places, and as good as flat."""
+    points, triangles = MIRROR.vertices.astype(np.float64), MIRROR.triangles
+    for _ in range(6):
+        points, triangles = trimesh.remesh.subdivide(points, triangles)
+    normals = np.tile(unit(np.cross(points[1] - points[0], points[2] - points[0])), (len(points), 1))
+    mesh = Mesh(points.astype(np.float32), triangles.astype(np.int32), 0, normals.astype(np.float32))
+    noise = np.random.default_rng(0).integers(-1, 2, mesh.normals.shape)
+    mesh = replace(mesh, normals=mesh.normals + (noise * 2.0**-24).astype(np.float32))
+    directions = np.random.default_rng(1).uniform(-0.2, 0.2, (3, COUNT)) + np.array([[0.0], [0.0], [-1.0]])
+    samples = traced(scene([mesh], [POLISHED], sky(1.0)), directions)
+    assert (samples.distance < 10.0).all()
+    assert float((samples.image > 1e3).float().mean()) > 0.99
+
+
+BALL_CENTRE, BALL_RADIUS = np.array([0.0, 0.0, -4.0]), 0.5
+
+
+def fine_ball(centre: np.ndarray, radius: float) -> Mesh:
+    """Of 20,480 triangles, with exact normals."""
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    points = np.asarray(ball.vertices)
+    return Mesh((centre + radius * points).astype(np.float32), ball.faces.astype(np.int32), 0, points.astype(np.float32))
+
+
+def paraxial(degrees: float, radius: float, distance: float) -> float:
+    """Distance behind a ball's surface of the image, on average over the principal planes (as inverse distances)."""
+    cosine = math.cos(math.radians(degrees))
+    return 1.0 / (1.0 / distance + (cosine + 1.0 / cosine) / radius)
+
+
+@pytest.mark.parametrize("at", [0.0, 25.0, 50.0, 65.0])
+def test_a_metal_ball_shows_a_lamp_close_behind_its_surface(at):
+    """at: degrees around the ball, from the point nearest to the eye."""
+    normal = np.array([math.sin(math.radians(at)), 0.0, math.cos(math.radians(at))])
+    point = BALL_CENTRE + BALL_RADIUS * normal
+    direction, reached = unit(point), np.linalg.norm(point)
+    degrees = math.degrees(math.acos(-direction @ normal))
+    away, size = 3.0, 0.2
+    aside = np.array([0.0, 0.15, 0.0]) if at == 0.0 else 0.0  # or the lamp would surround the eye
+    place = point + away * unit(mirrored(direction, normal) + aside)
+    if at == 0.0:
+        direction = unit(point + np.array([0.0, 0.5 * 0.15 * BALL_RADIUS, 0.0]))
+    ball = fine_ball(BALL_CENTRE, BALL_RADIUS)
+    samples = traced(scene([ball, sphere(1, place, size)], [POLISHED, BRIGHT]), direction)
+    depth = paraxial(degrees, BALL_RADIUS, away - size)
+    np.testing.assert_allclose(beyond(samples) - reached, depth, atol=0.02 * BALL_RADIUS)
+    assert depth > 0.15 * BALL_RADIUS
+
+
+def test_a_metal_ball_shows_the_sky_half_a_radius_behind_it():
+    samples = traced(scene([sphere(0, BALL_CENTRE, BALL_RADIUS)], [POLISHED], sky(1.0)), BALL_CENTRE)
+    np.testing.assert_allclose(beyond(samples), 3.75, atol=0.01)
+
+
+def test_a_hollow_mirror_shows_a_lamp_before_it():
+    """A lamp 2 m before a bowl of 1 m radius, seen upside down in the air, 2/3 m before the bowl."""
+    hollow = sphere(0, (0.0, 0.0, -3.0), 1.0)
+    near = hollow.vertices[hollow.triangles].mean(1)[:, 2] < -3.5
+    hollow = replace(hollow, triangles=np.ascontiguousarray(hollow.triangles[near]))
+    place = np.array([0.0, 0.2, -2.0])
+    lens = scene([hollow, sphere(1, place, 0.1)], [POLISHED, BRIGHT])
+    directions = np.stack((np.zeros(400), np.linspace(-0.2, 0.2, 400), -np.ones(400)))
+    samples = traced(lens, directions)
+    seen = (samples.radiance.amax(0) > 1.0) & (samples.emission.amax(0) == 0.0)
+    assert int(seen.sum()) > 10
+    found = samples.image[seen & (samples.image != samples.distance)].numpy()
+    assert len(found) > 0.8 * int(seen.sum())
+    np.testing.assert_allclose(found, 4.0 + paraxial(0.0, -1.0, 2.0 - 0.1), atol=0.05)
+
+
+def test_a_ball_of_flat_faces_shows_what_flat_mirrors_show():
+    ball = replace(sphere(0, BALL_CENTRE, BALL_RADIUS), normals=None)
+    samples = traced(scene([ball], [POLISHED], sky(1.0)), BALL_CENTRE)
+    assert (beyond(samples) >= np.float32(MISS_DISTANCE)).all()
+
+
+DULL = {
+    "rough metal": Material("rough", (1.0, 1.0, 1.0), metallic=1.0, roughness=0.6),
+    "matte": matte(0.8),
+}
+
+
+@pytest.mark.parametrize("material", DULL.values(), ids=DULL)
+def test_dull_surfaces_are_seen_where_they_are(material):
+    for more in (flat_mirror(material), flat_mirror(material, 0.6)):
+        samples = traced(more, image_in_mirror(LAMP_PLACE))
+        assert len(lit(samples)) > 0.3 * COUNT and torch.equal(samples.image, samples.distance)
+    samples = traced(scene([MIRROR], [material], sky(1.0)), (0.0, 0.0, -1.0))
+    assert torch.equal(samples.image, samples.distance) and (samples.distance < 5.0).all()
+
+
+def test_lamps_and_skies_seen_directly_are_where_they_are():
+    """Also a lamp that mirrors another, dimmer one."""
+    shining = replace(POLISHED, emission=(1000.0, 1000.0, 1000.0))
+    samples = traced(flat_mirror(shining), image_in_mirror(LAMP_PLACE))
+    assert torch.equal(samples.image, samples.distance)
+    samples = traced(flat_mirror(), LAMP_PLACE)
+    assert (samples.emission > 0.0).all() and torch.equal(samples.image, samples.distance)
+    samples = traced(scene([rectangle(0, (0.0, 0.0, 1.0))], [POLISHED], sky(1.0)), (0.0, 0.0, -1.0))
+    assert (samples.image >= MISS_DISTANCE).all()
+
+
+GLASS = Material("glass", (1.0, 1.0, 1.0), transmission=1.0, roughness=0.0)
+PANE = replace(GLASS, thin=True)
+
+
+def test_light_that_comes_through_glass_is_seen_at_the_glass():
+    """A lamp behind a pane, and one on the table of a glass block; most rays go through, and none sees it elsewhere."""
+    for material, more in ((PANE, []), (GLASS, []), (GLASS, [rectangle(0, (0.0, 0.0, -4.2), (180.0, 0.0, 0.0), 2.0)])):
+        pane = rectangle(0, (0.0, 0.0, -4.0), scale=2.0)
+        through = scene([pane, *more, sphere(1, (0.0, 0.0, -7.0), 0.5)], [material, BRIGHT], max_depth=3)
+        samples = traced(through, (0.0, 0.0, -1.0))
+        assert len(lit(samples)) > 0.8 * COUNT
+        assert torch.equal(samples.image, samples.distance)
+        np.testing.assert_allclose(samples.distance.numpy(), 4.0, rtol=1e-5)
+
+
+def test_glass_mirrors_some_of_the_light():
+    """A pane before a lamp beside the eye: what it reflects is as far behind it."""
+    pane = replace(MIRROR, material=0)
+    samples = traced(scene([pane, sphere(1, LAMP_PLACE, 0.1)], [PANE, BRIGHT]), image_in_mirror(LAMP_PLACE), count=20_000)
+    found = lit(samples)
+    assert len(found) > 0.03 * 20_000
+    np.testing.assert_allclose(found, np.linalg.norm(image_in_mirror(LAMP_PLACE)) - 0.1, rtol=0.006)
+
+
+def test_without_a_choice_of_lights_there_are_no_images():
+    assert traced(flat_mirror(), image_in_mirror(LAMP_PLACE), choose=None).image is None
+
+
+def test_images_go_where_their_rays_go():
+    """Samples of some of the pixels keep their images when they are spread among all; the others met nothing."""
+    samples = traced(flat_mirror(), image_in_mirror(LAMP_PLACE), count=10)
+    index = torch.arange(10) * 3 + 1
+    spread = samples.spread(index, 40)
+    assert torch.equal(spread.image[index], samples.image)
+    assert int((spread.image >= MISS_DISTANCE).sum()) == 30 + int((samples.image >= MISS_DISTANCE).sum())
+
+
+def test_all_rays_over_polished_balls_and_needles_give_numbers():
+    """A grid over a ball from edge to edge, over flat needles and over triangles that are lines."""
+    ball = sphere(0, BALL_CENTRE, BALL_RADIUS)
+    corners, normals = degenerate()
+    flat = corners.reshape(-1, 3) + (0.0, 0.0, -2.0)
+    flat[np.abs(flat).max(1) > 100.0] = 0.0
+    order = np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
+    needles = Mesh(flat.astype(np.float32), order, 0, normals.reshape(-1, 3).astype(np.float32))
+    edge = math.asin(BALL_RADIUS / 4.0)
+    x, y = np.meshgrid(np.linspace(-1.001, 1.001, 301), np.linspace(-1.001, 1.001, 101))
+    directions = np.stack((np.tan(edge * x), np.tan(edge * y), -np.ones_like(x))).reshape(3, -1)
+    for environment in (None, sky(1.0)):
+        samples = traced(scene([ball, needles, sphere(1, (0.0, 2.0, 0.0), 0.5)], [POLISHED, BRIGHT], environment), directions)
+        assert samples.image.isfinite().all() and (samples.image > 0.0).all()
+        assert (samples.image[samples.triangle < 0] >= MISS_DISTANCE).all()
