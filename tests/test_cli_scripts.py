@@ -66,6 +66,17 @@ def test_bench_measures_each_mode_and_the_peer(script, tmp_path):
     assert ("ratios to it" in finished.stdout) == peers
 
 
+@pytest.mark.parametrize("mode", ["uniform", "lis-o"])
+def test_a_profile_names_what_takes_the_time(script, mode):
+    finished = script("profile_step.py", "--scene", "daylight", "--mode", mode, "--size", "96x54", "--spp", 1, "--warm-up", 1)
+    assert finished.returncode == 0, finished.stderr
+    title, _, *rows, whole = finished.stdout.splitlines()
+    spent = {name: float(time) for name, time in (row.split() for row in rows)}
+    assert f"daylight {mode} 96x54" in title and whole.startswith("in all")
+    assert {"tracer.intersect", "tracer.visible", "geometry.surface"} <= set(spent)
+    assert sum(spent.values()) > 0.5 * float(whole.split()[-1])  # the profiler only adds to it
+
+
 def test_render_writes_what_the_command_writes(script, bokehguide, lamps_file, tmp_path):
     write_exr(tmp_path / "reference.exr", {"beauty": np.ones((20, 32, 3), np.float32)})
     finished = script(
