@@ -39,11 +39,11 @@ class Spot:
         choice = self.choice if learnt else None
         return direct_light(self.lights, self.surface, self.scattering, choice, self.random.uniform(0, 6), self.random)
 
-    def candidates(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Of each candidate, one after the other: direction `[CANDIDATES, 3, COUNT]`, what it would bring, and what it is
-        kept by, float64 `[CANDIDATES, COUNT]`."""
+    def candidates(self) -> tuple[torch.Tensor, ...]:
+        """Of each candidate, one after the other: direction `[CANDIDATES, 3, COUNT]`, what it would bring and what it is
+        kept by, float64, and with which density the BSDF samples it, `[CANDIDATES, COUNT]`."""
         query = self.lights.query(self.surface.position, self.choice)
-        first, directions, bright, target = self.random.uniform(0, 6), [], [], []
+        first, directions, bright, target, densities = self.random.uniform(0, 6), [], [], [], []
         for number in range(CANDIDATES):
             uniforms = self.random.uniform(FIRST_CANDIDATE + SPARE * number, 6) if number else first.clone()
             uniforms[0] = ((first[0] + number / CANDIDATES) % 1.0).clamp(2.0**-24, 1.0 - 2.0**-24)
@@ -53,17 +53,19 @@ class Spot:
             directions.append(light.direction)
             bright.append(luminance(value * light.radiance * weight).double())
             target.append(bright[-1] * self.choice.seen[self.choice.row, light.cluster])
-        return torch.stack(directions), torch.stack(bright), torch.stack(target)
+            densities.append(pdf)
+        return tuple(torch.stack(values) for values in (directions, bright, target, densities))
 
 
 def test_candidates_are_kept_by_what_is_expected_of_them_and_count_for_all():
     """Against plain arithmetic over all of them: which one, how often, how much, and what is learnt from it."""
     spot = Spot()
-    directions, bright, target = spot.candidates()
+    directions, bright, target, densities = spot.candidates()
     found = spot.sample()
     lit = target.sum(0) > 0.0
     same = (directions == found.direction[None]).all(1) & lit
     assert bool((same.sum(0) == lit).all())
+    torch.testing.assert_close(found.pdf * lit, (densities * same).amax(0))
     chance = target / target.sum(0).clamp(min=1e-30)
     difference = (same.double() - chance) * lit
     errors = (chance * (1.0 - chance)).sum(1).sqrt()
