@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 import scenes
 import torch
+from scipy.stats import chisquare
 
 from bokehguide.image.exr import read_rgb
 from bokehguide.render import kernels
+from bokehguide.render.alias import AliasTable
 from bokehguide.scene.shapes import transform, transformed, unit_rectangle
 from bokehguide.scene.types import Environment, Material
 from bokehguide.train import RenderLoop, RenderSettings
@@ -113,6 +115,30 @@ def test_arguments_that_were_the_same_the_first_time_need_not_be_so_again():
         for found, expected in zip(sum_and_product(one, other), (one + other, one * other)):
             assert torch.equal(found, expected)
     assert all(sum_and_product._variants.values())
+
+
+@kernels.kernel
+def by_length(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+    return one * len(other)
+
+
+@needs_a_compiler
+def test_what_depends_on_a_size_is_not_compiled(capsys):
+    """`len` is a number to the compiler, and that of the first call would stay."""
+    kernels.compile_kernels(2)
+    for size in (50, 20):
+        assert torch.equal(by_length(torch.ones(7), torch.ones(size)), torch.full((7,), float(size)))
+    assert "by_length is not compiled (its code depends on the size 50 of an argument)" in capsys.readouterr().err
+
+
+@needs_a_compiler
+def test_tables_of_other_sizes_are_drawn_from_alike():
+    """One kernel serves maps of all sizes: what was compiled with the first must not hold on to its size."""
+    kernels.compile_kernels(2)
+    for size in (50, 4000, 7):
+        weights, uniforms = np.random.default_rng(size).random(size), torch.rand(2, 100_000)
+        drawn = torch.bincount(AliasTable(weights, "cpu").sample(uniforms), minlength=size)
+        assert chisquare(drawn.numpy(), 100_000 * weights / weights.sum()).pvalue > 1e-4
 
 
 @needs_a_compiler

@@ -45,7 +45,7 @@ class AliasTable:
 @kernel
 def _drawn(keep: Tensor, alias: Tensor, starts: Tensor | None, uniforms: Tensor, row: Tensor | None) -> Tensor:
     start = 0 if row is None else starts.index_select(0, row)
-    count = len(keep) if row is None else starts.index_select(0, row + 1) - start
+    count = keep.shape[0] if row is None else starts.index_select(0, row + 1) - start
     position = (uniforms[0].double() + (uniforms[1].double() - 0.5) * 2.0**-23) * count
     slot = position.long()
     stays = (position - slot) < keep.index_select(0, slot + start)

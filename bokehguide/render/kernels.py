@@ -30,6 +30,10 @@ SOURCES = (Path(__file__).parent, Path(__file__).parent.parent / "models")
 """Folders of the code that kernels are made of."""
 
 
+LARGEST_FIXED = 4
+"""Sizes up to this one may be part of the code: of matrices, whose size never changes."""
+
+
 class _Compiling:
     """Whether kernels are compiled, for all of the process: how many threads run them; where they are kept."""
 
@@ -186,8 +190,19 @@ def _compile(flat: _Flat, tensors: tuple[Tensor, ...], path: Path) -> None:
     with warnings.catch_warnings(), torch.no_grad(), config.patch(options):
         warnings.simplefilter("ignore")
         program = torch.export.export(flat, tensors, dynamic_shapes=(tuple(last),), strict=False)
+        _check_sizes(program)
         aoti_compile_and_package(program, package_path=str(temporary))
     temporary.replace(path)
+
+
+def _check_sizes(program: torch.export.ExportedProgram) -> None:
+    """Raises RuntimeError where a size became part of the code: at any other size its results would be wrong."""
+    from torch.fx.experimental.symbolic_shapes import is_concrete_int
+
+    arguments = (node.meta["val"] for node in program.graph.nodes if node.op == "placeholder")
+    fixed = [int(value.shape[-1]) for value in arguments if value.ndim and is_concrete_int(value.shape[-1])]
+    if max(fixed, default=0) > LARGEST_FIXED:
+        raise RuntimeError(f"its code depends on the size {max(fixed)} of an argument")
 
 
 @functools.cache
