@@ -34,10 +34,12 @@ from bokehguide.evaluation.long_renders import whole_step
 from bokehguide.evaluation.references import CHUNK, rendered_halves
 from bokehguide.evaluation.regions import mean_ratio
 from bokehguide.image import check_writable, replacing, tone_map, write_png
+from bokehguide.models.disc_distribution import balls
 from bokehguide.render.vector import luminance
 from bokehguide.scene import Scene
 from bokehguide.train import LENS_MODES, MODES, RenderLoop, RenderSettings
 from bokehguide.train.guide import FITS, LensGuide
+from bokehguide.train.spot_guide import SpotGuide
 
 UNIFORM_SEED, TEST_SEED = 3_000_000, 0
 """Seeds of the uniform check (one a chunk from there on) and of the test renders."""
@@ -172,6 +174,8 @@ def inject(loop: RenderLoop, count: int) -> None:
     added = (mean, 2.0 * sigma, sigma, sigma.square())
     kept = (field.mean, field.radius, field.sigma, field.energy)
     field.assign(*(torch.cat((old.cpu(), new), dim=-1) for old, new in zip(kept, added)))
+    if isinstance(loop.guide, SpotGuide):
+        loop.guide.outlines = torch.cat((loop.guide.outlines.cpu(), balls(sigma)), dim=1).to(field.mean.device)
     if isinstance(loop.guide, LensGuide) and loop.guide.learns_offsets and loop.step_number >= FITS:
         loop.guide.freeze()
     else:

@@ -13,6 +13,7 @@ import scenes
 import torch
 from statistical import block_means, z_test
 
+from bokehguide.models.disc_distribution import balls
 from bokehguide.render.film import Film
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
@@ -66,6 +67,8 @@ def put_in(loop: RenderLoop, count: int, seed: int) -> None:
     loop.guide.refit = lambda mean_luminance: loop.guide.set_candidates()
     if isinstance(loop.guide, LensGuide):
         loop.guide.held.zero_()
+    else:
+        loop.guide.outlines = balls(sigma)
     loop.guide.set_candidates()
 
 
