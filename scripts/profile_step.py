@@ -3,8 +3,8 @@
     python scripts/profile_step.py --mode guided
     python scripts/profile_step.py --scene chrome --mode uniform --size 640x360 --compile
 
-One thread renders; with `--compile` it does so again with compiled kernels, which are compiled first. What PyTorch, NumPy and Embree do counts for the function that calls them. The profiler itself adds
-about a microsecond to a call, which is little at batches of this size.
+One thread renders; with `--compile` it does so again with compiled kernels, which are compiled first. What PyTorch, NumPy
+and Embree do counts for the function that calls them. The profiler's own time is in all rows but the last.
 """
 
 from __future__ import annotations

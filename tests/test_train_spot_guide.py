@@ -8,7 +8,7 @@ import scenes
 import torch
 import trimesh
 
-from bokehguide.models.disc_distribution import balls
+from bokehguide.models.disc_distribution import DiscLensDistribution, balls
 from bokehguide.models.projection import project_to_lens
 from bokehguide.render.mirrors import MirrorImages
 from bokehguide.render.random import PixelRandom
@@ -72,16 +72,22 @@ def shares_of_hits(lamp: Mesh) -> tuple[float, float]:
     return shaped, share_of_hits(loop)
 
 
-def share_of_hits(loop: RenderLoop) -> float:
+def guided_alone(loop: RenderLoop) -> tuple[torch.Tensor, DiscLensDistribution]:
+    """Focus points of all pixels `[3, pixels]`, and their mixtures without the uniform part."""
     pixels = WIDTH * HEIGHT
     raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
     focus = loop.camera.focus_points(raster)
     mixture, _ = loop.guide._mixture(slice(0, pixels), focus)
     mixture.beta = mixture.guided.float()
+    return focus, mixture
+
+
+def share_of_hits(loop: RenderLoop) -> float:
+    focus, mixture = guided_alone(loop)
     seen = mixture.owner[mixture.center.norm(dim=0) < 0.3 * mixture.lens.radius]
     hits = 0.0
     for step in range(256):
-        points = mixture.sample(torch.rand(3, pixels, generator=torch.Generator().manual_seed(step)))
+        points = mixture.sample(torch.rand(3, WIDTH * HEIGHT, generator=torch.Generator().manual_seed(step)))
         hit = loop.tracer.geometry.tracer.intersect(*loop.camera.rays(focus[:, seen], points[:, seen]))
         hits += float((hit.triangle >= 0).float().mean()) / 256
     return hits
@@ -189,7 +195,7 @@ def test_beta_is_that_of_least_variance(monkeypatch):
         guide.moments.zero_()
         mixture, spot = guide._mixture(slice(0, pixels), guide.camera.focus_points(raster))
         for step in range(64):
-            points = mixture.sample(torch.rand(3, pixels, generator=torch.Generator().manual_seed(64 * block + step)))
+            points = mixture.sample(torch.rand(3, WIDTH * HEIGHT, generator=torch.Generator().manual_seed(64 * block + step)))
             at = mixture.evaluate(points)
             light = (3.0 * at.mixture * mixture.lens.area + 1.0) * mixture.lens.contains(points)
             guide.study(GuidedBatch(slice(0, pixels), raster, mixture, spot), light / (mixture.lens.area * at.density), at)
@@ -308,16 +314,12 @@ def images_in_the_ball() -> np.ndarray:
 
 def share_of_bright_draws(loop: RenderLoop) -> float:
     """Share of the draws from what was found that bring light, in pixels whose discs lie within the lens."""
-    pixels = WIDTH * HEIGHT
-    raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
-    focus = loop.camera.focus_points(raster)
-    mixture, _ = loop.guide._mixture(slice(0, pixels), focus)
-    mixture.beta = mixture.guided.float()
+    focus, mixture = guided_alone(loop)
     within = mixture.owner[mixture.center.norm(dim=0) < 0.8 * mixture.lens.radius].unique()
     assert len(within) > 100
     bright = []
     for step in range(64):
-        points = mixture.sample(torch.rand(3, pixels, generator=torch.Generator().manual_seed(step)))
+        points = mixture.sample(torch.rand(3, WIDTH * HEIGHT, generator=torch.Generator().manual_seed(step)))
         rays = loop.camera.rays(focus[:, within], points[:, within])
         samples = loop.tracer.trace(*rays, PixelRandom(7, step, within), PhaseTimer())
         bright.append(float((samples.radiance.amax(0) > 1.0).float().mean()))
