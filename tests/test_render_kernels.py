@@ -6,6 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -107,14 +109,38 @@ def sum_and_product(one: torch.Tensor, other: torch.Tensor) -> tuple[torch.Tenso
 
 @needs_a_compiler
 def test_arguments_that_were_the_same_the_first_time_need_not_be_so_again():
-    """And sizes may change, down to 1 and 0."""
+    """And sizes may change, down to 1 and 0; a batch of one is not worth a compilation, which takes seconds."""
     kernels.compile_kernels(2)
     sum_and_product(*[torch.arange(5.0)] * 2)
     for size in (7, 1, 0, 100_000):
         one, other = torch.rand(2, 3, size, generator=torch.Generator().manual_seed(size))[:, 0]
         for found, expected in zip(sum_and_product(one, other), (one + other, one * other)):
             assert torch.equal(found, expected)
-    assert all(sum_and_product._variants.values())
+    compiled = {single: variant is not None for (_, single), variant in sum_and_product._variants.items()}
+    assert compiled == {(False, False): True, (True, True): False}
+
+
+@needs_a_compiler
+def test_threads_run_kernels_side_by_side():
+    """While one runs, Python goes on: it does not hold the lock."""
+    kernels.compile_kernels(2)
+    large = torch.rand(2, 20_000_000)
+    sum_and_product(*large)
+    ticks, done = [], threading.Event()
+
+    def tick():
+        while not done.is_set():
+            ticks.append(time.perf_counter())
+            time.sleep(0.0001)
+
+    other = threading.Thread(target=tick)
+    other.start()
+    start = time.perf_counter()
+    sum_and_product(*large)
+    end = time.perf_counter()
+    done.set()
+    other.join()
+    assert sum(start < moment < end for moment in ticks) > 5
 
 
 @kernels.kernel

@@ -42,7 +42,7 @@ def assert_same_bits(one: RenderLoop, other: RenderLoop) -> None:
 @pytest.mark.parametrize("mode", LENS_MODES)
 def test_any_number_of_threads_gives_the_same_bits(mode, monkeypatch):
     """Of a frame cut into several batches."""
-    monkeypatch.setattr("bokehguide.train.loop.SMALL_BATCH", 100)
+    monkeypatch.setattr("bokehguide.train.batches.SMALL_BATCH", 100)
     one = rendered(mode)
     for threads in (2, 3):
         assert_same_bits(one, rendered(mode, threads))

@@ -13,6 +13,7 @@ import contextlib
 import functools
 import hashlib
 import itertools
+import operator
 import os
 import sys
 import threading
@@ -25,6 +26,7 @@ import torch
 from torch import Tensor
 
 from bokehguide import __version__
+from bokehguide.render.compiled import CompiledFunction
 
 SOURCES = (Path(__file__).parent, Path(__file__).parent.parent / "models")
 """Folders of the code that kernels are made of."""
@@ -56,7 +58,8 @@ def kernel(function: Callable) -> Callable:
     """Mark a pure function that is to be compiled.
 
     Its arguments are tensors, tuples and `record`s of them, None, or values that are part of the code: each different one
-    is compiled anew. Last dimensions may be of any size. Results are the same kinds of things.
+    is compiled anew. Last dimensions may be of any size; where more of them are 1 than before, it runs eagerly. Results are
+    the same kinds of things.
     """
     return functools.wraps(function)(_Kernel(function))
 
@@ -75,7 +78,7 @@ def _flatten(value: object, tensors: list[Tensor], marks: list) -> None:
     if isinstance(value, Tensor):
         shape = value.shape
         tensors.append(value)
-        marks.append((value.dtype, shape[:-1] if len(shape) > 1 else len(shape), shape[-1:] == _ONE))
+        marks.append((value.dtype, shape[:-1] if len(shape) > 1 else len(shape)))
     elif isinstance(value, tuple):
         marks.append((type(value), len(value)))
         for part in value:
@@ -118,26 +121,29 @@ class _Kernel:
         _flatten(arguments, tensors, marks)
         if tensors[0].device.type != "cpu" or any(tensor.numel() == 0 for tensor in tensors):
             return self._function(*arguments)
-        key = tuple(marks)
+        key = tuple(marks), tuple(tensor.shape[-1:] == _ONE for tensor in tensors)
         if key not in self._variants:
             with _Compiling.lock:
                 if key not in self._variants:
-                    self._variants[key] = _variant(self._function, arguments, tensors, repr(key))
+                    eager = self._is_batch_of_one(*key)
+                    self._variants[key] = None if eager else _variant(self._function, arguments, tensors, repr(key))
         variant = self._variants[key]
         return self._function(*arguments) if variant is None else variant(tensors)
+
+    def _is_batch_of_one(self, marks: tuple, single: tuple[bool, ...]) -> bool:
+        """Whether there is a variant for the same arguments of which fewer are of size 1: another one would not pay."""
+        return any(marks == other and all(map(operator.le, some, single)) for other, some in self._variants)
 
 
 class _Variant:
     """A compiled kernel for one structure of arguments; results: some that it had."""
 
     def __init__(self, path: Path, results: object):
-        from torch._C._aoti import AOTIModelPackageLoader  # what torch._inductor.aoti_load_package calls, which takes 2 s to import
-
-        self._loader = AOTIModelPackageLoader(str(path), "model", False, _Compiling.threads, -1)
+        self._run = CompiledFunction(path, _Compiling.threads)
         self._results = _rebuilt(results, itertools.repeat(torch.empty(0)))
 
     def __call__(self, tensors: list[Tensor]):
-        return _rebuilt(self._results, iter(self._loader.boxed_run([tensor.contiguous() for tensor in tensors])))
+        return _rebuilt(self._results, iter(self._run([tensor.contiguous() for tensor in tensors])))
 
 
 class _Flat(torch.nn.Module):

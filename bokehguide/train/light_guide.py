@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
 
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.clusters import ClusterTable
@@ -82,10 +81,14 @@ class LightGuide(RankSums):
         self._table = ClusterTable(self.probability.double())
 
     def _pooled(self, total: Tensor) -> Tensor:
-        """A sum `[tiles, clusters]`, in double precision, as tiles share it with those around."""
-        images = total.double().T.reshape(1, -1, self._down, self._across)
-        pooled = sum(share * avg_pool2d(images, size, 1, size // 2, count_include_pad=False) for size, share in POOLS)
-        return pooled.reshape(total.shape[::-1]).T
+        """A sum `[tiles, clusters]` as tiles share it with those around."""
+        clusters = total.shape[1]
+        pooled = torch.zeros(self._down, self._across, clusters, device=total.device)
+        for width, share in POOLS:
+            of_rows, of_columns = (_means(count, width).to(total.device) for count in (self._down, self._across))
+            rows = (of_rows @ total.view(self._down, -1)).view(pooled.shape)
+            pooled.add_(of_columns @ rows, alpha=share)
+        return pooled.view(total.shape)
 
     def load_state_dict(self, state_dict, *args, **kwargs):
         """Load what was learnt. Raises ValueError where rows of probabilities are none."""
@@ -96,3 +99,10 @@ class LightGuide(RankSums):
             raise ValueError("what was learnt of lights is no choice among them")
         self._table = ClusterTable(self.probability.double()) if learnt else None
         return result
+
+
+def _means(count: int, width: int) -> Tensor:
+    """The matrix `[count, count]` that takes the mean of the `width` tiles about each in a row, of fewer at its ends."""
+    place = torch.arange(count)
+    near = ((place - place[:, None]).abs() <= width // 2).float()
+    return near / near.sum(1, keepdim=True)

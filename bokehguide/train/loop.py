@@ -26,6 +26,7 @@ from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
 from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
+from bokehguide.train.batches import Batches
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide, guide_images, starts_block, uniform_draw
 from bokehguide.train.light_guide import LightGuide
 from bokehguide.train.ranks import Ranks, available_cores
@@ -34,9 +35,6 @@ from bokehguide.train.settings import RenderSettings
 from bokehguide.train.spot_guide import SpotGuide
 from bokehguide.train.steps import BatchResult, GuideCounts, StepStats, finite, step_stats
 
-BATCH, SMALL_BATCH = 262144, 28800
-"""Pixels traced together: each thread has as many batches, as large as memory allows, since Python costs the same for
-large ones and small ones. Below the second number it costs more than another thread brings."""
 PRIMING_DIMENSION = LENS_DIMENSION + 5
 """Random dimensions of the lens points that prime the film: from this one on two."""
 PHASES = ("tracing rays", "shading", "guiding", "learning", "output")
@@ -80,6 +78,8 @@ class RenderLoop:
         self.reuse = SpatialReuse(self.camera, self.tracer, settings.reuse_radius, settings.seed) if settings.reuses else None
         self.step_number = 0
         self._threads = settings.threads or available_cores()
+        self._batches = Batches(self._threads), Batches(self._threads)
+        """Of the first and the second pass of a step."""
         # Threads work on batches. Those that torch would start inside operations only fight them.
         torch.set_num_threads(1)
         compile_kernels(self._threads if settings.compile else 0)
@@ -112,8 +112,8 @@ class RenderLoop:
         """Render one more sample per pixel, and learn from it."""
         start = time.perf_counter()
         self.step_number += 1
-        results = self._in_batches(self._render_batch)
-        reused = self._in_batches(self._reuse_batch) if self.reuse is not None else []
+        results = self._in_batches(self._render_batch, self._batches[0])
+        reused = self._in_batches(self._reuse_batch, self._batches[1]) if self.reuse is not None else []
         timer = PhaseTimer()
         if self._learns:
             with timer.measure("learning"):
@@ -122,16 +122,13 @@ class RenderLoop:
         gaussians = len(self.guide.field) if self.guide else 0
         return step_stats(self.step_number, results + reused, time.perf_counter() - start, gaussians, self.ranks)
 
-    def _in_batches(self, work: Callable[[Pixels], BatchResult]) -> list[BatchResult]:
+    def _in_batches(self, work: Callable[[Pixels], BatchResult], batches: Batches) -> list[BatchResult]:
         """What `work` returns for the film's pixels of each batch."""
         start = time.perf_counter()
         places = self._places
-        pixels = self.film.width * self.film.height if places is None else len(places)
-        rounds = math.ceil(pixels / (BATCH * self._threads))
-        count = max(min(rounds * self._threads, pixels // SMALL_BATCH), 1)
-        size = max(math.ceil(pixels / count), 1)
-        spans = [slice(first, min(first + size, pixels)) for first in range(0, pixels, size)]
+        spans = batches.spans(self.film.width * self.film.height if places is None else len(places))
         results = list(self._pool.map(work, spans if places is None else [places[span] for span in spans]))
+        batches.took([sum(result.timer.seconds.values()) for result in results])
         worked = sum((result.timer.seconds for result in results), Counter())
         scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
         self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
@@ -239,17 +236,23 @@ class RenderLoop:
         return torch.where(weight > 0.0, cells, -1), position, light
 
     def _learn(self, results: list[BatchResult]) -> None:
-        for result in results:
-            self.guide.record.add(*result.records)
         light, count = self.ranks.totals(*self._seen())
         self._mean_luminance = light / max(count, 1.0)
+        for added in [self._pool.submit(add, results) for add in (self._add_records, self._add_lights)]:
+            added.result()
         lessons = [result.lesson for result in results if result.lesson is not None]
         self.guide.update(self.step_number, lessons, self._mean_luminance)
+        if self.light_guide is not None and starts_block(self.step_number + 1):
+            self.light_guide.update(self.step_number + 1)
+
+    def _add_records(self, results: list[BatchResult]) -> None:
+        for result in results:
+            self.guide.record.add(*result.records)
+
+    def _add_lights(self, results: list[BatchResult]) -> None:
         if self.light_guide is not None and self._mean_luminance > 0.0:
             for result in results:
                 self.light_guide.add(*result.lights, self._mean_luminance)
-        if self.light_guide is not None and starts_block(self.step_number + 1):
-            self.light_guide.update(self.step_number + 1)
 
     def picture(self) -> Film:
         """The film with the pixels of all ranks; collective."""

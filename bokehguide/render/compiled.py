@@ -1,0 +1,61 @@
+"""What AOTInductor compiled, called through its C interface.
+
+PyTorch's own loader holds Python's lock while a kernel runs, so that threads would run their kernels one after the other.
+Here `ctypes` calls the library in the package, and lets go of the lock.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import tempfile
+import zipfile
+from pathlib import Path
+
+from torch import Tensor
+from torch._C._aoti import alloc_tensors_by_stealing_from_void_ptrs, unsafe_alloc_void_ptrs_from_tensors
+
+_new_capsule = ctypes.pythonapi.PyCapsule_New
+_new_capsule.restype, _new_capsule.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+_pointer = ctypes.pythonapi.PyCapsule_GetPointer
+_pointer.restype, _pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+
+
+class CompiledFunction:
+    """A function of tensors in a package of AOTInductor; `threads` may run it side by side, others wait.
+
+    path: of the package. Raises OSError, zipfile.BadZipFile or RuntimeError where it is none.
+    """
+
+    def __init__(self, path: Path, threads: int):
+        library, container, outputs = _library(path), ctypes.c_void_p(), ctypes.c_size_t()
+        _check(library.AOTInductorModelContainerCreateWithDevice(ctypes.byref(container), ctypes.c_size_t(threads), b"cpu", None))
+        _check(library.AOTInductorModelContainerGetNumOutputs(container, ctypes.byref(outputs)))
+        self._run, self._container, self._outputs = library.AOTInductorModelContainerRun, container, outputs.value
+
+    def __call__(self, tensors: list[Tensor]) -> list[Tensor]:
+        """Results for contiguous tensors."""
+        given = [_pointer(capsule, None) for capsule in unsafe_alloc_void_ptrs_from_tensors(tensors)]
+        inputs, outputs = (ctypes.c_void_p * len(given))(*given), (ctypes.c_void_p * self._outputs)()
+        # Both sides' handles change hands: the library frees the inputs', the tensors made of the outputs' free those.
+        sizes = ctypes.c_size_t(len(given)), ctypes.c_size_t(self._outputs)
+        _check(self._run(self._container, inputs, sizes[0], outputs, sizes[1], None, None))
+        return alloc_tensors_by_stealing_from_void_ptrs([_new_capsule(handle, None, None) for handle in outputs])
+
+
+def _check(status: int) -> None:
+    if status != 0:
+        raise RuntimeError("the compiled code fails")
+
+
+def _library(path: Path) -> ctypes.CDLL:
+    """The library in a package. Raises RuntimeError where it calls what only PyTorch's loader could provide."""
+    with zipfile.ZipFile(path) as package:
+        names = package.namelist()
+        (library,) = (name for name in names if name.endswith(".so"))
+        if any(name.endswith(".json") and not name.endswith("_metadata.json") for name in names):
+            raise RuntimeError("it calls operations that are not compiled")
+        code = package.read(library)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "kernel.so"
+        file.write_bytes(code)
+        return ctypes.CDLL(str(file))
