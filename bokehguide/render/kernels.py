@@ -26,7 +26,6 @@ import torch
 from torch import Tensor
 
 from bokehguide import __version__
-from bokehguide.render.compiled import CompiledFunction
 
 SOURCES = (Path(__file__).parent, Path(__file__).parent.parent / "models")
 """Folders of the code that kernels are made of."""
@@ -139,6 +138,8 @@ class _Variant:
     """A compiled kernel for one structure of arguments; results: some that it had."""
 
     def __init__(self, path: Path, results: object):
+        from bokehguide.render.compiled import CompiledFunction  # of PyTorch's inner parts: where they differ, all runs eagerly
+
         self._run = CompiledFunction(path, _Compiling.threads)
         self._results = _rebuilt(results, itertools.repeat(torch.empty(0)))
 

@@ -78,8 +78,7 @@ class RenderLoop:
         self.reuse = SpatialReuse(self.camera, self.tracer, settings.reuse_radius, settings.seed) if settings.reuses else None
         self.step_number = 0
         self._threads = settings.threads or available_cores()
-        self._batches = Batches(self._threads), Batches(self._threads)
-        """Of the first and the second pass of a step."""
+        self._batches = Batches(self._threads)
         # Threads work on batches. Those that torch would start inside operations only fight them.
         torch.set_num_threads(1)
         compile_kernels(self._threads if settings.compile else 0)
@@ -112,8 +111,10 @@ class RenderLoop:
         """Render one more sample per pixel, and learn from it."""
         start = time.perf_counter()
         self.step_number += 1
-        results = self._in_batches(self._render_batch, self._batches[0])
-        reused = self._in_batches(self._reuse_batch, self._batches[1]) if self.reuse is not None else []
+        spans = self._batches.spans(self.film.width * self.film.height if self._places is None else len(self._places))
+        results = self._in_batches(self._render_batch, spans)
+        reused = self._in_batches(self._reuse_batch, spans) if self.reuse is not None else []
+        self._batches.took([sum(result.timer.seconds.values()) for result in results])
         timer = PhaseTimer()
         if self._learns:
             with timer.measure("learning"):
@@ -122,13 +123,11 @@ class RenderLoop:
         gaussians = len(self.guide.field) if self.guide else 0
         return step_stats(self.step_number, results + reused, time.perf_counter() - start, gaussians, self.ranks)
 
-    def _in_batches(self, work: Callable[[Pixels], BatchResult], batches: Batches) -> list[BatchResult]:
-        """What `work` returns for the film's pixels of each batch."""
+    def _in_batches(self, work: Callable[[Pixels], BatchResult], spans: list[slice]) -> list[BatchResult]:
+        """What `work` returns for the film's pixels of each span of those that steps render."""
         start = time.perf_counter()
         places = self._places
-        spans = batches.spans(self.film.width * self.film.height if places is None else len(places))
         results = list(self._pool.map(work, spans if places is None else [places[span] for span in spans]))
-        batches.took([sum(result.timer.seconds.values()) for result in results])
         worked = sum((result.timer.seconds for result in results), Counter())
         scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
         self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
