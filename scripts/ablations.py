@@ -8,7 +8,8 @@ Each row of the table is one change (CHANGES), each column a scene; a cell is MA
 seeds, with the standard error of the quotient (- with one seed). The last column is the geometric
 mean over the scenes.
 A change is made in the mode that shows it: all that `lis-o` does, or `lis-b` where offsets
-would make up for it; what `guided` adds is left out one by one (`--only guided`). Writes ablations.md, the table, and ablations.json, the MAPE of each render by a
+would make up for it; what `guided` adds is left out one by one (`--only guided`), and added to nothing one by one
+(`--only alone`). Writes ablations.md, the table, and ablations.json, the MAPE of each render by a
 digest of all that it depends on, into `--out`; renders that are there from an earlier run are kept.
 """
 
@@ -150,25 +151,45 @@ def independent_lens_points(random: PixelRandom, dimension: int, count: int, fir
 STRATIFIED = PixelRandom.stratified
 
 
-def without(what: str, owner: object, attribute: str, value: object) -> Change:
-    """Mode `guided` without one of its parts."""
-    return Change(f"guided without {what}", "", ((owner, attribute, value),), "guided")
+LAMPS, FOUND, LIGHTS = "known lamps", "found highlights", "learnt lights"
+PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
+    LAMPS: ((spot_guide, "known_lamps", no_lamps),),
+    FOUND: ((spot_guide, "fit_ellipsoids", nothing_found),),
+    "mirror images": ((MirrorImages, "add", lambda *_: None),),
+    "shapes of map lamps and panels": ((known_lamps, "_shapes", no_shapes),),
+    "proportions (else balls)": ((known_lamps, "packed", as_balls),),
+    "learnt yields of lamps": ((LampYield, "factor", lambda _, slots: torch.ones(slots.shape)),),
+    "learnt β (else 0.65)": ((spot_guide, "LOWEST", 0.65), (spot_guide, "HIGHEST", 0.65)),
+    "shared β": ((spot_guide, "POOLED", 1),),
+    "stratified lens points": ((PixelRandom, "stratified", independent_lens_points),),
+    "resampled lights": ((direct_light, "CANDIDATES", 1),),
+    "learnt visibility": ((LightChoice, "visibility", lambda _, cluster: torch.ones(cluster.shape)),),
+    LIGHTS: ((LightGuide, "update", lambda *_: None),),
+}
+"""What mode `guided` is made of, and the patches that take each part away."""
+NEEDED = {
+    "mirror images": (FOUND,),
+    "shapes of map lamps and panels": (LAMPS,),
+    "proportions (else balls)": (LAMPS,),
+    "learnt yields of lamps": (LAMPS,),
+    "learnt β (else 0.65)": (LAMPS,),
+    "shared β": (LAMPS, "learnt β (else 0.65)"),
+    "learnt visibility": (LIGHTS, "resampled lights"),
+}
+"""Parts that do nothing by themselves, and those without which they do not."""
 
 
-GUIDED = [
-    without("known lamps", spot_guide, "known_lamps", no_lamps),
-    without("found highlights", spot_guide, "fit_ellipsoids", nothing_found),
-    without("mirror images", MirrorImages, "add", lambda *_: None),
-    without("shapes of map lamps and panels", known_lamps, "_shapes", no_shapes),
-    without("proportions (balls)", known_lamps, "packed", as_balls),
-    without("learnt yields of lamps", LampYield, "factor", lambda _, slots: torch.ones(slots.shape)),
-    Change("guided without learnt β", "0.65", ((spot_guide, "LOWEST", 0.65), (spot_guide, "HIGHEST", 0.65)), "guided"),
-    without("shared β", spot_guide, "POOLED", 1),
-    without("stratified lens points", PixelRandom, "stratified", independent_lens_points),
-    without("resampled lights", direct_light, "CANDIDATES", 1),
-    without("learnt visibility", LightChoice, "visibility", lambda _, cluster: torch.ones(cluster.shape)),
-    without("learnt lights", LightGuide, "update", lambda *_: None),
-]
+def guided_with(what: str, kept: tuple[str, ...]) -> Change:
+    """Mode `guided` with only some of its parts."""
+    patches = tuple(patch for part, away in PARTS.items() if part not in kept for patch in away)
+    return Change(f"guided {what}", "", patches, "guided")
+
+
+def alone(part: str) -> Change:
+    needed = NEEDED.get(part, ())
+    return guided_with(f"with {part} alone" if not needed else f"with {part} on {' and '.join(needed)}", (part, *needed))
+
+
 PLAIN = ((RecordBuffer, "add", add_plain), (RecordBuffer, "positions", plain_positions))
 CHANGES = {
     "alpha": constants("α of σ = α R_b", fitting, "ALPHA", [0.25, 0.35, 0.7, 1.0]),
@@ -180,7 +201,8 @@ CHANGES = {
     "blend-rate": constants("learning rate of β", guide, "BLEND_RATE", [0.02, 0.05, 0.2, 0.5], "lis-b"),
     "offset-rate": constants("learning rate of the offsets", guide, "OFFSET_RATE", [0.001, 0.003, 0.03, 0.1]),
     "fixed-beta": [start(0.5), start(0.65), start(0.9)],
-    "guided": GUIDED,
+    "guided": [guided_with(f"without {part}", tuple(other for other in PARTS if other != part)) for part in PARTS],
+    "alone": [guided_with("with none of its parts", ()), *map(alone, PARTS)],
     "positions": [Change("record positions", "plain means", PLAIN)],
     "weights": [
         Change("mixture weights", name, ((GaussianField, "lens_weights", weights),))

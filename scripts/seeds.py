@@ -26,7 +26,7 @@ from scipy import stats
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from bokehguide.cli.arguments import positive
+from bokehguide.cli.arguments import COMPILE_HELP, positive
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import errors, made_reference, progress, regions, render
 from bokehguide.image import check_writable, replacing, tone_map, write_png
@@ -47,6 +47,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=positive, default=8, metavar="N", help="renders of each mode, default 8")
     parser.add_argument("--cache", type=Path, metavar="DIR", help="where references are kept, default the user's cache folder")
     parser.add_argument("--out", type=Path, default=Path("out/seeds"), metavar="DIR", help="default out/seeds")
+    parser.add_argument("--compile", action="store_true", help=COMPILE_HELP)
     args = parser.parse_args()
     check_writable(args.out / "seeds.md")
     lines = []
@@ -61,7 +62,7 @@ def main() -> None:
 
 def report(scene: Scene, args: argparse.Namespace) -> Iterator[str]:
     """The table of one scene, and the sentence on its blocks."""
-    settings = RenderSettings(spp=args.spp, threads=args.threads)
+    settings = RenderSettings(spp=args.spp, threads=args.threads, compile=args.compile)
     path = args.out / f"{scene.name}-reference.exr"
     reference = made_reference(scene, replace(settings, spp=REFERENCE_SHARE * args.spp), path, args.cache).radiance.float()
     mask = regions(scene).get("insets", regions(scene)["frame"])
@@ -127,7 +128,7 @@ def early_picture(scene: Scene, args: argparse.Namespace) -> None:
     """The last mode at EARLY SPP beside the first one's at EARLY and at LATE."""
     parts = []
     for mode, spp in ((args.modes[-1], EARLY), (args.modes[0], EARLY), (args.modes[0], LATE)):
-        parts += renders(scene, RenderSettings(mode, spp, threads=args.threads), 1)
+        parts += renders(scene, RenderSettings(mode, spp, threads=args.threads, compile=args.compile), 1)
     write_png(args.out / f"{scene.name}-first.png", tone_map(torch.cat(parts, dim=1)))
 
 

@@ -85,10 +85,24 @@ def test_every_part_of_guided_that_is_left_out_changes_the_picture():
     scene = load_scene("night-street", Overrides(width=96, height=54))
     settings = RenderSettings("guided", spp=10, threads=1)
     default = ablations.rendered(scene, settings, ablations.Change("default", "guided", mode="guided"))
-    for change in ablations.GUIDED:
+    for change in ablations.CHANGES["guided"]:
         found = ablations.rendered(scene, settings, change)
         assert found.isfinite().all()
         assert not torch.equal(found, default), f"{change.what} changes nothing"
+
+
+def test_every_part_of_guided_that_is_added_to_nothing_changes_the_picture():
+    """To nothing, or to those parts that it works on."""
+    scene = load_scene("night-street", Overrides(width=96, height=54))
+    settings = RenderSettings("guided", spp=10, threads=1)
+    before = {}
+    for part in ablations.PARTS:
+        needed = ablations.NEEDED.get(part, ())
+        if needed not in before:
+            before[needed] = ablations.rendered(scene, settings, ablations.guided_with("some parts", needed))
+        found = ablations.rendered(scene, settings, ablations.alone(part))
+        assert found.isfinite().all()
+        assert not torch.equal(found, before[needed]), f"{part} changes nothing"
 
 
 def test_the_standard_error_is_that_of_repeated_quotients():
