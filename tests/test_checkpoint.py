@@ -85,6 +85,20 @@ def test_the_bits_are_those_of_an_uninterrupted_render(mode, tmp_path):
             assert torch.equal(picture, again.guide_images()[name]), name
 
 
+@pytest.mark.parametrize("mode", ["uniform", "lis-o", "guided"])
+def test_where_batches_were_cut_leaves_no_trace(mode, tmp_path, monkeypatch):
+    """Cuts move from step to step, and begin elsewhere in a render that goes on."""
+    monkeypatch.setattr("bokehguide.train.batches.SMALL_BATCH", 50)
+    loop = RenderLoop(scene(mode), replace(settings(mode), threads=3))
+    save_checkpoint(tmp_path / "a.ckpt", onwards(loop, 5), 0.0)
+    again = RenderLoop(scene(mode), replace(settings(mode), threads=3))
+    load_checkpoint(tmp_path / "a.ckpt", again)
+    again._batches.spans(48 * 27)
+    again._batches.cost([1.0, 3.0, 2.0])
+    assert loop._batches.spans(48 * 27) != again._batches.spans(48 * 27)
+    assert_same_bits(onwards(loop, 18), onwards(again, 18))
+
+
 @pytest.mark.parametrize("mode", ["area-restir", "area-restir+lis"])
 def test_so_are_those_of_area_restir(mode, tmp_path):
     loop = rendered(mode, 2)

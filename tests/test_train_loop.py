@@ -48,6 +48,28 @@ def test_any_number_of_threads_gives_the_same_bits(mode, monkeypatch):
         assert_same_bits(one, rendered(mode, threads))
 
 
+@pytest.mark.parametrize("mode", ["lis-o", "guided"])
+def test_so_it_does_where_few_batches_are_guided(mode, monkeypatch):
+    """One lamp in a corner, seen through a lens of which 1 / (A / A) is not 1 in single precision."""
+    radius = 0.028
+    lens = replace(scenes.lamps(80, 45).camera, aperture_radius=radius)
+    area = math.pi * torch.tensor(radius) ** 2
+    assert float(1.0 / (area * (1.0 / area))) != 1.0
+    monkeypatch.setattr("bokehguide.train.batches.SMALL_BATCH", 100)
+
+    def picture(threads: int) -> RenderLoop:
+        loop = RenderLoop(replace(scenes.lamps(80, 45), camera=lens), RenderSettings(mode, threads=threads))
+        for _ in range(STEPS):
+            loop.step()
+        return loop
+
+    one = picture(1)
+    guided = one.guide.candidates.counts() > 0
+    assert bool(guided.any()) and not bool(guided[:80].any() and guided[-80:].any())
+    for threads in (5, 30):
+        assert_same_bits(one, picture(threads))
+
+
 def test_the_same_seed_gives_the_same_bits_and_another_seed_others():
     one, again, other = rendered("lis-o"), rendered("lis-o"), rendered("lis-o", seed=1)
     assert_same_bits(one, again)

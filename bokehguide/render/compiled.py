@@ -23,7 +23,7 @@ _pointer.restype, _pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes
 class CompiledFunction:
     """A function of tensors in a package of AOTInductor; `threads` may run it side by side, others wait.
 
-    path: of the package. Raises OSError, zipfile.BadZipFile or RuntimeError where it is none.
+    path: of the package. Raises OSError, ValueError, zipfile.BadZipFile or RuntimeError where it is none.
     """
 
     def __init__(self, path: Path, threads: int):

@@ -57,8 +57,7 @@ def kernel(function: Callable) -> Callable:
     """Mark a pure function that is to be compiled.
 
     Its arguments are tensors, tuples and `record`s of them, None, or values that are part of the code: each different one
-    is compiled anew. Last dimensions may be of any size; where more of them are 1 than before, it runs eagerly. Results are
-    the same kinds of things.
+    is compiled anew. Last dimensions may be of any size, those of results are all the same. Results are the same kinds of things.
     """
     return functools.wraps(function)(_Kernel(function))
 
@@ -111,7 +110,7 @@ def _rebuilt(like: object, tensors: Iterator[Tensor]) -> object:
 class _Kernel:
     def __init__(self, function: Callable):
         self._function = function
-        self._variants: dict[object, _Variant | None] = {}
+        self._variants: dict[object, _Variant | _AsTwo | None] = {}
 
     def __call__(self, *arguments):
         if _Compiling.threads == 0:
@@ -124,27 +123,47 @@ class _Kernel:
         if key not in self._variants:
             with _Compiling.lock:
                 if key not in self._variants:
-                    eager = self._is_batch_of_one(*key)
-                    self._variants[key] = None if eager else _variant(self._function, arguments, tensors, repr(key))
+                    self._variants[key] = self._as_two(*key) or _variant(self._function, arguments, tensors, repr(key))
         variant = self._variants[key]
         return self._function(*arguments) if variant is None else variant(tensors)
 
-    def _is_batch_of_one(self, marks: tuple, single: tuple[bool, ...]) -> bool:
-        """Whether there is a variant for the same arguments of which fewer are of size 1: another one would not pay."""
-        return any(marks == other and all(map(operator.le, some, single)) for other, some in self._variants)
+    def _as_two(self, marks: tuple, single: tuple[bool, ...]) -> _AsTwo | None:
+        """For a batch of one, the variant for larger ones, if there is one."""
+        for (other, some), variant in self._variants.items():
+            if isinstance(variant, _Variant) and other == marks and single == tuple(map(operator.or_, some, variant.batched)):
+                return _AsTwo(variant)
+        return None
 
 
 class _Variant:
-    """A compiled kernel for one structure of arguments; results: some that it had."""
+    """A compiled kernel for one structure of arguments.
 
-    def __init__(self, path: Path, results: object):
-        from bokehguide.render.compiled import CompiledFunction  # of PyTorch's inner parts: where they differ, all runs eagerly
+    run: of their tensors; tensors, results: some that it had. batched: which of the tensors are as long as the results.
+    """
 
-        self._run = CompiledFunction(path, _Compiling.threads)
+    def __init__(self, run: Callable[[list[Tensor]], list[Tensor]], tensors: list[Tensor], results: object):
+        self._run = run
         self._results = _rebuilt(results, itertools.repeat(torch.empty(0)))
+        found: list[Tensor] = []
+        _flatten(results, found, [])
+        self.batched = [tensor.shape[-1:] == found[0].shape[-1:] for tensor in tensors]
+
+    def __call__(self, tensors: list[Tensor], shown: slice = slice(None)):
+        """Its results, as far as they are `shown`."""
+        results = self._run([tensor.contiguous() for tensor in tensors])
+        return _rebuilt(self._results, (result[..., shown] for result in results))
+
+
+class _AsTwo:
+    """A kernel for a batch of one: that for larger ones, given it twice. It would not pay to compile another one, which takes
+    seconds, and results are the same to the bit however pixels are cut into batches."""
+
+    def __init__(self, variant: _Variant):
+        self._variant = variant
 
     def __call__(self, tensors: list[Tensor]):
-        return _rebuilt(self._results, iter(self._run([tensor.contiguous() for tensor in tensors])))
+        pairs = zip(tensors, self._variant.batched)
+        return self._variant([torch.cat((tensor, tensor), -1) if batched else tensor for tensor, batched in pairs], slice(1))
 
 
 class _Flat(torch.nn.Module):
@@ -167,12 +186,14 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
     name = f"{function.__module__}.{function.__qualname__}"
     path = _Compiling.folder / f"{name}-{hashlib.sha256(f'{_state()} {name} {key}'.encode()).hexdigest()[:24]}.pt2"
     try:
+        from bokehguide.render.compiled import CompiledFunction  # of PyTorch's inner parts, which may not be there
+
         if not path.exists():
             _announce()
             # Copies: of one tensor that is given twice, torch.export would make one argument.
             copies = [tensor.clone(memory_format=torch.contiguous_format) for tensor in tensors]
             _compile(_Flat(function, arguments), tuple(copies), path)
-        return _Variant(path, results)
+        return _Variant(CompiledFunction(path, _Compiling.threads), tensors, results)
     except Exception as error:  # whatever a compiler may fail with: pictures come out the same without it
         with contextlib.suppress(OSError):  # the folder itself may be what is wrong
             path.unlink()

@@ -1,4 +1,4 @@
-"""Which pixels are rendered together, and by which thread's turn."""
+"""Which pixels are rendered together."""
 
 from __future__ import annotations
 
@@ -8,22 +8,25 @@ from collections.abc import Sequence
 import numpy as np
 
 BATCH, SMALL_BATCH = 262144, 28800
-"""Pixels traced together: each thread has as many batches, as large as memory allows, since Python costs the same for
+"""Pixels traced together: each thread has as many batches, about as large as memory allows, since Python costs the same for
 large ones and small ones. Below the second number it costs more than another thread brings."""
-LARGEST = 1.5
-"""Most pixels in a batch, in units of the mean."""
+SHORTEST, LONGEST = 0.5, 1.5
+"""Least and most pixels in a batch: of the mean, and of BATCH."""
 
 
 class Batches:
-    """Cuts a row of pixels into spans that take about equally long, or threads would wait for the one with most to do.
+    """Cuts a row of pixels into spans of about equal cost, or threads would wait for the one with most to do.
 
-    `spans` cuts them as they took last time, even at first; `took` is told how long each one did.
+    `spans` cuts it; `cost` is told what the spans cost, and the next are cut by that. It should be what does not change
+    from run to run, as rays are and seconds are not.
     """
 
     def __init__(self, threads: int):
         self._threads = threads
         self._cuts = np.zeros(1)
         """Where spans begin and end, as shares of the row."""
+        self._longest = 1.0
+        """Most that a span may hold, in units of the mean."""
 
     def spans(self, pixels: int) -> list[slice]:
         """Spans of `pixels` pixels, one behind the other, none of which is empty."""
@@ -33,15 +36,17 @@ class Batches:
         count = max(min(rounds * self._threads, pixels // SMALL_BATCH), 1)
         if len(self._cuts) != count + 1:
             self._cuts = np.linspace(0.0, 1.0, count + 1)
+        self._longest = LONGEST * BATCH * count / pixels
         places = np.rint(self._cuts * pixels).astype(int).tolist()
         return [slice(first, last) for first, last in zip(places, places[1:])]
 
-    def took(self, seconds: Sequence[float]) -> None:
-        """Seconds that each of the spans took."""
-        if not seconds:
+    def cost(self, costs: Sequence[float]) -> None:
+        """What each of the spans cost, positive."""
+        if len(costs) < 2:
             return
-        passed = np.concatenate(([0.0], np.cumsum(seconds)))
-        even = np.interp(np.linspace(0.0, passed[-1], len(passed)), passed, self._cuts)
-        cuts = 0.5 * (self._cuts + even)  # one step may be slow for other reasons
-        if np.diff(cuts).max() * len(seconds) <= LARGEST:
-            self._cuts = cuts
+        sums, even = np.concatenate(([0.0], np.cumsum(costs))), np.linspace(0.0, 1.0, len(costs) + 1)
+        cuts = np.interp(even * sums[-1], sums, self._cuts)
+        sizes = np.diff(cuts) * len(costs)
+        # Between even spans and these, as near to these as sizes allow.
+        reach = min(1.0, (self._longest - 1.0) / max(sizes.max() - 1.0, 1e-9), (1.0 - SHORTEST) / max(1.0 - sizes.min(), 1e-9))
+        self._cuts = even + reach * (cuts - even)

@@ -86,11 +86,14 @@ def uniform_draw(lens: Lens, focus: Tensor, uniforms: Tensor) -> LensDraw:
 
 
 def guided_draw(lens: Lens, focus: Tensor, batch: GuidedBatch, uniforms: Tensor) -> LensDraw:
-    """Lens points of the batch's distribution, from as many uniform numbers as it takes."""
+    """Lens points of the batch's distribution, from as many uniform numbers as it takes.
+
+    Those of pixels without candidates are, to the bit, as `uniform_draw` has them.
+    """
     points = batch.distribution.sample(uniforms)
-    at = batch.distribution.evaluate(points)
-    passes = lens.transmission(points) * lens.unblocked(points, focus)  # W of Eq. 6
-    return LensDraw(points, passes / (lens.area * at.density).clamp(min=1e-20), batch, at)
+    at, unblocked = batch.distribution.evaluate(points), lens.unblocked(points, focus)
+    weight = lens.transmission(points) * unblocked / (lens.area * at.density).clamp(min=1e-20)  # W of Eq. 6
+    return LensDraw(points, torch.where(batch.distribution.guided, weight, unblocked), batch, at)
 
 
 class LensGuide(nn.Module):

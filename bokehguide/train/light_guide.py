@@ -76,7 +76,7 @@ class LightGuide(RankSums):
         moments, tried, arrived = (self._pooled(total) for total in self.sums)
         roots = moments.sqrt()
         whole = roots.sum(1, keepdim=True)
-        self.probability.copy_(torch.where(whole > 0.0, roots / whole.clamp(min=1e-300), 1.0 / roots.shape[1]))
+        self.probability.copy_(torch.where(whole > 0.0, roots / whole.clamp(min=1e-30), 1.0 / roots.shape[1]))
         self.seen.copy_(((arrived + SEEN_BEFORE) / (tried + SEEN_BEFORE)).clamp(min=DARKEST))
         self._table = ClusterTable(self.probability.double())
 

@@ -44,7 +44,7 @@ class RenderLoop:
     """Renders a scene step by step; after each step `film` holds the picture so far.
 
     Random numbers are keyed by pixel and what batches learn is added up in the pixels' order or in double precision,
-    so the number of threads, which cuts the batches, changes nothing but the speed.
+    so where batches are cut, and on how many threads they run, changes nothing but the speed.
 
     ranks: the processes that share the work. Their Gaussians are the same, each knows the film and β of
     its own pixels, and all of them take every step, `picture` and `state_dict` together. tracer: that of another
@@ -114,7 +114,8 @@ class RenderLoop:
         spans = self._batches.spans(self.film.width * self.film.height if self._places is None else len(self._places))
         results = self._in_batches(self._render_batch, spans)
         reused = self._in_batches(self._reuse_batch, spans) if self.reuse is not None else []
-        self._batches.took([sum(result.timer.seconds.values()) for result in results])
+        passes = [results, reused] if reused else [results]
+        self._batches.cost([sum(part.samples + part.rays for part in parts) for parts in zip(*passes)])
         timer = PhaseTimer()
         if self._learns:
             with timer.measure("learning"):
@@ -148,7 +149,7 @@ class RenderLoop:
             points, weight, batch, at = self._draw(pixels, raster, focus, random)
         with timer.measure("shading"):
             samples, directions = self._trace(focus, points, weight, random, timer)
-            if self.step_number == 1 and batch is not None:
+            if self.step_number == 1 and self.guide is not None and self.guide.candidates is not None:
                 samples.rays += self._prime(places, focus, random, timer)
         with timer.measure("output"):
             film_samples = self._film_samples(samples, directions, weight)
