@@ -19,7 +19,6 @@ import argparse
 import contextlib
 import json
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,6 +29,7 @@ from torch import Tensor
 
 from bokehguide import __version__
 from bokehguide.cli.arguments import Parser, positive, size, threads
+from bokehguide.cli.scripts import run
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import errors, fingerprint, made_reference, progress, regions
 from bokehguide.image import check_writable, replacing
@@ -324,10 +324,4 @@ def ratio(changed: Tensor, default: Tensor) -> tuple[float, float | None]:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except BokehguideError as error:
-        print(f"ablations: error: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit("ablations: interrupted; finished renders are kept, and the same command goes on")
+    run(main, "finished renders are kept, and the same command goes on")

@@ -15,14 +15,13 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import multiprocessing
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from bokehguide.cli.arguments import COMPILE_HELP, natural, positive, size, threads
 from bokehguide.cli.report import peak_memory_mb, write_json
-from bokehguide.errors import BokehguideError
+from bokehguide.cli.scripts import run
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
 
@@ -145,7 +144,4 @@ def start_peer(args: argparse.Namespace) -> Callable[[int], float]:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except BokehguideError as error:
-        sys.exit(f"bench: error: {error}")
+    run(main)

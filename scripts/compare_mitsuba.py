@@ -43,7 +43,7 @@ from tqdm import tqdm
 from ztest import FINE, Outcome, Runs, at_least_two, brightness, independent_runs, judge, report
 
 from bokehguide.cli.arguments import positive
-from bokehguide.errors import BokehguideError
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation import LongRender, accumulate
 from bokehguide.image import check_writable, replacing
 from bokehguide.scene import Overrides, Scene, load_scene
@@ -182,9 +182,4 @@ def tell(comparisons: list[Comparison]) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except BokehguideError as error:
-        sys.exit(f"compare_mitsuba: error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("compare_mitsuba: interrupted; the same command goes on with Mitsuba's render")
+    run(main, "the same command goes on with Mitsuba's render")

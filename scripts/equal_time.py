@@ -31,7 +31,7 @@ from mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer, comparable
 
 from bokehguide.cli.arguments import COMPILE_HELP, duration, positive, size, threads
 from bokehguide.cli.report import write_json
-from bokehguide.errors import BokehguideError
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation import errors, made_reference, markdown, progress, regions
 from bokehguide.image import check_writable
 from bokehguide.scene import Overrides, Scene, load_scene
@@ -184,7 +184,4 @@ def draw(races: dict[str, list[Runner]], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except BokehguideError as error:
-        sys.exit(f"equal_time: error: {error}")
+    run(main)

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from pathlib import Path
 
@@ -28,7 +27,7 @@ from experiment import experiment_parser, load_scenes
 from torch import Tensor
 
 from bokehguide.cli.arguments import natural, positive
-from bokehguide.errors import BokehguideError
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation import LongRender, accumulate, between_halves, errors, markdown, progress, regions, warn_of_bad_samples
 from bokehguide.evaluation.long_renders import whole_step
 from bokehguide.evaluation.references import CHUNK, rendered_halves
@@ -211,9 +210,4 @@ def tables(results: dict[str, dict], args: argparse.Namespace) -> list[str]:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except BokehguideError as error:
-        sys.exit(f"evaluate: error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("evaluate: interrupted; the same command goes on with the references")
+    run(main, "the same command goes on with the references")

@@ -11,12 +11,11 @@ their mean differs from the truth by about e / 4.
 
 import argparse
 import json
-import sys
 
 from torch import Tensor
 
 from bokehguide.cli.arguments import Parser, exr, natural, positive, size
-from bokehguide.errors import BokehguideError
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation import between_halves, progress, render, warn_of_bad_samples
 from bokehguide.image import check_writable, write_exr
 from bokehguide.scene import Overrides, Scene, load_scene
@@ -64,8 +63,4 @@ def render_half(scene: Scene, mode: str, spp: int, seed: int) -> Tensor:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except BokehguideError as error:
-        print(f"make_reference: error: {error}", file=sys.stderr)
-        sys.exit(2)
+    run(main)

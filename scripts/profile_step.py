@@ -17,6 +17,7 @@ from collections import Counter
 from pathlib import Path
 
 from bokehguide.cli.arguments import Parser, natural, positive, size
+from bokehguide.cli.scripts import run
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import MODES, RenderLoop, RenderSettings
 
@@ -87,4 +88,4 @@ def named(place: tuple[str, int, str]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -8,12 +8,11 @@ guide from the same samples. Try
 """
 
 import argparse
-import sys
 
 from tqdm import trange
 
 from bokehguide.cli.arguments import Parser, exr, natural, positive, size
-from bokehguide.errors import BokehguideError
+from bokehguide.cli.scripts import run
 from bokehguide.image import check_writable, tone_map, write_exr, write_png
 from bokehguide.metrics import mape, read_reference, relmse
 from bokehguide.scene import Overrides, load_scene
@@ -60,8 +59,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except BokehguideError as error:
-        print(f"render: error: {error}", file=sys.stderr)
-        sys.exit(2)
+    run(main)

@@ -24,7 +24,7 @@ import numpy as np
 
 from bokehguide.cli.arguments import threads
 from bokehguide.cli.report import peak_memory_mb, write_json
-from bokehguide.errors import BokehguideError
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation.tables import markdown
 from bokehguide.image import check_writable
 from bokehguide.scene import Camera, Environment, Film, Material, Mesh, Scene
@@ -192,7 +192,4 @@ def draw(rows: list[dict], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except BokehguideError as error:
-        sys.exit(f"scaling: error: {error}")
+    run(main)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +26,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from bokehguide.cli.arguments import COMPILE_HELP, positive
-from bokehguide.errors import BokehguideError
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation import errors, made_reference, progress, regions, render
 from bokehguide.image import check_writable, replacing, tone_map, write_png
 from bokehguide.metrics import EPSILON
@@ -133,10 +132,4 @@ def early_picture(scene: Scene, args: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except BokehguideError as error:
-        print(f"seeds: error: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit("seeds: interrupted; tables of finished scenes are kept")
+    run(main, "tables of finished scenes are kept")

@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -43,7 +42,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from bokehguide.cli.arguments import COMPILE_HELP, positive
-from bokehguide.errors import BokehguideError
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation import LongRender, accumulate, progress, render, warn_of_bad_samples
 from bokehguide.image import write_png
 from bokehguide.render.vector import luminance
@@ -270,9 +269,4 @@ def report(outcomes: list[Outcome]) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except BokehguideError as error:
-        sys.exit(f"ztest: error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("ztest: interrupted; the same command goes on with the uniform render")
+    run(main, "the same command goes on with the uniform render")

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bokehguide.cli.scripts import run
+from bokehguide.errors import BokehguideError
 from bokehguide.image import read_metadata, read_rgb, write_exr
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
@@ -117,3 +119,26 @@ def test_equal_time_gives_both_their_seconds(script, tmp_path):
         assert history[-1]["mape"]["frame"] < 1.0, "both show the same scene"
     assert "| daylight | frame | 2 |" in finished.stdout
     assert (tmp_path / "out/equal_time.png").stat().st_size > 10_000
+
+
+def raising(error: BaseException):
+    def main():
+        raise error
+
+    return main
+
+
+@pytest.mark.parametrize(
+    ("main", "code", "line"),
+    [
+        (lambda: None, 0, ""),
+        (lambda: 1, 1, ""),
+        (raising(BokehguideError("a.exr: is no picture")), 2, "script: error: a.exr: is no picture\n"),
+        (raising(KeyboardInterrupt()), 130, "script: interrupted; all is kept\n"),
+    ],
+)
+def test_how_scripts_end(main, code, line, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["scripts/script.py"])
+    with pytest.raises(SystemExit) as ended:
+        run(main, "all is kept")
+    assert (ended.value.code or 0, capsys.readouterr().err) == (code, line)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bokehguide.cli.arguments import Parser, positive, size, threads
-from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import Comparison, compare, made_reference, summary
 from bokehguide.evaluation.comparison import SEED
 from bokehguide.image import check_writable, replacing
@@ -123,14 +122,3 @@ def write_json(scenes: Mapping[str, Mapping], path: Path) -> None:
     """What was measured by scene, and the command."""
     with replacing(path) as temporary:
         temporary.write_text(json.dumps({"command": " ".join(sys.argv), "scenes": scenes}, indent=1) + "\n")
-
-
-def run(main: Callable[[], None]) -> None:
-    """Call a script's `main`; a mistake of the user becomes one line and the exit code 2."""
-    try:
-        main()
-    except BokehguideError as error:
-        print(f"{Path(sys.argv[0]).stem}: error: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(f"{Path(sys.argv[0]).stem}: interrupted; what is finished is kept, and the same command goes on")

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from common import figure_options, run, settings, sized, write_json
+from common import figure_options, settings, sized, write_json
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
@@ -28,6 +28,7 @@ from matplotlib.patches import Rectangle
 from restir_pixel import PixelReuse
 from torch import Tensor
 
+from bokehguide.cli.scripts import run
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import progress, regions
 from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
@@ -263,4 +264,4 @@ def draw_lens(axes: Axes, found: Distributions, name: str) -> AxesImage:
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "what is finished is kept, and the same command goes on")

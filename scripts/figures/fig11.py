@@ -15,8 +15,9 @@ from functools import partial
 from unittest import mock
 
 import torch
-from common import Variant, compared, figure_options, relabelled, run, write_numbers
+from common import Variant, compared, figure_options, relabelled, write_numbers
 
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation.crops_figure import write_crops
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene import Scene
@@ -57,4 +58,4 @@ def shared_cells(scene: Scene) -> dict[str, int]:
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "what is finished is kept, and the same command goes on")

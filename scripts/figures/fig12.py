@@ -23,12 +23,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from common import figure_options, run, settings, sized, write_json
+from common import figure_options, settings, sized, write_json
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from torch import Tensor
 
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation import progress, regions
 from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
 from bokehguide.render.film import Film, FilmSamples
@@ -156,4 +157,4 @@ def grey(alpha: Tensor) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "what is finished is kept, and the same command goes on")

@@ -14,11 +14,12 @@ from itertools import cycle
 from pathlib import Path
 from unittest import mock
 
-from common import Variant, compared, figure_options, relabelled, run, settings, write_numbers
+from common import Variant, compared, figure_options, relabelled, settings, write_numbers
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from torch import Tensor
 
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation import Comparison, regions
 from bokehguide.evaluation.crops_figure import COLORS, GAP, MARGIN, draw_scene, lay_out
 from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
@@ -112,4 +113,4 @@ def draw_maps(figure: Figure, scene: Scene, beta: Tensor, top: float, height: fl
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "what is finished is kept, and the same command goes on")

@@ -5,8 +5,9 @@
 Writes fig7.png, crops of both beside the reference with their MAPE, and fig7.json.
 """
 
-from common import compared, figure_options, run, write_numbers
+from common import compared, figure_options, write_numbers
 
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation.crops_figure import write_crops
 
 
@@ -19,4 +20,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "what is finished is kept, and the same command goes on")

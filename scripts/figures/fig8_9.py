@@ -12,9 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from common import Variant, compared, figure_options, relabelled, run, write_numbers
+from common import Variant, compared, figure_options, relabelled, write_numbers
 from matplotlib.figure import Figure
 
+from bokehguide.cli.scripts import run
 from bokehguide.evaluation import Comparison
 from bokehguide.evaluation.crops_figure import write_crops
 from bokehguide.evaluation.curves_figure import COSTS, add_legend, draw_curves
@@ -53,4 +54,4 @@ def write_curves(path: Path, comparisons: Sequence[Comparison]) -> None:
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "what is finished is kept, and the same command goes on")
