@@ -139,7 +139,7 @@ def test_the_batched_pass_agrees(mode, monkeypatch):
     for _ in range(STEP - 1):
         loop.step()
     loop.step_number = STEP
-    loop._in_batches(loop._render_batch)
+    loop._in_batches(loop._render_batch, [slice(0, loop.film.width * loop.film.height)])
     points, weights = loop.reuse._reservoirs.lens_points.clone(), loop.reuse._reservoirs.weight.clone()
     whole, _ = loop.reuse.resample(slice(0, WIDTH * loop.camera.height), STEP, PhaseTimer())
     batched = (whole.radiance * whole.radiance_weight).T.double().numpy()

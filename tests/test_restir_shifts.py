@@ -145,7 +145,7 @@ def first_pass() -> RenderLoop:
     """A loop between the two passes of its first step."""
     loop = loop_of("area-restir")
     loop.step_number = 1
-    loop._in_batches(loop._render_batch)
+    loop._in_batches(loop._render_batch, [slice(0, loop.film.width * loop.film.height)])
     return loop
 
 

@@ -28,7 +28,8 @@ class BlendWeightMap(nn.Module):
 
     def forward(self, pixels: slice | Tensor = slice(None)) -> Tensor:
         """β of some pixels (all of them by default), `[N]`."""
-        return LOWEST + (HIGHEST - LOWEST) * torch.sigmoid(self.logit[pixels])
+        # The sigmoid as a tanh: PyTorch's own rounds otherwise at the end of an array, and so by where batches are cut.
+        return LOWEST + (HIGHEST - LOWEST) * (0.5 + 0.5 * torch.tanh(0.5 * self.logit[pixels]))
 
     @staticmethod
     def slope(beta: Tensor) -> Tensor:

@@ -34,7 +34,7 @@ class LampYield(RankSums):
 
     def __init__(self, camera: ThinLensCamera, lamps: int, ranks: Ranks | None = None):
         slots = 1 << max(int(SLOTS_PER_PIXEL * camera.width * camera.height) - 1, 1).bit_length()
-        super().__init__(torch.zeros(2, slots, device=camera.position.device), ranks)
+        super().__init__(torch.zeros(2, slots, dtype=torch.float64, device=camera.position.device), ranks)
         self._width, self._lamps = camera.width, lamps
         self.register_buffer("learnt", torch.ones(slots, device=camera.position.device))
         """What the block goes by, of each slot: part of the state, as draws of the block are in the sums already."""
@@ -49,6 +49,7 @@ class LampYield(RankSums):
 
     def add(self, slots: Tensor, squared: Tensor) -> None:
         """Add draws `[K]`, and the squares of what they brought in units of what they might have."""
+        squared = squared.double()  # or sums would depend on who adds first, and with them what is drawn
         self.mine[0].index_add_(0, slots, torch.ones_like(squared))
         self.mine[1].index_add_(0, slots, squared)
 
@@ -56,7 +57,7 @@ class LampYield(RankSums):
         """Go by all draws so far; collective."""
         self.merge()
         draws, squares = self.sums
-        self.learnt = ((squares + DRAWS_BEFORE) / (draws + DRAWS_BEFORE)).sqrt().clamp(max=HIGHEST)
+        self.learnt = ((squares + DRAWS_BEFORE) / (draws + DRAWS_BEFORE)).sqrt().clamp(max=HIGHEST).float()
         self.learnt[0] = 1.0
 
     def factor(self, slots: Tensor) -> Tensor:

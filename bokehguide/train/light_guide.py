@@ -41,7 +41,7 @@ class LightGuide(RankSums):
         size = max(-(-max(camera.width, camera.height) // TILES), SMALLEST)
         across, down = -(-camera.width // size), -(-camera.height // size)
         device, shape = camera.position.device, (across * down, clusters)
-        super().__init__(torch.zeros(3, *shape, device=device), ranks)
+        super().__init__(torch.zeros(3, *shape, dtype=torch.float64, device=device), ranks)
         self._camera, self._size, self._across, self._down = camera, size, across, down
         self.register_buffer("probability", torch.zeros(shape, device=device))
         self.register_buffer("seen", torch.zeros(shape, device=device))
@@ -67,13 +67,13 @@ class LightGuide(RankSums):
         place = tiles * self.probability.shape[1] + clusters
         squared = (worth / unit).nan_to_num(0.0, BRIGHTEST).clamp(max=BRIGHTEST).square()
         for total, values in zip(sums, (squared, torch.ones_like(squared), seen)):
-            total.index_add_(0, place, values)
+            total.index_add_(0, place, values.double())  # or sums, and choices by them, would depend on who adds first
 
     def update(self, step: int) -> None:
         """Begin a block of steps with `step`: choose by all that was seen before it; collective."""
         self.merge()
         self.block.fill_(step)
-        moments, tried, arrived = (self._pooled(total) for total in self.sums)
+        moments, tried, arrived = (self._pooled(total.float()) for total in self.sums)
         roots = moments.sqrt()
         whole = roots.sum(1, keepdim=True)
         self.probability.copy_(torch.where(whole > 0.0, roots / whole.clamp(min=1e-30), 1.0 / roots.shape[1]))
