@@ -176,7 +176,7 @@ NEEDED = {
     "shared β": (LAMPS, "learnt β (else 0.65)"),
     "learnt visibility": (LIGHTS, "resampled lights"),
 }
-"""Parts that do nothing by themselves, and those without which they do not."""
+"""Parts that do nothing by themselves, and what they are added to."""
 
 
 def guided_with(what: str, kept: tuple[str, ...]) -> Change:
