@@ -33,8 +33,8 @@ from bokehguide.cli.scripts import run
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import errors, fingerprint, made_reference, progress, regions
 from bokehguide.image import check_writable, replacing
-from bokehguide.models import BlendWeightMap, GaussianField, polynomial_offset
-from bokehguide.models.disc_distribution import Shapes, balls
+from bokehguide.models import BlendWeightMap, GaussianField, disc_distribution, polynomial_offset
+from bokehguide.models.disc_distribution import Band, Shapes, balls
 from bokehguide.models.projection import lens_magnification
 from bokehguide.render import direct_light
 from bokehguide.render.camera import ThinLensCamera
@@ -143,6 +143,12 @@ def as_balls(squared: Tensor) -> Tensor:
     return balls(torch.linalg.eigvalsh(squared)[:, -1].clamp(min=0.0).sqrt())
 
 
+def whole(center: Tensor, *_: Tensor) -> Band:
+    """Ellipses are drawn beyond the lens as well."""
+    ones = torch.ones_like(center[0])
+    return Band(torch.stack((ones, 0.0 * ones)), -2.0 * ones, 2.0 * ones, 0.0 * ones, ones)
+
+
 def independent_lens_points(random: PixelRandom, dimension: int, count: int, first: int = 1) -> Tensor:
     """As `PixelRandom.stratified`, but of lens points every step is independent."""
     return random.uniform(dimension, count) if dimension == guide.LENS_DIMENSION else STRATIFIED(random, dimension, count, first)
@@ -158,6 +164,7 @@ PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
     "mirror images": ((MirrorImages, "add", lambda *_: None),),
     "shapes of map lamps and panels": ((known_lamps, "_shapes", no_shapes),),
     "proportions (else balls)": ((known_lamps, "packed", as_balls),),
+    "discs cut off at the lens": ((disc_distribution, "_band", whole),),
     "learnt yields of lamps": ((LampYield, "factor", lambda _, slots: torch.ones(slots.shape)),),
     "learnt β (else 0.65)": ((spot_guide, "LOWEST", 0.65), (spot_guide, "HIGHEST", 0.65)),
     "shared β": ((spot_guide, "POOLED", 1),),
@@ -171,6 +178,7 @@ NEEDED = {
     "mirror images": (FOUND,),
     "shapes of map lamps and panels": (LAMPS,),
     "proportions (else balls)": (LAMPS,),
+    "discs cut off at the lens": (LAMPS,),
     "learnt yields of lamps": (LAMPS,),
     "learnt β (else 0.65)": (LAMPS,),
     "shared β": (LAMPS, "learnt β (else 0.65)"),

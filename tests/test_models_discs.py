@@ -12,6 +12,7 @@ from lens_cases import INNER_RINGS, LENS, LensCase, PolarGrid, grid
 from statistical import SIGNIFICANCE, chi_square
 from test_models_density import X_F, mixture, spot
 
+from bokehguide.models import disc_distribution
 from bokehguide.models.disc_distribution import DiscLensDistribution, Shapes, balls, overlap, packed
 from bokehguide.models.projection import project_to_lens
 from bokehguide.render.lens import Lens
@@ -137,8 +138,8 @@ def test_an_outline_is_drawn_where_rays_through_it_leave_the_lens(name):
     shell = torch.tensor(case.mean).double() + 1e-3 * axes.T @ directions
     shown = project_to_lens(shell, distribution.focus.double().expand(3, 20_000))
     x, y = (shown - project_to_lens(torch.tensor(case.mean).double(), distribution.focus.double())) * 1e3
-    x = x / distribution.width
-    y = (y - distribution.tilt * x) / distribution.height
+    x = x / distribution.ellipses.width
+    y = (y - distribution.ellipses.tilt * x) / distribution.ellipses.height
     size, angle = (x * x + y * y).sqrt(), torch.atan2(y, x)
     assert float(size.max()) < 1.001
     for sector in torch.linspace(-math.pi, math.pi, 25)[:-1].tolist():
@@ -160,7 +161,7 @@ def test_evenly_spread_numbers_give_evenly_spread_points():
     place = (torch.stack(torch.meshgrid(torch.arange(32), torch.arange(32), indexing="ij")).reshape(2, -1) + 0.5) / 32
     distribution = case.distribution(1024)
     points = distribution.sample(torch.cat((torch.full((1, 1024), 0.5), place)))
-    ring = ((points - distribution.center).square().sum(0) / distribution.width.square() * 32).long()
+    ring = ((points - distribution.ellipses.center).square().sum(0) / distribution.ellipses.width.square() * 32).long()
     assert (torch.bincount(ring) == 32).all()
 
 
@@ -168,3 +169,42 @@ def test_evenly_spread_numbers_give_evenly_spread_points():
 def test_overlap_with_the_lens(x, radius, expected):
     found = overlap(torch.tensor([[x], [0.0]]), torch.tensor([radius]), torch.tensor(Lens(0.1, 2.0).radius))
     assert float(found) == pytest.approx(expected, abs=0.06)
+
+
+def test_parts_of_a_disc_and_their_ends_belong_together():
+    """`_disc_share` against the integral, and `_disc_place` against `_disc_share`."""
+    place = torch.linspace(-1.0, 1.0, 2001, dtype=torch.float64)
+    chord = 2.0 / math.pi * (1.0 - place * place).clamp(min=0.0).sqrt()
+    share = torch.cat((torch.zeros(1), torch.cumulative_trapezoid(chord, place)))
+    np.testing.assert_allclose(disc_distribution._disc_share(place.float()), share, atol=2e-5)
+    found = disc_distribution._disc_place(disc_distribution._disc_share(place.float()))
+    np.testing.assert_allclose(found, place, atol=2e-4)  # at the ends single precision tells no more
+    np.testing.assert_allclose(found[50:-50], place[50:-50], atol=3e-6)
+
+
+def test_what_the_lens_sees_is_drawn_and_what_it_cannot_see_is_not():
+    """Discs and ellipses of all sizes all over the lens's plane: what lies in the lens counts as the whole ellipse does, by
+    an even density, and at its edge few draws are lost."""
+    generator = torch.Generator().manual_seed(3)
+    count = 20_000
+    focus = torch.tensor(X_F)[:, None].expand(3, count).contiguous()
+    shown = LENS.radius * (3.0 * torch.rand(2, count, generator=generator) - 1.5)
+    mean = torch.lerp(torch.cat((shown, torch.zeros(1, count))), focus, 2.5)
+    axes = torch.randn(count, 3, 3, generator=generator) * 10.0 ** (1.7 * torch.rand(count, 1, 1, generator=generator) - 2.5)
+    outline = packed(axes.transpose(1, 2) @ axes)
+    ones = torch.ones(count)
+    distribution = DiscLensDistribution(LENS, focus, ones, torch.arange(count + 1), mean, outline, ones, ones)
+    center, width, tilt, height, band = distribution.ellipses
+    angle, radius = torch.rand(2, 50, count, generator=generator)
+    angle, radius = 2.0 * math.pi * angle, 0.999 * radius.sqrt()
+    x, y = radius * angle.cos(), radius * angle.sin()
+    points = (center[:, None] + torch.stack((width * x, tilt * x + height * y))).reshape(2, -1)
+    seen = points.square().sum(0).reshape(50, count) < LENS.radius**2
+    density = torch.stack([distribution.component_pdf(part) for part in points.reshape(2, 50, count).unbind(1)])
+    whole = 1.0 / (math.pi * width * height)
+    assert bool((density[seen] > 0.0).all()) and 0.1 < float(seen.float().mean()) < 0.9
+    torch.testing.assert_close(density[seen], (whole / band.share).expand(50, -1)[seen])
+    small = (torch.maximum(width, height) < 0.3 * LENS.radius) & distribution.guided & (band.share < 0.95) & (band.share > 0.05)
+    drawn = distribution.sample(torch.rand(3, count, generator=generator)).square().sum(0) < LENS.radius**2
+    assert int(small.sum()) > 500
+    assert float(drawn[small].float().mean()) > 0.9 > 0.6 > float(seen[:, small].float().mean())

@@ -61,7 +61,7 @@ def learnt_choice(lights: Lights, count: int, spread: float = 2.0) -> LightChoic
     weights[:, ::5] = 0.0
     weights[:, -1] = 1.0
     table = ClusterTable(torch.from_numpy(weights / weights.sum(axis=1, keepdims=True)))
-    return LightChoice(torch.arange(count) % 3, table, 1)
+    return LightChoice((torch.arange(count) % 3).int(), table, 1)
 
 
 def sampled(scene: Scene, count: int = DRAWS, place=ORIGIN, learnt: bool = False):

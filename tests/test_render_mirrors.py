@@ -240,17 +240,18 @@ EYE = np.zeros(3)
 
 def as_in_a_render(points: torch.Tensor) -> LightChoice:
     """How lights are chosen at first surfaces while nothing is learnt."""
-    return LightChoice(torch.zeros(points.shape[1], dtype=torch.int64), None, 1)
+    return LightChoice(torch.zeros(points.shape[1], dtype=torch.int32), None, 1)
 
 
-def traced(scene: Scene, directions, choose=as_in_a_render, count: int = COUNT) -> PathSamples:
-    """Paths from the eye; directions: one, or `[3, N]`."""
+def traced(scene: Scene, directions, choose=as_in_a_render, count: int = COUNT, index: torch.Tensor | None = None) -> PathSamples:
+    """Paths from the eye; directions: one, or `[3, N]`; index: of those to be traced, if not all are."""
     directions = np.asarray(directions, np.float64)
     directions = np.repeat(directions[:, None], count, axis=1) if directions.ndim == 1 else directions
     directions = torch.tensor(directions / np.linalg.norm(directions, axis=0), dtype=torch.float32)
     random = PixelRandom(0, 1, torch.arange(directions.shape[1]))
     with torch.no_grad():
-        return PathTracer(scene).trace(torch.zeros_like(directions), directions, random, PhaseTimer(), choose=choose)
+        tracer = PathTracer(scene)
+        return tracer.trace(torch.zeros_like(directions), directions, random, PhaseTimer(), choose=choose, index=index)
 
 
 def lit(samples: PathSamples) -> np.ndarray:
@@ -438,13 +439,20 @@ def test_without_a_choice_of_lights_there_are_no_images():
     assert traced(flat_mirror(), image_in_mirror(LAMP_PLACE), choose=None).image is None
 
 
-def test_images_go_where_their_rays_go():
-    """Samples of some of the pixels keep their images when they are spread among all; the others met nothing."""
-    samples = traced(flat_mirror(), image_in_mirror(LAMP_PLACE), count=10)
-    index = torch.arange(10) * 3 + 1
-    spread = samples.spread(index, 40)
-    assert torch.equal(spread.image[index], samples.image)
-    assert int((spread.image >= MISS_DISTANCE).sum()) == 30 + int((samples.image >= MISS_DISTANCE).sum())
+@pytest.mark.parametrize("choose", (None, as_in_a_render))
+def test_some_of_the_rays_bring_what_they_bring_among_all(choose):
+    """To the bit; the others met nothing, as if they had been sent into the void."""
+    index = torch.arange(100) * 3 + 1
+    all_of_them, some, none = (
+        vars(traced(flat_mirror(), image_in_mirror(LAMP_PLACE), choose, 300, index)) for index in (None, index, index[:0])
+    )
+    others = torch.ones(300, dtype=torch.bool).index_fill(0, index, False)
+    assert some.pop("rays") < all_of_them.pop("rays") and none.pop("rays") == 0
+    for name, value in some.items():
+        if value is not None:
+            assert torch.equal(value[..., index], all_of_them[name][..., index]), name
+            assert torch.equal(value[..., others], none[name][..., others]), name
+    assert float(some["radiance"][:, index].sum()) > 0.0 and bool((some["distance"][others] == MISS_DISTANCE).all())
 
 
 def test_all_rays_over_polished_balls_and_needles_give_numbers():

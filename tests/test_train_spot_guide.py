@@ -84,7 +84,7 @@ def guided_alone(loop: RenderLoop) -> tuple[torch.Tensor, DiscLensDistribution]:
 
 def share_of_hits(loop: RenderLoop) -> float:
     focus, mixture = guided_alone(loop)
-    seen = mixture.owner[mixture.center.norm(dim=0) < 0.3 * mixture.lens.radius]
+    seen = mixture.owner[mixture.ellipses.center.norm(dim=0) < 0.3 * mixture.lens.radius]
     hits = 0.0
     for step in range(256):
         points = mixture.sample(torch.rand(3, WIDTH * HEIGHT, generator=torch.Generator().manual_seed(step)))
@@ -200,7 +200,7 @@ def test_beta_is_that_of_least_variance(monkeypatch):
             light = (3.0 * at.mixture * mixture.lens.area + 1.0) * mixture.lens.contains(points)
             guide.study(GuidedBatch(slice(0, pixels), raster, mixture, spot), light / (mixture.lens.area * at.density), at)
         guide.update(64, [], 1.0)
-    beyond = (mixture.center.square().sum(0).sqrt() + torch.maximum(mixture.width, mixture.height) > mixture.lens.radius).float()
+    beyond = (mixture.ellipses.center.square().sum(0).sqrt() + torch.maximum(mixture.ellipses.width, mixture.ellipses.height) > mixture.lens.radius).float()
     inside = mixture.guided & (torch.zeros(pixels).index_add(0, mixture.owner, beyond) == 0.0)
     assert inside.sum() > 20
     assert float(guide.beta[inside].median()) == pytest.approx(0.75, abs=0.03)
@@ -315,7 +315,7 @@ def images_in_the_ball() -> np.ndarray:
 def share_of_bright_draws(loop: RenderLoop) -> float:
     """Share of the draws from what was found that bring light, in pixels whose discs lie within the lens."""
     focus, mixture = guided_alone(loop)
-    within = mixture.owner[mixture.center.norm(dim=0) < 0.8 * mixture.lens.radius].unique()
+    within = mixture.owner[mixture.ellipses.center.norm(dim=0) < 0.8 * mixture.lens.radius].unique()
     assert len(within) > 100
     bright = []
     for step in range(64):

@@ -19,9 +19,14 @@ from bokehguide.models.projection import project_to_lens
 from bokehguide.models.sky_lamps import SeenSky, SkyLamps
 from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
+from bokehguide.render.pixels import put
 
 FLATTEST = 1e-4
 """Least squared height of an ellipse by its squared height upright: panels seen from their edge are no lines."""
+BEYOND = 1.001
+"""Bands reach so far beyond the lens's circle, in lens radii: what rounding moves across their ends, the lens does not see."""
+NARROWEST = -0.9
+"""Where a band ends at least, as `Band.high`: of less, single precision does not tell the area."""
 
 
 class Shapes(NamedTuple):
@@ -37,11 +42,41 @@ class Shapes(NamedTuple):
     light: Tensor
 
 
+class Band(NamedTuple):
+    """What is drawn of M ellipses: what lies between two tangents of the lens's circle, which face the way to their centres.
+
+    In coordinates in which the ellipses are unit discs. along: the way that the centres lie, unit, `[2, M]`; low, high:
+    where it begins and ends on that way, beyond -1 and 1 where nothing is cut off; below, share: of the disc, what lies
+    before it and in it; `[M]` each.
+    """
+
+    along: Tensor
+    low: Tensor
+    high: Tensor
+    below: Tensor
+    share: Tensor
+
+
+class Ellipses(NamedTuple):
+    """Centres `[2, M]`, and columns (width, tilt) and (0, height) of what makes ellipses of the unit disc, `[M]`; their bands."""
+
+    center: Tensor
+    width: Tensor
+    tilt: Tensor
+    height: Tensor
+    band: Band
+
+    def select(self, index: Tensor) -> Ellipses:
+        """Those at `index`, int64 `[K]`."""
+        *parts, band = self
+        return Ellipses(*(part.index_select(-1, index) for part in parts), Band(*(part.index_select(-1, index) for part in band)))
+
+
 class DiscLensDistribution(LensMixture):
-    """The mixture of ellipsoids projected through x_F onto the lens plane, as even ellipses.
+    """The mixture of ellipsoids projected through x_F onto the lens plane, as even ellipses, cut off where the lens ends.
 
     The projection is the affine one that holds at an ellipsoid's centre. Densities are per unit lens area. A candidate
-    counts by the share of its ellipse that lies within the lens's circle, about.
+    counts by the root of the shares of its ellipse that lie within the lens's circle, about, and in its band: so the variance is least.
 
     mean `[3, M]` (metres, camera frame) and outline `[6, M]`: centres and `packed` squared half axes of the candidates'
     ellipsoids, none of them in focus; factor: what is known of their weights beside how bright they look, `[M]`; shapes:
@@ -61,16 +96,14 @@ class DiscLensDistribution(LensMixture):
         shapes: Shapes | None = None,
     ):
         owner, radius = owners(start), torch.tensor(lens.radius, device=focus.device)
-        ellipses = _ellipses(mean, outline, focus.index_select(1, owner), weight, radius)
-        self.center, self.width, self.tilt, self.height, weight = ellipses
-        """Of the ellipses: centres `[2, M]`, and columns (width, tilt) and (0, height) of what makes one of the unit disc, `[M]`."""
+        self.ellipses, weight = _ellipses(mean, outline, focus.index_select(1, owner), weight, radius)
         self._parts: list[SeenSky | SeenPanels] = []
         if shapes is not None and shapes.sky is not None:
             self._parts.append(SeenSky(shapes.sky, shapes.sky_lamp, owner, focus))
         if shapes is not None and shapes.panels is not None:
             seen = SeenPanels(shapes.panels, shapes.panel, owner, focus, radius)
             light = shapes.light.index_select(0, shapes.panel.index_select(0, seen.index))
-            weight.index_copy_(0, seen.index, light * seen.size / math.pi)
+            put(weight, seen.index, light * seen.size / math.pi)
             self._parts.append(seen)
         self.bright = weight
         """Luminance times area on the lens over π, `[M]`: what a draw of each might bring."""
@@ -86,32 +119,29 @@ class DiscLensDistribution(LensMixture):
         """
         points = self.lens.sample(uniforms[1:3])
         index = (uniforms[0] < self.beta).nonzero()[:, 0]
-        choice, radius, angle = uniforms[0:3].index_select(1, index)
-        chosen = self.choose(index, choice / self.beta.index_select(0, index))
-        self.chosen.index_copy_(0, index, chosen)
-        radius, angle = (1.0 - 1e-6) * radius.sqrt(), 2.0 * math.pi * angle
-        x, y = radius * angle.cos(), radius * angle.sin()
-        width, tilt, height = (part.index_select(0, chosen) for part in (self.width, self.tilt, self.height))
-        drawn = self.center.index_select(1, chosen) + torch.stack((width * x, tilt * x + height * y))
+        numbers = uniforms[0:3].index_select(1, index)
+        chosen = self.choose(index, numbers[0] / self.beta.index_select(0, index))
+        put(self.chosen, index, chosen)
+        drawn = _drawn(self.ellipses.select(chosen), numbers[1:])
         for part in self._parts:
             place = torch.full_like(self.owner, -1)
             place[part.index] = torch.arange(len(part.index), device=place.device)
             place = place.index_select(0, chosen)
             own = (place >= 0).nonzero()[:, 0]
-            numbers = uniforms[1:3].index_select(1, index.index_select(0, own))
-            drawn.index_copy_(1, own, part.sample(place.index_select(0, own), numbers))
-        return points.index_copy_(1, index, drawn)
+            put(drawn, own, part.sample(place.index_select(0, own), numbers[1:].index_select(1, own)))
+        put(points, index, drawn)
+        return points
 
     def component_pdf(self, points: Tensor) -> Tensor:
-        density = _density(points.index_select(1, self.owner), self.center, self.width, self.tilt, self.height)
+        density = _density(points.index_select(1, self.owner), self.ellipses)
         for part in self._parts:
-            density.index_copy_(0, part.index, part.pdf(points))
+            put(density, part.index, part.pdf(points))
         return density
 
 
 @kernel
-def _ellipses(mean: Tensor, outline: Tensor, focus: Tensor, weight: Tensor, lens_radius: Tensor) -> tuple[Tensor, ...]:
-    """Centres, widths, tilts and heights of ellipsoids projected through x_F, and what of their weights the lens can see."""
+def _ellipses(mean: Tensor, outline: Tensor, focus: Tensor, weight: Tensor, lens_radius: Tensor) -> tuple[Ellipses, Tensor]:
+    """Ellipsoids projected through x_F, and what of their weights the lens can see."""
     center = project_to_lens(mean, focus)
     gap = focus[2] - mean[2]
     x, y = (mean[0:2] - focus[0:2]) / gap
@@ -124,16 +154,64 @@ def _ellipses(mean: Tensor, outline: Tensor, focus: Tensor, weight: Tensor, lens
     tilt = both / width
     height = (up - tilt * tilt).clamp(min=FLATTEST * up).sqrt()
     width, tilt, height = scale * width, scale * tilt, scale * height
-    return center, width, tilt, height, weight * overlap(center, (width * height).sqrt(), lens_radius)
+    band = _band(center, width, tilt, height, lens_radius)
+    seen = (overlap(center, (width * height).sqrt(), lens_radius) * band.share).sqrt()
+    return Ellipses(center, width, tilt, height, band), weight * seen
+
+
+def _band(center: Tensor, width: Tensor, tilt: Tensor, height: Tensor, lens_radius: Tensor) -> Band:
+    distance = center.square().sum(0).sqrt()
+    centred = distance < 1e-6 * lens_radius  # any way will do
+    x, y = center / torch.where(centred, 1.0, distance)
+    x = torch.where(centred, 1.0, x)
+    across, up = width * x + tilt * y, height * y
+    reach = (across * across + up * up).sqrt().clamp(min=1e-30)
+    low, high = (-BEYOND * lens_radius - distance) / reach, (BEYOND * lens_radius - distance) / reach
+    high = high.clamp(min=NARROWEST)
+    below = _disc_share(low)
+    return Band(torch.stack((across, up)) / reach, low, high, below, _disc_share(high) - below)
+
+
+def _disc_share(x: Tensor) -> Tensor:
+    """What of the unit disc lies before `x` `[M]` on any way through its centre."""
+    x = x.clamp(-1.0, 1.0)
+    return (torch.acos(-x) + x * (1.0 - x * x).sqrt()) / math.pi
+
+
+def _disc_place(share: Tensor) -> Tensor:
+    """The inverse of `_disc_share`, by Newton's method from a series."""
+    half = torch.minimum(share, 1.0 - share).clamp(min=0.0)
+    angle = (1.5 * math.pi * half).pow(1.0 / 3.0)
+    angle = angle + angle * angle * angle / 15.0
+    for _ in range(3):
+        sine = angle.sin()
+        angle = angle - 0.5 * (angle - sine * angle.cos() - math.pi * half) / (sine * sine).clamp(min=1e-12)
+    return torch.where(share < 0.5, -angle.cos(), angle.cos())
 
 
 @kernel
-def _density(points: Tensor, center: Tensor, width: Tensor, tilt: Tensor, height: Tensor) -> Tensor:
-    """Of even ellipses at points `[2, M]`, `[M]`."""
+def _drawn(ellipses: Ellipses, uniforms: Tensor) -> Tensor:
+    """Points `[2, M]`, even over what is drawn of ellipses, from uniform numbers `[2, M]`."""
+    center, width, tilt, height, band = ellipses
+    radius, angle = (1.0 - 1e-6) * uniforms[0].sqrt(), 2.0 * math.pi * uniforms[1]
+    along = _disc_place(band.below + uniforms[0] * band.share)
+    across = (1.0 - 1e-6) * (1.0 - along * along).clamp(min=0.0).sqrt() * (2.0 * uniforms[1] - 1.0)
+    whole = (band.low <= -1.0) & (band.high >= 1.0)
+    x = torch.where(whole, radius * angle.cos(), band.along[0] * along - band.along[1] * across)
+    y = torch.where(whole, radius * angle.sin(), band.along[1] * along + band.along[0] * across)
+    return center + torch.stack((width * x, tilt * x + height * y))
+
+
+@kernel
+def _density(points: Tensor, ellipses: Ellipses) -> Tensor:
+    """Of what is drawn of even ellipses at points `[2, M]`, `[M]`."""
+    center, width, tilt, height, band = ellipses
     x, y = points - center
     x = x / width
     y = (y - tilt * x) / height
-    return (x * x + y * y <= 1.0) / (math.pi * width * height)
+    along = band.along[0] * x + band.along[1] * y
+    drawn = (x * x + y * y <= 1.0) & (along >= band.low) & (along <= band.high)
+    return drawn / (math.pi * width * height * band.share)
 
 
 def packed(outline: Tensor) -> Tensor:

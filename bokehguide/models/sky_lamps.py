@@ -85,7 +85,7 @@ def _texels_around(
 ) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor], Tensor, Tensor]:
     """The four texels about what lens points `[2, N]` see through x_F `[3, N]`.
 
-    The first texel of their rows, and columns, int64 `[N]`; tents over the texels `[4, N]`; and the density of lens points
+    The first texel of their rows, and columns, int32 `[N]`; tents over the texels `[4, N]`; and the density of lens points
     where that of places on the map is 1, `[N]`.
     """
     ray = torch.cat((focus[:2] - points, focus[2:3]))

@@ -28,10 +28,10 @@ class AliasTable:
         self.probability = torch.from_numpy(probability.astype(np.float32)).to(device)
         self._keep = torch.from_numpy(keep.astype(np.float32)).to(device)
         self._alias = torch.from_numpy(alias.astype(np.int32)).to(device)  # maps of the environment are large
-        self._start = torch.from_numpy(starts).to(device)
+        self._start = torch.from_numpy(starts.astype(np.int32)).to(device)
 
     def sample(self, uniforms: Tensor, row: Tensor | None = None) -> Tensor:
-        """Indices int64 `[N]` from uniform numbers `[2, N]`, each from its `row` `[N]` (the first by default).
+        """Indices int32 `[N]` from uniform numbers `[2, N]`, each from its `row` `[N]` (the first by default).
 
         Together they give 46 random bits, enough for the column and for the choice in it.
         """
@@ -47,9 +47,9 @@ def _drawn(keep: Tensor, alias: Tensor, starts: Tensor | None, uniforms: Tensor,
     start = 0 if row is None else starts.index_select(0, row)
     count = keep.shape[0] if row is None else starts.index_select(0, row + 1) - start
     position = (uniforms[0].double() + (uniforms[1].double() - 0.5) * 2.0**-23) * count
-    slot = position.long()
+    slot = position.int()
     stays = (position - slot) < keep.index_select(0, slot + start)
-    return torch.where(stays, slot + start, alias.index_select(0, slot + start).long())
+    return torch.where(stays, slot + start, alias.index_select(0, slot + start))
 
 
 def _columns(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -30,7 +30,7 @@ class ClusterTable:
         self._cumulative = pad(cumulative, (0, 2**self._levels - self.count), value=1.0).reshape(-1)
 
     def sample(self, row: Tensor, uniforms: Tensor) -> Tensor:
-        """Clusters `[N]` for rows `[N]`, from uniform numbers `[N]`: the first whose cumulative share exceeds the number."""
+        """Clusters int32 `[N]` for rows int32 `[N]`, from uniform numbers `[N]`: the first whose cumulative share exceeds the number."""
         return _first_above(self._cumulative, row, uniforms, self._levels)
 
     def pdf(self, row: Tensor, cluster: Tensor) -> Tensor:
@@ -40,10 +40,10 @@ class ClusterTable:
 
 @kernel
 def _first_above(cumulative: Tensor, row: Tensor, uniforms: Tensor, levels: int) -> Tensor:
-    base = (row << levels) - 1
+    base = (row.int() << levels) - 1
     place = base  # of the last cluster that is known to lie below
     for level in reversed(range(levels)):
-        place = place + ((cumulative.index_select(0, place + (1 << level)) <= uniforms).long() << level)
+        place = place + ((cumulative.index_select(0, place + (1 << level)) <= uniforms).int() << level)
     return place - base
 
 

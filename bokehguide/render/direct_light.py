@@ -27,7 +27,7 @@ class DirectLight(NamedTuple):
     """One light sample for each of N paths.
 
     direction: unit, `[3, N]`; distance `[N]`; value: what it would bring, unshadowed, over its density and with its MIS
-    weight, `[3, N]`. Under a `LightChoice`, also its cluster, int64 `[N]`, its worth (see `PathSamples`) if nothing
+    weight, `[3, N]`. Under a `LightChoice`, also its cluster, int32 `[N]`, its worth (see `PathSamples`) if nothing
     blocks it, `[N]`, and the density with which the BSDF samples its direction, `[N]`.
     """
 

@@ -58,7 +58,7 @@ class EnvironmentLight:
         if not self.suns:
             return texel
         edges = torch.tensor(np.cumsum(self._share[:-1]), dtype=torch.float32, device=uniforms.device)
-        sun = (uniforms[2] >= edges[:, None]).sum(0)
+        sun = (uniforms[2] >= edges[:, None]).sum(0, dtype=torch.int32)
         return -sun if texel is None else torch.where(sun > 0, -sun, texel)
 
     def directions(self, element: Tensor, uniforms: Tensor) -> Tensor:
@@ -76,7 +76,7 @@ class EnvironmentLight:
         All 0 where no map is sampled.
         """
         if self._share[0] == 0.0:
-            return torch.zeros(directions.shape[1], dtype=torch.int64, device=directions.device)
+            return torch.zeros(directions.shape[1], dtype=torch.int32, device=directions.device)
         if element is None:
             return self.map.texel_at(directions)
         return torch.where(element < 0, self.map.texel_at(directions), element) if self.suns else element
@@ -158,13 +158,13 @@ class EnvironmentMap:
 @kernel
 def _texel_at(layout: Equirectangular, directions: Tensor) -> Tensor:
     """Texels `[N]` that unit directions `[3, N]` lie in."""
-    column, row = (place.long() for place in layout.place(directions))
-    return row.clamp(0, layout.height - 1) * layout.width + column % layout.width
+    column, row = layout.place(directions)  # which may round to the map's width and height
+    return row.int().clamp(0, layout.height - 1) * layout.width + column.int().clamp(0, layout.width - 1)
 
 
 @kernel
 def _texels_about(layout: Equirectangular, directions: Tensor) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
-    """The four texels about unit directions `[3, N]`, row by row, int64 `[N]`, and how far the directions are across and down."""
+    """The four texels about unit directions `[3, N]`, row by row, int32 `[N]`, and how far the directions are across and down."""
     left, top, across, down = layout.corner(directions)
     rows, columns = layout.texels(left, top)
     return tuple(row + column for row in rows for column in columns), across, down

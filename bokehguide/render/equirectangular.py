@@ -36,9 +36,9 @@ class Equirectangular:
         return left, top, x - left, y - top
 
     def texels(self, left: Tensor, top: Tensor) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
-        """Of the four texels of which these are column and row of the first: where both rows begin, and both columns, int64 `[N]`."""
-        rows = tuple(row.clamp(0.0, self.height - 1.0).long() * self.width for row in (top, top + 1.0))
-        columns = tuple((column - (column / self.width).floor() * self.width).long() for column in (left, left + 1.0))
+        """Of the four texels of which these are column and row of the first: where both rows begin, and both columns, int32 `[N]`."""
+        rows = tuple(row.clamp(0.0, self.height - 1.0).int() * self.width for row in (top, top + 1.0))
+        columns = tuple((column - (column / self.width).floor() * self.width).int() for column in (left, left + 1.0))
         return rows, columns
 
     def around(self, column: Tensor, y: Tensor) -> Tensor:

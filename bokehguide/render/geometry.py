@@ -11,6 +11,7 @@ from torch import Tensor
 from bokehguide.render import triangles
 from bokehguide.render.kernels import kernel, record
 from bokehguide.render.materials import CLEARCOAT_F0, Materials
+from bokehguide.render.pixels import put
 from bokehguide.render.tracer import Hit, Tracer
 from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
 from bokehguide.scene.types import Scene
@@ -157,12 +158,12 @@ class Geometry:
             for field, channels, squared in targets if len(index) > 0 else ():
                 factor = texel[channels].square() if squared else texel[channels]
                 values = getattr(surface, field)
-                values.index_copy_(-1, index, values.index_select(-1, index) * factor)
+                put(values, index, values.index_select(-1, index) * factor)
         for slot, scales in self.materials.normal_scales.items():
             index, texel = self._texels(slot, hit, material)
             if len(index) > 0:
                 texel[0:2] *= scales.index_select(1, material.index_select(0, index))
-                getattr(surface, slot).index_copy_(1, index, self._bent_normals(slot, surface, hit, index, texel))
+                put(getattr(surface, slot), index, self._bent_normals(slot, surface, hit, index, texel))
 
     def _bent_normals(self, slot: str, surface: Surface, hit: Hit, index: Tensor, tangent_space: Tensor) -> Tensor:
         """Shading normals `[3, K]` of the hits at `index`, given in the tangent space `[.., K]` of the slot's maps."""
@@ -199,19 +200,28 @@ class Geometry:
         if there is one. direction None asks for what cones emit along their axes and what is
         beneath coats. Opacity is the caller's to apply.
         """
+        radiance = emitted(self.emission_rows(hit.triangle), front)
+        return radiance if self.materials.plain_emission else radiance * self.emission_share(hit, direction)
+
+    def emission_rows(self, triangle: Tensor) -> Tensor:
+        """Rows `[4, N]` of triangles `[N]` for `emitted`."""
+        return self.materials.emission.index_select(1, self.material.index_select(0, triangle))
+
+    def emission_share(self, hit: Hit, direction: Tensor | None) -> Tensor:
+        """What cones, textures, vertex colours and clear coats leave of the emission of materials at hits, `[3, N]`;
+        direction: as in `emission`."""
         material = self.material.index_select(0, hit.triangle)
-        rows = self.materials.emission.index_select(1, material)
-        radiance = rows[0:3] * (torch.maximum(front, rows[3]) * self.materials.cone(material, direction))
+        share = self.materials.cone(material, direction).expand(3, -1).clone()
         index, texel = self._texels("emission", hit, material)
         if len(index) > 0:
-            radiance[:, index] *= texel[0:3]
+            share[:, index] *= texel[0:3]
         if self._colors is not None:
             index = self.materials.tinted.index_select(0, material).nonzero()[:, 0]
             if len(index) > 0:
-                radiance[:, index] *= self._color(Hit(*(field[index] for field in hit)))[0:3]
+                share[:, index] *= self._color(Hit(*(field[index] for field in hit)))[0:3]
         if self.materials.clearcoat is not None and direction is not None:
-            radiance *= self._through_clearcoat(hit, material, direction)
-        return radiance
+            share *= self._through_clearcoat(hit, material, direction)
+        return share
 
     def _through_clearcoat(self, hit: Hit, material: Tensor, direction: Tensor) -> Tensor:
         """Share `[N]` of the emission that passes the clear coat, 1 where there is none (KHR_materials_clearcoat)."""
@@ -260,6 +270,11 @@ def _sides(rows: Tensor, origins: Tensor, directions: Tensor, hit: Hit) -> tuple
 def leaving_distance(position: Tensor, distance: Tensor) -> Tensor:
     """How far `[N]` from `position` `[3, N]`, found after `distance`, a new ray starts clear of the surface."""
     return OFFSET * (position.abs().amax(0) + distance)
+
+
+def emitted(rows: Tensor, front: Tensor) -> Tensor:
+    """Radiance `[3, N]` that materials emit: their emission and 1 where it leaves both faces, `[4, N]`; front: `[N]`, as in `Surface`."""
+    return rows[0:3] * torch.maximum(front, rows[3])
 
 
 def _interpolate(rows: Tensor, u: Tensor, v: Tensor) -> Tensor:

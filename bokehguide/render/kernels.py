@@ -33,6 +33,8 @@ SOURCES = (Path(__file__).parent, Path(__file__).parent.parent / "models")
 
 LARGEST_FIXED = 4
 """Sizes up to this one may be part of the code: of matrices, whose size never changes."""
+AS_FLOATS = {torch.int32: torch.float32, torch.int64: torch.float64}
+"""What kernels get whole numbers as, bit by bit: PyTorch's vectors of them load by way of the stack, five times as slowly."""
 
 
 class _Compiling:
@@ -150,7 +152,7 @@ class _Variant:
 
     def __call__(self, tensors: list[Tensor], shown: slice = slice(None)):
         """Its results, as far as they are `shown`."""
-        results = self._run([tensor.contiguous() for tensor in tensors])
+        results = self._run([_as_floats(tensor.contiguous()) for tensor in tensors])
         return _rebuilt(self._results, (result[..., shown] for result in results))
 
 
@@ -166,16 +168,22 @@ class _AsTwo:
         return self._variant([torch.cat((tensor, tensor), -1) if batched else tensor for tensor, batched in pairs], slice(1))
 
 
-class _Flat(torch.nn.Module):
-    """The function of a flat list of tensors."""
+def _as_floats(tensor: Tensor) -> Tensor:
+    kind = AS_FLOATS.get(tensor.dtype)
+    return tensor if kind is None else tensor.view(kind)
 
-    def __init__(self, function: Callable, arguments: tuple):
+
+class _Flat(torch.nn.Module):
+    """The function of a flat list of tensors, whole numbers among them `_as_floats`."""
+
+    def __init__(self, function: Callable, arguments: tuple, kinds: list[torch.dtype]):
         super().__init__()
-        self._function, self._arguments = function, arguments
+        self._function, self._arguments, self._kinds = function, arguments, kinds
 
     def forward(self, *tensors: Tensor) -> list[Tensor]:
         results: list[Tensor] = []
-        _flatten(self._function(*_rebuilt(self._arguments, iter(tensors))), results, [])
+        given = (tensor.view(kind) for tensor, kind in zip(tensors, self._kinds))
+        _flatten(self._function(*_rebuilt(self._arguments, given)), results, [])
         return results
 
 
@@ -191,8 +199,8 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
         if not path.exists():
             _announce()
             # Copies: of one tensor that is given twice, torch.export would make one argument.
-            copies = [tensor.clone(memory_format=torch.contiguous_format) for tensor in tensors]
-            _compile(_Flat(function, arguments), tuple(copies), path)
+            copies = tuple(_as_floats(tensor.clone(memory_format=torch.contiguous_format)) for tensor in tensors)
+            _compile(_Flat(function, arguments, [tensor.dtype for tensor in tensors]), copies, path)
         return _Variant(CompiledFunction(path, _Compiling.threads), tensors, results)
     except Exception as error:  # whatever a compiler may fail with: pictures come out the same without it
         with contextlib.suppress(OSError):  # the folder itself may be what is wrong

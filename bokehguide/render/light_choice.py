@@ -21,7 +21,7 @@ BLOCKS = 64
 class LightChoice:
     """How N paths are to choose among clusters of lights at their first surface.
 
-    row: of the table for each path, int64 `[N]`. table: None while nothing is learnt. block: the step from which on
+    row: of the table for each path, int32 `[N]`. table: None while nothing is learnt. block: the step from which on
     it has been what it is; numbers that choose by it may be stratified from there on. seen: how much of each cluster's
     light may be expected to arrive, positive, `[rows, clusters]`, where that is learnt.
     """
@@ -122,12 +122,12 @@ class _MapClusters:
 
     def pick(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Texels `[N]` of clusters `[N]` from uniform numbers `[2, N]`."""
-        return self._order.index_select(0, self._within.sample(uniforms, cluster)).long()
+        return self._order.index_select(0, self._within.sample(uniforms, cluster))
 
     def cluster(self, texel: Tensor) -> Tensor:
         """Cluster `[N]` of each texel."""
         block = texel // self._light.width // self._tall * self._across + texel % self._light.width // self._wide
-        return self._of_block.index_select(0, block).long()
+        return self._of_block.index_select(0, block).int()
 
     def pdf(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of each texel in its cluster."""

@@ -91,11 +91,11 @@ class LightGrid:
         place[order] = np.arange(len(order))
         starts = np.searchsorted(cluster[order], np.arange(self.clusters + 1))
         self._within = AliasTable(lamps.power[order], device, starts)
-        self._order, self._place, self._cluster = (torch.from_numpy(a).to(device) for a in (order, place, cluster))
+        self._order, self._place, self._cluster = (torch.from_numpy(a.astype(np.int32)).to(device) for a in (order, place, cluster))
         layout = _layout(lamps.center)
         low, cell, (x, y, z) = layout
         self._box = [torch.tensor(values, device=device) for values in (low, [1.0 / cell], [x - 1, y - 1, z - 1], [y * z, z, 1])]
-        self._box = [values.reshape(-1, 1).float() for values in self._box[:3]] + [self._box[3][:, None]]
+        self._box = [values.reshape(-1, 1).float() for values in self._box[:3]] + [self._box[3][:, None].int()]
         clusters = _gathered(lamps, cluster, self.clusters)
         light = _cell_light(layout, clusters)
         self.light = torch.from_numpy(light.sum(axis=1).astype(np.float32)).to(device)
@@ -187,5 +187,5 @@ def _defensive(weights: np.ndarray, power: np.ndarray) -> np.ndarray:
 def _cells(points: Tensor, low: Tensor, scale: Tensor, last: Tensor, step: Tensor) -> Tensor:
     """Numbers `[N]` of the cells of a grid that points `[3, N]` lie in. Where it begins, the last cell and how numbers grow
     along each axis: `[3, 1]`; scale: cells to a metre, `[1, 1]`."""
-    x, y, z = torch.minimum(((points - low) * scale).clamp(min=0.0), last).long() * step
+    x, y, z = torch.minimum(((points - low) * scale).clamp(min=0.0), last).int() * step
     return x + y + z

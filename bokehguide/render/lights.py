@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.environment import EnvironmentLight
-from bokehguide.render.geometry import Geometry
+from bokehguide.render.geometry import Geometry, emitted
 from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice, LightClusters
 from bokehguide.render.light_grid import GridLamps, LightGrid
+from bokehguide.render.pixels import put
 from bokehguide.render.suns import cap_directions, frame_about
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import dot, luminance
@@ -35,7 +36,7 @@ GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 class LightSample(NamedTuple):
     """direction: unit, `[3, N]`; distance `[N]`; radiance `[3, N]`; pdf per solid angle `[N]`.
 
-    Under a `LightChoice`, also the cluster that was chosen, whichever way, int64 `[N]`, and the probability of that, `[N]`.
+    Under a `LightChoice`, also the cluster that was chosen, whichever way, int32 `[N]`, and the probability of that, `[N]`.
     """
 
     direction: Tensor
@@ -92,7 +93,7 @@ class Lights:
         if len(triangles) > 0:
             corners, normals = geometry.corners(triangles), geometry.face_normals(triangles)
             rows = (corners[0], corners[1] - corners[0], corners[2] - corners[0], normals)
-            self._rows = torch.cat((*rows, 1.0 / geometry.areas(triangles)[None]))  # [13, lamps]
+            self._rows = torch.cat((*rows, 1.0 / geometry.areas(triangles)[None], geometry.emission_rows(triangles)))  # [17, lamps]
             self._grid = LightGrid(_grid_lamps(scene, geometry, triangles, power), device)
 
     @property
@@ -111,7 +112,7 @@ class Lights:
 
     def _cells(self, points: Tensor) -> Tensor:
         if len(self._triangles) == 0:
-            return torch.zeros(points.shape[1], dtype=torch.int64, device=points.device)
+            return torch.zeros(points.shape[1], dtype=torch.int32, device=points.device)
         return self._grid.cells(points)
 
     @cached_property
@@ -146,7 +147,7 @@ class Lights:
             others = draw_rare(query.select(rare), uniforms[1:].index_select(1, rare))
             for value, other in zip(light, others):
                 if value is not None:
-                    value.index_copy_(-1, rare, other)
+                    put(value, rare, other)
         return light
 
     def _sample_environment(self, query: LightQuery, uniforms: Tensor) -> LightSample:
@@ -171,9 +172,10 @@ class Lights:
         cluster = self._cluster_of_triangles(query, uniforms[0])
         lamp = self._grid.sample_within(cluster, uniforms[1:3])
         rows = self._rows.index_select(1, lamp)
-        direction, distance, u, v, front, density = _on_triangle(rows, query.points, uniforms[3:5])
+        direction, distance, u, v, front, density, radiance = _on_triangle(rows, query.points, uniforms[3:5])
         hit = Hit(self._triangles.index_select(0, lamp), distance, u, v)
-        radiance = self._geometry.emission(hit, front, -direction)
+        if not self._geometry.materials.plain_emission:
+            radiance = radiance * self._geometry.emission_share(hit, -direction)
         transmittance = self._geometry.transmittance(hit, front)
         if transmittance is not None:
             radiance = radiance * transmittance
@@ -189,7 +191,9 @@ class Lights:
             return self._grid.sample_cluster(query.cells, uniforms)
         index = query.by_cell.nonzero()[:, 0]
         by_cell = self._grid.sample_cluster(query.cells.index_select(0, index), uniforms.index_select(0, index))
-        return query.cluster.clamp(max=self._grid.clusters - 1).index_copy_(0, index, by_cell)
+        cluster = query.cluster.clamp(max=self._grid.clusters - 1)
+        put(cluster, index, by_cell)
+        return cluster
 
     def _cluster_share(self, query: LightQuery, cluster: Tensor) -> Tensor:
         """Probability `[N]` of choosing each of the clusters of triangles."""
@@ -224,8 +228,9 @@ class Lights:
 def _on_triangle(rows: Tensor, points: Tensor, uniforms: Tensor) -> tuple[Tensor, ...]:
     """Points, even over triangles, that light `points` `[3, N]`, from uniform numbers `[2, N]`.
 
-    rows: first corners, edges from them, normals, one over the areas, `[13, N]`. Unit directions `[3, N]`; distances,
-    barycentric u and v, 1 where the front is seen, else 0, and densities per unit solid angle, `[N]` each.
+    rows: first corners, edges from them, normals, one over the areas, and what `emitted` takes, `[17, N]`. Unit directions
+    `[3, N]`; distances, barycentric u and v, 1 where the front is seen, else 0, and densities per unit solid angle, `[N]`
+    each; and what their materials emit, `[3, N]`.
     """
     root = uniforms[0].sqrt()
     u, v = root * (1.0 - uniforms[1]), root * uniforms[1]
@@ -235,7 +240,8 @@ def _on_triangle(rows: Tensor, points: Tensor, uniforms: Tensor) -> tuple[Tensor
     direction = offset / distance
     cosine = -dot(rows[9:12], direction)
     front = (cosine > 0.0).to(torch.float32)
-    return direction, distance, u, v, front, rows[12] * squared / cosine.abs().clamp(min=1e-12)
+    density = rows[12] * squared / cosine.abs().clamp(min=1e-12)
+    return direction, distance, u, v, front, density, emitted(rows[13:17], front)
 
 
 def _grid_lamps(scene: Scene, geometry: Geometry, triangles: Tensor, power: Tensor) -> GridLamps:

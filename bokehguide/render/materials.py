@@ -72,6 +72,9 @@ class Materials:
         self.tinted = torch.tensor([m.tint_emission for m in materials], device=device)
         """Whose emission vertex colours multiply, bool `[M]`."""
         self._cones = optional([_cone_row(m.emission_cone) for m in materials], any(m.emission_cone for m in materials))
+        changed = self._cones is not None or coated or "emission" in self._numbers or any(m.tint_emission for m in materials)
+        self.plain_emission = not changed
+        """Whether all lamps are as bright wherever, and from wherever, one looks at them."""
         sheer = list(map(_is_sheer, materials, _least_colors(materials, meshes)))
         self.has_sheer = any(sheer)
         self.sheer = torch.tensor(sheer, device=device)
@@ -88,10 +91,10 @@ class Materials:
         index = (number >= 0).nonzero()[:, 0]
         return index, number.index_select(0, index)
 
-    def cone(self, material: Tensor, direction: Tensor | None) -> Tensor | float:
-        """Share of the emission that goes to `direction` `[3, N]`; None: along the cones' axes."""
+    def cone(self, material: Tensor, direction: Tensor | None) -> Tensor:
+        """Share `[N]` of the emission that goes to `direction` `[3, N]`; None: along the cones' axes."""
         if self._cones is None or direction is None:
-            return 1.0
+            return torch.ones(material.shape, device=material.device)
         rows = self._cones.index_select(1, material)
         return (dot(rows[0:3], direction) * rows[3] + rows[4]).clamp(0.0, 1.0).square()
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.geometry import Geometry
+from bokehguide.render.pixels import put
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import cross, dot, length, luminance, normalize
 
@@ -51,8 +52,8 @@ class MirrorImages:
         image = torch.where(behind > 0.0, behind.clamp(max=MISS_DISTANCE), MISS_DISTANCE)
         light = light * (dot(incoming, normals[0]) * dot(direction, normals[0]) < 0.0)  # none through glass
         before = self.light.index_select(0, index)
-        self.distance.index_copy_(0, index, torch.where(light > before, image, self.distance.index_select(0, index)))
-        self.light.index_copy_(0, index, before + light)
+        put(self.distance, index, torch.where(light > before, image, self.distance.index_select(0, index)))
+        put(self.light, index, before + light)
 
 
 def mirror_vergence(corners: Tensor, normals: Tensor, incoming: Tensor) -> Tensor:

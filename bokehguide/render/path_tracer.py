@@ -22,6 +22,7 @@ from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
 from bokehguide.render.mirrors import MirrorImages
 from bokehguide.render.opacity import MAX_CROSSINGS, Opacity
+from bokehguide.render.pixels import put
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
@@ -46,7 +47,7 @@ class PathSamples:
     radiance, and of the first surface normal, albedo and emission: `[3, N]`; distance to it,
     MISS_DISTANCE where there is none; alpha: 1 where the camera sees a surface or what lies
     at infinity, else 0; triangle: that of the first surface, int32, -1 where there is none;
-    rays: number of rays traced. Under a `LightChoice`, also its row there, the cluster of the light sample, int64
+    rays: number of rays traced. Under a `LightChoice`, also its row there, the cluster of the light sample, int32
     both, -1 where there was none, and its worth: the luminance it brought times the root of the cluster's probability,
     whose square is on average the sum over clusters of the squared luminance each would have brought; light_seen,
     the share of it that nothing blocked; and image, the distance at which most of the radiance appears to come from:
@@ -75,20 +76,10 @@ class PathSamples:
         triangle = torch.full((count,), -1, dtype=torch.int32, device=device)
         empty = cls(vectors[0], distance, *vectors[1:], torch.zeros(count, device=device), triangle)
         if chooses:
-            empty.light_row = torch.full((count,), -1, device=device)
-            empty.light_cluster = torch.full((count,), -1, device=device)
+            empty.light_row, empty.light_cluster = torch.full((2, count), -1, dtype=torch.int32, device=device)
             empty.light_worth, empty.light_seen = torch.zeros(2, count, device=device)
             empty.image = distance.clone()
         return empty
-
-    def spread(self, index: Tensor, count: int) -> PathSamples:
-        """`count` samples, of which these are the ones at `index` and the others met nothing."""
-        spread = PathSamples.empty(count, self.radiance.device, self.light_cluster is not None)
-        for name, value in vars(self).items():
-            if isinstance(value, Tensor):
-                getattr(spread, name).index_copy_(-1, index, value)
-        spread.rays = self.rays
-        return spread
 
 
 @dataclass
@@ -135,20 +126,22 @@ class PathTracer:
         timer: PhaseTimer,
         max_depth: int | None = None,
         choose: Callable[[Tensor], LightChoice] | None = None,
+        index: Tensor | None = None,
     ) -> PathSamples:
         """Trace rays with world origins and unit directions `[3, N]`; one path a ray, of max_depth segments if given.
 
-        choose: how lights are chosen at first surfaces, by their positions `[3, N]`.
+        choose: how lights are chosen at first surfaces, by their positions `[3, N]`. index: of the rays to be traced, int64
+        `[K]`, if not all are; the others meet nothing.
         """
-        count = origin.shape[1]
-        ones = torch.ones(count, device=origin.device)
-        result = PathSamples.empty(count, origin.device, choose is not None)
-        index = torch.arange(count, device=origin.device)
-        paths = _Paths(
-            index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), ones * DELTA_PDF, random, None
-        )
-        last = max_depth or self.max_depth
+        result = PathSamples.empty(origin.shape[1], origin.device, choose is not None)
         images = None if choose is None else MirrorImages(self.geometry, direction, result.triangle, result.distance)
+        if index is None:
+            index = torch.arange(origin.shape[1], device=origin.device)
+        else:
+            origin, direction, random = origin.index_select(1, index), direction.index_select(1, index), random.select(index)
+        pdf = torch.full(index.shape, DELTA_PDF, device=origin.device)
+        paths = _Paths(index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), pdf, random, None)
+        last = max_depth or self.max_depth
         for depth in range(1, last + 1):
             paths = self._segment(
                 paths, depth, depth == last, choose if depth == 1 else None, images, result, timer
@@ -181,17 +174,17 @@ class PathTracer:
             return paths
         surface = self.geometry.surface(paths.origin, paths.direction, hit)
         if depth == 1:
-            result.distance.index_copy_(0, paths.index, hit.distance)
-            result.triangle.index_copy_(0, paths.index, hit.triangle)
-            result.normal.index_copy_(1, paths.index, surface.normal)
-            result.albedo.index_copy_(1, paths.index, surface.base_color)
-            result.alpha.index_fill_(0, paths.index, 1.0)
+            put(result.distance, paths.index, hit.distance)
+            put(result.triangle, paths.index, hit.triangle)
+            put(result.normal, paths.index, surface.normal)
+            put(result.albedo, paths.index, surface.base_color)
+            result.alpha.scatter_(0, paths.index, 1.0)
         transmittance = self.geometry.transmittance(hit, surface.front)
         if transmittance is not None:
             paths.throughput *= transmittance
         self._add_emission(paths, hit, surface, mirrored)
         if depth == 1:
-            result.emission.index_copy_(1, paths.index, paths.radiance)
+            put(result.emission, paths.index, paths.radiance)
         paths.choice = None if choose is None else choose(surface.position)
         if last:
             return _finish(paths, result)
@@ -268,7 +261,7 @@ class PathTracer:
         with timer.measure("tracing rays"):
             share, rays = self._opacity.transmittance(origin, direction, distance)
         visibility = torch.zeros_like(light.distance)
-        visibility.index_copy_(0, index, share)
+        put(visibility, index, share)
         result.rays += rays
         contribution *= visibility
         paths.radiance += contribution
@@ -277,7 +270,7 @@ class PathTracer:
             found = (paths.choice.row, light.cluster, light.worth * visibility, visibility)
             kept = (result.light_row, result.light_cluster, result.light_worth, result.light_seen)
             for values, value in zip(kept, found):
-                values.index_copy_(0, paths.index, value)
+                put(values, paths.index, value)
 
     def _scatter(
         self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, depth: int, result: PathSamples
@@ -327,5 +320,5 @@ def _next_segment(
 
 def _finish(paths: _Paths, result: PathSamples) -> _Paths:
     """Write the radiance of ended paths to the result; returns an empty batch."""
-    result.radiance.index_copy_(1, paths.index, paths.radiance)
+    put(result.radiance, paths.index, paths.radiance)
     return paths.select(paths.index[:0])

@@ -21,11 +21,11 @@ def take(values: Tensor, pixels: Pixels) -> Tensor:
 
 
 def put(values: Tensor, pixels: Pixels, new: Tensor) -> None:
-    """Replace entries of `values` `[.., P]` by `new` `[.., N]`."""
+    """Replace entries of `values` `[.., P]` by `new` `[.., N]`; `index_copy_` would take twice as long."""
     if isinstance(pixels, slice):
         values[..., pixels] = new
     else:
-        values.index_copy_(-1, pixels, new)
+        values.scatter_(-1, pixels.expand_as(new), new)
 
 
 def increase(values: Tensor, pixels: Pixels, by: Tensor) -> None:

@@ -49,11 +49,11 @@ class LightGuide(RankSums):
         self._table: ClusterTable | None = None
 
     def tiles(self, points: Tensor) -> Tensor:
-        """Tile in which the middle of the lens sees each world point `[3, N]`, int64 `[N]`; the nearest for one that it does not see."""
+        """Tile in which the middle of the lens sees each world point `[3, N]`, int32 `[N]`; the nearest for one that it does not see."""
         local = self._camera.axes.T @ (points - self._camera.position)
         column, row = (self._camera.raster(local) / self._size).nan_to_num(0.0, 0.0, 0.0)
         column, row = column.clamp(0.0, self._across - 1.0), row.clamp(0.0, self._down - 1.0)
-        return row.long() * self._across + column.long()
+        return row.int() * self._across + column.int()
 
     def choice(self, points: Tensor) -> LightChoice:
         """How paths choose in this block at world points `[3, N]`."""

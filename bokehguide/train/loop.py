@@ -204,11 +204,8 @@ class RenderLoop:
         choose = self.light_guide.choice if self.light_guide else None
         origins, directions = self.camera.rays(focus, points)
         inside = (weight > 0.0).nonzero()[:, 0]
-        if len(inside) == len(weight):
-            return self.tracer.trace(origins, directions, random, timer, choose=choose), directions
-        starts, ways = origins.index_select(1, inside), directions.index_select(1, inside)
-        traced = self.tracer.trace(starts, ways, random.select(inside), timer, choose=choose)
-        return traced.spread(inside, len(weight)), directions
+        index = None if len(inside) == len(weight) else inside
+        return self.tracer.trace(origins, directions, random, timer, choose=choose, index=index), directions
 
     def _film_samples(self, samples: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
         depth = self.camera.depth(samples.distance, directions)
