@@ -27,7 +27,7 @@ from unittest import mock
 import torch
 from torch import Tensor
 
-from bokehguide import __version__
+import bokehguide
 from bokehguide.cli.arguments import Parser, positive, size, threads
 from bokehguide.cli.scripts import run
 from bokehguide.errors import BokehguideError
@@ -51,6 +51,8 @@ from bokehguide.train.lamp_yield import LampYield
 from bokehguide.train.light_guide import LightGuide
 from bokehguide.train.record_buffer import RecordBuffer
 
+CODE = digest(tuple(path.read_text() for path in (*sorted(Path(bokehguide.__file__).parent.rglob("*.py")), Path(__file__))))
+"""What renders of other code do not stand in for."""
 FIRST_SEED = 5_000_000
 REFERENCE_SHARE = 32
 """SPP of a reference for one of a render's."""
@@ -143,8 +145,8 @@ def as_balls(squared: Tensor) -> Tensor:
     return balls(torch.linalg.eigvalsh(squared)[:, -1].clamp(min=0.0).sqrt())
 
 
-def whole(center: Tensor, *_: Tensor) -> Band:
-    """Ellipses are drawn beyond the lens as well."""
+def uncut(center: Tensor, *_: Tensor) -> Band:
+    """Ellipses are drawn beyond the lens as well. Compiled kernels would not know of it."""
     ones = torch.ones_like(center[0])
     return Band(torch.stack((ones, 0.0 * ones)), -2.0 * ones, 2.0 * ones, 0.0 * ones, ones)
 
@@ -164,7 +166,7 @@ PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
     "mirror images": ((MirrorImages, "add", lambda *_: None),),
     "shapes of map lamps and panels": ((known_lamps, "_shapes", no_shapes),),
     "proportions (else balls)": ((known_lamps, "packed", as_balls),),
-    "discs cut off at the lens": ((disc_distribution, "_band", whole),),
+    "discs cut off at the lens": ((disc_distribution, "_band", uncut),),
     "learnt yields of lamps": ((LampYield, "factor", lambda _, slots: torch.ones(slots.shape)),),
     "learnt β (else 0.65)": ((spot_guide, "LOWEST", 0.65), (spot_guide, "HIGHEST", 0.65)),
     "shared β": ((spot_guide, "POOLED", 1),),
@@ -286,7 +288,7 @@ def measured(
             found.append([])
             for seed in range(FIRST_SEED, FIRST_SEED + options.seeds):
                 one = replace(settings, mode=change.mode, seed=seed)
-                measurement = (options.spp, scene.insets, reference.numpy(), change.what, change.value, __version__)
+                measurement = (options.spp, scene.insets, reference.numpy(), change.what, change.value, CODE)
                 key = digest((fingerprint(scene, one), *measurement))
                 if key not in kept:
                     kept[key] = errors(rendered(scene, one, change), reference, mask)["mape"]

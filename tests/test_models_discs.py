@@ -63,6 +63,7 @@ CASES = [
     DiscCase("behind", X_F, 1.0, spot(-0.03, 0.02, 6.0), [0.06], [1.0]),
     DiscCase("larger than the lens", X_F, 0.7, spot(0.0, 0.05, 2.2), [0.05], [1.0], reach=10.0),
     DiscCase("centre outside", X_F, 1.0, spot(0.13, -0.02, 5.0), [0.08], [1.0]),
+    DiscCase("hardly seen", X_F, 1.0, spot(0.25, 0.05, 5.0), [0.24], [1.0]),
     DiscCase("outside", X_F, 0.9, spot(0.3, -0.02, 5.0), [0.08], [1.0]),
     DiscCase("ellipsoid", X_F, 1.0, spot(-0.03, 0.02, 6.0), [0.06], [1.0], axes=(TURNED,)),
     DiscCase("panel at the side", X_F, 0.8, spot(1.0, 0.6, 6.0), [0.1], [1.0], reach=30.0, axes=(FLAT,)),

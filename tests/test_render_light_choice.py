@@ -35,7 +35,7 @@ def test_clusters_are_drawn_as_the_table_says(count):
     """In the middle one of three rows; and the probabilities of all rows sum to one."""
     expected = table_of(3, count)
     table = ClusterTable(torch.from_numpy(expected))
-    row = torch.ones(DRAWS, dtype=torch.int64)
+    row = torch.ones(DRAWS, dtype=torch.int32)
     drawn = table.sample(row, PixelRandom(3, 0, torch.arange(DRAWS)).uniform(0, 1)[0])
     assert chi_square(np.bincount(drawn.numpy(), minlength=count), expected[1]) > SIGNIFICANCE
     found = table.pdf(torch.arange(3).repeat_interleave(count), torch.arange(count).repeat(3)).reshape(3, count)
@@ -45,7 +45,7 @@ def test_clusters_are_drawn_as_the_table_says(count):
 
 def test_of_one_cluster_there_is_nothing_to_choose():
     table = ClusterTable(torch.ones(2, 1, dtype=torch.float64))
-    row = torch.tensor([0, 1])
+    row = torch.tensor([0, 1], dtype=torch.int32)
     assert table.sample(row, torch.tensor([0.0, 1.0 - 2.0**-24])).tolist() == [0, 0]
     assert table.pdf(row, torch.zeros_like(row)).tolist() == [1.0, 1.0]
 

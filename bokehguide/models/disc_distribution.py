@@ -76,7 +76,8 @@ class DiscLensDistribution(LensMixture):
     """The mixture of ellipsoids projected through x_F onto the lens plane, as even ellipses, cut off where the lens ends.
 
     The projection is the affine one that holds at an ellipsoid's centre. Densities are per unit lens area. A candidate
-    counts by the root of the shares of its ellipse that lie within the lens's circle, about, and in its band: so the variance is least.
+    counts by the root of the shares of its ellipse that lie within the lens's circle, about, and in its band: so the variance
+    of what is drawn of ellipses is least.
 
     mean `[3, M]` (metres, camera frame) and outline `[6, M]`: centres and `packed` squared half axes of the candidates'
     ellipsoids, none of them in focus; factor: what is known of their weights beside how bright they look, `[M]`; shapes:
@@ -106,7 +107,8 @@ class DiscLensDistribution(LensMixture):
             put(weight, seen.index, light * seen.size / math.pi)
             self._parts.append(seen)
         self.bright = weight
-        """Luminance times area on the lens over π, `[M]`: what a draw of each might bring."""
+        """Luminance times area on the lens over π, `[M]`, times the root of those shares: what draws of each might bring, as
+        their root mean square."""
         self.chosen = torch.full_like(start[1:], -1)
         """Candidate that each pixel's last sample was drawn from, -1 for none, `[N]`."""
         super().__init__(lens, focus, beta, start, weight * factor)
@@ -160,6 +162,7 @@ def _ellipses(mean: Tensor, outline: Tensor, focus: Tensor, weight: Tensor, lens
 
 
 def _band(center: Tensor, width: Tensor, tilt: Tensor, height: Tensor, lens_radius: Tensor) -> Band:
+    """Bands of ellipses: as `Band` says, but for BEYOND and NARROWEST."""
     distance = center.square().sum(0).sqrt()
     centred = distance < 1e-6 * lens_radius  # any way will do
     x, y = center / torch.where(centred, 1.0, distance)
@@ -169,7 +172,8 @@ def _band(center: Tensor, width: Tensor, tilt: Tensor, height: Tensor, lens_radi
     low, high = (-BEYOND * lens_radius - distance) / reach, (BEYOND * lens_radius - distance) / reach
     high = high.clamp(min=NARROWEST)
     below = _disc_share(low)
-    return Band(torch.stack((across, up)) / reach, low, high, below, _disc_share(high) - below)
+    share = (_disc_share(high) - below).clamp(min=1e-7)  # of the largest discs, the lens is nothing
+    return Band(torch.stack((across, up)) / reach, low, high, below, share)
 
 
 def _disc_share(x: Tensor) -> Tensor:

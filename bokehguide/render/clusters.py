@@ -40,7 +40,7 @@ class ClusterTable:
 
 @kernel
 def _first_above(cumulative: Tensor, row: Tensor, uniforms: Tensor, levels: int) -> Tensor:
-    base = (row.int() << levels) - 1
+    base = (row << levels) - 1
     place = base  # of the last cluster that is known to lie below
     for level in reversed(range(levels)):
         place = place + ((cumulative.index_select(0, place + (1 << level)) <= uniforms).int() << level)

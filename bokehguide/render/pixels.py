@@ -25,7 +25,7 @@ def put(values: Tensor, pixels: Pixels, new: Tensor) -> None:
     if isinstance(pixels, slice):
         values[..., pixels] = new
     else:
-        values.scatter_(-1, pixels.expand_as(new), new)
+        values.scatter_(-1, pixels.expand(*values.shape[:-1], new.shape[-1]), new)
 
 
 def increase(values: Tensor, pixels: Pixels, by: Tensor) -> None:

@@ -56,7 +56,8 @@ def fit_ellipsoids(record: RecordBuffer, camera: ThinLensCamera, mean_luminance:
     `DiscLensDistribution`), largest half axes as the lens sees them and energies `[G]`.
 
     Mean and covariance are those of the light, not of the patch: a few cells at the edge, which a highlight seldom
-    reaches, would make the box around them several times as large.
+    reaches, would make the box around them several times as large. Of all Gaussians theirs has the least KL divergence from the
+    light: what gradients would seek step by step is known at once.
     """
     cells, points = find_spotlights(record, camera, mean_luminance)
     width = points[2] * camera.pixel_slope

@@ -5,7 +5,8 @@ It differs from the paper's (`guide.py`) in what is measured to pay:
 - The lamps that the scene holds (emissive pieces, peaks of the environment, suns) are in the
   field from the start; the record buffer is left to find what they show up in: reflections
   and refractions. What is mirrored is recorded where its image is, and not where the mirror is.
-- A highlight is an even disc on the lens and no Gaussian; one of the map is as bright on the lens as the map has it.
+- A highlight is an even disc on the lens and no Gaussian, cut off where the lens ends; one of the map is as bright on the
+  lens as the map has it.
 - It learns at the ends of blocks of steps only, which grow in powers of two. Within a block
   nothing that decides on a lens point changes, so all lens points are stratified over it.
 - How often each lamp is drawn in vain is learnt, tile by tile.
