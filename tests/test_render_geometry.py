@@ -104,7 +104,7 @@ def test_the_first_row_of_a_texture_is_its_top():
     poster = Material("poster", (1.0, 1.0, 1.0), base_color_texture=Texture(texture))
     geometry = Geometry(scene([rectangle(0)], [poster]))
     _, surface = found(geometry, [[0.2, 0.5, 1], [0.2, -0.5, 1]], [[0, 0, -1]] * 2)
-    assert surface.base_color[0].tolist() == [1.0, 0.0]
+    np.testing.assert_allclose(surface.base_color[0], [1.0, 0.0], atol=1e-6)  # where rays hit, processors differ in the last bit
 
 
 def test_emission_is_textured_and_leaves_the_front():

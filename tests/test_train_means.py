@@ -19,7 +19,8 @@ def test_furnace_comes_out_one(mode):
     if mode == "uniform":
         np.testing.assert_allclose(found.mean, 1.0, atol=1e-5)
     else:
-        assert found.last.outside > 0.01  # the guide was at work, even where β has learnt to do without it
+        # The guide was at work, even where β has learnt to do without it; `guided` cuts its discs off at the lens.
+        assert found.last.outside > (0.003 if mode == "guided" else 0.01)
         assert (found.variance > 1e-5).mean() > 0.5
 
 

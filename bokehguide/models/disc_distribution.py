@@ -185,7 +185,7 @@ def _disc_share(x: Tensor) -> Tensor:
 def _disc_place(share: Tensor) -> Tensor:
     """The inverse of `_disc_share`, by Newton's method from a series."""
     half = torch.minimum(share, 1.0 - share).clamp(min=0.0)
-    angle = (1.5 * math.pi * half).pow(1.0 / 3.0)
+    angle = ((1.5 * math.pi * half).clamp(min=1e-30).log() / 3.0).exp()  # `pow` rounds the last elements of an array otherwise
     angle = angle + angle * angle * angle / 15.0
     for _ in range(3):
         sine = angle.sin()

@@ -7,7 +7,6 @@ from torch import Tensor, nn
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.vector import dot
 
 DEGREE = 2
 EXPONENTS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
@@ -48,4 +47,5 @@ class PolynomialOffset(nn.Module):
         """Offsets in metres `[3, N]` of Gaussians int `[N]` seen from raster positions `[2, N]`."""
         rows = self.coefficients.reshape(-1, self.coefficients.shape[-1]).index_select(1, gaussian)
         basis = self.basis(gaussian, raster)
-        return torch.stack([dot(component, basis) for component in rows.chunk(3)])
+        # Term by term: `sum` of more than four rows rounds the last elements of an array otherwise.
+        return torch.stack([sum(a * monomial for a, monomial in zip(component, basis)) for component in rows.chunk(3)])
