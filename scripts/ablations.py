@@ -36,7 +36,7 @@ from bokehguide.image import check_writable, replacing
 from bokehguide.models import BlendWeightMap, GaussianField, disc_distribution, polynomial_offset
 from bokehguide.models.disc_distribution import Band, Shapes, balls
 from bokehguide.models.projection import lens_magnification
-from bokehguide.render import direct_light
+from bokehguide.render import direct_light, path_tracer
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.mirrors import MirrorImages
@@ -213,6 +213,8 @@ CHANGES = {
     "fixed-beta": [start(0.5), start(0.65), start(0.9)],
     "guided": [guided_with(f"without {part}", tuple(other for other in PARTS if other != part)) for part in PARTS],
     "alone": [guided_with("with none of its parts", ()), *map(alone, PARTS)],
+    "candidates": constants("candidates of light samples", direct_light, "CANDIDATES", [1, 2, 3, 8], "guided"),
+    "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 4, 5], "guided"),
     "positions": [Change("record positions", "plain means", PLAIN)],
     "weights": [
         Change("mixture weights", name, ((GaussianField, "lens_weights", weights),))

@@ -30,8 +30,9 @@ from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import dot, length, luminance
 from bokehguide.scene.types import Scene
 
-ROULETTE_DEPTH = 2
-"""Paths of at least this many segments may end by Russian roulette."""
+ROULETTE_DEPTH = 3
+"""Paths of at least this many segments may end by Russian roulette. Not earlier: of the few that go on from dark first surfaces,
+each would count many times as much where it finds a lamp in a mirror (docs/results.md, "Ablations")."""
 DIMENSIONS = 16
 """Random dimensions reserved for each segment of a path."""
 FIRST_DIMENSION = 32
