@@ -29,8 +29,8 @@ from bokehguide.render.environment import EnvironmentLight
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.types import Cone, Environment, Material, Scene, Sun, Texture
 
-SIZE = (48, 27)
-SPP, RUNS, MITSUBA_SPP = 192, 8, 2048
+SIZE = (96, 54)
+SPP, RUNS, MITSUBA_SPP = 48, 8, 512
 STANDARD_ERROR = 0.005
 """Of the ratio of means: what so few samples allow."""
 

@@ -197,6 +197,8 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
         from bokehguide.render.compiled import CompiledFunction  # of PyTorch's inner parts, which may not be there
 
         if not path.exists():
+            if not _has_compiler():
+                return None
             _announce()
             # Copies: of one tensor that is given twice, torch.export would make one argument.
             copies = tuple(_as_floats(tensor.clone(memory_format=torch.contiguous_format)) for tensor in tensors)
@@ -208,6 +210,20 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
         reason = str(error).strip().splitlines() or [type(error).__name__]
         print(f"bokehguide: {name} is not compiled ({reason[0][:120]}); it runs more slowly", file=sys.stderr)
         return None
+
+
+@functools.cache
+def _has_compiler() -> bool:
+    """Whether there is a C++ compiler; says so once where there is none, before seconds of work for each kernel."""
+    from torch._inductor.cpp_builder import get_cpp_compiler
+
+    try:
+        get_cpp_compiler()
+    except RuntimeError:
+        print("bokehguide: there is no C++ compiler, so that kernels are not compiled; install g++ or clang++, or name one in CXX", file=sys.stderr)
+    else:
+        return True
+    return False
 
 
 def _announce() -> None:

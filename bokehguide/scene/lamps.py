@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy import ndimage, sparse
 
 from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.scene.types import Camera, Mesh, Scene, Sun
@@ -123,6 +122,8 @@ def _at_infinity(radii: np.ndarray, extents: np.ndarray, centres: np.ndarray, lu
 
 def _pieces(mesh: Mesh) -> np.ndarray:
     """Number of the piece of `mesh`, whose triangles share vertex positions, that each triangle belongs to, int32 `[T]`."""
+    from scipy import sparse  # half a second, which who only reads options does not wait for
+
     points, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     corners = index.reshape(-1)[mesh.triangles]
     edges = sparse.coo_matrix(
@@ -205,6 +206,8 @@ def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, tuple[np.
 
     Extents hold all of what a spot lights of the bilinear interpolant.
     """
+    from scipy import ndimage
+
     height, width = radiance.shape[:2]
     theta = np.pi * (np.arange(height) + 0.5) / height
     solid_angle = np.sin(theta)[:, None] * np.full(width, 2.0 * np.pi**2 / (height * width))

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-import trimesh
 
 from bokehguide.scene.types import Mesh
 
@@ -23,7 +22,9 @@ def unit_sphere() -> Mesh:
     Its vertices lie 0.24 % outside the true sphere, so that the surface area is 4π:
     by Cauchy's formula its projected area, averaged over all directions, is then π.
     """
-    ico = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
+    from trimesh.creation import icosphere  # trimesh takes a second to import, which nothing waits for that only reads options
+
+    ico = icosphere(subdivisions=SPHERE_SUBDIVISIONS)
     points, triangles, uvs = _with_sphere_uvs(np.asarray(ico.vertices), np.asarray(ico.faces))
     scale = np.sqrt(4.0 * np.pi / ico.area)
     return Mesh(
@@ -80,8 +81,10 @@ def transform(
     scale: float | Sequence[float] = 1.0,
 ) -> np.ndarray:
     """The `[4, 4]` matrix that scales, turns about x, then y, then z (degrees), then moves."""
+    from trimesh.transformations import euler_matrix
+
     angles = np.radians(np.asarray(rotate, dtype=np.float64))
-    matrix = trimesh.transformations.euler_matrix(*angles, axes="sxyz")
+    matrix = euler_matrix(*angles, axes="sxyz")
     matrix[:3, :3] *= np.broadcast_to(np.asarray(scale, dtype=np.float64), 3)
     matrix[:3, 3] = translate
     return matrix

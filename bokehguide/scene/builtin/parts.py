@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_box
 from bokehguide.scene.types import Camera, Environment, Material, Mesh
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 CREASE = np.radians(35.0)
 """Edges sharper than this stay edges; the rest is shaded smoothly."""
@@ -57,9 +60,11 @@ def _painted(mesh: Mesh, material: int) -> Mesh:
     return Mesh(mesh.vertices, mesh.triangles, material, mesh.normals)
 
 
-def shaded(surface: trimesh.Trimesh) -> Mesh:
+def shaded(surface: Trimesh) -> Mesh:
     """A trimesh with normals that are smooth except across creases."""
-    smooth = trimesh.graph.smooth_shade(surface, angle=CREASE)
+    from trimesh.graph import smooth_shade
+
+    smooth = smooth_shade(surface, angle=CREASE)
     return Mesh(
         vertices=np.asarray(smooth.vertices, dtype=np.float32),
         triangles=np.asarray(smooth.faces, dtype=np.int32),
@@ -70,22 +75,28 @@ def shaded(surface: trimesh.Trimesh) -> Mesh:
 
 def lathe(profile: Sequence[tuple[float, float]], sections: int = 64) -> Mesh:
     """A body turned about y from its (radius, height) `profile`, listed from the bottom up."""
-    body = trimesh.creation.revolve(np.asarray(profile, dtype=float), sections=sections)
+    from trimesh.creation import revolve
+
+    body = revolve(np.asarray(profile, dtype=float), sections=sections)
     body.apply_transform(transform(rotate=(-90.0, 0.0, 0.0)))
     return shaded(body)
 
 
 def ring(radius: float, thickness: float, sections: int = 64) -> Mesh:
     """A torus about y; `thickness` is the radius of its tube."""
-    torus = trimesh.creation.torus(radius, thickness, major_sections=sections, minor_sections=20)
-    torus.apply_transform(transform(rotate=(-90.0, 0.0, 0.0)))
-    return shaded(torus)
+    from trimesh.creation import torus
+
+    around_z = torus(radius, thickness, major_sections=sections, minor_sections=20)
+    around_z.apply_transform(transform(rotate=(-90.0, 0.0, 0.0)))
+    return shaded(around_z)
 
 
 def rod(start: Sequence[float], end: Sequence[float], radius: float, sections: int = 24) -> Mesh:
     """A closed cylinder from `start` to `end`."""
+    from trimesh.creation import cylinder
+
     segment = np.array([start, end], dtype=float)
-    return shaded(trimesh.creation.cylinder(radius, segment=segment, sections=sections))
+    return shaded(cylinder(radius, segment=segment, sections=sections))
 
 
 def cable(points: np.ndarray, radius: float, sections: int = 8) -> Mesh:
