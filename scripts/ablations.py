@@ -214,7 +214,7 @@ CHANGES = {
     "guided": [guided_with(f"without {part}", tuple(other for other in PARTS if other != part)) for part in PARTS],
     "alone": [guided_with("with none of its parts", ()), *map(alone, PARTS)],
     "candidates": constants("candidates of light samples", direct_light, "CANDIDATES", [1, 2, 3, 8], "guided"),
-    "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 4, 5], "guided"),
+    "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 3, 5], "guided"),
     "positions": [Change("record positions", "plain means", PLAIN)],
     "weights": [
         Change("mixture weights", name, ((GaussianField, "lens_weights", weights),))

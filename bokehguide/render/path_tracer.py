@@ -30,7 +30,7 @@ from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import dot, length, luminance
 from bokehguide.scene.types import Scene
 
-ROULETTE_DEPTH = 3
+ROULETTE_DEPTH = 4
 """Paths of at least this many segments may end by Russian roulette. Not earlier: of the few that go on from dark first surfaces,
 each would count many times as much where it finds a lamp in a mirror (docs/results.md, "Ablations")."""
 DIMENSIONS = 16
