@@ -75,18 +75,18 @@ def bias(monkeypatch, kind, mode):
     """z of the mean over many renders of few samples, most of which miss what is bright."""
     monkeypatch.setattr(adaptive, "BLOCK", 4)
     monkeypatch.setattr(adaptive, "FIRST_ROUND", 1)
-    scene = scenes.lamps(24, 16)
+    scene = scenes.lamps(48, 32)
     truth = RenderLoop(scene, RenderSettings("guided", seed=99, threads=1))
     for _ in range(1024):
         truth.step()
     means = []
-    for seed in range(100):
+    for seed in range(40):
         loop = kind(scene, RenderSettings(mode, seed=seed, threads=1, target_noise=0.05))
         while loop.step_number < 16 and not loop.finished:
             loop.step()
         means.append(mean_luminance(loop.picture()))
     error = np.std(means, ddof=1) / math.sqrt(len(means))
-    spread = math.sqrt(float(truth.film.variance().double().mean()) / (24 * 16))
+    spread = math.sqrt(float(truth.film.variance().double().mean()) / (48 * 32))
     return z_test(np.mean(means) - mean_luminance(truth.film), math.hypot(error, spread))
 
 
