@@ -27,6 +27,12 @@ def test_help_names_every_mode_and_imports_nothing_heavy(bokehguide):
     assert finished.stdout == "set()\n"
 
 
+def test_mistakes_in_options_wait_for_nothing_that_only_scenes_need():
+    code = "import sys, bokehguide.train; print({'trimesh', 'scipy', 'kornia', 'matplotlib', 'OpenImageIO'} & set(sys.modules))"
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert finished.stdout == "set()\n"
+
+
 def test_scenes_are_a_line_each(bokehguide):
     finished = bokehguide("scenes")
     assert finished.returncode == 0, finished.stderr

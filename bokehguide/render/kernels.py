@@ -220,7 +220,8 @@ def _has_compiler() -> bool:
     try:
         get_cpp_compiler()
     except RuntimeError:
-        print("bokehguide: there is no C++ compiler, so that kernels are not compiled; install g++ or clang++, or name one in CXX", file=sys.stderr)
+        told = "there is no C++ compiler, so that kernels are not compiled; install g++ or clang++, or name one in CXX"
+        print(f"bokehguide: {told}", file=sys.stderr)
     else:
         return True
     return False
