@@ -100,11 +100,12 @@ def test_textures_multiply_their_factors_at_the_hits_uv():
 
 
 def test_the_first_row_of_a_texture_is_its_top():
-    texture = np.array([[[1.0, 1.0, 1.0]], [[0.0, 0.0, 0.0]]], np.float32)
+    """Hit halfway between two rows that are alike, as processors differ in the last bit of where a ray hits."""
+    texture = np.repeat(np.array([[[1.0, 1.0, 1.0]], [[0.0, 0.0, 0.0]]], np.float32), 2, axis=0)
     poster = Material("poster", (1.0, 1.0, 1.0), base_color_texture=Texture(texture))
     geometry = Geometry(scene([rectangle(0)], [poster]))
     _, surface = found(geometry, [[0.2, 0.5, 1], [0.2, -0.5, 1]], [[0, 0, -1]] * 2)
-    np.testing.assert_allclose(surface.base_color[0], [1.0, 0.0], atol=1e-6)  # where rays hit, processors differ in the last bit
+    assert surface.base_color[0].tolist() == [1.0, 0.0]
 
 
 def test_emission_is_textured_and_leaves_the_front():

@@ -32,7 +32,7 @@ from bokehguide.scene.types import Scene
 
 ROULETTE_DEPTH = 4
 """Paths of at least this many segments may end by Russian roulette. Not earlier: of the few that go on from dark first surfaces,
-each would count many times as much where it finds a lamp in a mirror (docs/results.md, "Ablations")."""
+each would count many times as much where it finds a lamp in a mirror (docs/results.md, "Light samples, Russian roulette")."""
 DIMENSIONS = 16
 """Random dimensions reserved for each segment of a path."""
 FIRST_DIMENSION = 32
