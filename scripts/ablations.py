@@ -171,6 +171,7 @@ PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
     "learnt β (else 0.65)": ((spot_guide, "LOWEST", 0.65), (spot_guide, "HIGHEST", 0.65)),
     "shared β": ((spot_guide, "POOLED", 1),),
     "stratified lens points": ((PixelRandom, "stratified", independent_lens_points),),
+    "split paths": ((spot_guide, "PARTS", 1), (spot_guide, "MOST_PARTS", 1)),
     "resampled lights": ((direct_light, "CANDIDATES", 1),),
     "learnt visibility": ((LightChoice, "visibility", lambda _, cluster: torch.ones(cluster.shape)),),
     LIGHTS: ((LightGuide, "update", lambda *_: None),),
@@ -200,6 +201,11 @@ def alone(part: str) -> Change:
     return guided_with(f"with {part} alone" if not needed else f"with {part} on {' and '.join(needed)}", (part, *needed))
 
 
+def parts(number: int) -> Change:
+    """Into how many paths samples split."""
+    return Change("paths of a draw of weight 1", str(number), ((spot_guide, "PARTS", number), (spot_guide, "MOST_PARTS", 4 * number)), "guided")
+
+
 PLAIN = ((RecordBuffer, "add", add_plain), (RecordBuffer, "positions", plain_positions))
 CHANGES = {
     "alpha": constants("α of σ = α R_b", fitting, "ALPHA", [0.25, 0.35, 0.7, 1.0]),
@@ -213,7 +219,8 @@ CHANGES = {
     "fixed-beta": [start(0.5), start(0.65), start(0.9)],
     "guided": [guided_with(f"without {part}", tuple(other for other in PARTS if other != part)) for part in PARTS],
     "alone": [guided_with("with none of its parts", ()), *map(alone, PARTS)],
-    "candidates": constants("candidates of light samples", direct_light, "CANDIDATES", [1, 2, 3, 8], "guided"),
+    "candidates": constants("candidates of light samples", direct_light, "CANDIDATES", [1, 3, 4], "guided"),
+    "parts": [parts(number) for number in (1, 2, 8)],
     "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 3, 5], "guided"),
     "positions": [Change("record positions", "plain means", PLAIN)],
     "weights": [

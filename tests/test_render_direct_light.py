@@ -76,7 +76,9 @@ def test_candidates_are_kept_by_what_is_expected_of_them_and_count_for_all():
 
 
 @pytest.mark.parametrize("material", ["coated", "glossy metal"])
-def test_resampling_keeps_the_mean_and_lessens_the_variance(material):
+def test_resampling_keeps_the_mean_and_lessens_the_variance(material, monkeypatch):
+    """With four candidates."""
+    monkeypatch.setattr("bokehguide.render.direct_light.CANDIDATES", 4)
     spot = Spot(material)
     one, best = spot.candidates()[1][1], luminance(spot.sample().value).double()
     error = ((one.var() + best.var()) / COUNT).sqrt()

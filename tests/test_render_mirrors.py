@@ -448,6 +448,9 @@ def test_some_of_the_rays_bring_what_they_bring_among_all(choose):
     )
     others = torch.ones(300, dtype=torch.bool).index_fill(0, index, False)
     assert some.pop("rays") < all_of_them.pop("rays") and none.pop("rays") == 0
+    of_some, of_all, of_none = (samples.pop("lights") for samples in (some, all_of_them, none))
+    assert of_none is None and (of_some is None) == (of_all is None) == (choose is None)
+    assert choose is None or all(torch.equal(one, other[index]) for one, other in zip(of_some, of_all))
     for name, value in some.items():
         if value is not None:
             assert torch.equal(value[..., index], all_of_them[name][..., index]), name

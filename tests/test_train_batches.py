@@ -12,16 +12,17 @@ def lengths(spans: list[slice]) -> np.ndarray:
     return np.array([span.stop - span.start for span in spans])
 
 
+@pytest.mark.parametrize("paths", [1, 4])
 @pytest.mark.parametrize("threads", [1, 2, 16])
 @pytest.mark.parametrize("pixels", [0, 1, SMALL_BATCH, 3 * SMALL_BATCH + 1, BATCH, 1280 * 720, 10 * BATCH])
-def test_every_pixel_is_in_one_span_of_a_fair_size(pixels, threads):
+def test_every_pixel_is_in_one_span_of_a_fair_size(pixels, threads, paths):
     """Whatever the spans cost: from one step to the next that may change as it likes."""
-    batches, rng = Batches(threads), np.random.default_rng(1)
+    batches, rng = Batches(threads, paths), np.random.default_rng(1)
     for _ in range(20):
         spans = batches.spans(pixels)
         ends = [0] + [span.stop for span in spans]
         assert [span.start for span in spans] == ends[:-1] and ends[-1] == pixels
-        assert all(lengths(spans) >= SHORTEST * pixels // max(len(spans), 1)) and all(lengths(spans) <= LONGEST * BATCH)
+        assert all(lengths(spans) >= SHORTEST * pixels // max(len(spans), 1)) and all(lengths(spans) <= LONGEST * BATCH / paths)
         batches.cost(rng.exponential(size=len(spans)) ** 4 + 1e-3)
 
 

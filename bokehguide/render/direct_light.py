@@ -16,7 +16,7 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.vector import luminance
 
-CANDIDATES = 4
+CANDIDATES = 2
 """Light samples under a `LightChoice` of which one is kept."""
 FIRST_CANDIDATE = 1 << 16
 """Random dimensions from here on are those of the candidates after the first, SPARE of them each."""

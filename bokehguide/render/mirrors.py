@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.geometry import Geometry
-from bokehguide.render.pixels import put
+from bokehguide.render.pixels import increase, put
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import cross, dot, length, luminance, normalize
 
@@ -31,7 +31,7 @@ class MirrorImages:
 
     def __init__(self, geometry: Geometry, directions: Tensor, triangle: Tensor, reached: Tensor):
         self._geometry, self._directions, self._triangle, self._reached = geometry, directions, triangle, reached
-        self.distance, self.light = torch.zeros_like(directions[:2])
+        self.distance, self.light, self._brightest = torch.zeros_like(directions)
 
     def add(self, index: Tensor, direction: Tensor, pdf: Tensor, distance: Tensor, radiance: Tensor) -> None:
         """Add what some rays brought from beyond their first surface.
@@ -51,9 +51,10 @@ class MirrorImages:
         behind = reached + 1.0 / torch.where(vergence < 0.0, vergence.clamp(max=-1e-37), vergence.clamp(min=1e-37))
         image = torch.where(behind > 0.0, behind.clamp(max=MISS_DISTANCE), MISS_DISTANCE)
         light = light * (dot(incoming, normals[0]) * dot(direction, normals[0]) < 0.0)  # none through glass
-        before = self.light.index_select(0, index)
-        put(self.distance, index, torch.where(light > before, image, self.distance.index_select(0, index)))
-        put(self.light, index, before + light)
+        increase(self.light, index, light)
+        self._brightest.scatter_reduce_(0, index, light, "amax")
+        first = (light == self._brightest.index_select(0, index)) & (light > 0.0)
+        put(self.distance, index[first], image[first])
 
 
 def mirror_vergence(corners: Tensor, normals: Tensor, incoming: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,7 +23,7 @@ from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
 from bokehguide.render.mirrors import MirrorImages
 from bokehguide.render.opacity import MAX_CROSSINGS, Opacity
-from bokehguide.render.pixels import put
+from bokehguide.render.pixels import increase, put
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
@@ -41,6 +42,20 @@ FIRST_CROSSING = 1 << 20
 """Dimensions from here on choose where segments go through sheer surfaces, MAX_CROSSINGS of them each."""
 
 
+class LightsChosen(NamedTuple):
+    """The light samples under a `LightChoice`, `[K]` each, one for every path that left a first surface.
+
+    row: of the choice; cluster: int32 both, the latter -1 where there was none; worth: the luminance it brought times
+    the root of the cluster's probability, whose square is on average the sum over clusters of the squared luminance each
+    would have brought; seen: the share of it that nothing blocked.
+    """
+
+    row: Tensor
+    cluster: Tensor
+    worth: Tensor
+    seen: Tensor
+
+
 @dataclass
 class PathSamples:
     """What N camera rays brought back, all `[.., N]` and, but for the triangle, float32.
@@ -48,11 +63,9 @@ class PathSamples:
     radiance, and of the first surface normal, albedo and emission: `[3, N]`; distance to it,
     MISS_DISTANCE where there is none; alpha: 1 where the camera sees a surface or what lies
     at infinity, else 0; triangle: that of the first surface, int32, -1 where there is none;
-    rays: number of rays traced. Under a `LightChoice`, also its row there, the cluster of the light sample, int32
-    both, -1 where there was none, and its worth: the luminance it brought times the root of the cluster's probability,
-    whose square is on average the sum over clusters of the squared luminance each would have brought; light_seen,
-    the share of it that nothing blocked; and image, the distance at which most of the radiance appears to come from:
-    that of the first surface, or of what is mirrored there.
+    rays: number of rays traced. Under a `LightChoice`, also the lights it chose, None where no ray met a surface; and
+    image, the distance at which most of the radiance appears to come from: that of the first surface, or of what is
+    mirrored there.
     """
 
     radiance: Tensor
@@ -63,24 +76,16 @@ class PathSamples:
     alpha: Tensor
     triangle: Tensor
     rays: int = 0
-    light_row: Tensor | None = None
-    light_cluster: Tensor | None = None
-    light_worth: Tensor | None = None
-    light_seen: Tensor | None = None
+    lights: LightsChosen | None = None
     image: Tensor | None = None
 
     @classmethod
-    def empty(cls, count: int, device: torch.device, chooses: bool = False) -> PathSamples:
-        """Rays that met nothing. chooses: whether under a `LightChoice`."""
+    def empty(cls, count: int, device: torch.device) -> PathSamples:
+        """Rays that met nothing."""
         vectors = torch.zeros(4, 3, count, device=device)
         distance = torch.full((count,), MISS_DISTANCE, device=device)
         triangle = torch.full((count,), -1, dtype=torch.int32, device=device)
-        empty = cls(vectors[0], distance, *vectors[1:], torch.zeros(count, device=device), triangle)
-        if chooses:
-            empty.light_row, empty.light_cluster = torch.full((2, count), -1, dtype=torch.int32, device=device)
-            empty.light_worth, empty.light_seen = torch.zeros(2, count, device=device)
-            empty.image = distance.clone()
-        return empty
+        return cls(vectors[0], distance, *vectors[1:], torch.zeros(count, device=device), triangle)
 
 
 @dataclass
@@ -106,6 +111,17 @@ class _Paths:
         choice = None if self.choice is None else self.choice.select(index)
         return _Paths(*(getattr(self, name).index_select(-1, index) for name in names), self.random.select(index), choice)
 
+    def split(self, parts: Tensor) -> tuple[_Paths, Tensor]:
+        """Each becomes `parts`, int64 `[N]`, of equal shares of the throughput, next to one another; and which each was, int64
+        `[M]`. The first of them keeps the random numbers, and the radiance so far."""
+        owner = torch.repeat_interleave(parts)
+        number = torch.arange(len(owner), device=owner.device) - (parts.cumsum(0) - parts).index_select(0, owner)
+        paths = self.select(owner)
+        paths.throughput /= parts.index_select(0, owner)
+        paths.radiance *= number == 0
+        paths.random = paths.random.copies(number)
+        return paths, owner
+
 
 class PathTracer:
     """Radiance along batches of rays. Threads may call `trace` side by side.
@@ -128,13 +144,15 @@ class PathTracer:
         max_depth: int | None = None,
         choose: Callable[[Tensor], LightChoice] | None = None,
         index: Tensor | None = None,
+        parts: Tensor | None = None,
     ) -> PathSamples:
         """Trace rays with world origins and unit directions `[3, N]`; one path a ray, of max_depth segments if given.
 
         choose: how lights are chosen at first surfaces, by their positions `[3, N]`. index: of the rays to be traced, int64
-        `[K]`, if not all are; the others meet nothing.
+        `[K]`, if not all are; the others meet nothing. parts: into how many paths each splits at its first surface (Arvo and
+        Kirk 1990), int64 `[N]`, at least 1.
         """
-        result = PathSamples.empty(origin.shape[1], origin.device, choose is not None)
+        result = PathSamples.empty(origin.shape[1], origin.device)
         images = None if choose is None else MirrorImages(self.geometry, direction, result.triangle, result.distance)
         if index is None:
             index = torch.arange(origin.shape[1], device=origin.device)
@@ -145,7 +163,7 @@ class PathTracer:
         last = max_depth or self.max_depth
         for depth in range(1, last + 1):
             paths = self._segment(
-                paths, depth, depth == last, choose if depth == 1 else None, images, result, timer
+                paths, depth, depth == last, choose if depth == 1 else None, parts if depth == 1 else None, images, result, timer
             )
             if len(paths.index) == 0:
                 break
@@ -160,6 +178,7 @@ class PathTracer:
         depth: int,
         last: bool,
         choose: Callable[[Tensor], LightChoice] | None,
+        parts: Tensor | None,
         images: MirrorImages | None,
         result: PathSamples,
         timer: PhaseTimer,
@@ -189,6 +208,9 @@ class PathTracer:
         paths.choice = None if choose is None else choose(surface.position)
         if last:
             return _finish(paths, result)
+        if parts is not None:
+            paths, owner = paths.split(parts.index_select(0, paths.index))
+            surface = surface.select(owner)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
         draw = paths.random.uniform
         if depth == 1:
@@ -268,10 +290,7 @@ class PathTracer:
         paths.radiance += contribution
         if paths.choice is not None:
             images.add(paths.index, light.direction, light.pdf, light.distance, contribution)
-            found = (paths.choice.row, light.cluster, light.worth * visibility, visibility)
-            kept = (result.light_row, result.light_cluster, result.light_worth, result.light_seen)
-            for values, value in zip(kept, found):
-                put(values, paths.index, value)
+            result.lights = LightsChosen(paths.choice.row, light.cluster, light.worth * visibility, visibility)
 
     def _scatter(
         self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, depth: int, result: PathSamples
@@ -320,6 +339,6 @@ def _next_segment(
 
 
 def _finish(paths: _Paths, result: PathSamples) -> _Paths:
-    """Write the radiance of ended paths to the result; returns an empty batch."""
-    put(result.radiance, paths.index, paths.radiance)
+    """Add the radiance of ended paths to the result; returns an empty batch."""
+    increase(result.radiance, paths.index, paths.radiance)
     return paths.select(paths.index[:0])

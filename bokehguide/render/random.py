@@ -108,10 +108,17 @@ class PixelRandom:
 
     def select(self, index: Tensor) -> PixelRandom:
         """The generator of the paths at `index`, int64 `[M]`."""
-        chosen = object.__new__(PixelRandom)
-        chosen.pixel_keys = self.pixel_keys.index_select(0, index)
-        chosen.step_key, chosen.seed_key, chosen.index = self.step_key, self.seed_key, self.index
-        return chosen
+        return self._with(self.pixel_keys.index_select(0, index))
+
+    def copies(self, number: Tensor) -> PixelRandom:
+        """Numbers of their own for the copies 1, 2, … of a path, int64 `[N]`; those of number 0 stay what they are."""
+        others = hash_tensor(self.pixel_keys ^ hash_tensor(number.to(torch.int32)))
+        return self._with(torch.where(number > 0, others, self.pixel_keys))
+
+    def _with(self, pixel_keys: Tensor) -> PixelRandom:
+        other = object.__new__(PixelRandom)
+        other.pixel_keys, other.step_key, other.seed_key, other.index = pixel_keys, self.step_key, self.seed_key, self.index
+        return other
 
     def uniform(self, dimension: int, count: int) -> Tensor:
         """Numbers of dimensions `dimension … dimension + count - 1`, float32 `[count, N]`.

@@ -172,6 +172,9 @@ class LensGuide(nn.Module):
         """Whether the weights of a step are independent of the steps before: held pixels all have the weight 1."""
         return True
 
+    def parts(self, weight: Tensor) -> None:
+        """Paths never split."""
+
     def recorded(self, samples: PathSamples) -> Tensor:
         """Luminance `[N]` that the record buffer is told of."""
         return luminance(samples.radiance)

@@ -32,7 +32,7 @@ from bokehguide.train.light_guide import LightGuide
 from bokehguide.train.ranks import Ranks, available_cores
 from bokehguide.train.record_buffer import FAR
 from bokehguide.train.settings import RenderSettings
-from bokehguide.train.spot_guide import SpotGuide
+from bokehguide.train.spot_guide import PARTS, SpotGuide
 from bokehguide.train.steps import BatchResult, GuideCounts, StepStats, finite, step_stats
 
 PRIMING_DIMENSION = LENS_DIMENSION + 5
@@ -78,7 +78,7 @@ class RenderLoop:
         self.reuse = SpatialReuse(self.camera, self.tracer, settings.reuse_radius, settings.seed) if settings.reuses else None
         self.step_number = 0
         self._threads = settings.threads or available_cores()
-        self._batches = Batches(self._threads)
+        self._batches = Batches(self._threads, PARTS if isinstance(self.guide, SpotGuide) else 1)
         # Threads work on batches. Those that torch would start inside operations only fight them.
         torch.set_num_threads(1)
         compile_kernels(self._threads if settings.compile else 0)
@@ -167,7 +167,7 @@ class RenderLoop:
             result.records = self._records(points, directions, self.guide.apparent_distance(samples), weight, recorded)
             result.counts = GuideCounts.of(batch, weight)
             if self.light_guide is not None:
-                result.lights = (samples.light_row, samples.light_cluster, samples.light_worth, samples.light_seen)
+                result.lights = samples.lights
         return result
 
     def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
@@ -205,7 +205,8 @@ class RenderLoop:
         origins, directions = self.camera.rays(focus, points)
         inside = (weight > 0.0).nonzero()[:, 0]
         index = None if len(inside) == len(weight) else inside
-        return self.tracer.trace(origins, directions, random, timer, choose=choose, index=index), directions
+        parts = None if self.guide is None else self.guide.parts(weight)
+        return self.tracer.trace(origins, directions, random, timer, choose=choose, index=index, parts=parts), directions
 
     def _film_samples(self, samples: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
         depth = self.camera.depth(samples.distance, directions)
@@ -248,8 +249,8 @@ class RenderLoop:
 
     def _add_lights(self, results: list[BatchResult]) -> None:
         if self.light_guide is not None and self._mean_luminance > 0.0:
-            for result in results:
-                self.light_guide.add(*result.lights, self._mean_luminance)
+            for lights in (result.lights for result in results if result.lights is not None):
+                self.light_guide.add(*lights, self._mean_luminance)
 
     def picture(self) -> Film:
         """The film with the pixels of all ranks; collective."""

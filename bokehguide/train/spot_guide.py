@@ -48,6 +48,9 @@ POOLED = 5
 """Pixels across the squares whose moments are shared."""
 BRIGHTEST = 1e18
 """Above this a sample counts as one of this: its square is still a single-precision number."""
+PARTS, MOST_PARTS = 4, 16
+"""Paths that go on from the first surface of a draw of weight 1, of others in proportion to their weight, and most of any
+draw: the light they find is what is left of the noise, and a lens point, once found, is dear."""
 PRIOR = 1e-3
 """Second moment that either part of the mixture is taken to have had already, in units of the frame's mean squared."""
 
@@ -137,6 +140,10 @@ class SpotGuide(nn.Module):
     def is_fresh(self, step: int) -> bool:
         """Whether the weights of a step are independent of the steps before: at the start of a block."""
         return step == int(self.block)
+
+    def parts(self, weight: Tensor) -> Tensor:
+        """Into how many paths rays of these weights `[N]` split at their first surfaces, int64 (Vorba and Křivánek 2016)."""
+        return (PARTS * weight).round().clamp(1, MOST_PARTS).long()
 
     def recorded(self, samples: PathSamples) -> Tensor:
         """Luminance `[N]` for the record buffer: all but what the field's lamps send straight into the lens."""

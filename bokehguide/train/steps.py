@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from bokehguide.render.path_tracer import LightsChosen
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.train.guide import BatchLesson, GuidedBatch
 from bokehguide.train.ranks import Ranks
@@ -45,8 +46,8 @@ class GuideCounts(NamedTuple):
 
 @dataclass
 class BatchResult:
-    """What a batch leaves behind, beside the film: records are cells, positions and luminance for the record buffer;
-    lights are tiles, clusters and worth for the light guide."""
+    """What a batch leaves behind, beside the film: records are cells, positions and luminance for the record buffer; lights
+    are for the light guide."""
 
     samples: int
     rays: int
@@ -54,7 +55,7 @@ class BatchResult:
     counts: GuideCounts = GuideCounts()
     lesson: BatchLesson | None = None
     records: tuple[Tensor, Tensor, Tensor] | None = None
-    lights: tuple[Tensor, Tensor, Tensor] | None = None
+    lights: LightsChosen | None = None
 
 
 def step_stats(step: int, results: list[BatchResult], seconds: float, gaussians: int, ranks: Ranks) -> StepStats:
