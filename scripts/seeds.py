@@ -3,9 +3,9 @@
     python scripts/seeds.py
     python scripts/seeds.py night-street --modes uniform,lis-o,guided --seeds 8 --spp 64
 
-Every mode is rendered with so many seeds. The table has MAPE and relMSE over the insets (over the frame for a scene
-without), averaged over the seeds, and those of the last mode over each other one's, with 95 % intervals (Student's t of
-the logarithms' differences). Below it stands, of all blocks of 32 x 32 pixels, the largest ratio of the last mode's relMSE
+Every mode is rendered with so many seeds. The table has the rays of a sample, MAPE and relMSE over the insets (over the
+frame for a scene without), averaged over the seeds, and the errors of the last mode over each other one's, with 95 %
+intervals (Student's t of the logarithms' differences). Below it stands, of all blocks of 32 x 32 pixels, the largest ratio of the last mode's relMSE
 to the first one's, and how many of them are above WORSE with 95 % confidence for all blocks at once (Bonferroni).
 Writes seeds.md and, of each scene, SCENE-first.png, the first seed of the last mode at 8 SPP beside the first mode's at 8
 and at 256 SPP, into `--out`.
@@ -27,11 +27,11 @@ from torch.nn.functional import avg_pool2d
 
 from bokehguide.cli.arguments import COMPILE_HELP, positive
 from bokehguide.cli.scripts import run
-from bokehguide.evaluation import errors, made_reference, progress, regions, render
+from bokehguide.evaluation import errors, made_reference, progress, regions, whole_step
 from bokehguide.image import check_writable, replacing, tone_map, write_png
 from bokehguide.metrics import EPSILON
 from bokehguide.scene import Scene
-from bokehguide.train import RenderSettings
+from bokehguide.train import RenderLoop, RenderSettings
 
 FIRST_SEED = 6_000_000
 REFERENCE_SHARE = 16
@@ -65,24 +65,32 @@ def report(scene: Scene, args: argparse.Namespace) -> Iterator[str]:
     path = args.out / f"{scene.name}-reference.exr"
     reference = made_reference(scene, replace(settings, spp=REFERENCE_SHARE * args.spp), path, args.cache).radiance.float()
     mask = regions(scene).get("insets", regions(scene)["frame"])
-    pictures = {mode: renders(scene, replace(settings, mode=mode), args.seeds) for mode in args.modes}
+    done = {mode: renders(scene, replace(settings, mode=mode), args.seeds) for mode in args.modes}
+    pictures = {mode: images for mode, (images, _) in done.items()}
     found = {mode: measured(images, reference, mask) for mode, images in pictures.items()}
     last = args.modes[-1]
-    yield f"| {scene.name} | MAPE | relMSE | MAPE of {last} over it | relMSE of {last} over it |"
-    yield "| --- | ---: | ---: | ---: | ---: |"
+    yield f"| {scene.name} | rays a sample | MAPE | relMSE | MAPE of {last} over it | relMSE of {last} over it |"
+    yield "| --- | ---: | ---: | ---: | ---: | ---: |"
     for mode, values in found.items():
         means = " | ".join(f"{value:.4f}" for value in values.mean(0).tolist())
         ratios = " | ".join(interval(found[last][:, column], values[:, column]) for column in range(2))
-        yield f"| {mode} | {means} | {ratios if mode != last else '1 | 1'} |"
+        yield f"| {mode} | {done[mode][1]:.2f} | {means} | {ratios if mode != last else '1 | 1'} |"
     yield ""
     yield blocks(pictures[last], pictures[args.modes[0]], reference, args.modes)
 
 
-def renders(scene: Scene, settings: RenderSettings, count: int) -> list[Tensor]:
-    """Radiance `[H, W, 3]` at seeds from FIRST_SEED on."""
+def renders(scene: Scene, settings: RenderSettings, count: int) -> tuple[list[Tensor], float]:
+    """Radiance `[H, W, 3]` at seeds from FIRST_SEED on, and the rays of a sample."""
+    pictures, rays, samples = [], 0, 0
     with progress(f"{scene.name} {settings.mode}", count * settings.spp) as bar:
-        seeds = range(FIRST_SEED, FIRST_SEED + count)
-        return [render(scene, replace(settings, seed=seed), bar).radiance().cpu() for seed in seeds]
+        for seed in range(FIRST_SEED, FIRST_SEED + count):
+            loop = RenderLoop(scene, replace(settings, seed=seed))
+            for _ in range(settings.spp):
+                stats = whole_step(loop)
+                rays, samples = rays + stats.rays, samples + stats.samples
+                bar.update()
+            pictures.append(loop.film.radiance().cpu())
+    return pictures, rays / samples
 
 
 def measured(images: list[Tensor], reference: Tensor, mask: Tensor) -> Tensor:
@@ -127,7 +135,7 @@ def early_picture(scene: Scene, args: argparse.Namespace) -> None:
     """The last mode at EARLY SPP beside the first one's at EARLY and at LATE."""
     parts = []
     for mode, spp in ((args.modes[-1], EARLY), (args.modes[0], EARLY), (args.modes[0], LATE)):
-        parts += renders(scene, RenderSettings(mode, spp, threads=args.threads, compile=args.compile), 1)
+        parts += renders(scene, RenderSettings(mode, spp, threads=args.threads, compile=args.compile), 1)[0]
     write_png(args.out / f"{scene.name}-first.png", tone_map(torch.cat(parts, dim=1)))
 
 

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 BATCH, SMALL_BATCH = 262144, 28800
-"""Paths traced together: each thread has as many batches, about as large as memory allows, since Python costs the same for
+"""Pixels traced together: each thread has as many batches, about as large as memory allows, since Python costs the same for
 large ones and small ones. Below the second number it costs more than another thread brings."""
 SHORTEST, LONGEST = 0.5, 1.5
-"""Least and most pixels in a batch: of the mean, and of BATCH."""
+"""Least and most pixels in a batch: of the mean, and of the most there should be."""
 
 
 class Batches:
@@ -20,12 +20,12 @@ class Batches:
     `spans` cuts it; `cost` is told what the spans cost, and the next are cut by that. It should be what does not change
     from run to run, as rays are and seconds are not.
 
-    paths: of each pixel, about.
+    paths: of each pixel, about; there are as many times fewer pixels in a batch.
     """
 
     def __init__(self, threads: int, paths: int = 1):
         self._threads = threads
-        self._most, self._least = BATCH // paths, SMALL_BATCH // paths
+        self._most = BATCH // paths
         self._cuts = np.zeros(1)
         """Where spans begin and end, as shares of the row."""
         self._longest = 1.0
@@ -36,7 +36,7 @@ class Batches:
         if pixels == 0:
             return []
         rounds = math.ceil(pixels / (self._most * self._threads))
-        count = max(min(rounds * self._threads, pixels // self._least), 1)
+        count = max(min(rounds * self._threads, pixels // SMALL_BATCH), 1)
         if len(self._cuts) != count + 1:
             self._cuts = np.linspace(0.0, 1.0, count + 1)
         self._longest = LONGEST * self._most * count / pixels
