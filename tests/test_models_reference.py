@@ -196,13 +196,17 @@ def test_candidates_come_strongest_first_and_hardly_beyond_their_discs():
     assert bool((away <= radius[candidates.gaussian.long()] + 0.71).all())
 
 
-def test_drawing_discs_in_parts_changes_nothing(monkeypatch):
-    """More discs over one another than a pixel keeps, drawn all at once and a few at a time."""
+@pytest.mark.parametrize("rows, pixels", [(90, 5000), (7, 1 << 21), (7, 300), (1, 1)])
+def test_drawing_discs_in_parts_changes_nothing(rows, pixels, monkeypatch):
+    """More discs over one another than a pixel keeps, drawn all at once, and in bands of rows and a few at a time."""
     camera = ThinLensCamera(CAMERA, 160, 90)
     field = scattered_field(400, seed=3)
-    whole = draw_candidates(field, camera)
-    monkeypatch.setattr(candidates, "DRAWN_TOGETHER", 5000)
-    parts = draw_candidates(field, camera)
+    without = torch.rand(160 * 90, generator=torch.Generator().manual_seed(4)) < 0.2
+    whole = draw_candidates(field, camera, without=without)
+    monkeypatch.setattr(candidates, "BAND", 160 * rows)
+    monkeypatch.setattr(candidates, "DRAWN_TOGETHER", pixels)
+    parts = draw_candidates(field, camera, without=without)
+    assert not bool(parts.counts()[without].any())
     assert int((whole.start[1:] - whole.start[:-1]).max()) == MAX_CANDIDATES
     assert torch.equal(whole.start, parts.start) and torch.equal(whole.gaussian, parts.gaussian)
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
@@ -17,8 +18,8 @@ from bokehguide.render.pixels import Pixels, take
 
 MAX_CANDIDATES = 16
 """A pixel keeps this many of its strongest Gaussians."""
-DRAWN_TOGETHER = 1 << 22
-"""Pixels of discs that are held in memory at a time."""
+BAND, DRAWN_TOGETHER = 1 << 18, 1 << 21
+"""Pixels, and pixels of discs over one another, that are held in memory at a time."""
 PIXEL_MARGIN = 0.7072
 """Half a pixel's diagonal: discs are tested at pixel centres."""
 
@@ -65,37 +66,40 @@ def draw_candidates(
     strength = field.lens_weights(lens.focus_distance)
     order = strength.argsort(descending=True)
     center, radius = center[:, order], (radius + extra + PIXEL_MARGIN)[order]
-    full = torch.zeros(camera.width * camera.height, dtype=torch.int64, device=center.device)
-    if without is not None:
-        full[without] = MAX_CANDIDATES
-    pixel, drawn = _draw(center, radius, camera.width, camera.height, full)
-    pixel, by_pixel = torch.sort(pixel, stable=True)  # keeps the strongest first
-    numbers = torch.arange(camera.width * camera.height + 1, device=pixel.device, dtype=pixel.dtype)
-    start = torch.searchsorted(pixel, numbers)
-    rank = torch.arange(len(pixel), device=pixel.device) - start[pixel.long()]
-    kept = (rank < MAX_CANDIDATES).nonzero()[:, 0]
-    counts = (start[1:] - start[:-1]).clamp(max=MAX_CANDIDATES)
-    start = torch.cat((torch.zeros_like(counts[:1]), counts.cumsum(0)))
-    return CandidateList(start, order[drawn[by_pixel[kept]].long()].int())
+    rows, parts = max(BAND // camera.width, 1), []
+    for top in range(0, camera.height, rows):
+        full = torch.zeros(min(rows, camera.height - top), camera.width, dtype=torch.int32, device=center.device)
+        if without is not None:
+            full.view(-1)[without[top * camera.width :][: full.numel()]] = MAX_CANDIDATES
+        near = (center[1] + radius > top) & (center[1] - radius < top + len(full))
+        near = near.nonzero()[:, 0]
+        counts, drawn = _draw(center[:, near], radius[near], top, full)
+        parts.append((counts, order[near[drawn]].int()))
+    counts, gaussian = (torch.cat(part) for part in zip(*parts))
+    return CandidateList(torch.cat((torch.zeros_like(counts[:1]), counts.cumsum(0))), gaussian)
 
 
-def _draw(center: Tensor, radius: Tensor, width: int, height: int, full: Tensor) -> tuple[Tensor, Tensor]:
-    """Pixels and numbers of discs, int32 `[M]`, in the discs' order; few beyond MAX_CANDIDATES for a pixel.
+def _draw(center: Tensor, radius: Tensor, top: int, full: Tensor) -> tuple[Tensor, Tensor]:
+    """How many discs each pixel of a band of rows from `top` on keeps, int64 `[pixels]`, and which, int64 `[M]`, pixel by pixel,
+    in the discs' order.
 
-    full: int64 `[pixels]`, how many candidates each pixel has already; it is counted on.
-    Discs are drawn DRAWN_TOGETHER pixels at a time, and not where pixels are full already,
-    so memory is bounded however many discs lie over one another.
+    full: int32 `[rows, width]`, how many each pixel has already; it is counted on. Discs are drawn DRAWN_TOGETHER pixels at
+    a time, and hardly where pixels are full already: memory is bounded however many lie over one another.
     """
-    area = (4.0 * (radius + 1.0).square()).clamp(max=float(width * height))
-    part = (area.double().cumsum(0) / DRAWN_TOGETHER).long()
-    pieces = []
+    part = (2.0 * radius.double() + 2.0).clamp(max=full.shape[1]) * (2.0 * radius + 2.0).clamp(max=len(full))
+    part = (part.cumsum(0) / DRAWN_TOGETHER).long()
+    pixels, discs = [torch.zeros(0, dtype=torch.int32, device=radius.device)], [radius[:0].long()]
     for first, last in _runs(part):
-        pixel, disc = _fill_discs(center[:, first:last], radius[first:last], width, height)
-        space = (full[pixel.long()] < MAX_CANDIDATES).nonzero()[:, 0]
-        pieces.append((pixel[space], disc[space] + first))
-        full += torch.bincount(pieces[-1][0], minlength=width * height)
-    pixels, discs = zip(*pieces)
-    return torch.cat(pixels), torch.cat(discs)
+        pixel, disc = _fill_discs(center[:, first:last], radius[first:last], top, full)
+        space = (full.view(-1)[pixel] < MAX_CANDIDATES).nonzero()[:, 0]
+        pixels.append(pixel[space].int())
+        discs.append(disc[space] + first)
+        full.view(-1).add_(torch.bincount(pixels[-1], minlength=full.numel()))
+    pixel, by_pixel = torch.sort(torch.cat(pixels), stable=True)  # keeps the strongest first
+    counts = torch.bincount(pixel, minlength=full.numel())
+    rank = torch.arange(len(pixel), device=pixel.device) - (counts.cumsum(0) - counts)[pixel]
+    kept = (rank < MAX_CANDIDATES).nonzero()[:, 0]
+    return counts.clamp(max=MAX_CANDIDATES), torch.cat(discs)[by_pixel[kept]]
 
 
 def _runs(values: Tensor) -> list[tuple[int, int]]:
@@ -105,17 +109,22 @@ def _runs(values: Tensor) -> list[tuple[int, int]]:
     return [(end - count, end) for end, count in zip(ends, counts)]
 
 
-def _fill_discs(center: Tensor, radius: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """Pixels whose centres lie in each disc: int32 pixel and disc numbers `[M]`, disc by disc."""
-    top = (center[1] - radius - 0.5).ceil().clamp(0, height).long()
-    bottom = ((center[1] + radius - 0.5).floor() + 1.0).clamp(0, height).long()
-    disc, row = _expand(top, bottom)
+def _fill_discs(center: Tensor, radius: Tensor, top: int, full: Tensor) -> tuple[Tensor, Tensor]:
+    """Pixels of a band of rows whose centres lie in each disc: pixel and disc numbers, int64 `[M]` both, disc by disc, without the
+    disc's rows that lie in full pixels alone (see `_draw`)."""
+    height, width = full.shape
+    first = (center[1] - radius - 0.5).ceil().clamp(top, top + height).long()
+    end = ((center[1] + radius - 0.5).floor() + 1.0).clamp(top, top + height).long()
+    disc, row = _expand(first, end)
     dy = row + 0.5 - center[1, disc]
     half = (radius[disc].square() - dy.square()).clamp(min=0.0).sqrt()
     left = (center[0, disc] - half - 0.5).ceil().clamp(0, width).long()
     right = ((center[0, disc] + half - 0.5).floor() + 1.0).clamp(0, width).long()
+    open_before = pad((full < MAX_CANDIDATES).int().cumsum(1, dtype=torch.int32), (1, 0)).view(-1)
+    line = (row - top) * (width + 1)
+    right = torch.where(open_before[line + right.clamp(min=0)] > open_before[line + left], right, left)
     span, column = _expand(left, right)
-    return (row[span] * width + column).int(), disc[span].int()
+    return (row[span] - top) * width + column, disc[span]
 
 
 def _expand(low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
