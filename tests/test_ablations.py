@@ -82,8 +82,8 @@ def test_every_kind_of_change_changes_the_picture_and_is_undone():
 
 def test_every_part_of_guided_that_is_left_out_changes_the_picture():
     """On a scene that has them all: lamps of a map, panels, and reflections."""
-    scene = load_scene("night-street", Overrides(width=96, height=54))
-    settings = RenderSettings("guided", spp=10, threads=1)
+    scene = load_scene("night-street", Overrides(width=64, height=36))
+    settings = RenderSettings("guided", spp=6, threads=1)
     default = ablations.rendered(scene, settings, ablations.Change("default", "guided", mode="guided"))
     for change in ablations.CHANGES["guided"]:
         found = ablations.rendered(scene, settings, change)
@@ -93,8 +93,8 @@ def test_every_part_of_guided_that_is_left_out_changes_the_picture():
 
 def test_every_part_of_guided_that_is_added_to_nothing_changes_the_picture():
     """To nothing, or to those parts that it works on."""
-    scene = load_scene("night-street", Overrides(width=96, height=54))
-    settings = RenderSettings("guided", spp=10, threads=1)
+    scene = load_scene("night-street", Overrides(width=64, height=36))
+    settings = RenderSettings("guided", spp=6, threads=1)
     before = {}
     for part in ablations.PARTS:
         needed = ablations.NEEDED.get(part, ())
