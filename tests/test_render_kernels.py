@@ -163,6 +163,22 @@ def test_threads_run_kernels_side_by_side():
 
 
 @kernels.kernel
+def difference(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+    return one - other
+
+
+@needs_a_compiler
+def test_headers_that_do_not_do_are_not_needed(tmp_path, monkeypatch, capsys):
+    """As with a PyTorch that asks more of them than ours have."""
+    (tmp_path / "regex").write_text("#error of no use\n")
+    monkeypatch.setattr(kernels, "HEADERS", tmp_path)
+    kernels.compile_kernels(2)
+    assert torch.equal(difference(torch.ones(9), torch.zeros(9)), torch.ones(9))
+    assert isinstance(next(iter(difference._variants.values())), kernels._Variant)
+    assert "is not compiled" not in capsys.readouterr().err and "CPLUS_INCLUDE_PATH" not in os.environ
+
+
+@kernels.kernel
 def by_length(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
     return one * len(other)
 

@@ -33,6 +33,8 @@ SOURCES = (Path(__file__).parent, Path(__file__).parent.parent / "models")
 
 LARGEST_FIXED = 4
 """Sizes up to this one may be part of the code: of matrices, whose size never changes."""
+HEADERS = Path(__file__).parent / "headers"
+"""Stand before those of C++: see there."""
 AS_FLOATS = {torch.int32: torch.float32, torch.int64: torch.float64}
 """What kernels get whole numbers as, bit by bit: PyTorch's vectors of them load by way of the stack, five times as slowly."""
 
@@ -194,6 +196,8 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
     name = f"{function.__module__}.{function.__qualname__}"
     path = _Compiling.folder / f"{name}-{hashlib.sha256(f'{_state()} {name} {key}'.encode()).hexdigest()[:24]}.pt2"
     try:
+        from torch._inductor.exc import CppCompileError
+
         from bokehguide.render.compiled import CompiledFunction  # of PyTorch's inner parts, which may not be there
 
         if not path.exists():
@@ -202,7 +206,11 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
             _announce()
             # Copies: of one tensor that is given twice, torch.export would make one argument.
             copies = tuple(_as_floats(tensor.clone(memory_format=torch.contiguous_format)) for tensor in tensors)
-            _compile(_Flat(function, arguments, [tensor.dtype for tensor in tensors]), copies, path)
+            flat = _Flat(function, arguments, [tensor.dtype for tensor in tensors])
+            try:
+                _compile(flat, copies, path, HEADERS)
+            except CppCompileError:  # of a PyTorch that asks more of them
+                _compile(flat, copies, path)
         return _Variant(CompiledFunction(path, _Compiling.threads), tensors, results)
     except Exception as error:  # whatever a compiler may fail with: pictures come out the same without it
         with contextlib.suppress(OSError):  # the folder itself may be what is wrong
@@ -233,19 +241,34 @@ def _announce() -> None:
         print(f"bokehguide: compiling kernels, once on this machine; they are kept in {_Compiling.folder}", file=sys.stderr)
 
 
-def _compile(flat: _Flat, tensors: tuple[Tensor, ...], path: Path) -> None:
+def _compile(flat: _Flat, tensors: tuple[Tensor, ...], path: Path, headers: Path | None = None) -> None:
     from torch._inductor import aoti_compile_and_package, config
 
     last = [{tensor.ndim - 1: torch.export.Dim.AUTO} if tensor.ndim and tensor.shape[-1] > 1 else None for tensor in tensors]
     options = {"cpp.threads": 1, "aot_inductor.compile_wrapper_opt_level": "O0"}
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(f".{os.getpid()}.pt2")
-    with warnings.catch_warnings(), torch.no_grad(), config.patch(options):
+    with warnings.catch_warnings(), torch.no_grad(), config.patch(options), _searching(headers):
         warnings.simplefilter("ignore")
         program = torch.export.export(flat, tensors, dynamic_shapes=(tuple(last),), strict=False)
         _check_sizes(program)
         aoti_compile_and_package(program, package_path=str(temporary))
     temporary.replace(path)
+
+
+@contextlib.contextmanager
+def _searching(headers: Path | None) -> Iterator[None]:
+    """Let the C++ compiler look for headers in a folder before its own."""
+    before = os.environ.get("CPLUS_INCLUDE_PATH")
+    if headers is not None:
+        os.environ["CPLUS_INCLUDE_PATH"] = os.pathsep.join((str(headers), *((before,) if before else ())))
+    try:
+        yield
+    finally:
+        if headers is not None:
+            os.environ.pop("CPLUS_INCLUDE_PATH")
+            if before is not None:
+                os.environ["CPLUS_INCLUDE_PATH"] = before
 
 
 def _check_sizes(program: torch.export.ExportedProgram) -> None:
