@@ -40,6 +40,7 @@ from bokehguide.render import direct_light, path_tracer
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.mirrors import MirrorImages
+from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.builtin import BUILTIN
@@ -203,7 +204,7 @@ def alone(part: str) -> Change:
 
 def parts(number: int) -> Change:
     """Into how many paths samples split."""
-    return Change("paths of a draw of weight 1", str(number), ((spot_guide, "PARTS", number), (spot_guide, "MOST_PARTS", 4 * number)), "guided")
+    return Change("paths of a draw of weight 1", str(number), ((spot_guide, "PARTS", number), (spot_guide, "MOST_PARTS", 8 * number)), "guided")
 
 
 PLAIN = ((RecordBuffer, "add", add_plain), (RecordBuffer, "positions", plain_positions))
@@ -220,7 +221,7 @@ CHANGES = {
     "guided": [guided_with(f"without {part}", tuple(other for other in PARTS if other != part)) for part in PARTS],
     "alone": [guided_with("with none of its parts", ()), *map(alone, PARTS)],
     "candidates": constants("candidates of light samples", direct_light, "CANDIDATES", [1, 3, 4], "guided"),
-    "parts": [parts(number) for number in (1, 2, 8)],
+    "parts": [parts(number) for number in (1, 4, 8)],
     "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 3, 5], "guided"),
     "positions": [Change("record positions", "plain means", PLAIN)],
     "weights": [
@@ -291,7 +292,7 @@ def measured(
     reference = made_reference(scene, whole, options.out / f"{scene.name}-reference.exr", options.cache).radiance
     masks = regions(scene)
     mask = masks.get("insets", masks["frame"])
-    found = []
+    found, tracer = [], None
     with progress(scene.name, len(changes) * options.seeds) as bar:
         for change in changes:
             found.append([])
@@ -300,7 +301,8 @@ def measured(
                 measurement = (options.spp, scene.insets, reference.numpy(), change.what, change.value, CODE)
                 key = digest((fingerprint(scene, one), *measurement))
                 if key not in kept:
-                    kept[key] = errors(rendered(scene, one, change), reference, mask)["mape"]
+                    tracer = tracer or PathTracer(scene)
+                    kept[key] = errors(rendered(scene, one, change, tracer), reference, mask)["mape"]
                     with replacing(path) as temporary:
                         temporary.write_text(json.dumps(kept, indent=1) + "\n")
                 found[-1].append(kept[key])
@@ -308,10 +310,10 @@ def measured(
     return found
 
 
-def rendered(scene: Scene, settings: RenderSettings, change: Change) -> Tensor:
-    """Radiance `[H, W, 3]` with one change made."""
+def rendered(scene: Scene, settings: RenderSettings, change: Change, tracer: PathTracer) -> Tensor:
+    """Radiance `[H, W, 3]` with one change made; none of them changes what the scene's tracer is made of."""
     with change.made():
-        loop = RenderLoop(scene, settings)
+        loop = RenderLoop(scene, settings, tracer=tracer)
         for _ in range(settings.spp):
             loop.step()
     return loop.film.radiance().cpu()

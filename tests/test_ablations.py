@@ -10,6 +10,7 @@ import ablations
 import pytest
 import torch
 
+from bokehguide.render.path_tracer import PathTracer
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import RenderSettings
 
@@ -67,10 +68,11 @@ def test_a_mistake_is_one_line(tmp_path):
 def test_every_kind_of_change_changes_the_picture_and_is_undone():
     scene = load_scene("glitter", Overrides(width=64, height=36))
     changes = [changes[-1] for changes in ablations.CHANGES.values()]
+    tracer = PathTracer(scene)
     settings = {mode: RenderSettings(mode, spp=10, threads=1) for mode in ("lis", "lis-b", "lis-o", "guided")}
 
     def picture(change: ablations.Change) -> torch.Tensor:
-        return ablations.rendered(scene, settings[change.mode], change)
+        return ablations.rendered(scene, settings[change.mode], change, tracer)
 
     defaults = {mode: picture(ablations.Change("default", mode, mode=mode)) for mode in settings}
     for change in changes:
@@ -83,10 +85,10 @@ def test_every_kind_of_change_changes_the_picture_and_is_undone():
 def test_every_part_of_guided_that_is_left_out_changes_the_picture():
     """On a scene that has them all: lamps of a map, panels, and reflections."""
     scene = load_scene("night-street", Overrides(width=64, height=36))
-    settings = RenderSettings("guided", spp=6, threads=1)
-    default = ablations.rendered(scene, settings, ablations.Change("default", "guided", mode="guided"))
+    settings, tracer = RenderSettings("guided", spp=6, threads=1), PathTracer(scene)
+    default = ablations.rendered(scene, settings, ablations.Change("default", "guided", mode="guided"), tracer)
     for change in ablations.CHANGES["guided"]:
-        found = ablations.rendered(scene, settings, change)
+        found = ablations.rendered(scene, settings, change, tracer)
         assert found.isfinite().all()
         assert not torch.equal(found, default), f"{change.what} changes nothing"
 
@@ -94,13 +96,13 @@ def test_every_part_of_guided_that_is_left_out_changes_the_picture():
 def test_every_part_of_guided_that_is_added_to_nothing_changes_the_picture():
     """To nothing, or to those parts that it works on."""
     scene = load_scene("night-street", Overrides(width=64, height=36))
-    settings = RenderSettings("guided", spp=6, threads=1)
+    settings, tracer = RenderSettings("guided", spp=6, threads=1), PathTracer(scene)
     before = {}
     for part in ablations.PARTS:
         needed = ablations.NEEDED.get(part, ())
         if needed not in before:
-            before[needed] = ablations.rendered(scene, settings, ablations.guided_with("some parts", needed))
-        found = ablations.rendered(scene, settings, ablations.alone(part))
+            before[needed] = ablations.rendered(scene, settings, ablations.guided_with("some parts", needed), tracer)
+        found = ablations.rendered(scene, settings, ablations.alone(part), tracer)
         assert found.isfinite().all()
         assert not torch.equal(found, before[needed]), f"{part} changes nothing"
 

@@ -44,13 +44,15 @@ def test_before_anything_is_learnt_all_draws_count_alike():
 
 @pytest.mark.parametrize("brought", [0.0, 0.5, 1.0, 3.0, 100.0])
 def test_the_factor_is_the_root_mean_square_of_what_draws_brought(brought):
-    """With DRAWS_BEFORE draws that brought what they might; of draws in vain √(½ / (n + ½)); it is bounded."""
+    """With DRAWS_BEFORE draws that brought what they might, which count for less the more there are; of draws in vain
+    ½ / (n + ½); it is bounded."""
     learnt, slots = lamp_yield(), torch.tensor([7, 8, 8, 8, 9] + [10] * 40)
     learnt.add(slots, torch.full((len(slots),), brought**2))
     assert (learnt.factor(slots) == 1.0).all()  # until the block ends
     learnt.update()
     for slot, draws in ((6, 0), (7, 1), (8, 3), (9, 1), (10, 40)):
-        expected = math.sqrt((draws * brought**2 + DRAWS_BEFORE) / (draws + DRAWS_BEFORE))
+        share = DRAWS_BEFORE / (draws + DRAWS_BEFORE)
+        expected = math.sqrt((1.0 - share) * brought**2 + share**2)
         assert float(learnt.factor(torch.tensor([slot]))) == pytest.approx(min(expected, HIGHEST), rel=1e-6)
 
 

@@ -19,7 +19,8 @@ TILE = 4
 SLOTS_PER_PIXEL = 0.5
 """Slots of the table. Tiles and lamps that fall on one slot are taken for one, which makes draws no worse than unlearnt."""
 DRAWS_BEFORE = 0.5
-"""Draws of each lamp in each tile that are taken to have brought what they might."""
+"""Draws of each lamp in each tile that are taken to have brought what they might. The more draws there are, the less that is
+believed, or a bright lamp behind a house would be drawn again and again before the dim window beside it."""
 HIGHEST = 5.0
 """Most that a lamp's draws may count, in units of what they might bring."""
 
@@ -57,7 +58,8 @@ class LampYield(RankSums):
         """Go by all draws so far; collective."""
         self.merge()
         draws, squares = self.sums
-        self.learnt = ((squares + DRAWS_BEFORE) / (draws + DRAWS_BEFORE)).sqrt().clamp(max=HIGHEST).float()
+        whole = draws + DRAWS_BEFORE
+        self.learnt = ((squares + DRAWS_BEFORE**2 / whole) / whole).sqrt().clamp(max=HIGHEST).float()
         self.learnt[0] = 1.0
 
     def factor(self, slots: Tensor) -> Tensor:

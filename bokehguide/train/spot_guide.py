@@ -50,7 +50,7 @@ POOLED = 5
 """Pixels across the squares whose moments are shared."""
 BRIGHTEST = 1e18
 """Above this a sample counts as one of this: its square is still a single-precision number."""
-PARTS, MOST_PARTS = 4, 16
+PARTS, MOST_PARTS = 2, 16
 """Paths that go on from the first surface of a draw of weight 1, of others in proportion to their weight, and most of any
 draw: the light they find is what is left of the noise, and a lens point, once found, is dear."""
 PRIOR = 1e-3
