@@ -20,9 +20,9 @@ def test_the_wheel_lists_the_scenes(tmp_path):
         shutil.copy(REPOSITORY / name, source)
     run("-m", "build", "--wheel", "--no-isolation", "--outdir", tmp_path, source, folder=tmp_path)
     (wheel,) = tmp_path.glob("*.whl")
-    modules = {str(path.relative_to(source)) for path in (source / "bokehguide").rglob("*.py")}
+    files = {str(path.relative_to(source)) for path in (source / "bokehguide").rglob("*") if path.is_file()}
     with zipfile.ZipFile(wheel) as archive:
-        assert {name for name in archive.namelist() if not name.split("/")[0].endswith(".dist-info")} == modules
+        assert {name for name in archive.namelist() if not name.split("/")[0].endswith(".dist-info")} == files
     run("-m", "pip", "install", "--no-deps", "--no-index", "--target", target, wheel, folder=tmp_path)
     listed = run("-m", "bokehguide", "scenes", folder=tmp_path, PYTHONPATH=str(target))
     assert [line.split()[0] for line in listed.splitlines()] == list(BUILTIN)
