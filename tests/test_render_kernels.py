@@ -162,20 +162,71 @@ def test_threads_run_kernels_side_by_side():
     assert sum(start < moment < end for moment in ticks) > 5
 
 
+HEADERS = """
+import os, sys
+from pathlib import Path
+import torch
+from bokehguide.render import kernels
+
 @kernels.kernel
-def difference(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+def difference(one, other):
     return one - other
+
+searched, compile_one = [], kernels._compile
+def remember(*arguments):
+    searched.append(os.environ["CPLUS_INCLUDE_PATH"])
+    compile_one(*arguments)
+
+kernels._compile, kernels.HEADERS = remember, Path(sys.argv[1])
+kernels.compile_kernels(1)
+assert torch.equal(difference(torch.ones(9), torch.zeros(9)), torch.ones(9))
+assert [type(variant).__name__ for variant in difference._variants.values()] == ["_Variant"]
+assert os.environ["CPLUS_INCLUDE_PATH"] == "before"
+print(*searched)
+"""
 
 
 @needs_a_compiler
-def test_headers_that_do_not_do_are_not_needed(tmp_path, monkeypatch, capsys):
-    """As with a PyTorch that asks more of them than ours have."""
+@pytest.mark.parametrize("useful", [True, False])
+def test_our_headers_are_used_and_not_needed(useful, tmp_path):
+    """The compiler's own are, where ours do not do: as with a PyTorch that asks more of them. Each in a process that has
+    compiled nothing before."""
+    folder = kernels.HEADERS if useful else tmp_path
     (tmp_path / "regex").write_text("#error of no use\n")
-    monkeypatch.setattr(kernels, "HEADERS", tmp_path)
-    kernels.compile_kernels(2)
-    assert torch.equal(difference(torch.ones(9), torch.zeros(9)), torch.ones(9))
-    assert isinstance(next(iter(difference._variants.values())), kernels._Variant)
-    assert "is not compiled" not in capsys.readouterr().err and "CPLUS_INCLUDE_PATH" not in os.environ
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "CPLUS_INCLUDE_PATH": "before"}
+    command = [sys.executable, "-c", HEADERS, str(folder)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0 and "is not compiled" not in done.stderr, done.stderr
+    assert done.stdout.split() == [f"{folder}{os.pathsep}before"] + ["before"] * (not useful)
+
+
+DEVICES = r"""
+#include <iostream>
+#include <regex>
+int main(int count, char** names) {
+  const std::regex device("(cpu|cuda|xpu|mps)(:([0-9]+))?");
+  for (int i = 1; i < count; ++i) {
+    const std::string name = names[i];
+    std::smatch match;
+    if (std::regex_match(name, match, device))
+      std::cout << match[0].str() << ' ' << match[1].str() << ' ' << match[2].str() << ' ' << match[3].matched << match[3].str();
+    std::cout << '\n';
+  }
+}
+"""
+
+
+@needs_a_compiler
+def test_our_regex_takes_devices_apart_as_the_standard_one(tmp_path):
+    compiler = next(filter(None, map(shutil.which, ("g++", "clang++", "c++"))))
+    names = ("cpu", "cuda", "cuda:1", "xpu:12", "mps:0", "cpu:", "cpu:x", "cpu:-1", "cuda:1:2", "cuda:1x")
+    (tmp_path / "devices.cpp").write_text(DEVICES)
+    found = []
+    for headers in ((), ("-isystem", str(kernels.HEADERS))):
+        program = tmp_path / f"devices{len(found)}"
+        subprocess.run([compiler, "-std=c++20", *headers, "-o", str(program), str(tmp_path / "devices.cpp")], check=True, timeout=120)
+        found.append(subprocess.run([str(program), *names], check=True, capture_output=True, text=True, timeout=10).stdout)
+    assert found[0] == found[1] and found[0].count("\n") == len(names) and "cuda:1 cuda :1 11\n" in found[0]
 
 
 @kernels.kernel

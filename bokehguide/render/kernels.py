@@ -196,9 +196,9 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
     name = f"{function.__module__}.{function.__qualname__}"
     path = _Compiling.folder / f"{name}-{hashlib.sha256(f'{_state()} {name} {key}'.encode()).hexdigest()[:24]}.pt2"
     try:
-        from torch._inductor.exc import CppCompileError
+        from torch._inductor.exc import InductorError  # of PyTorch's inner parts, which may not be there
 
-        from bokehguide.render.compiled import CompiledFunction  # of PyTorch's inner parts, which may not be there
+        from bokehguide.render.compiled import CompiledFunction
 
         if not path.exists():
             if not _has_compiler():
@@ -208,8 +208,9 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
             copies = tuple(_as_floats(tensor.clone(memory_format=torch.contiguous_format)) for tensor in tensors)
             flat = _Flat(function, arguments, [tensor.dtype for tensor in tensors])
             try:
-                _compile(flat, copies, path, HEADERS)
-            except CppCompileError:  # of a PyTorch that asks more of them
+                with _searched_first(HEADERS):
+                    _compile(flat, copies, path)
+            except InductorError:  # with a PyTorch that asks more of them
                 _compile(flat, copies, path)
         return _Variant(CompiledFunction(path, _Compiling.threads), tensors, results)
     except Exception as error:  # whatever a compiler may fail with: pictures come out the same without it
@@ -241,14 +242,14 @@ def _announce() -> None:
         print(f"bokehguide: compiling kernels, once on this machine; they are kept in {_Compiling.folder}", file=sys.stderr)
 
 
-def _compile(flat: _Flat, tensors: tuple[Tensor, ...], path: Path, headers: Path | None = None) -> None:
+def _compile(flat: _Flat, tensors: tuple[Tensor, ...], path: Path) -> None:
     from torch._inductor import aoti_compile_and_package, config
 
     last = [{tensor.ndim - 1: torch.export.Dim.AUTO} if tensor.ndim and tensor.shape[-1] > 1 else None for tensor in tensors]
     options = {"cpp.threads": 1, "aot_inductor.compile_wrapper_opt_level": "O0"}
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(f".{os.getpid()}.pt2")
-    with warnings.catch_warnings(), torch.no_grad(), config.patch(options), _searching(headers):
+    with warnings.catch_warnings(), torch.no_grad(), config.patch(options):
         warnings.simplefilter("ignore")
         program = torch.export.export(flat, tensors, dynamic_shapes=(tuple(last),), strict=False)
         _check_sizes(program)
@@ -257,18 +258,16 @@ def _compile(flat: _Flat, tensors: tuple[Tensor, ...], path: Path, headers: Path
 
 
 @contextlib.contextmanager
-def _searching(headers: Path | None) -> Iterator[None]:
+def _searched_first(folder: Path) -> Iterator[None]:
     """Let the C++ compiler look for headers in a folder before its own."""
     before = os.environ.get("CPLUS_INCLUDE_PATH")
-    if headers is not None:
-        os.environ["CPLUS_INCLUDE_PATH"] = os.pathsep.join((str(headers), *((before,) if before else ())))
+    os.environ["CPLUS_INCLUDE_PATH"] = f"{folder}{os.pathsep}{before}" if before else str(folder)
     try:
         yield
     finally:
-        if headers is not None:
-            os.environ.pop("CPLUS_INCLUDE_PATH")
-            if before is not None:
-                os.environ["CPLUS_INCLUDE_PATH"] = before
+        del os.environ["CPLUS_INCLUDE_PATH"]
+        if before is not None:
+            os.environ["CPLUS_INCLUDE_PATH"] = before
 
 
 def _check_sizes(program: torch.export.ExportedProgram) -> None:

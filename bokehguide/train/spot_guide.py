@@ -10,7 +10,7 @@ It differs from the paper's (`guide.py`) in what is measured to pay:
 - It learns at the ends of blocks of steps only, which grow in powers of two. Within a block
   nothing that decides on a lens point changes, so all lens points are stratified over it.
 - How often each lamp is drawn in vain is learnt, tile by tile.
-- Rays split where they land, into as many paths as their draws weigh: the uniform part's, which bring what is no
+- Rays split where they land, into more paths the more their draws weigh: the uniform part's, which bring what is no
   highlight and are few, count for much.
 - β is the one of least variance, from the second moments of what each part of the mixture
   brought, shared among neighbouring pixels.
