@@ -91,7 +91,7 @@ def test_texels_are_drawn_from_their_cluster_by_power():
         drawn = clusters.pick(torch.full((DRAWS,), cluster), PixelRandom(5, 0, torch.arange(DRAWS)).uniform(0, 2))
         expected = inside / inside.sum()
         assert chi_square(drawn.bincount(minlength=len(shares)).numpy(), expected.numpy()) > SIGNIFICANCE
-        within = clusters.pdf_within(texels)[of_texel == cluster].double() / light.map.evenness(texels)[of_texel == cluster]
+        within = clusters.pdf_within(texels)[of_texel == cluster].double() / light.map.evenness()[of_texel == cluster]
         np.testing.assert_allclose(within, expected[of_texel == cluster], rtol=1e-5)
 
 

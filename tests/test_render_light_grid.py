@@ -45,13 +45,14 @@ PLACES = [(0.0, 0.0, 0.0), (1.0, 0.5, -0.3), (-3.9, 0.9, 1.9), (1e3, -40.0, 7.0)
 
 
 def drawn_from(grid: LightGrid, cells: torch.Tensor, uniforms: torch.Tensor) -> torch.Tensor:
-    """Lamps `[N]` from uniform numbers `[3, N]`."""
-    return grid.sample_within(grid.sample_cluster(cells, uniforms[0]), uniforms[1:3])
+    """Lamps `[N]`, in the order in which they were given, from uniform numbers `[3, N]`."""
+    return torch.from_numpy(grid.order)[grid.sample_within(grid.sample_cluster(cells, uniforms[0]), uniforms[1:3])]
 
 
 def density(grid: LightGrid, cells: torch.Tensor, lamps: torch.Tensor) -> torch.Tensor:
     """Probability `[N]` of each lamp in each cell."""
-    return grid.cluster_pdf(cells, grid.cluster(lamps)) * grid.pdf_within(lamps)
+    number = torch.from_numpy(grid.order).argsort()[lamps]
+    return grid.table.pdf(cells, grid.cluster(number)) * grid.pdf_within(number)
 
 
 def choice(grid: LightGrid, place, count: int) -> np.ndarray:
@@ -85,11 +86,11 @@ def test_lamps_of_a_row_are_told_apart_to_about_a_cell():
 def test_the_bisection_is_a_search_in_the_cumulative_sums():
     """Also at the sums themselves, where the next cluster begins."""
     grid = crowd()
-    sums = grid._table._cumulative.reshape(-1, 2**LEVELS)
+    sums = grid.table._cumulative.reshape(-1, 2**LEVELS)
     cells = grid.cells(points(*PLACES)).repeat_interleave(5000)
     u = PixelRandom(5, 0, torch.arange(len(cells))).uniform(0, 3)
     u[0, ::5] = sums[cells[::5], torch.arange(len(cells) // 5) % (2**LEVELS - 1)].clamp(max=1.0 - 2.0**-24)
-    cluster = grid._cluster[drawn_from(grid, cells, u)]
+    cluster = grid.sample_cluster(cells, u[0])
     expected = torch.searchsorted(sums[cells], u[0, :, None], right=True)[:, 0]
     assert torch.equal(cluster, expected)
     assert len(cluster.unique()) > 100

@@ -14,7 +14,7 @@ from torch.nn.functional import pad
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.pixels import Pixels, take
+from bokehguide.render.pixels import Pixels, indices, take
 
 MAX_CANDIDATES = 16
 """A pixel keeps this many of its strongest Gaussians."""
@@ -72,7 +72,7 @@ def draw_candidates(
         if without is not None:
             full.view(-1)[without[top * camera.width :][: full.numel()]] = MAX_CANDIDATES
         near = (center[1] + radius > top) & (center[1] - radius < top + len(full))
-        near = near.nonzero()[:, 0]
+        near = indices(near)
         counts, drawn = _draw(center[:, near], radius[near], top, full)
         parts.append((counts, order[near[drawn]].int()))
     counts, gaussian = (torch.cat(part) for part in zip(*parts))
@@ -91,14 +91,14 @@ def _draw(center: Tensor, radius: Tensor, top: int, full: Tensor) -> tuple[Tenso
     pixels, discs = [torch.zeros(0, dtype=torch.int32, device=radius.device)], [radius[:0].long()]
     for first, last in _runs(part):
         pixel, disc = _fill_discs(center[:, first:last], radius[first:last], top, full)
-        space = (full.view(-1)[pixel] < MAX_CANDIDATES).nonzero()[:, 0]
+        space = indices(full.view(-1)[pixel] < MAX_CANDIDATES)
         pixels.append(pixel[space].int())
         discs.append(disc[space] + first)
         full.view(-1).add_(torch.bincount(pixels[-1], minlength=full.numel()))
     pixel, by_pixel = torch.sort(torch.cat(pixels), stable=True)  # keeps the strongest first
     counts = torch.bincount(pixel, minlength=full.numel())
     rank = torch.arange(len(pixel), device=pixel.device) - (counts.cumsum(0) - counts)[pixel]
-    kept = (rank < MAX_CANDIDATES).nonzero()[:, 0]
+    kept = indices(rank < MAX_CANDIDATES)
     return counts.clamp(max=MAX_CANDIDATES), torch.cat(discs)[by_pixel[kept]]
 
 

@@ -19,7 +19,7 @@ from bokehguide.models.projection import project_to_lens
 from bokehguide.models.sky_lamps import SeenSky, SkyLamps
 from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
-from bokehguide.render.pixels import put
+from bokehguide.render.pixels import indices, put
 
 FLATTEST = 1e-4
 """Least squared height of an ellipse by its squared height upright: panels seen from their edge are no lines."""
@@ -120,7 +120,7 @@ class DiscLensDistribution(LensMixture):
         evenly spread lens points, of every ellipse and of the aperture.
         """
         points = self.lens.sample(uniforms[1:3])
-        index = (uniforms[0] < self.beta).nonzero()[:, 0]
+        index = indices(uniforms[0] < self.beta)
         numbers = uniforms[0:3].index_select(1, index)
         chosen = self.choose(index, numbers[0] / self.beta.index_select(0, index))
         put(self.chosen, index, chosen)
@@ -129,7 +129,7 @@ class DiscLensDistribution(LensMixture):
             place = torch.full_like(self.owner, -1)
             place[part.index] = torch.arange(len(part.index), device=place.device)
             place = place.index_select(0, chosen)
-            own = (place >= 0).nonzero()[:, 0]
+            own = indices(place >= 0)
             put(drawn, own, part.sample(place.index_select(0, own), numbers[1:].index_select(1, own)))
         put(points, index, drawn)
         return points

@@ -15,6 +15,7 @@ from bokehguide.models.blend_weight import BlendWeightMap
 from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.models.projection import log_density_gradient
+from bokehguide.render.pixels import indices
 
 
 def one_sample_kl(ratio: Tensor, density: Tensor, area: float) -> Tensor:
@@ -47,7 +48,7 @@ def offset_gradient(
     contribution = guide.weight * at.components
     strongest = torch.zeros_like(ratio).scatter_reduce(0, guide.owner, contribution, "amax")
     learns = (contribution > 0.0) & (contribution == strongest[guide.owner]) & (ratio[guide.owner] > 0.0)
-    chosen = learns.nonzero()[:, 0]
+    chosen = indices(learns)
     pixel = guide.owner[chosen]
     mean_gradient = log_density_gradient(
         at.points[:, pixel], guide.focus[:, pixel], guide.mean[:, chosen], guide.sigma[chosen]

@@ -15,6 +15,7 @@ from torch.nn.functional import pad
 
 from bokehguide.models.projection import lens_density, project_to_lens
 from bokehguide.render.lens import Lens
+from bokehguide.render.pixels import indices
 
 WHOLE = 2.0**40
 """Of which a candidate's share is a whole part when it is drawn."""
@@ -144,7 +145,7 @@ class GuidedLensDistribution(LensMixture):
         A guided draw is a point of the 3D Gaussian, projected through x_F (section 4.1.3).
         """
         points = self.lens.sample(uniforms[2:4])
-        index = (uniforms[0] < self.beta).nonzero()[:, 0]
+        index = indices(uniforms[0] < self.beta)
         chosen = self.choose(index, uniforms[1, index])
         normals = math.sqrt(2.0) * torch.erfinv(2.0 * uniforms[2:5, index] - 1.0)
         spot = self.mean[:, chosen] + self.sigma[chosen] * normals

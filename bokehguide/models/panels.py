@@ -11,6 +11,7 @@ from torch import Tensor
 
 from bokehguide.models.projection import project_to_lens
 from bokehguide.render.kernels import kernel, record
+from bokehguide.render.pixels import indices
 from bokehguide.render.vector import cross, dot
 
 ROUNDING = 1e-6
@@ -122,7 +123,7 @@ class SeenPanels:
     """
 
     def __init__(self, panels: Panels, number: Tensor, owner: Tensor, focus: Tensor, radius: Tensor):
-        self.index = (number >= 0).nonzero()[:, 0]
+        self.index = indices(number >= 0)
         self._owner = owner.index_select(0, self.index)
         self._panels, self._focus = panels.select(number.index_select(0, self.index)), focus.index_select(1, self._owner)
         self._window, self.size = _seen(self._panels, self._focus, radius)

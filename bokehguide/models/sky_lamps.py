@@ -16,6 +16,7 @@ from torch import Tensor
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.equirectangular import Equirectangular
 from bokehguide.render.kernels import kernel
+from bokehguide.render.pixels import indices
 from bokehguide.render.vector import dot, normalize
 from bokehguide.scene.lamps import LUMINANCE
 from bokehguide.scene.types import Environment
@@ -109,7 +110,7 @@ class SeenSky:
     """
 
     def __init__(self, lamps: SkyLamps, number: Tensor, owner: Tensor, focus: Tensor):
-        self.index = (number >= 0).nonzero()[:, 0]
+        self.index = indices(number >= 0)
         self._lamps, self._focus = lamps, focus
         self._number, self._owner = number.index_select(0, self.index), owner.index_select(0, self.index)
 

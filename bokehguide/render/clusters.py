@@ -9,42 +9,51 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from bokehguide.render.kernels import kernel
+from bokehguide.render.kernels import kernel, record
 
 LEVELS = 7
 """Up to 2^7 clusters of one kind of light."""
 
 
+@record
 class ClusterTable:
-    """A choice among C clusters in each of R rows; the measure is counting.
+    """A choice among C clusters in each of R rows; the measure is counting. May be an argument of kernels, as for `sampled`.
 
     probability: float64 `[R, C]`, rows that sum to one.
     """
 
     def __init__(self, probability: Tensor):
-        self.count = probability.shape[1]
-        self._levels = max((self.count - 1).bit_length(), 1)
+        count = probability.shape[1]
+        self._levels = max((count - 1).bit_length(), 1)
         cumulative = probability.cumsum(1).float().clamp(max=1.0)
         cumulative[:, -1] = 1.0
+        cumulative = pad(cumulative, (0, 2**self._levels - count), value=1.0)
         self._probability = torch.diff(cumulative, dim=1, prepend=torch.zeros_like(cumulative[:, :1])).reshape(-1)
-        self._cumulative = pad(cumulative, (0, 2**self._levels - self.count), value=1.0).reshape(-1)
+        self._cumulative = cumulative.reshape(-1)
 
     def sample(self, row: Tensor, uniforms: Tensor) -> Tensor:
         """Clusters int32 `[N]` for rows int32 `[N]`, from uniform numbers `[N]`: the first whose cumulative share exceeds the number."""
-        return _first_above(self._cumulative, row, uniforms, self._levels)
+        base = (row << self._levels) - 1
+        place = base  # of the last cluster that is known to lie below
+        for level in reversed(range(self._levels)):
+            place = place + ((self._cumulative.index_select(0, place + (1 << level)) <= uniforms).int() << level)
+        return place - base
 
     def pdf(self, row: Tensor, cluster: Tensor) -> Tensor:
         """Probability of each cluster in each row, `[N]`."""
-        return self._probability.index_select(0, row * self.count + cluster)
+        return self._probability.index_select(0, (row << self._levels) + cluster)
 
 
 @kernel
-def _first_above(cumulative: Tensor, row: Tensor, uniforms: Tensor, levels: int) -> Tensor:
-    base = (row << levels) - 1
-    place = base  # of the last cluster that is known to lie below
-    for level in reversed(range(levels)):
-        place = place + ((cumulative.index_select(0, place + (1 << level)) <= uniforms).int() << level)
-    return place - base
+def sampled(table: ClusterTable, row: Tensor, uniforms: Tensor) -> Tensor:
+    """`ClusterTable.sample`."""
+    return table.sample(row, uniforms)
+
+
+@kernel
+def probability(table: ClusterTable, row: Tensor, cluster: Tensor) -> Tensor:
+    """`ClusterTable.pdf`."""
+    return table.pdf(row, cluster)
 
 
 def gather(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, int]:

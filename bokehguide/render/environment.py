@@ -111,6 +111,8 @@ class EnvironmentMap:
         self.power = float(excess.sum())
         """Luminance above the map's mean, integrated over the sphere."""
         self._table = AliasTable(excess.reshape(-1), device) if self.power > 0.0 else None
+        if self.power > 0.0:
+            self._density = self._table.probability * self.evenness()
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
@@ -132,9 +134,7 @@ class EnvironmentMap:
 
     def directions(self, texel: Tensor, uniforms: Tensor) -> Tensor:
         """Unit directions `[3, N]`, even over texels `[N]`, from uniform numbers `[2, N]`."""
-        row, column = texel // self.width, texel % self.width
-        top, bottom = torch.cos(math.pi * row / self.height), torch.cos(math.pi * (row + 1) / self.height)
-        return self._layout.around(column + uniforms[0], top + (bottom - top) * uniforms[1])
+        return _within(self._layout, texel, uniforms)
 
     def texel_at(self, directions: Tensor) -> Tensor:
         """Texels `[N]` that unit directions `[3, N]` lie in."""
@@ -142,11 +142,11 @@ class EnvironmentMap:
 
     def density(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of `sample` in texels `[N]`."""
-        return self._table.pdf(texel) * self.evenness(texel)
+        return self._density.index_select(0, texel)
 
-    def evenness(self, texel: Tensor) -> Tensor:
-        """Solid-angle density `[N]` within texels `[N]`, of directions that are even over them."""
-        return 1.0 / self._solid_angle.index_select(0, texel // self.width)
+    def evenness(self) -> Tensor:
+        """Solid-angle density within each texel, of directions that are even over it, `[H * W]`."""
+        return (1.0 / self._solid_angle).repeat_interleave(self.width)
 
     def shares(self) -> np.ndarray:
         """Probability of each texel, float32 `[H, W]`; 0 where there is nothing to sample."""
@@ -160,6 +160,14 @@ def _texel_at(layout: Equirectangular, directions: Tensor) -> Tensor:
     """Texels `[N]` that unit directions `[3, N]` lie in."""
     column, row = layout.place(directions)  # which may round to the map's width and height
     return row.int().clamp(0, layout.height - 1) * layout.width + column.int().clamp(0, layout.width - 1)
+
+
+@kernel
+def _within(layout: Equirectangular, texel: Tensor, uniforms: Tensor) -> Tensor:
+    """Unit directions `[3, N]`, even over texels `[N]`, from uniform numbers `[2, N]`."""
+    row, column = texel // layout.width, texel % layout.width
+    top, bottom = torch.cos(math.pi / layout.height * row), torch.cos(math.pi / layout.height * (row + 1))
+    return layout.around(column + uniforms[0], top + (bottom - top) * uniforms[1])
 
 
 @kernel

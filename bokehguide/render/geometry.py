@@ -11,7 +11,7 @@ from torch import Tensor
 from bokehguide.render import triangles
 from bokehguide.render.kernels import kernel, record
 from bokehguide.render.materials import CLEARCOAT_F0, Materials
-from bokehguide.render.pixels import put
+from bokehguide.render.pixels import indices, put
 from bokehguide.render.tracer import Hit, Tracer
 from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
 from bokehguide.scene.types import Scene
@@ -216,7 +216,7 @@ class Geometry:
         if len(index) > 0:
             share[:, index] *= texel[0:3]
         if self._colors is not None:
-            index = self.materials.tinted.index_select(0, material).nonzero()[:, 0]
+            index = indices(self.materials.tinted.index_select(0, material))
             if len(index) > 0:
                 share[:, index] *= self._color(Hit(*(field[index] for field in hit)))[0:3]
         if self.materials.clearcoat is not None and direction is not None:
@@ -248,6 +248,8 @@ class Geometry:
 
     def transmittance(self, hit: Hit, front: Tensor) -> Tensor | None:
         """What solids leave `[3, N]` of the light on the ways that end at hits; None where none absorbs."""
+        if not self.materials.absorbs:
+            return None
         return self.materials.transmittance(self.material.index_select(0, hit.triangle), front, hit.distance)
 
 

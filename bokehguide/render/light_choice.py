@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
-from bokehguide.render.clusters import ClusterTable, gather
+from bokehguide.render.clusters import ClusterTable, gather, probability, sampled
 from bokehguide.render.environment import EnvironmentLight, EnvironmentMap
 from bokehguide.render.light_grid import LightGrid
 
@@ -37,11 +37,11 @@ class LightChoice:
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Clusters `[N]` from uniform numbers `[N]`."""
-        return self.table.sample(self.row, uniforms)
+        return sampled(self.table, self.row, uniforms)
 
     def pdf(self, cluster: Tensor) -> Tensor:
         """Probability `[N]` of each cluster."""
-        return self.table.pdf(self.row, cluster)
+        return probability(self.table, self.row, cluster)
 
     def visibility(self, cluster: Tensor) -> Tensor:
         """Share of each cluster's light that may be expected to arrive, `[N]`."""
@@ -101,11 +101,9 @@ class _MapClusters:
     """Texels of a map: which cluster each is in, and their shares of it."""
 
     def __init__(self, light: EnvironmentMap):
-        self._light = light
         shares, device = light.shares(), light.texels.device
         tall, wide = -(-light.height // BLOCKS), -(-light.width // (2 * BLOCKS))
         down, across = -(-light.height // tall), -(-light.width // wide)
-        self._tall, self._wide, self._across = tall, wide, across
         edges = np.arange(0, light.height, tall), np.arange(0, light.width, wide)
         power = np.add.reduceat(np.add.reduceat(shares.astype(np.float64), edges[0], 0), edges[1], 1).reshape(-1)
         lit = np.flatnonzero(power > 0.0)
@@ -114,11 +112,11 @@ class _MapClusters:
         of_block[lit] = of_lit
         cluster = of_block.reshape(down, across).repeat(tall, 0)[: light.height].repeat(wide, 1)[:, : light.width].reshape(-1)
         order = np.argsort(cluster, kind="stable").astype(np.int32)
-        place = np.empty_like(order)
-        place[order] = np.arange(len(order), dtype=np.int32)
         starts = np.searchsorted(cluster[order], np.arange(self.count + 1))
         self._within = AliasTable(shares.reshape(-1)[order], device, starts)
-        self._order, self._place, self._of_block = (torch.from_numpy(values).to(device) for values in (order, place, of_block))
+        self._order, self._cluster = (torch.from_numpy(values).to(device) for values in (order, cluster))
+        self._density = light.evenness()
+        self._density[self._order.long()] *= self._within.probability
 
     def pick(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Texels `[N]` of clusters `[N]` from uniform numbers `[2, N]`."""
@@ -126,12 +124,11 @@ class _MapClusters:
 
     def cluster(self, texel: Tensor) -> Tensor:
         """Cluster `[N]` of each texel."""
-        block = texel // self._light.width // self._tall * self._across + texel % self._light.width // self._wide
-        return self._of_block.index_select(0, block).int()
+        return self._cluster.index_select(0, texel).int()
 
     def pdf(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of each texel in its cluster."""
-        return self._within.pdf(self._place.index_select(0, texel)) * self._light.evenness(texel)
+        return self._density.index_select(0, texel)
 
 
 def _block_directions(row: np.ndarray, column: np.ndarray, rows: int, columns: int) -> np.ndarray:

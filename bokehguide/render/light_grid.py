@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
-from bokehguide.render.clusters import ClusterTable, gather
+from bokehguide.render.clusters import ClusterTable, gather, sampled
 from bokehguide.render.kernels import kernel
 
 RESOLUTION = 24
@@ -80,18 +80,18 @@ class _Clusters(NamedTuple):
 class LightGrid:
     """A choice among K triangles that depends on the shaded point; the measure is counting.
 
-    light: `[cells]`, how much each cell may get of it, as luminance integrated over solid angle. clusters: how many.
+    Triangles are numbered cluster by cluster: order says which of those given each is, int64 `[K]`. light: `[cells]`, how
+    much each cell may get of it, as luminance integrated over solid angle. clusters: how many. table: of them by cell.
     """
 
     def __init__(self, lamps: GridLamps, device: torch.device):
         features = np.concatenate((lamps.center, lamps.normal * _direction_scale(lamps.center)), axis=1)
         cluster, self.clusters = gather(features, lamps.power)
-        order = np.argsort(cluster, kind="stable")
-        place = np.empty_like(order)
-        place[order] = np.arange(len(order))
-        starts = np.searchsorted(cluster[order], np.arange(self.clusters + 1))
-        self._within = AliasTable(lamps.power[order], device, starts)
-        self._order, self._place, self._cluster = (torch.from_numpy(a.astype(np.int32)).to(device) for a in (order, place, cluster))
+        self.order = np.argsort(cluster, kind="stable")
+        lamps = GridLamps(*(field[self.order] for field in lamps))
+        cluster = cluster[self.order]
+        self._within = AliasTable(lamps.power, device, np.searchsorted(cluster, np.arange(self.clusters + 1)))
+        self._cluster = torch.from_numpy(cluster.astype(np.int32)).to(device)
         layout = _layout(lamps.center)
         low, cell, (x, y, z) = layout
         self._box = [torch.tensor(values, device=device) for values in (low, [1.0 / cell], [x - 1, y - 1, z - 1], [y * z, z, 1])]
@@ -99,7 +99,7 @@ class LightGrid:
         clusters = _gathered(lamps, cluster, self.clusters)
         light = _cell_light(layout, clusters)
         self.light = torch.from_numpy(light.sum(axis=1).astype(np.float32)).to(device)
-        self._table = ClusterTable(torch.from_numpy(_defensive(light, clusters.total)).to(device))
+        self.table = ClusterTable(torch.from_numpy(_defensive(light, clusters.total)).to(device))
 
     def cells(self, points: Tensor) -> Tensor:
         """Cell `[N]` of each point `[3, N]`; points outside belong to the nearest cell."""
@@ -107,15 +107,11 @@ class LightGrid:
 
     def sample_cluster(self, cells: Tensor, uniforms: Tensor) -> Tensor:
         """Clusters `[N]` for points in `cells` `[N]`, from uniform numbers `[N]`."""
-        return self._table.sample(cells, uniforms)
+        return sampled(self.table, cells, uniforms)
 
     def sample_within(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Triangles `[N]` of clusters `[N]`, by power, from uniform numbers `[2, N]`."""
-        return self._order.index_select(0, self._within.sample(uniforms, cluster))
-
-    def cluster_pdf(self, cells: Tensor, cluster: Tensor) -> Tensor:
-        """Probability `[N]` of choosing each cluster for a point in each cell."""
-        return self._table.pdf(cells, cluster)
+        return self._within.sample(uniforms, cluster)
 
     def cluster(self, triangle: Tensor) -> Tensor:
         """Cluster `[N]` of each triangle."""
@@ -123,7 +119,7 @@ class LightGrid:
 
     def pdf_within(self, triangle: Tensor) -> Tensor:
         """Probability `[N]` of choosing each triangle in its cluster."""
-        return self._within.pdf(self._place.index_select(0, triangle))
+        return self._within.pdf(triangle)
 
 
 def _direction_scale(centers: np.ndarray) -> float:

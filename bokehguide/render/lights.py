@@ -11,15 +11,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.render.clusters import ClusterTable
 from bokehguide.render.environment import EnvironmentLight
 from bokehguide.render.geometry import Geometry, emitted
 from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice, LightClusters
 from bokehguide.render.light_grid import GridLamps, LightGrid
-from bokehguide.render.pixels import put
+from bokehguide.render.pixels import indices, put
 from bokehguide.render.suns import cap_directions, frame_about
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
-from bokehguide.render.vector import dot, luminance
+from bokehguide.render.vector import cross, dot, luminance, normalize
 from bokehguide.scene.types import Scene
 
 MIN_SHARE = 0.1
@@ -83,18 +84,22 @@ class Lights:
         device = geometry.device
         at_infinity = scene.environment is not None or len(scene.suns) > 0
         self.environment = EnvironmentLight(scene.environment, scene.suns, device) if at_infinity else None
-        triangles = geometry.materials.emissive.index_select(0, geometry.material).nonzero()[:, 0]
+        triangles = indices(geometry.materials.emissive.index_select(0, geometry.material))
         power = _triangle_powers(geometry, triangles) * _cone_cosines(scene, geometry, triangles)
         triangles, power = triangles[power > 0.0], power[power > 0.0]
         self._sky = self.environment.power if self.environment else 0.0
+        if len(triangles) > 0:
+            self._grid = LightGrid(_grid_lamps(scene, geometry, triangles, power), device)
+            triangles = triangles[torch.from_numpy(self._grid.order).to(device)]
+            within = self._grid.pdf_within(torch.arange(len(triangles), device=device))
+            self._density = within / geometry.areas(triangles)
+            corners = geometry.corners(triangles)
+            edges = corners[1] - corners[0], corners[2] - corners[0]
+            self._rows = torch.cat((corners[0], *edges, geometry.emission_rows(triangles), self._density[None]))  # [14, lamps]
+            self._sky_share = (self._sky / (self._sky + self._grid.light)).clamp(MIN_SHARE, 1.0 - MIN_SHARE)
         self._triangles = triangles
         self._lamp = torch.full(geometry.material.shape, -1, device=device)
         self._lamp[triangles] = torch.arange(len(triangles), device=device)
-        if len(triangles) > 0:
-            corners, normals = geometry.corners(triangles), geometry.face_normals(triangles)
-            rows = (corners[0], corners[1] - corners[0], corners[2] - corners[0], normals)
-            self._rows = torch.cat((*rows, 1.0 / geometry.areas(triangles)[None], geometry.emission_rows(triangles)))  # [17, lamps]
-            self._grid = LightGrid(_grid_lamps(scene, geometry, triangles, power), device)
 
     @property
     def empty(self) -> bool:
@@ -107,8 +112,7 @@ class Lights:
             return torch.zeros(cells.shape, device=cells.device)
         if len(self._triangles) == 0:
             return torch.ones(cells.shape, device=cells.device)
-        share = self._sky / (self._sky + self._grid.light.index_select(0, cells))
-        return share.clamp(MIN_SHARE, 1.0 - MIN_SHARE)
+        return self._sky_share.index_select(0, cells)
 
     def _cells(self, points: Tensor) -> Tensor:
         if len(self._triangles) == 0:
@@ -133,15 +137,14 @@ class Lights:
         """One light sample for each point of the query from uniform numbers `[6, N]`."""
         sky = uniforms[0] < query.environment_share
         if query.learnt:
-            cluster = query.choice.sample((uniforms[0] - BY_CELL) / (1.0 - BY_CELL))
-            by_cell = uniforms[0] < BY_CELL
-            far = by_cell & (uniforms[0] < BY_CELL * query.environment_share)
-            sky = far | (~by_cell & (cluster >= self.clusters.triangles))
-            query = replace(query, by_cell=by_cell, cluster=cluster)
-        far, near = sky.nonzero()[:, 0], (~sky).nonzero()[:, 0]
+            first = torch.tensor([self.clusters.triangles], device=uniforms.device)
+            chosen = _learnt(query.choice.table, query.choice.row, query.environment_share, uniforms[0], first)
+            by_cell, sky = chosen[1] > 0.0, chosen[2] > 0.0
+            query = replace(query, by_cell=by_cell, cluster=chosen[0])
         # The one kind is drawn for all points, where there is any, and the rarer one then put in its place.
-        kinds = [(near, self._sample_triangles), (far, self._sample_environment)]
-        (rare, draw_rare), (_, draw_most) = sorted(kinds, key=lambda kind: len(kind[0]))
+        rare, draw_rare, draw_most = indices(sky), self._sample_environment, self._sample_triangles
+        if 2 * len(rare) > len(sky):
+            rare, draw_rare, draw_most = indices(~sky), draw_most, draw_rare
         light = draw_most(query, uniforms[1:])
         if len(rare) > 0:
             others = draw_rare(query.select(rare), uniforms[1:].index_select(1, rare))
@@ -171,25 +174,30 @@ class Lights:
     def _sample_triangles(self, query: LightQuery, uniforms: Tensor) -> LightSample:
         cluster = self._cluster_of_triangles(query, uniforms[0])
         lamp = self._grid.sample_within(cluster, uniforms[1:3])
+        share = self._cluster_share(query, cluster)
         rows = self._rows.index_select(1, lamp)
-        direction, distance, u, v, front, density, radiance = _on_triangle(rows, query.points, uniforms[3:5])
-        hit = Hit(self._triangles.index_select(0, lamp), distance, u, v)
+        direction, distance, u, v, front, pdf, radiance = _on_triangle(rows, query.points, uniforms[3:5], share)
+        materials = self._geometry.materials
+        if materials.absorbs or materials.has_sheer or not materials.plain_emission:
+            hit = Hit(self._triangles.index_select(0, lamp), distance, u, v)
+            radiance = self._dimmed(radiance, hit, direction, front)
+        light = LightSample(direction, distance, radiance, pdf)
+        return light if query.choice is None else light._replace(cluster=cluster, share=share)
+
+    def _dimmed(self, radiance: Tensor, hit: Hit, direction: Tensor, front: Tensor) -> Tensor:
+        """What arrives of radiance `[3, N]` at points that see lamps at `hit` in `direction`, if nothing stands between."""
         if not self._geometry.materials.plain_emission:
             radiance = radiance * self._geometry.emission_share(hit, -direction)
         transmittance = self._geometry.transmittance(hit, front)
         if transmittance is not None:
             radiance = radiance * transmittance
-        if self._geometry.materials.has_sheer:
-            radiance = radiance * self._geometry.opacity(hit)
-        share = self._cluster_share(query, cluster)
-        light = LightSample(direction, distance, radiance, share * self._grid.pdf_within(lamp) * density)
-        return light if query.choice is None else light._replace(cluster=cluster, share=share)
+        return radiance * self._geometry.opacity(hit) if self._geometry.materials.has_sheer else radiance
 
     def _cluster_of_triangles(self, query: LightQuery, uniforms: Tensor) -> Tensor:
         """A cluster for each point, from uniform numbers `[N]`, as far as it is not chosen yet."""
         if not query.learnt:
             return self._grid.sample_cluster(query.cells, uniforms)
-        index = query.by_cell.nonzero()[:, 0]
+        index = indices(query.by_cell)
         by_cell = self._grid.sample_cluster(query.cells.index_select(0, index), uniforms.index_select(0, index))
         cluster = query.cluster.clamp(max=self._grid.clusters - 1)
         put(cluster, index, by_cell)
@@ -197,10 +205,8 @@ class Lights:
 
     def _cluster_share(self, query: LightQuery, cluster: Tensor) -> Tensor:
         """Probability `[N]` of choosing each of the clusters of triangles."""
-        by_cell = (1.0 - query.environment_share) * self._grid.cluster_pdf(query.cells, cluster)
-        if not query.learnt:
-            return by_cell
-        return BY_CELL * by_cell + (1.0 - BY_CELL) * query.choice.pdf(cluster)
+        learnt = (query.choice.table, query.choice.row) if query.learnt else None
+        return _cluster_share(self._grid.table, query.cells, query.environment_share, learnt, cluster)
 
     def triangle_pdf(
         self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor, choice: LightChoice | None = None
@@ -214,8 +220,7 @@ class Lights:
         lamp = self._lamp.index_select(0, triangle)
         known = lamp.clamp(min=0)
         share = self._cluster_share(self.query(points, choice), self._grid.cluster(known)) * (lamp >= 0)
-        within = self._grid.pdf_within(known) * self._rows[12].index_select(0, known)
-        return share * within * distance * distance / cosine.abs().clamp(min=1e-12)
+        return share * self._density.index_select(0, known) * distance * distance / cosine.abs().clamp(min=1e-12)
 
     def environment_pdf(self, points: Tensor, directions: Tensor, choice: LightChoice | None = None) -> Tensor:
         """Density `[N]` with which `sample` at points `[3, N]` finds environment directions `[3, N]`."""
@@ -225,23 +230,49 @@ class Lights:
 
 
 @kernel
-def _on_triangle(rows: Tensor, points: Tensor, uniforms: Tensor) -> tuple[Tensor, ...]:
+def _learnt(table: ClusterTable, row: Tensor, environment_share: Tensor, uniforms: Tensor, first: Tensor) -> tuple[Tensor, ...]:
+    """Clusters `[N]` from uniform numbers `[N]`; 1 where those leave it to the cell, else 0; and 1 where they choose the environment.
+
+    first: its first cluster, `[1]`.
+    """
+    cluster = table.sample(row, (uniforms - BY_CELL) / (1.0 - BY_CELL))
+    by_cell = uniforms < BY_CELL
+    sky = torch.where(by_cell, uniforms < BY_CELL * environment_share, cluster >= first)
+    return cluster, by_cell.to(torch.float32), sky.to(torch.float32)
+
+
+@kernel
+def _cluster_share(
+    by_cell: ClusterTable, cells: Tensor, environment_share: Tensor, learnt: tuple[ClusterTable, Tensor] | None, cluster: Tensor
+) -> Tensor:
+    """Probability `[N]` of choosing each of the clusters of triangles; learnt: a choice's table and rows."""
+    share = (1.0 - environment_share) * by_cell.pdf(cells, cluster)
+    if learnt is None:
+        return share
+    table, row = learnt
+    return BY_CELL * share + (1.0 - BY_CELL) * table.pdf(row, cluster)
+
+
+@kernel
+def _on_triangle(rows: Tensor, points: Tensor, uniforms: Tensor, share: Tensor) -> tuple[Tensor, ...]:
     """Points, even over triangles, that light `points` `[3, N]`, from uniform numbers `[2, N]`.
 
-    rows: first corners, edges from them, normals, one over the areas, and what `emitted` takes, `[17, N]`. Unit directions
-    `[3, N]`; distances, barycentric u and v, 1 where the front is seen, else 0, and densities per unit solid angle, `[N]`
-    each; and what their materials emit, `[3, N]`.
+    rows: first corners, edges from them, what `emitted` takes, and with which density, per unit area, the points are drawn
+    where the triangle's cluster is, `[14, N]`; share: the probability of that cluster, `[N]`. Unit directions `[3, N]`;
+    distances, barycentric u and v, 1 where the front is seen, else 0, and densities per unit solid angle, `[N]` each; and
+    what their materials emit, `[3, N]`.
     """
     root = uniforms[0].sqrt()
     u, v = root * (1.0 - uniforms[1]), root * uniforms[1]
-    offset = rows[0:3] + u * rows[3:6] + v * rows[6:9] - points
+    first, second = rows[3:6], rows[6:9]
+    offset = rows[0:3] + u * first + v * second - points
     squared = dot(offset, offset).clamp(min=1e-30)
     distance = squared.sqrt()
     direction = offset / distance
-    cosine = -dot(rows[9:12], direction)
+    cosine = -dot(normalize(cross(first, second)), direction)
     front = (cosine > 0.0).to(torch.float32)
-    density = rows[12] * squared / cosine.abs().clamp(min=1e-12)
-    return direction, distance, u, v, front, density, emitted(rows[13:17], front)
+    pdf = share * rows[13] * squared / cosine.abs().clamp(min=1e-12)
+    return direction, distance, u, v, front, pdf, emitted(rows[9:13], front)
 
 
 def _grid_lamps(scene: Scene, geometry: Geometry, triangles: Tensor, power: Tensor) -> GridLamps:
@@ -271,7 +302,7 @@ def _cone_cosines(scene: Scene, geometry: Geometry, triangles: Tensor) -> Tensor
         height = 2.0 * math.sin(math.radians(cone.outer) / 2.0) ** 2
         directions = cap_directions(frame_about(cone.axis).to(geometry.device), height, places)
         share = geometry.materials.cone(torch.full((CONE_DIRECTIONS,), number, device=geometry.device), directions)
-        index = (material == number).nonzero()[:, 0]
+        index = indices(material == number)
         leaving = geometry.face_normals(triangles[index]).T @ directions
         leaving = leaving.abs() if scene.materials[number].double_sided else leaving.clamp(min=0.0)
         cosines[index] = leaving @ (share / share.sum())

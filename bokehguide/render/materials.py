@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.render.pixels import indices
 from bokehguide.render.textures import TextureAtlas
 from bokehguide.render.vector import dot
 from bokehguide.scene.types import Cone, Material, Mesh, Texture
@@ -81,14 +82,16 @@ class Materials:
         """Which materials let light through somewhere, bool `[M]`."""
         self._opacity = table([(m.opacity, float(m.alpha_mode == "blend"), _cutoff(m)) for m in materials])
         absorption = [_absorption(material) for material in materials]
-        self._absorption = optional(absorption, any(map(any, absorption)))
+        self.absorbs = any(map(any, absorption))
+        """Whether some solid absorbs light."""
+        self._absorption = optional(absorption, self.absorbs)
 
     def textured(self, slot: str, material: Tensor) -> tuple[Tensor, Tensor]:
         """Which of `material` `[N]` have a texture in the slot, and its numbers: int64 `[K]` both."""
         if slot not in self._numbers:
             return material[:0], material[:0]
         number = self._numbers[slot].index_select(0, material)
-        index = (number >= 0).nonzero()[:, 0]
+        index = indices(number >= 0)
         return index, number.index_select(0, index)
 
     def cone(self, material: Tensor, direction: Tensor | None) -> Tensor:
@@ -104,15 +107,13 @@ class Materials:
         coverage = factor * coverage
         return blend * coverage.clamp(0.0, 1.0) + (1.0 - blend) * (coverage >= cutoff)
 
-    def transmittance(self, material: Tensor, front: Tensor, distance: Tensor) -> Tensor | None:
+    def transmittance(self, material: Tensor, front: Tensor, distance: Tensor) -> Tensor:
         """What is left `[3, N]` of light after `distance` `[N]` that ended on a solid's inner side.
 
-        None where no solid absorbs. Solids are not nested: the one whose boundary is met
+        Only where some solid absorbs. Solids are not nested: the one whose boundary is met
         from inside is taken to fill the whole way, and on the way to anything else inside
         it nothing is lost.
         """
-        if self._absorption is None:
-            return None
         return (-self._absorption.index_select(1, material) * ((1.0 - front) * distance)).exp()
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.geometry import Geometry
-from bokehguide.render.pixels import increase, put
+from bokehguide.render.pixels import increase, indices, put
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import cross, dot, length, luminance, normalize
 
@@ -40,7 +40,7 @@ class MirrorImages:
         the BSDF samples that direction, `[K]`; radiance: what it brought, `[3, K]`.
         """
         light = luminance(radiance)
-        narrow = ((pdf > NARROW) & (light > 0.0)).nonzero()[:, 0]
+        narrow = indices((pdf > NARROW) & (light > 0.0))
         if len(narrow) == 0:
             return
         index, direction, distance, light = (v.index_select(-1, narrow) for v in (index, direction, distance, light))

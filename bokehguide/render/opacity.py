@@ -12,6 +12,7 @@ from torch import Tensor
 
 from bokehguide.render import triangles
 from bokehguide.render.geometry import Geometry, leaving_distance
+from bokehguide.render.pixels import indices
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.tracer import Hit, Tracer
 from bokehguide.scene.types import Mesh
@@ -77,20 +78,20 @@ class Opacity:
             share = self._opaque.visible(origins, directions, distances)
         if self._sheer is None:
             return share, rays
-        index = share.nonzero()[:, 0]
+        index = indices(share > 0.0)
         start, origin = torch.zeros_like(distances[index]), origins[:, index]
         last = torch.full_like(index, -1)
         for _ in range(MAX_CROSSINGS):
             found = self._sheer.intersect(origin, directions[:, index], distances[index] - start)
             rays += len(index)
-            met = (found.triangle >= 0).nonzero()[:, 0]
+            met = indices(found.triangle >= 0)
             index, found = index[met], Hit(*(field[met] for field in found))
             triangle = self._numbers.index_select(0, found.triangle)
             opacity = self._geometry.opacity(found._replace(triangle=triangle))
             again = triangle == last[met]
             share[index] *= 1.0 - opacity * ~again
             start, origin = _beyond(origins[:, index], directions[:, index], found.distance + start[met], again)
-            goes_on = ((share[index] > 0.0) & (start < distances[index])).nonzero()[:, 0]
+            goes_on = indices((share[index] > 0.0) & (start < distances[index]))
             index, last, start, origin = index[goes_on], triangle[goes_on], start[goes_on], origin[:, goes_on]
             if len(index) == 0:
                 break

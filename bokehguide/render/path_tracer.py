@@ -23,7 +23,7 @@ from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
 from bokehguide.render.mirrors import MirrorImages
 from bokehguide.render.opacity import MAX_CROSSINGS, Opacity
-from bokehguide.render.pixels import increase, put
+from bokehguide.render.pixels import increase, indices, put
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
@@ -88,28 +88,40 @@ class PathSamples:
         return cls(vectors[0], distance, *vectors[1:], torch.zeros(count, device=device), triangle)
 
 
+class _Rays(NamedTuple):
+    """The next segments of paths.
+
+    vertex: where the last scattering was and lights were sampled for; origin: the same, off the surface; pdf: of the direction.
+    """
+
+    vertex: Tensor
+    origin: Tensor
+    direction: Tensor
+    pdf: Tensor
+
+    def select(self, index: Tensor) -> _Rays:
+        return _Rays(*(values.index_select(-1, index) for values in self))
+
+
 @dataclass
 class _Paths:
     """The paths still alive, compacted after each segment.
 
-    vertex: where the last scattering was and lights were sampled for; origin: the same,
-    off the surface; choice: how they were, or will be, where not as everywhere.
+    choice: how lights were sampled for them last, or will be, where not as everywhere. rays: None between their end and the
+    scattering there.
     """
 
     index: Tensor
-    vertex: Tensor
-    origin: Tensor
-    direction: Tensor
     throughput: Tensor
     radiance: Tensor
-    pdf: Tensor
     random: PixelRandom
     choice: LightChoice | None
+    rays: _Rays | None
 
     def select(self, index: Tensor) -> _Paths:
-        names = ("index", "vertex", "origin", "direction", "throughput", "radiance", "pdf")
-        choice = None if self.choice is None else self.choice.select(index)
-        return _Paths(*(getattr(self, name).index_select(-1, index) for name in names), self.random.select(index), choice)
+        values = (values.index_select(-1, index) for values in (self.index, self.throughput, self.radiance))
+        choice, rays = (part and part.select(index) for part in (self.choice, self.rays))
+        return _Paths(*values, self.random.select(index), choice, rays)
 
     def split(self, parts: Tensor) -> tuple[_Paths, Tensor]:
         """Each becomes `parts`, int64 `[N]`, of equal shares of the throughput, next to one another; and which each was, int64
@@ -159,7 +171,8 @@ class PathTracer:
         else:
             origin, direction, random = origin.index_select(1, index), direction.index_select(1, index), random.select(index)
         pdf = torch.full(index.shape, DELTA_PDF, device=origin.device)
-        paths = _Paths(index, origin, origin, direction, torch.ones_like(origin), torch.zeros_like(origin), pdf, random, None)
+        rays = _Rays(origin, origin, direction, pdf)
+        paths = _Paths(index, torch.ones_like(origin), torch.zeros_like(origin), random, None, rays)
         last = max_depth or self.max_depth
         for depth in range(1, last + 1):
             paths = self._segment(
@@ -186,13 +199,13 @@ class PathTracer:
         """Trace the paths to their next surface, gather light there, and choose how they go on."""
         with timer.measure("tracing rays"):
             dimension = FIRST_CROSSING + MAX_CROSSINGS * depth
-            hit, rays = self._opacity.nearest(paths.origin, paths.direction, paths.random, dimension)
-        result.rays += rays
+            hit, traced = self._opacity.nearest(paths.rays.origin, paths.rays.direction, paths.random, dimension)
+        result.rays += traced
         mirrored = images if depth == 2 else None
         paths, hit = self._end_in_environment(paths, hit, depth, mirrored, result)
         if len(paths.index) == 0:
             return paths
-        surface = self.geometry.surface(paths.origin, paths.direction, hit)
+        surface = self.geometry.surface(paths.rays.origin, paths.rays.direction, hit)
         if depth == 1:
             put(result.distance, paths.index, hit.distance)
             put(result.triangle, paths.index, hit.triangle)
@@ -208,6 +221,7 @@ class PathTracer:
         paths.choice = None if choose is None else choose(surface.position)
         if last:
             return _finish(paths, result)
+        paths.rays = None
         if parts is not None:
             paths, owner = paths.split(parts.index_select(0, paths.index))
             surface = surface.select(owner)
@@ -225,46 +239,44 @@ class PathTracer:
         self, paths: _Paths, hit: Hit, depth: int, images: MirrorImages | None, result: PathSamples
     ) -> tuple[_Paths, Hit]:
         """Add the environment's radiance to the paths that left the scene, and end them."""
-        missed = (hit.triangle < 0).nonzero()[:, 0]
+        missed = indices(hit.triangle < 0)
         if len(missed) == 0:
             return paths, hit
         gone = paths.select(missed)
         environment = self.lights.environment
         if environment is not None and (depth > 1 or environment.visible):
-            other = self.lights.environment_pdf(gone.vertex, gone.direction, gone.choice)
-            weight = mis.power_heuristic(gone.pdf, other)
-            arrived = gone.throughput * environment.radiance(gone.direction) * weight
+            vertex, _, direction, pdf = gone.rays
+            weight = mis.power_heuristic(pdf, self.lights.environment_pdf(vertex, direction, gone.choice))
+            arrived = gone.throughput * environment.radiance(direction) * weight
             gone.radiance += arrived
             if images is not None:
-                images.add(gone.index, gone.direction, gone.pdf, torch.full_like(weight, MISS_DISTANCE), arrived)
+                images.add(gone.index, direction, pdf, torch.full_like(weight, MISS_DISTANCE), arrived)
             if depth == 1:
-                result.alpha[gone.index] = environment.alpha(gone.direction)
+                result.alpha[gone.index] = environment.alpha(direction)
         _finish(gone, result)
-        kept = (hit.triangle >= 0).nonzero()[:, 0]
+        kept = indices(hit.triangle >= 0)
         return paths.select(kept), Hit(*(field.index_select(0, kept) for field in hit))
 
     def _add_emission(self, paths: _Paths, hit: Hit, surface: Surface, images: MirrorImages | None) -> None:
         """Add what the surfaces that were hit emit, weighed against light sampling."""
         material = self.geometry.material.index_select(0, hit.triangle)
-        index = self.geometry.materials.emissive.index_select(0, material).nonzero()[:, 0]
+        index = indices(self.geometry.materials.emissive.index_select(0, material))
         if len(index) == 0:
             return
-        lamp = Hit(*(field.index_select(0, index) for field in hit))
+        lamp, rays = Hit(*(field.index_select(0, index) for field in hit)), paths.rays.select(index)
         outgoing = surface.outgoing.index_select(1, index)
         radiance = self.geometry.emission(lamp, surface.front.index_select(0, index), outgoing)
         # As `Lights.sample` sees it, from the vertex itself and not from where the ray left it.
-        vertex = paths.vertex.index_select(1, index)
-        offset = surface.position.index_select(1, index) - vertex
+        offset = surface.position.index_select(1, index) - rays.vertex
         distance = length(offset)
         cosine = dot(surface.geometric_normal.index_select(1, index), offset) / distance.clamp(min=1e-30)
         choice = None if paths.choice is None else paths.choice.select(index)
-        other = self.lights.triangle_pdf(vertex, lamp.triangle, distance, cosine, choice)
-        weight = mis.power_heuristic(paths.pdf.index_select(0, index), other)
+        other = self.lights.triangle_pdf(rays.vertex, lamp.triangle, distance, cosine, choice)
+        weight = mis.power_heuristic(rays.pdf, other)
         arrived = paths.throughput.index_select(1, index) * radiance * weight
         paths.radiance.index_add_(1, index, arrived)
         if images is not None:
-            rays, direction, pdf = (values.index_select(-1, index) for values in (paths.index, paths.direction, paths.pdf))
-            images.add(rays, direction, pdf, distance, arrived)
+            images.add(paths.index.index_select(0, index), rays.direction, rays.pdf, distance, arrived)
 
     def _add_direct_light(
         self,
@@ -279,13 +291,13 @@ class PathTracer:
         """Next-event estimation: one shadow ray a path."""
         light = direct_light(self.lights, surface, scattering, paths.choice, uniforms, paths.random)
         contribution, brightest, *ray = _shadow_ray(surface, paths.throughput, light.direction, light.distance, light.value)
-        index = (brightest > 0.0).nonzero()[:, 0]
+        index = indices(brightest > 0.0)
         origin, direction, distance = (values.index_select(-1, index) for values in ray)
         with timer.measure("tracing rays"):
-            share, rays = self._opacity.transmittance(origin, direction, distance)
+            share, traced = self._opacity.transmittance(origin, direction, distance)
         visibility = torch.zeros_like(light.distance)
         put(visibility, index, share)
-        result.rays += rays
+        result.rays += traced
         contribution *= visibility
         paths.radiance += contribution
         if paths.choice is not None:
@@ -300,15 +312,13 @@ class PathTracer:
         origin, throughput, survival = _next_segment(
             surface, paths.throughput, direction, weight, uniforms[3], depth >= ROULETTE_DEPTH
         )
-        ended = (~(survival > 0.0)).nonzero()[:, 0]
+        goes_on = survival > 0.0
+        ended = indices(~goes_on)
         if len(ended) > 0:
-            last = paths.select(ended)
-            last.radiance += 0.0 * throughput.index_select(1, ended)  # a NaN is the film's to report
-            _finish(last, result)
-        paths = _Paths(
-            paths.index, surface.position, origin, direction, throughput, paths.radiance, pdf, paths.random, paths.choice
-        )
-        return paths.select((survival > 0.0).nonzero()[:, 0])
+            unknown = 0.0 * throughput.index_select(1, ended)  # a NaN is the film's to report
+            increase(result.radiance, paths.index.index_select(0, ended), paths.radiance.index_select(1, ended) + unknown)
+        paths.throughput, paths.rays = throughput, _Rays(surface.position, origin, direction, pdf)
+        return paths.select(indices(goes_on))
 
 
 @kernel

@@ -81,6 +81,12 @@ def _to_unit(bits: Tensor) -> Tensor:
 
 
 @kernel
+def _units(bits: Tensor) -> Tensor:
+    """`_to_unit`, which leaves its argument as it is."""
+    return _to_unit(bits.clone())
+
+
+@kernel
 def _uniform(pixel_keys: Tensor, keys: Tensor) -> Tensor:
     """Numbers float32 `[keys, N]` from a hash of every key and pixel."""
     return _to_unit(hash_tensor(pixel_keys ^ keys[:, None]).bitwise_right_shift_(1))
@@ -145,4 +151,4 @@ class PixelRandom:
             for place in range(_BITS):
                 if point >> (_BITS - 1 - place) & 1:
                     value ^= torch.bitwise_right_shift(column, place, out=moved)
-        return _to_unit(values)
+        return _units(values)

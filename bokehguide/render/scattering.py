@@ -9,6 +9,7 @@ from bokehguide.render.bsdf import OpaqueBSDF
 from bokehguide.render.dielectric import DielectricBSDF
 from bokehguide.render.geometry import Surface
 from bokehguide.render.kernels import kernel
+from bokehguide.render.pixels import indices
 from bokehguide.render.vector import dot, tangent_frame, to_local, to_world
 
 
@@ -25,7 +26,7 @@ class Scattering:
         self._opaque.surface = surface
         self._glass = None
         if choice is not None:
-            index = (choice < surface.transmission * (1.0 - surface.metallic)).nonzero()[:, 0]
+            index = indices(choice < surface.transmission * (1.0 - surface.metallic))
             if len(index) > 0:
                 self._glass_index = index
                 self._glass_surface = surface.select(index)

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.path_tracer import PathTracer
+from bokehguide.render.pixels import indices
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.vector import luminance
@@ -125,7 +126,7 @@ class Shift:
         points = reconnect(samples.lens_points, focus_shift, samples.depth, camera.lens.focus_distance)
         points = torch.where(reconnects, points, samples.lens_points)
         passes = camera.lens.transmission(points) * camera.lens.unblocked(points, focus)
-        index = ((samples.target > 0.0) & (passes > 0.0)).nonzero()[:, 0]
+        index = indices((samples.target > 0.0) & (passes > 0.0))
         points, samples, passes = points.index_select(1, index), samples.select(index), passes.index_select(0, index)
         reconnects = reconnects.index_select(0, index)
         origins, directions = camera.rays(focus.index_select(1, index), points)

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.pixels import indices
 from bokehguide.render.vector import length
 from bokehguide.train.record_buffer import RecordBuffer
 
@@ -24,7 +25,7 @@ DEPTH_GAP = 8.0
 
 def find_spotlights(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> tuple[Tensor, Tensor]:
     """Cells `[K]` of the record that are bright and out of focus, and their positions `[3, K]`."""
-    cells = (record.sums[1] > RADIANCE_THRESHOLD * mean_luminance * record.sums[0]).nonzero()[:, 0]
+    cells = indices(record.sums[1] > RADIANCE_THRESHOLD * mean_luminance * record.sums[0])
     points = record.positions(cells)
     defocused = camera.coc_diameter(points[2]) >= COC_THRESHOLD
     return cells[defocused], points[:, defocused]

@@ -17,7 +17,7 @@ from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathSamples
-from bokehguide.render.pixels import Pixels, put, take
+from bokehguide.render.pixels import Pixels, indices, put, take
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.train.fitting import fit_gaussians
@@ -215,7 +215,7 @@ class LensGuide(nn.Module):
 
     def stratify(self, pixels: Pixels, random: PixelRandom, uniforms: Tensor) -> None:
         """Replace, in numbers `[5, N]` for N pixels, those of the held pixels' lens points."""
-        held = take(self.held, pixels).nonzero()[:, 0]
+        held = indices(take(self.held, pixels))
         if len(held) > 0:
             uniforms[2:4, held] = random.select(held).stratified(LENS_DIMENSION, 2, int(self.block))
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.clusters import ClusterTable
 from bokehguide.render.light_choice import LightChoice
+from bokehguide.render.pixels import indices
 from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import Ranks
 from bokehguide.train.spot_guide import BRIGHTEST
@@ -61,7 +62,7 @@ class LightGuide(RankSums):
 
     def add(self, tiles: Tensor, clusters: Tensor, worth: Tensor, seen: Tensor, unit: float) -> None:
         """Add light samples, `[N]` each; clusters: -1 for none; unit: the frame's mean luminance."""
-        index = (clusters >= 0).nonzero()[:, 0]
+        index = indices(clusters >= 0)
         sums = self.mine.view(3, -1)
         tiles, clusters, worth, seen = (values.index_select(0, index) for values in (tiles, clusters, worth, seen))
         place = tiles * self.probability.shape[1] + clusters

@@ -19,7 +19,7 @@ from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import Film, FilmSamples, earliest
 from bokehguide.render.kernels import compile_kernels
 from bokehguide.render.path_tracer import PathSamples, PathTracer
-from bokehguide.render.pixels import Pixels, box_pixels, pixel_numbers
+from bokehguide.render.pixels import Pixels, box_pixels, indices, pixel_numbers
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
@@ -100,7 +100,7 @@ class RenderLoop:
 
     def render_only(self, active: Tensor) -> None:
         """From now on render those of the film's pixels that are `active`, bool `[pixels]`."""
-        self._places = (active & self._mine_of_film().to(active.device)).nonzero()[:, 0]
+        self._places = indices(active & self._mine_of_film().to(active.device))
 
     @property
     def phases(self) -> dict[str, float]:
@@ -203,7 +203,7 @@ class RenderLoop:
         """Radiance of the rays that pass the aperture, 0 for the others; world directions `[3, N]`."""
         choose = self.light_guide.choice if self.light_guide else None
         origins, directions = self.camera.rays(focus, points)
-        inside = (weight > 0.0).nonzero()[:, 0]
+        inside = indices(weight > 0.0)
         index = None if len(inside) == len(weight) else inside
         parts = None if self.guide is None else self.guide.parts(weight)
         return self.tracer.trace(origins, directions, random, timer, choose=choose, index=index, parts=parts), directions

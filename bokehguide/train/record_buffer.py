@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.pixels import indices
 from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import Ranks
 
@@ -42,7 +43,7 @@ class RecordBuffer(RankSums):
 
     def add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
-        index = (cells >= 0).nonzero()[:, 0]
+        index = indices(cells >= 0)
         cells, light = cells.index_select(0, index), luminance.index_select(0, index)
         count, radiance, *places = self.mine
         count.index_add_(0, cells, torch.ones_like(light))

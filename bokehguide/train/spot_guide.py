@@ -31,7 +31,7 @@ from bokehguide.models.kl import one_sample_kl
 from bokehguide.models.lens_distribution import LensDensity, owners
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.path_tracer import PathSamples
-from bokehguide.render.pixels import Pixels, increase, take
+from bokehguide.render.pixels import Pixels, increase, indices, take
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
@@ -130,7 +130,7 @@ class SpotGuide(nn.Module):
     def _draws(self, batch: GuidedBatch, ratio: Tensor) -> tuple[Tensor, Tensor]:
         """Slots of the lamps that were drawn, and the squares of what the draws brought over what they might have."""
         mixture = batch.distribution
-        index = (mixture.chosen >= 0).nonzero()[:, 0]
+        index = indices(mixture.chosen >= 0)
         chosen = mixture.chosen.index_select(0, index)
         slots = self.lamp_yield.slots(batch.pixels, mixture.owner.index_select(0, chosen), batch.gaussian.index_select(0, chosen))
         index, chosen, slots = (values[slots > 0] for values in (index, chosen, slots))
