@@ -50,12 +50,6 @@ def sampled(table: ClusterTable, row: Tensor, uniforms: Tensor) -> Tensor:
     return table.sample(row, uniforms)
 
 
-@kernel
-def probability(table: ClusterTable, row: Tensor, cluster: Tensor) -> Tensor:
-    """`ClusterTable.pdf`."""
-    return table.pdf(row, cluster)
-
-
 def gather(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, int]:
     """Cluster of each light and their number: bisections of whatever spreads its power widest.
 

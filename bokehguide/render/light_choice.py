@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.alias import AliasTable
-from bokehguide.render.clusters import ClusterTable, gather, probability, sampled
+from bokehguide.render.clusters import ClusterTable, gather
 from bokehguide.render.environment import EnvironmentLight, EnvironmentMap
 from bokehguide.render.light_grid import LightGrid
 
@@ -35,13 +35,9 @@ class LightChoice:
         """That of the paths at `index`."""
         return LightChoice(self.row.index_select(0, index), self.table, self.block, self.seen)
 
-    def sample(self, uniforms: Tensor) -> Tensor:
-        """Clusters `[N]` from uniform numbers `[N]`."""
-        return sampled(self.table, self.row, uniforms)
-
     def pdf(self, cluster: Tensor) -> Tensor:
         """Probability `[N]` of each cluster."""
-        return probability(self.table, self.row, cluster)
+        return self.table.pdf(self.row, cluster)
 
     def visibility(self, cluster: Tensor) -> Tensor:
         """Share of each cluster's light that may be expected to arrive, `[N]`."""

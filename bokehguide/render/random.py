@@ -151,4 +151,4 @@ class PixelRandom:
             for place in range(_BITS):
                 if point >> (_BITS - 1 - place) & 1:
                     value ^= torch.bitwise_right_shift(column, place, out=moved)
-        return _units(values)
+        return _units(values.view(-1)).view(values.shape)  # of one shape, or each count would be compiled anew
