@@ -15,7 +15,7 @@ render: $(READY)
 	$(VENV)/bin/python scripts/demo.py out
 
 test: $(READY)
-	$(VENV)/bin/python -m pytest -n auto --dist loadfile
+	$(VENV)/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 clean:
 	rm -rf $(VENV) out

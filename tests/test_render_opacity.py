@@ -166,7 +166,7 @@ def one_technique(technique: str, monkeypatch) -> None:
         add_emission = PathTracer._add_emission
 
         def seen_directly(self, paths, *found):
-            if len(paths.pdf) and paths.pdf[0] == DELTA_PDF:
+            if len(paths.index) and paths.rays.pdf[0] == DELTA_PDF:
                 add_emission(self, paths, *found)
 
         monkeypatch.setattr(PathTracer, "_add_emission", seen_directly)
