@@ -90,7 +90,7 @@ def test_the_bisection_is_a_search_in_the_cumulative_sums():
     cells = grid.cells(points(*PLACES)).repeat_interleave(5000)
     u = PixelRandom(5, 0, torch.arange(len(cells))).uniform(0, 3)
     u[0, ::5] = sums[cells[::5], torch.arange(len(cells) // 5) % (2**LEVELS - 1)].clamp(max=1.0 - 2.0**-24)
-    cluster = grid.sample_cluster(cells, u[0])
+    cluster = grid.cluster(grid.sample_within(grid.sample_cluster(cells, u[0]), u[1:3]))
     expected = torch.searchsorted(sums[cells], u[0, :, None], right=True)[:, 0]
     assert torch.equal(cluster, expected)
     assert len(cluster.unique()) > 100

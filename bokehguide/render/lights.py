@@ -124,6 +124,11 @@ class Lights:
         """All that `sample` may fall on, in clusters."""
         return LightClusters(self._grid if len(self._triangles) else None, self.environment if self._sky > 0.0 else None)
 
+    @cached_property
+    def _first_far(self) -> Tensor:
+        """The first cluster of the environment, `[1]`: made once, as each copy to a device would wait for it."""
+        return torch.tensor([self.clusters.triangles], device=self._geometry.device)
+
     def query(self, points: Tensor, choice: LightChoice | None = None) -> LightQuery:
         """Points `[3, N]` to be lit, for `draw`."""
         cells = self._cells(points)
@@ -137,8 +142,7 @@ class Lights:
         """One light sample for each point of the query from uniform numbers `[6, N]`."""
         sky = uniforms[0] < query.environment_share
         if query.learnt:
-            first = torch.tensor([self.clusters.triangles], device=uniforms.device)
-            chosen = _learnt(query.choice.table, query.choice.row, query.environment_share, uniforms[0], first)
+            chosen = _learnt(query.choice.table, query.choice.row, query.environment_share, uniforms[0], self._first_far)
             by_cell, sky = chosen[1] > 0.0, chosen[2] > 0.0
             query = replace(query, by_cell=by_cell, cluster=chosen[0])
         # The one kind is drawn for all points, where there is any, and the rarer one then put in its place.
