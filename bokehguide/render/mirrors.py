@@ -32,11 +32,16 @@ class MirrorImages:
     def __init__(self, geometry: Geometry, directions: Tensor, triangle: Tensor, reached: Tensor):
         self._geometry, self._directions, self._triangle, self._reached = geometry, directions, triangle, reached
         self.distance, self.light, self._brightest = torch.zeros_like(directions)
+        self._rays: Tensor | None = None
+
+    def split(self, rays: Tensor) -> None:
+        """From now on what is added is of paths, each of which belongs to one of `rays`, int64 `[P]`."""
+        self._rays = rays
 
     def add(self, index: Tensor, direction: Tensor, pdf: Tensor, distance: Tensor, radiance: Tensor) -> None:
         """Add what some rays brought from beyond their first surface.
 
-        index: which rays, int64 `[K]`; direction `[3, K]`, distance: where the light was from there; pdf: with which density
+        index: which rays, or paths, int64 `[K]`; direction `[3, K]`, distance: where the light was from there; pdf: with which density
         the BSDF samples that direction, `[K]`; radiance: what it brought, `[3, K]`.
         """
         light = luminance(radiance)
@@ -44,6 +49,8 @@ class MirrorImages:
         if len(narrow) == 0:
             return
         index, direction, distance, light = (v.index_select(-1, narrow) for v in (index, direction, distance, light))
+        if self._rays is not None:
+            index = self._rays.index_select(0, index)
         triangle, reached = (values.index_select(0, index) for values in (self._triangle, self._reached))
         corners, normals = self._geometry.corners(triangle), self._geometry.corner_normals(triangle)
         incoming = self._directions.index_select(1, index)

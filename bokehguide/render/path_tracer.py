@@ -17,6 +17,7 @@ from torch import Tensor
 from bokehguide.render import mis
 from bokehguide.render.dielectric import DELTA_PDF
 from bokehguide.render.direct_light import direct_light
+from bokehguide.render.first_surfaces import FirstSurfaces
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice
@@ -63,7 +64,7 @@ class PathSamples:
     radiance, and of the first surface normal, albedo and emission: `[3, N]`; distance to it,
     MISS_DISTANCE where there is none; alpha: 1 where the camera sees a surface or what lies
     at infinity, else 0; triangle: that of the first surface, int32, -1 where there is none;
-    rays: number of rays traced. Under a `LightChoice`, also the lights it chose, None where no ray met a surface; and
+    rays: number of rays traced; first: the first surfaces, where paths split there, None where no ray met one. Under a `LightChoice`, also the lights it chose, None where no ray met a surface; and
     image, the distance at which most of the radiance appears to come from: that of the first surface, or of what is
     mirrored there.
     """
@@ -76,6 +77,7 @@ class PathSamples:
     alpha: Tensor
     triangle: Tensor
     rays: int = 0
+    first: FirstSurfaces | None = None
     lights: LightsChosen | None = None
     image: Tensor | None = None
 
@@ -107,10 +109,11 @@ class _Rays(NamedTuple):
 class _Paths:
     """The paths still alive, compacted after each segment.
 
-    choice: how lights were sampled for them last, or will be, where not as everywhere. rays: None between their end and the
-    scattering there.
+    brought: radiance `[3, M]`, to which paths add theirs at `index` when they end. choice: how lights were sampled for them
+    last, or will be, where not as everywhere. rays: None between their end and the scattering there.
     """
 
+    brought: Tensor
     index: Tensor
     throughput: Tensor
     radiance: Tensor
@@ -121,18 +124,25 @@ class _Paths:
     def select(self, index: Tensor) -> _Paths:
         values = (values.index_select(-1, index) for values in (self.index, self.throughput, self.radiance))
         choice, rays = (part and part.select(index) for part in (self.choice, self.rays))
-        return _Paths(*values, self.random.select(index), choice, rays)
+        return _Paths(self.brought, *values, self.random.select(index), choice, rays)
 
     def split(self, parts: Tensor) -> tuple[_Paths, Tensor]:
-        """Each becomes `parts`, int64 `[N]`, of equal shares of the throughput, next to one another; and which each was, int64
-        `[M]`. The first of them keeps the random numbers, and the radiance so far."""
+        """Each ends, and becomes `parts`, int64 `[N]`, of equal shares of the throughput, next to one another, which bring what
+        they find to places of their own; and which each was, int64 `[M]`. The first of them keeps the random numbers."""
+        self.finish()
         owner = torch.repeat_interleave(parts)
-        number = torch.arange(len(owner), device=owner.device) - (parts.cumsum(0) - parts).index_select(0, owner)
+        place = torch.arange(len(owner), device=owner.device)
+        number = place - (parts.cumsum(0) - parts).index_select(0, owner)
         paths = self.select(owner)
         paths.throughput /= parts.index_select(0, owner)
-        paths.radiance *= number == 0
+        paths.radiance = torch.zeros_like(paths.radiance)
+        paths.brought, paths.index = torch.zeros_like(paths.radiance), place
         paths.random = paths.random.copies(number)
         return paths, owner
+
+    def finish(self) -> None:
+        """Add the radiance of all of them to what paths brought."""
+        increase(self.brought, self.index, self.radiance)
 
 
 class PathTracer:
@@ -144,7 +154,7 @@ class PathTracer:
     def __init__(self, scene: Scene, device: torch.device | str = "cpu"):
         self.geometry = Geometry(scene, device)
         self.lights = Lights(scene, self.geometry)
-        self._opacity = Opacity(self.geometry, scene.meshes)
+        self.opacity = Opacity(self.geometry, scene.meshes)
         self.max_depth = scene.film.max_depth
 
     def trace(
@@ -172,7 +182,7 @@ class PathTracer:
             origin, direction, random = origin.index_select(1, index), direction.index_select(1, index), random.select(index)
         pdf = torch.full(index.shape, DELTA_PDF, device=origin.device)
         rays = _Rays(origin, origin, direction, pdf)
-        paths = _Paths(index, torch.ones_like(origin), torch.zeros_like(origin), random, None, rays)
+        paths = _Paths(result.radiance, index, torch.ones_like(origin), torch.zeros_like(origin), random, None, rays)
         last = max_depth or self.max_depth
         for depth in range(1, last + 1):
             paths = self._segment(
@@ -180,6 +190,8 @@ class PathTracer:
             )
             if len(paths.index) == 0:
                 break
+        if result.first is not None:
+            increase(result.radiance, result.first.rays, result.first.direct + result.first.indirect)
         if images is not None:
             mirrored = images.light > 0.5 * luminance(result.radiance)
             result.image = torch.where(mirrored, images.distance, result.distance)
@@ -199,7 +211,7 @@ class PathTracer:
         """Trace the paths to their next surface, gather light there, and choose how they go on."""
         with timer.measure("tracing rays"):
             dimension = FIRST_CROSSING + MAX_CROSSINGS * depth
-            hit, traced = self._opacity.nearest(paths.rays.origin, paths.rays.direction, paths.random, dimension)
+            hit, traced = self.opacity.nearest(paths.rays.origin, paths.rays.direction, paths.random, dimension)
         result.rays += traced
         mirrored = images if depth == 2 else None
         paths, hit = self._end_in_environment(paths, hit, depth, mirrored, result)
@@ -220,11 +232,16 @@ class PathTracer:
             put(result.emission, paths.index, paths.radiance)
         paths.choice = None if choose is None else choose(surface.position)
         if last:
-            return _finish(paths, result)
+            paths.finish()
+            return paths.select(paths.index[:0])
         paths.rays = None
         if parts is not None:
-            paths, owner = paths.split(parts.index_select(0, paths.index))
-            surface = surface.select(owner)
+            index, emission, met = paths.index, paths.radiance, surface
+            paths, owner = paths.split(parts.index_select(0, index))
+            surface = met.select(owner)
+            result.first = FirstSurfaces(self.geometry, index, hit, met, emission, owner, surface, indirect=paths.brought)
+            if images is not None:
+                images.split(result.first.rays)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
         draw = paths.random.uniform
         if depth == 1:
@@ -232,7 +249,7 @@ class PathTracer:
         choice = draw(dimension, 1)[0] if self.geometry.materials.has_transmission else None
         scattering = Scattering(surface, choice)
         if not self.lights.empty:
-            self._add_direct_light(paths, surface, scattering, draw(dimension + 5, 6), images, result, timer)
+            self._add_direct_light(paths, surface, scattering, draw(dimension + 5, 6), depth, images, result, timer)
         return self._scatter(paths, surface, scattering, draw(dimension + 1, 4), depth, result)
 
     def _end_in_environment(
@@ -253,7 +270,7 @@ class PathTracer:
                 images.add(gone.index, direction, pdf, torch.full_like(weight, MISS_DISTANCE), arrived)
             if depth == 1:
                 result.alpha[gone.index] = environment.alpha(direction)
-        _finish(gone, result)
+        gone.finish()
         kept = indices(hit.triangle >= 0)
         return paths.select(kept), Hit(*(field.index_select(0, kept) for field in hit))
 
@@ -284,6 +301,7 @@ class PathTracer:
         surface: Surface,
         scattering: Scattering,
         uniforms: Tensor,
+        depth: int,
         images: MirrorImages | None,
         result: PathSamples,
         timer: PhaseTimer,
@@ -294,12 +312,15 @@ class PathTracer:
         index = indices(brightest > 0.0)
         origin, direction, distance = (values.index_select(-1, index) for values in ray)
         with timer.measure("tracing rays"):
-            share, traced = self._opacity.transmittance(origin, direction, distance)
+            share, traced = self.opacity.transmittance(origin, direction, distance)
         visibility = torch.zeros_like(light.distance)
         put(visibility, index, share)
         result.rays += traced
         contribution *= visibility
-        paths.radiance += contribution
+        if depth == 1 and result.first is not None:
+            result.first.towards_light, result.first.direct = light.direction, contribution
+        else:
+            paths.radiance += contribution
         if paths.choice is not None:
             images.add(paths.index, light.direction, light.pdf, light.distance, contribution)
             result.lights = LightsChosen(paths.choice.row, light.cluster, light.worth * visibility, visibility)
@@ -309,6 +330,8 @@ class PathTracer:
     ) -> _Paths:
         """Sample the BSDF, play Russian roulette, and compact the paths that go on."""
         direction, weight, pdf = scattering.sample(uniforms[0:3])
+        if depth == 1 and result.first is not None:
+            result.first.onward = direction
         origin, throughput, survival = _next_segment(
             surface, paths.throughput, direction, weight, uniforms[3], depth >= ROULETTE_DEPTH
         )
@@ -316,7 +339,7 @@ class PathTracer:
         ended = indices(~goes_on)
         if len(ended) > 0:
             unknown = 0.0 * throughput.index_select(1, ended)  # a NaN is the film's to report
-            increase(result.radiance, paths.index.index_select(0, ended), paths.radiance.index_select(1, ended) + unknown)
+            increase(paths.brought, paths.index.index_select(0, ended), paths.radiance.index_select(1, ended) + unknown)
         paths.throughput, paths.rays = throughput, _Rays(surface.position, origin, direction, pdf)
         return paths.select(indices(goes_on))
 
@@ -346,9 +369,3 @@ def _next_segment(
         survival = chance * (uniform < chance)
         throughput = throughput / chance.clamp(min=1e-20)
     return surface.leave(direction), throughput, survival
-
-
-def _finish(paths: _Paths, result: PathSamples) -> _Paths:
-    """Add the radiance of ended paths to the result; returns an empty batch."""
-    increase(result.radiance, paths.index, paths.radiance)
-    return paths.select(paths.index[:0])

@@ -56,6 +56,16 @@ class Scattering:
         return direction, weight, pdf
 
 
+def opaque_values(surface: Surface, outgoing: Tensor, directions: tuple[Tensor, ...]) -> list[Tensor]:
+    """BSDF times cosine `[3, N]` of the opaque part towards each of some world directions `[3, N]`, seen from `outgoing` and
+    not as `surface` was."""
+    frame = (*tangent_frame(surface.normal), surface.normal)
+    coat = surface.clearcoat_normal
+    opaque = OpaqueBSDF(to_local(outgoing, *frame), surface, None if coat is None else to_local(coat, *frame))
+    local = [to_local(direction, *frame) for direction in directions]
+    return [opaque.evaluate(one)[0] * _allowed(surface, direction, one[2]) for one, direction in zip(local, directions)]
+
+
 Frame = tuple[Tensor, Tensor, Tensor]
 """Two tangents and the shading normal, `[3, N]` each."""
 

@@ -26,21 +26,32 @@ class Batches:
     def __init__(self, threads: int, paths: int = 1):
         self._threads = threads
         self._most = BATCH // paths
+        self._count = 0
+        """How many of them there should be."""
         self._cuts = np.zeros(1)
         """Where spans begin and end, as shares of the row."""
         self._longest = 1.0
         """Most that a span may hold, in units of the mean."""
 
-    def spans(self, pixels: int) -> list[slice]:
-        """Spans of `pixels` pixels, one behind the other, none of which is empty."""
+    def spans(self, pixels: int, ends: np.ndarray | None = None) -> list[slice]:
+        """Spans of `pixels` pixels, one behind the other, none of which is empty.
+
+        ends: before which pixels alone they may be cut, ascending, from 0 to `pixels`; None: before any.
+        """
         if pixels == 0:
             return []
         rounds = math.ceil(pixels / (self._most * self._threads))
         count = max(min(rounds * self._threads, pixels // SMALL_BATCH), 1)
-        if len(self._cuts) != count + 1:
-            self._cuts = np.linspace(0.0, 1.0, count + 1)
+        if self._count != count:
+            self._count, self._cuts = count, np.linspace(0.0, 1.0, count + 1)
         self._longest = LONGEST * self._most * count / pixels
-        places = np.rint(self._cuts * pixels).astype(int).tolist()
+        places = np.rint(self._cuts * pixels).astype(int)
+        if ends is not None:
+            after = np.searchsorted(ends, places).clip(1)
+            before, after = ends[after - 1], ends[after]
+            places = np.unique(np.where(places - before < after - places, before, after))
+            self._cuts = places / pixels
+        places = places.tolist()
         return [slice(first, last) for first, last in zip(places, places[1:])]
 
     def cost(self, costs: Sequence[float]) -> None:

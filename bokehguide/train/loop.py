@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -29,9 +30,12 @@ from bokehguide.scene.types import Scene
 from bokehguide.train.batches import Batches
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide, guide_images, starts_block, uniform_draw
 from bokehguide.train.light_guide import LightGuide
-from bokehguide.train.ranks import Ranks, available_cores
+from bokehguide.train.ranks import BAND, Ranks, available_cores
+from bokehguide.train.radiance_control import RadianceControl
+from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.record_buffer import FAR
 from bokehguide.train.settings import RenderSettings
+from bokehguide.train.sharing import PathSharing
 from bokehguide.train.spot_guide import PARTS, SpotGuide
 from bokehguide.train.steps import BatchResult, GuideCounts, StepStats, finite, step_stats
 
@@ -75,6 +79,12 @@ class RenderLoop:
         self.light_guide: LightGuide | None = None
         if isinstance(self.guide, SpotGuide) and not self.tracer.lights.empty:
             self.light_guide = LightGuide(self.camera, self.tracer.lights.clusters.count, self.ranks)
+        self.sharing: PathSharing | None = None
+        self.control: RadianceControl | None = None
+        if isinstance(self.guide, SpotGuide):
+            self.sharing = PathSharing(self.camera, self.tracer, self.film.width, settings.seed)
+        if self.sharing is not None and not self.camera.lens.vignettes:
+            self.control = RadianceControl(self.film.width, self.film.height, device, self.ranks)
         self.reuse = SpatialReuse(self.camera, self.tracer, settings.reuse_radius, settings.seed) if settings.reuses else None
         self.step_number = 0
         self._threads = settings.threads or available_cores()
@@ -111,7 +121,7 @@ class RenderLoop:
         """Render one more sample per pixel, and learn from it."""
         start = time.perf_counter()
         self.step_number += 1
-        spans = self._batches.spans(self.film.width * self.film.height if self._places is None else len(self._places))
+        spans = self._spans()
         results = self._in_batches(self._render_batch, spans)
         reused = self._in_batches(self._reuse_batch, spans) if self.reuse is not None else []
         passes = [results, reused] if reused else [results]
@@ -123,6 +133,15 @@ class RenderLoop:
         self._phases += timer.seconds
         gaussians = len(self.guide.field) if self.guide else 0
         return step_stats(self.step_number, results + reused, time.perf_counter() - start, gaussians, self.ranks)
+
+    def _spans(self) -> list[slice]:
+        """Spans of what steps render, cut where bands of rows end."""
+        size = self.film.width * self.film.height
+        ends = np.append(np.arange(0, size, BAND * self.film.width), size)
+        if self._places is not None:
+            size = len(self._places)
+            ends = np.unique(np.searchsorted(self._places.cpu().numpy(), ends))
+        return self._batches.spans(size, ends)
 
     def _in_batches(self, work: Callable[[Pixels], BatchResult], spans: list[slice]) -> list[BatchResult]:
         """What `work` returns for the film's pixels of each span of those that steps render."""
@@ -146,13 +165,16 @@ class RenderLoop:
             corner = torch.stack((numbers % camera.width, numbers // camera.width))
             raster = corner + random.stratified(0, 2)
             focus = camera.focus_points(raster)
-            points, weight, batch, at = self._draw(pixels, raster, focus, random)
+            draw = self._draw(pixels, raster, focus, random)
+            points, weight, batch, at = draw
         with timer.measure("shading"):
             samples, directions = self._trace(focus, points, weight, random, timer)
             if self.step_number == 1 and self.guide is not None and self.guide.candidates is not None:
                 samples.rays += self._prime(places, focus, random, timer)
         with timer.measure("output"):
             film_samples = self._film_samples(samples, directions, weight)
+            if self.sharing is not None:
+                film_samples = self._shared(places, focus, draw, samples, film_samples, timer)
             if self.reuse is None:
                 good = self._expose(places, film_samples)
             else:
@@ -169,6 +191,16 @@ class RenderLoop:
             if self.light_guide is not None:
                 result.lights = samples.lights
         return result
+
+    def _shared(
+        self, places: Pixels, focus: Tensor, draw: LensDraw, samples: PathSamples, own: FilmSamples, timer: PhaseTimer
+    ) -> FilmSamples:
+        """The samples with what neighbours found in their radiance."""
+        radiance, weight = self.sharing.share(self.step_number, places, focus, draw, samples, own.depth, timer)
+        if self.control is not None:
+            self.control.add(places, radiance, weight)
+            radiance = radiance - self.control.slope(places) * (weight - 1.0)
+        return replace(own, radiance=radiance, radiance_weight=torch.ones_like(weight))
 
     def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
         """Put samples on the film; returns the finite ones, bool `[N]`."""
@@ -240,8 +272,11 @@ class RenderLoop:
             added.result()
         lessons = [result.lesson for result in results if result.lesson is not None]
         self.guide.update(self.step_number, lessons, self._mean_luminance)
-        if self.light_guide is not None and starts_block(self.step_number + 1):
-            self.light_guide.update(self.step_number + 1)
+        if starts_block(self.step_number + 1):
+            if self.light_guide is not None:
+                self.light_guide.update(self.step_number + 1)
+            if self.control is not None:
+                self.control.update()
 
     def _add_records(self, results: list[BatchResult]) -> None:
         for result in results:
@@ -281,10 +316,15 @@ class RenderLoop:
             self.guide.merge()
             optimizers = {name: optimizer.state_dict() for name, optimizer in self.guide.optimizers.items()}
             state |= self.ranks.merged({"guide": self.guide.state_dict(), "optimizers": optimizers}, self._mine())
-        if self.light_guide is not None:
-            self.light_guide.merge()
-            state["light_guide"] = self.light_guide.state_dict()
+        for name, learnt in self._learnt_sums():
+            learnt.merge()
+            state[name] = learnt.state_dict()
         return state
+
+    def _learnt_sums(self) -> list[tuple[str, RankSums]]:
+        """What is learnt beside the guide, by its name in state dicts."""
+        found = (("light_guide", self.light_guide), ("control", self.control))
+        return [(name, learnt) for name, learnt in found if learnt is not None]
 
     def _mine(self) -> Tensor:
         """Which pixels of the frame this rank answers for, bool `[pixels]`: the first one for those beyond a crop."""
@@ -316,8 +356,8 @@ class RenderLoop:
             self.guide.load_state_dict(learnt)
             for name, optimizer in self.guide.optimizers.items():
                 optimizer.load_state_dict(deepcopy(state["optimizers"][name]))  # it would share its tensors
-        if self.light_guide is not None:
-            self.light_guide.load_state_dict(state["light_guide"])
+        for name, learnt in self._learnt_sums():
+            learnt.load_state_dict(state[name])
         guides = [guide for guide in (self.guide, self.light_guide) if guide is not None]
         if not all(1 <= int(guide.block) <= state["step"] + 1 for guide in guides):
             raise ValueError("a block of steps that has not begun")

@@ -12,11 +12,14 @@ from torch import Tensor
 
 from bokehguide.errors import BokehguideError
 
+BAND = 8
+"""Rows of a film that are rendered together."""
+
 
 class Ranks:
     """The processes of a job that `torchrun` started, or this one alone.
 
-    Each renders every `count`-th row of the film. A context that leaves the job at its end. All methods that return something of all
+    Each renders every `count`-th band of BAND rows of the film. A context that leaves the job at its end. All methods that return something of all
     ranks are collective: every rank calls them, in the same order.
     """
 
@@ -61,10 +64,11 @@ class Ranks:
         return self.count == 1
 
     def rows(self, width: int, height: int, device: torch.device) -> Tensor | None:
-        """This rank's pixels of a film, int64 `[N]`; None where it has all."""
+        """This rank's pixels of a film, bands of BAND rows, int64 `[N]`; None where it has all."""
         if self.alone:
             return None
-        rows = torch.arange(self.rank, height, self.count, device=device)
+        rows = torch.arange(height, device=device)
+        rows = rows[rows // BAND % self.count == self.rank]
         return (rows[:, None] * width + torch.arange(width, device=device)).flatten()
 
     def total(self, values: Tensor) -> Tensor:

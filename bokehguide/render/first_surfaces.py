@@ -1,0 +1,91 @@
+"""The first surfaces that rays meet, and what the light that paths find there is for others who look at them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.kernels import kernel
+from bokehguide.render.pixels import indices, put
+from bokehguide.render.scattering import opaque_values
+from bokehguide.render.tracer import Hit
+
+
+@dataclass
+class FirstSurfaces:
+    """First surfaces of K rays, where these split into P paths, and the light that each path found.
+
+    index: the rays, int64 `[K]`, ascending; hit, met: the surfaces, `[K]`; emission: what they emit towards the rays'
+    origins, `[3, K]`; owner: of which of them each path is, int64 `[P]`, ascending; surface: the same surfaces once for each
+    path. Of each path, `[3, P]`: towards_light, the unit direction of its light sample, and direct, the radiance that this
+    brought along the ray; onward, the direction in which it went on, and indirect, what came from there.
+    """
+
+    geometry: Geometry
+    index: Tensor
+    hit: Hit
+    met: Surface
+    emission: Tensor
+    owner: Tensor
+    surface: Surface
+    indirect: Tensor
+    direct: Tensor | None = None
+    towards_light: Tensor | None = None
+    onward: Tensor | None = None
+
+    def __post_init__(self) -> None:
+        self.rays = self.index.index_select(0, self.owner)
+        """Ray of each path, int64 `[P]`."""
+        if self.direct is None:  # without lights to sample
+            self.direct, self.towards_light = torch.zeros_like(self.indirect), self.surface.normal
+        self._incident: tuple[Tensor, Tensor] | None = None
+
+    def radiance(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
+        """Radiance `[3, J]` of the surfaces at `chosen`, int64 `[J]`, each at most once, towards unit directions `[3, J]`.
+
+        It is an unbiased estimate for any direction above the surface, from the same incident light; the fewer smooth
+        surfaces there are among them, the better. Of partly transmissive surfaces it is none.
+        """
+        if self._incident is None:
+            ways = (self.towards_light, self.onward)
+            self._incident = _incident(self.surface, self.surface.outgoing, ways, (self.direct, self.indirect))
+        place = torch.full(self.index.shape, -1, device=chosen.device)
+        put(place, chosen, torch.arange(len(chosen), device=chosen.device))
+        place = place.index_select(0, self.owner)
+        paths = indices(place >= 0)
+        place = place.index_select(0, paths)
+        surface = self.surface.select(paths)
+        ways, incident = (
+            tuple(part.index_select(1, paths) for part in pair) for pair in ((self.towards_light, self.onward), self._incident)
+        )
+        scattered = _leaving(surface, outgoing.index_select(1, place), ways, incident)
+        return self._emitted(chosen, outgoing).index_add_(1, place, scattered)
+
+    def _emitted(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
+        if self.geometry.materials.plain_emission:
+            return self.emission.index_select(1, chosen)
+        hit = Hit(*(field.index_select(0, chosen) for field in self.hit))
+        return self.geometry.emission(hit, self.met.front.index_select(0, chosen), outgoing)
+
+
+FAINTEST = 1e-20
+"""BSDFs of less count as none."""
+Ways = tuple[Tensor, Tensor]
+
+
+@kernel
+def _incident(surface: Surface, outgoing: Tensor, ways: Ways, brought: Ways) -> Ways:
+    """What was there to be scattered, `[3, P]`, given what was scattered of it; 0 where the surface scatters nothing of it."""
+    values = opaque_values(surface, outgoing, ways)
+    first, second = (torch.where(value > FAINTEST, light / value, 0.0) for value, light in zip(values, brought))
+    return first, second
+
+
+@kernel
+def _leaving(surface: Surface, outgoing: Tensor, ways: Ways, incident: Ways) -> Tensor:
+    """Scattered radiance `[3, P]`."""
+    first, second = opaque_values(surface, outgoing, ways)
+    return first * incident[0] + second * incident[1]

@@ -1,0 +1,276 @@
+"""Neighbouring pixels share what their rays found: each looks at the others' first surfaces through a lens point of its own.
+
+What is out of focus is seen by many pixels. Where a ray of one pixel found it, the light that its paths brought there goes
+to the others of its group as well (Bekaert, Sbert and Halton 2002): through the lens point from which the other one's focus
+point and the same surface are in one line, Area ReSTIR's reconnection (`restir/shifts.py`), if nothing is in between.
+It is multiple importance sampling: a point x that the densities p_k = q_k |∂l_k / ∂x| of a group's pixels k find counts for
+pixel i as W V_i / (A Σ_k V_k p_k) (balance heuristic, in the measure of x), where V is whether a pixel can see it. What is in
+focus is seen by one pixel alone, and counts as W / (A q).
+
+Groups are tiles of the film whose corner moves from step to step, so that no tile shows; they end where bands end, so that
+ranks and batches hold whole ones.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bokehguide.models.lens_distribution import LensMixture
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.first_surfaces import FirstSurfaces
+from bokehguide.render.kernels import kernel
+from bokehguide.render.lens import Lens
+from bokehguide.render.path_tracer import PathSamples, PathTracer
+from bokehguide.render.pixels import Pixels, indices, pixel_numbers, put
+from bokehguide.render.random import hash_int
+from bokehguide.render.timer import PhaseTimer
+from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.render.vector import dot, length
+from bokehguide.restir.shifts import reconnect, reconnection_jacobian
+from bokehguide.train.guide import LensDraw
+from bokehguide.train.ranks import BAND
+
+ACROSS, DOWN = 4, 2
+"""Pixels of a group: powers of two."""
+APART = 3.0
+"""Pixels that those of a group are apart, about."""
+SMOOTH = 0.5
+"""A surface is shared if its GGX α is at least so many times the angle, in radians, between those who look at it: of what
+is mirrored, one pixel's paths do not know what another one sees."""
+NOWHERE = 1e15
+
+
+class Shared(NamedTuple):
+    """What N pixels see through each other's eyes: W L / (A q) summed over all who found it, and the sum of the weights alone,
+    whose mean is 1; `[3, N]` and `[N]`."""
+
+    radiance: Tensor
+    weight: Tensor
+
+
+class _Seen(NamedTuple):
+    """What the samples of a batch met, in the camera frame: the plane `[3, N]` of the first surface (see `Reservoirs`), depth `[N]`,
+    and whether it may be shared, bool `[N]`; place: of the sample among the first surfaces, int64 `[N]`, -1 for none."""
+
+    plane: Tensor
+    depth: Tensor
+    shareable: Tensor
+    place: Tensor
+
+
+class _View(NamedTuple):
+    """How J pixels see samples of others: whose they are and who sees them, int64 `[J]`; through which lens points `[2, J]`;
+    |∂l' / ∂l| times the share of the light that arrives, and W / A there, `[J]`; the unit directions towards them, `[3, J]`."""
+
+    source: Tensor
+    viewer: Tensor
+    points: Tensor
+    jacobian: Tensor
+    passing: Tensor
+    outgoing: Tensor
+
+    def select(self, index: Tensor) -> _View:
+        return _View(*(values.index_select(-1, index) for values in self))
+
+
+class PathSharing:
+    """Shares the samples of the pixels of a film. Threads may call it side by side, with batches of whole groups.
+
+    width: of the film, pixels; seed: of the groups' places.
+    """
+
+    def __init__(self, camera: ThinLensCamera, tracer: PathTracer, width: int, seed: int):
+        self._camera, self._tracer, self._width, self._seed = camera, tracer, width, seed
+        self._focus_distance = torch.tensor(camera.lens.focus_distance, device=camera.position.device)
+
+    def share(
+        self, step: int, places: Pixels, focus: Tensor, draw: LensDraw, samples: PathSamples, depth: Tensor, timer: PhaseTimer
+    ) -> Shared:
+        """Share the samples of one step.
+
+        places: of the pixels on the film; focus: their focus points x_F `[3, N]`; draw: their lens points; samples: what was
+        found through those; depth: of it along the axis, `[N]`. Rays are added to those of the samples. A sample that is not
+        finite is so in its own pixel alone.
+        """
+        lens, points = self._camera.lens, draw.points
+        mixture = None if draw.batch is None else draw.batch.distribution
+        own = lens.transmission(points) / lens.area if draw.at is None else draw.at.density
+        seen = self._seen(draw, samples, depth)
+        arriving = self._own_transmittance(seen, points, samples, timer)
+        total, views = own * arriving, []
+        key = hash_int(hash_int(self._seed ^ 0x68E31DA4) + step)
+        for viewer in _members(places, self._width, key, focus.device):
+            view = self._view(viewer, focus, points, seen, samples, timer)
+            if len(view.source) > 0:
+                total.index_add_(0, view.source, self._density(mixture, view, len(total)) * view.jacobian)
+                views.append(view)
+        scale = 1.0 / total.clamp(min=1e-20)
+        weight = torch.where(draw.weight > 0.0, _passing(lens, points, focus) * arriving * scale, 0.0)
+        shared = Shared(samples.radiance * weight, weight)
+        for view in views:
+            weight = view.passing * view.jacobian * scale.index_select(0, view.source)
+            light = (self._radiance(view, seen, samples) * weight).nan_to_num(0.0, 0.0, 0.0)
+            shared.radiance.index_add_(1, view.viewer, light)
+            shared.weight.index_add_(0, view.viewer, weight)
+        return shared
+
+    def _seen(self, draw: LensDraw, samples: PathSamples, depth: Tensor) -> _Seen:
+        camera, first = self._camera, samples.first
+        device, environment = depth.device, self._tracer.lights.environment
+        place = torch.full(depth.shape, -1, device=device)
+        plane = torch.zeros(3, *depth.shape, device=device)
+        plane[2] = 1.0
+        infinite = (samples.triangle < 0) & (draw.weight > 0.0)
+        shareable = infinite & (environment is not None and environment.visible)
+        if first is not None:
+            normal = camera.axes.T @ first.met.geometric_normal
+            position = camera.axes.T @ (first.met.position - camera.position)
+            put(plane, first.index, torch.cat((normal[:2], dot(position, normal)[None])))
+            put(place, first.index, torch.arange(len(first.index), device=device))
+            angle = self._angle(position[2].clamp(min=1e-9))
+            put(shareable, first.index, self._spreads(first, SMOOTH * angle))
+        return _Seen(plane, depth, shareable, place)
+
+    def _angle(self, depth: Tensor) -> Tensor:
+        """Angle in radians `[N]` between the lens points through which pixels of a group see what is at `depth` `[N]`, about."""
+        camera, focus = self._camera, self._camera.lens.focus_distance
+        apart = APART * camera.pixel_slope * focus * depth / (depth - focus).abs().clamp(min=1e-9)
+        return apart.clamp(max=2.0 * camera.lens.radius) / depth
+
+    def _spreads(self, first: FirstSurfaces, least: Tensor) -> Tensor:
+        """Which first surfaces look alike from all lens points of a group: opaque, and with GGX α of at least `least`; bool `[K]`."""
+        surface, materials = first.met, self._tracer.geometry.materials
+        spreads = surface.alpha >= least
+        if surface.clearcoat is not None:
+            spreads &= (surface.clearcoat <= 0.0) | (surface.clearcoat_alpha >= least)
+        if materials.has_transmission:
+            spreads &= surface.transmission * (1.0 - surface.metallic) <= 0.0
+        if materials.absorbs:  # how much, depends on the way
+            spreads &= surface.front > 0.0
+        return spreads
+
+    def _own_transmittance(self, seen: _Seen, points: Tensor, samples: PathSamples, timer: PhaseTimer) -> Tensor:
+        """How likely rays pass all sheer surfaces before what they met, as `_arriving` has it for the others, `[N]`."""
+        share = torch.ones_like(seen.depth)
+        if self._tracer.geometry.materials.has_sheer and samples.first is not None:
+            index = indices(seen.shareable & (seen.place >= 0))
+            share[index], _ = self._arriving(seen.place.index_select(0, index), points.index_select(1, index), samples, timer)
+        return share
+
+    def _view(
+        self, viewer: Tensor, focus: Tensor, points: Tensor, seen: _Seen, samples: PathSamples, timer: PhaseTimer
+    ) -> _View:
+        """How the pixels `viewer` `[N]`, -1 for none, see the sample of each pixel."""
+        source = indices((viewer >= 0) & seen.shareable)
+        viewer = viewer.index_select(0, source)
+        own, focus_seen = points.index_select(1, source), focus.index_select(1, viewer)
+        shift = (focus_seen - focus.index_select(1, source))[:2]
+        plane, depth = seen.plane.index_select(1, source), seen.depth.index_select(0, source)
+        through, jacobian = _reconnected(own, shift, depth, plane, self._focus_distance)
+        passing = _passing(self._camera.lens, through, focus_seen)
+        view = _View(source, viewer, through, jacobian, passing, torch.zeros_like(focus_seen))
+        view = view.select(indices(passing > 0.0))
+        place = seen.place.index_select(0, view.source)
+        arriving, outgoing = torch.zeros_like(view.jacobian), torch.zeros_like(view.outgoing)
+        met, infinite = indices(place >= 0), indices(place < 0)
+        if len(met) > 0:
+            share, towards = self._arriving(place.index_select(0, met), view.points.index_select(1, met), samples, timer)
+            put(arriving, met, share)
+            put(outgoing, met, towards)
+        if len(infinite) > 0:
+            put(arriving, infinite, self._arriving_from_afar(view.select(infinite), focus, samples, timer))
+        return view._replace(jacobian=view.jacobian * arriving, outgoing=outgoing).select(indices(arriving > 0.0))
+
+    def _arriving(self, place: Tensor, points: Tensor, samples: PathSamples, timer: PhaseTimer) -> tuple[Tensor, Tensor]:
+        """Share of the light of first surfaces at `place` `[J]` that arrives at lens points `[2, J]`, and unit directions `[3, J]`."""
+        met, through = samples.first.met, self._on_lens(points)
+        ends = (values.index_select(-1, place) for values in (met.position, met.geometric_normal, met.offset))
+        outgoing, above, *ray = _ray_to(through, *ends)
+        index = indices(above)
+        return self._unblocked(index, ray, samples, timer), outgoing
+
+    def _arriving_from_afar(self, view: _View, focus: Tensor, samples: PathSamples, timer: PhaseTimer) -> Tensor:
+        """The same `[J]` for what is at infinity."""
+        origin, direction = self._camera.rays(focus.index_select(1, view.viewer), view.points)
+        distance = torch.full_like(view.jacobian, MISS_DISTANCE)
+        return self._unblocked(torch.arange(len(distance), device=distance.device), (origin, direction, distance), samples, timer)
+
+    def _unblocked(self, index: Tensor, ray: tuple[Tensor, ...], samples: PathSamples, timer: PhaseTimer) -> Tensor:
+        """Share of the light that comes through along those of rays (origins, directions, distances) at `index`; 0 for the others."""
+        origin, direction, distance = (values.index_select(-1, index) for values in ray)
+        with timer.measure("tracing rays"):
+            share, traced = self._tracer.opacity.transmittance(origin, direction, distance)
+        samples.rays += traced
+        every = torch.zeros_like(ray[2])
+        put(every, index, share)
+        return every
+
+    def _on_lens(self, points: Tensor) -> Tensor:
+        """World positions `[3, J]` of lens points."""
+        return self._camera.axes[:, :2] @ points + self._camera.position
+
+    def _density(self, mixture: LensMixture | None, view: _View, count: int) -> Tensor:
+        """q of the viewers, of `count` pixels, at the lens points through which they see, `[J]`."""
+        if mixture is None:
+            return self._camera.lens.transmission(view.points) / self._camera.lens.area
+        points = torch.full((2, count), NOWHERE, device=view.points.device)
+        put(points, view.viewer, view.points)
+        return mixture.pdf(points).index_select(0, view.viewer)
+
+    def _radiance(self, view: _View, seen: _Seen, samples: PathSamples) -> Tensor:
+        """Radiance `[3, J]` of the samples as the viewers see it."""
+        radiance = samples.radiance.index_select(1, view.source)
+        place = seen.place.index_select(0, view.source)
+        met = indices(place >= 0)
+        if len(met) > 0:
+            put(radiance, met, samples.first.radiance(place.index_select(0, met), view.outgoing.index_select(1, met)))
+        return radiance
+
+
+def _members(places: Pixels, width: int, key: int, device: torch.device) -> list[Tensor]:
+    """For each other place in a group, who is there for each of N pixels: its number among them, int64 `[N]`, -1 for none.
+
+    places: of the pixels on a film of this width; key: of where groups begin.
+    """
+    numbers = pixel_numbers(places, device)
+    first = int(numbers[0])
+    among = torch.full((int(numbers[-1]) - first + 1,), -1, device=numbers.device)
+    among[numbers - first] = torch.arange(len(numbers), device=numbers.device)
+    x, y = numbers % width, numbers // width
+    band = y - y % BAND
+    right, below = x + key % ACROSS, y % BAND + (key >> 8) % DOWN
+    members = []
+    for member in range(1, ACROSS * DOWN):
+        column = (right ^ member % ACROSS) - key % ACROSS
+        row = (below ^ member // ACROSS) - (key >> 8) % DOWN
+        there = (column >= 0) & (column < width) & (row >= 0) & (row < BAND)
+        number = (band + row) * width + column - first
+        there &= (number >= 0) & (number < len(among))
+        members.append(torch.where(there, among.index_select(0, torch.where(there, number, 0)), -1))
+    return members
+
+
+def _passing(lens: Lens, points: Tensor, focus: Tensor) -> Tensor:
+    """W / A at lens points `[2, N]` towards focus points `[3, N]`, `[N]`."""
+    return lens.transmission(points) * lens.unblocked(points, focus) / lens.area
+
+
+@kernel
+def _reconnected(points: Tensor, shift: Tensor, depth: Tensor, plane: Tensor, focus_distance: Tensor) -> tuple[Tensor, Tensor]:
+    """Lens points `[2, N]` that see the same through focus points moved by `shift` `[2, N]`, and the Jacobian `[N]`."""
+    through = reconnect(points, shift, depth, focus_distance)
+    return through, reconnection_jacobian(plane, points, through)
+
+
+@kernel
+def _ray_to(through: Tensor, position: Tensor, normal: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
+    """Unit directions from surfaces to points `[3, N]`, whether they lead up from the side with `normal`, and rays, off the surface."""
+    way = through - position
+    outgoing = way / length(way)
+    origin = position + normal * offset
+    ray = through - origin
+    distance = length(ray)
+    return outgoing, dot(normal, outgoing) > 0.0, origin, ray / distance, distance * (1.0 - 1e-4)
