@@ -72,9 +72,6 @@ class _View(NamedTuple):
     passing: Tensor
     outgoing: Tensor
 
-    def select(self, index: Tensor) -> _View:
-        return _View(*(values.index_select(-1, index) for values in self))
-
 
 class PathSharing:
     """Shares the samples of the pixels of a film. Threads may call it side by side, with batches of whole groups.
@@ -84,7 +81,6 @@ class PathSharing:
 
     def __init__(self, camera: ThinLensCamera, tracer: PathTracer, width: int, seed: int):
         self._camera, self._tracer, self._width, self._seed = camera, tracer, width, seed
-        self._focus_distance = torch.tensor(camera.lens.focus_distance, device=camera.position.device)
 
     def share(
         self, step: int, places: Pixels, focus: Tensor, draw: LensDraw, samples: PathSamples, depth: Tensor, timer: PhaseTimer
@@ -164,25 +160,22 @@ class PathSharing:
         self, viewer: Tensor, focus: Tensor, points: Tensor, seen: _Seen, samples: PathSamples, timer: PhaseTimer
     ) -> _View:
         """How the pixels `viewer` `[N]`, -1 for none, see the sample of each pixel."""
-        source = indices((viewer >= 0) & seen.shareable)
-        viewer = viewer.index_select(0, source)
-        own, focus_seen = points.index_select(1, source), focus.index_select(1, viewer)
-        shift = (focus_seen - focus.index_select(1, source))[:2]
-        plane, depth = seen.plane.index_select(1, source), seen.depth.index_select(0, source)
-        through, jacobian = _reconnected(own, shift, depth, plane, self._focus_distance)
-        passing = _passing(self._camera.lens, through, focus_seen)
-        view = _View(source, viewer, through, jacobian, passing, torch.zeros_like(focus_seen))
-        view = view.select(indices(passing > 0.0))
-        place = seen.place.index_select(0, view.source)
-        arriving, outgoing = torch.zeros_like(view.jacobian), torch.zeros_like(view.outgoing)
+        focus_seen = focus.index_select(1, viewer.clamp(min=0))
+        through, jacobian = _reconnected(points, focus, focus_seen, seen.depth, seen.plane)
+        passing = _passing(self._camera.lens, through, focus_seen) * seen.shareable * (viewer >= 0)
+        source = indices(passing > 0.0)
+        one = (values.index_select(-1, source) for values in (viewer, through, jacobian, passing))
+        view = _View(source, *one, torch.empty(3, len(source), device=source.device))
+        place = seen.place.index_select(0, source)
+        arriving, outgoing = torch.zeros_like(view.jacobian), view.outgoing
         met, infinite = indices(place >= 0), indices(place < 0)
         if len(met) > 0:
             share, towards = self._arriving(place.index_select(0, met), view.points.index_select(1, met), samples, timer)
             put(arriving, met, share)
             put(outgoing, met, towards)
         if len(infinite) > 0:
-            put(arriving, infinite, self._arriving_from_afar(view.select(infinite), focus, samples, timer))
-        return view._replace(jacobian=view.jacobian * arriving, outgoing=outgoing).select(indices(arriving > 0.0))
+            put(arriving, infinite, self._arriving_from_afar(view, infinite, focus, samples, timer))
+        return view._replace(jacobian=view.jacobian * arriving)
 
     def _arriving(self, place: Tensor, points: Tensor, samples: PathSamples, timer: PhaseTimer) -> tuple[Tensor, Tensor]:
         """Share of the light of first surfaces at `place` `[J]` that arrives at lens points `[2, J]`, and unit directions `[3, J]`."""
@@ -192,11 +185,13 @@ class PathSharing:
         index = indices(above)
         return self._unblocked(index, ray, samples, timer), outgoing
 
-    def _arriving_from_afar(self, view: _View, focus: Tensor, samples: PathSamples, timer: PhaseTimer) -> Tensor:
-        """The same `[J]` for what is at infinity."""
-        origin, direction = self._camera.rays(focus.index_select(1, view.viewer), view.points)
-        distance = torch.full_like(view.jacobian, MISS_DISTANCE)
-        return self._unblocked(torch.arange(len(distance), device=distance.device), (origin, direction, distance), samples, timer)
+    def _arriving_from_afar(
+        self, view: _View, index: Tensor, focus: Tensor, samples: PathSamples, timer: PhaseTimer
+    ) -> Tensor:
+        """Share of the light that arrives for those of a view at `index` `[K]`, of samples at infinity, `[K]`."""
+        viewer, points = view.viewer.index_select(0, index), view.points.index_select(1, index)
+        ray = (*self._camera.rays(focus.index_select(1, viewer), points), torch.full_like(points[0], MISS_DISTANCE))
+        return self._unblocked(torch.arange(len(index), device=index.device), ray, samples, timer)
 
     def _unblocked(self, index: Tensor, ray: tuple[Tensor, ...], samples: PathSamples, timer: PhaseTimer) -> Tensor:
         """Share of the light that comes through along those of rays (origins, directions, distances) at `index`; 0 for the others."""
@@ -237,20 +232,29 @@ def _members(places: Pixels, width: int, key: int, device: torch.device) -> list
     """
     numbers = pixel_numbers(places, device)
     first = int(numbers[0])
-    among = torch.full((int(numbers[-1]) - first + 1,), -1, device=numbers.device)
-    among[numbers - first] = torch.arange(len(numbers), device=numbers.device)
-    x, y = numbers % width, numbers // width
-    band = y - y % BAND
-    right, below = x + key % ACROSS, y % BAND + (key >> 8) % DOWN
+    among = torch.full((int(numbers[-1]) - first + 2,), -1, device=device)  # the last one stands for what is elsewhere
+    among[numbers - first] = torch.arange(len(numbers), device=device)
+    in_band = numbers % (BAND * width)
     members = []
-    for member in range(1, ACROSS * DOWN):
-        column = (right ^ member % ACROSS) - key % ACROSS
-        row = (below ^ member // ACROSS) - (key >> 8) % DOWN
-        there = (column >= 0) & (column < width) & (row >= 0) & (row < BAND)
-        number = (band + row) * width + column - first
-        there &= (number >= 0) & (number < len(among))
-        members.append(torch.where(there, among.index_select(0, torch.where(there, number, 0)), -1))
+    for steps in _ways(width, key, device):
+        there = numbers - first + steps.index_select(0, in_band)
+        there = torch.where((there >= 0) & (there < len(among)), there, len(among) - 1)
+        members.append(among.index_select(0, there))
     return members
+
+
+def _ways(width: int, key: int, device: torch.device) -> list[Tensor]:
+    """From each pixel of a band, row by row, to each other place in its group: by how much numbers differ, int64 `[BAND * width]`;
+    out of all films where the band ends before."""
+    row, x = torch.meshgrid(torch.arange(BAND, device=device), torch.arange(width, device=device), indexing="ij")
+    right, below = key % ACROSS, (key >> 8) % DOWN
+    ways = []
+    for member in range(1, ACROSS * DOWN):
+        column = ((x + right) ^ (member % ACROSS)) - right
+        line = ((row + below) ^ (member // ACROSS)) - below
+        inside = (column >= 0) & (column < width) & (line >= 0) & (line < BAND)
+        ways.append(torch.where(inside, (line - row) * width + column - x, -(1 << 40)).flatten())
+    return ways
 
 
 def _passing(lens: Lens, points: Tensor, focus: Tensor) -> Tensor:
@@ -259,9 +263,9 @@ def _passing(lens: Lens, points: Tensor, focus: Tensor) -> Tensor:
 
 
 @kernel
-def _reconnected(points: Tensor, shift: Tensor, depth: Tensor, plane: Tensor, focus_distance: Tensor) -> tuple[Tensor, Tensor]:
-    """Lens points `[2, N]` that see the same through focus points moved by `shift` `[2, N]`, and the Jacobian `[N]`."""
-    through = reconnect(points, shift, depth, focus_distance)
+def _reconnected(points: Tensor, focus: Tensor, other: Tensor, depth: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
+    """Lens points `[2, N]` that see through `other` focus points what `points` saw through `focus`, and the Jacobian `[N]`."""
+    through = reconnect(points, (other - focus)[:2], depth, focus[2])
     return through, reconnection_jacobian(plane, points, through)
 
 
