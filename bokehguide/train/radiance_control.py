@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad, unfold
 
 from bokehguide.render.pixels import Pixels, pixel_numbers
 from bokehguide.render.vector import luminance
@@ -17,7 +18,7 @@ from bokehguide.train.ranks import BAND, Ranks
 
 CELL = 4
 """Pixels along the side of the squares that have a slope of their own; bands hold whole ones."""
-DOUBT = 32.0
+DOUBT = 64.0
 """A slope counts for the less, the larger this many squared standard errors of it are beside its square: those of
 samples that pixels do not share."""
 EVENEST = 1e-3
@@ -65,4 +66,9 @@ class RadianceControl(RankSums):
         slope = shared / spread.clamp(min=EVENEST)
         error = (light_squares / count - light * light - shared * slope).clamp(min=0.0) / (spread.clamp(min=EVENEST) * count)
         trust = slope * slope / (slope * slope + DOUBT * error).clamp(min=1e-300)
-        self.slopes.copy_(slope * trust * color / light.clamp(min=1e-300))
+        self.slopes.copy_(self._median(slope * trust) * color / light.clamp(min=1e-300))
+
+    def _median(self, values: Tensor) -> Tensor:
+        """Of each cell and those around it, `[cells]`."""
+        image = pad(values.reshape(1, 1, -1, self._across), (1, 1, 1, 1), mode="replicate")
+        return unfold(image, 3)[0].median(0).values

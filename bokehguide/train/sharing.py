@@ -7,8 +7,8 @@ It is multiple importance sampling: a point x that the densities p_k = q_k |∂l
 pixel i as W V_i / (A Σ_k V_k p_k) (balance heuristic, in the measure of x), where V is whether a pixel can see it. What is in
 focus is seen by one pixel alone, and counts as W / (A q).
 
-Groups are tiles of the film whose corner moves from step to step, so that no tile shows; they end where bands end, so that
-ranks and batches hold whole ones.
+Groups are tiles of the film that lie elsewhere in every step, wide or high, so that no tile shows; they end where bands end, so
+that ranks and batches hold whole ones.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from bokehguide.restir.shifts import reconnect, reconnection_jacobian
 from bokehguide.train.guide import LensDraw
 from bokehguide.train.ranks import BAND
 
-ACROSS, DOWN = 4, 2
-"""Pixels of a group: powers of two."""
+LONG, SHORT = 4, 2
+"""Pixels along the sides of a group: powers of two."""
 APART = 3.0
 """Pixels that those of a group are apart, about."""
 SMOOTH = 0.5
@@ -247,11 +247,12 @@ def _ways(width: int, key: int, device: torch.device) -> list[Tensor]:
     """From each pixel of a band, row by row, to each other place in its group: by how much numbers differ, int64 `[BAND * width]`;
     out of all films where the band ends before."""
     row, x = torch.meshgrid(torch.arange(BAND, device=device), torch.arange(width, device=device), indexing="ij")
-    right, below = key % ACROSS, (key >> 8) % DOWN
+    across, down = (LONG, SHORT) if key & 1 else (SHORT, LONG)
+    right, below = (key >> 8) % across, (key >> 16) % down
     ways = []
-    for member in range(1, ACROSS * DOWN):
-        column = ((x + right) ^ (member % ACROSS)) - right
-        line = ((row + below) ^ (member // ACROSS)) - below
+    for member in range(1, across * down):
+        column = ((x + right) ^ (member % across)) - right
+        line = ((row + below) ^ (member // across)) - below
         inside = (column >= 0) & (column < width) & (line >= 0) & (line < BAND)
         ways.append(torch.where(inside, (line - row) * width + column - x, -(1 << 40)).flatten())
     return ways
