@@ -46,10 +46,11 @@ from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.digest import digest
 from bokehguide.scene.lamps import Lamps
-from bokehguide.train import RenderLoop, RenderSettings, fitting, guide, known_lamps, spot_guide
+from bokehguide.train import RenderLoop, RenderSettings, fitting, guide, known_lamps, radiance_control, sharing, spot_guide
 from bokehguide.train.known_lamps import KnownLamps
 from bokehguide.train.lamp_yield import LampYield
 from bokehguide.train.light_guide import LightGuide
+from bokehguide.train.radiance_control import RadianceControl
 from bokehguide.train.record_buffer import RecordBuffer
 
 CODE = digest(tuple(path.read_text() for path in (*sorted(Path(bokehguide.__file__).parent.rglob("*.py")), Path(__file__))))
@@ -160,7 +161,7 @@ def independent_lens_points(random: PixelRandom, dimension: int, count: int, fir
 STRATIFIED = PixelRandom.stratified
 
 
-LAMPS, FOUND, LIGHTS = "known lamps", "found highlights", "learnt lights"
+LAMPS, FOUND, LIGHTS, SHARING = "known lamps", "found highlights", "learnt lights", "shared paths"
 PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
     LAMPS: ((spot_guide, "known_lamps", no_lamps),),
     FOUND: ((spot_guide, "fit_ellipsoids", nothing_found),),
@@ -173,6 +174,8 @@ PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
     "shared β": ((spot_guide, "POOLED", 1),),
     "stratified lens points": ((PixelRandom, "stratified", independent_lens_points),),
     "split paths": ((spot_guide, "PARTS", 1), (spot_guide, "MOST_PARTS", 1)),
+    SHARING: ((sharing, "LONG", 1), (sharing, "SHORT", 1)),
+    "weights as a control": ((RadianceControl, "update", lambda *_: None),),
     "resampled lights": ((direct_light, "CANDIDATES", 1),),
     "learnt visibility": ((LightChoice, "visibility", lambda _, cluster: torch.ones(cluster.shape)),),
     LIGHTS: ((LightGuide, "update", lambda *_: None),),
@@ -187,6 +190,7 @@ NEEDED = {
     "learnt β (else 0.65)": (LAMPS,),
     "shared β": (LAMPS, "learnt β (else 0.65)"),
     "learnt visibility": (LIGHTS, "resampled lights"),
+    "weights as a control": (SHARING,),
 }
 """Parts that do nothing by themselves, and what they are added to."""
 
@@ -207,6 +211,11 @@ def parts(number: int) -> Change:
     return Change("paths of a draw of weight 1", str(number), ((spot_guide, "PARTS", number), (spot_guide, "MOST_PARTS", 8 * number)), "guided")
 
 
+def group(long: int, short: int) -> Change:
+    """How many pixels share what their rays find."""
+    return Change("pixels of a group", f"{long} x {short}", ((sharing, "LONG", long), (sharing, "SHORT", short)), "guided")
+
+
 PLAIN = ((RecordBuffer, "add", add_plain), (RecordBuffer, "positions", plain_positions))
 CHANGES = {
     "alpha": constants("α of σ = α R_b", fitting, "ALPHA", [0.25, 0.35, 0.7, 1.0]),
@@ -222,6 +231,9 @@ CHANGES = {
     "alone": [guided_with("with none of its parts", ()), *map(alone, PARTS)],
     "candidates": constants("candidates of light samples", direct_light, "CANDIDATES", [1, 3, 4], "guided"),
     "parts": [parts(number) for number in (1, 4, 8)],
+    "group": [group(2, 2), group(4, 4)],
+    "smooth": constants("α of shared surfaces, views' angles", sharing, "SMOOTH", [0.25, 1.0, 2.0], "guided"),
+    "doubt": constants("doubt in slopes", radiance_control, "DOUBT", [16.0, 256.0], "guided"),
     "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 3, 5], "guided"),
     "positions": [Change("record positions", "plain means", PLAIN)],
     "weights": [

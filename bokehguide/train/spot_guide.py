@@ -12,6 +12,8 @@ It differs from the paper's (`guide.py`) in what is measured to pay:
 - How often each lamp is drawn in vain is learnt, tile by tile.
 - Rays split where they land, into more paths the more their draws weigh: the uniform part's, which bring what is no
   highlight and are few, count for much.
+- Neighbours look at what each other's rays found (`sharing.py`), and the weights of what they see are a control variate
+  (`radiance_control.py`).
 - β is the one of least variance, from the second moments of what each part of the mixture
   brought, shared among neighbouring pixels.
 """
