@@ -46,8 +46,8 @@ class FirstSurfaces:
     def radiance(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
         """Radiance `[3, J]` of the surfaces at `chosen`, int64 `[J]`, each at most once, towards unit directions `[3, J]`.
 
-        It is an unbiased estimate for any direction above the surface, from the same incident light; the fewer smooth
-        surfaces there are among them, the better. Of partly transmissive surfaces it is none.
+        It is an unbiased estimate for any direction above the surface, from the same incident light; the smoother the surface,
+        the noisier. Of partly transmissive surfaces it is none. Shading normals are those of the rays' own view.
         """
         if self._incident is None:
             ways = (self.towards_light, self.onward)

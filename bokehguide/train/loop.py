@@ -171,10 +171,10 @@ class RenderLoop:
             samples, directions = self._trace(focus, points, weight, random, timer)
             if self.step_number == 1 and self.guide is not None and self.guide.candidates is not None:
                 samples.rays += self._prime(places, focus, random, timer)
-        with timer.measure("output"):
             film_samples = self._film_samples(samples, directions, weight)
             if self.sharing is not None:
                 film_samples = self._shared(places, focus, draw, samples, film_samples, timer)
+        with timer.measure("output"):
             if self.reuse is None:
                 good = self._expose(places, film_samples)
             else:

@@ -231,8 +231,8 @@ def _members(places: Pixels, width: int, key: int, device: torch.device) -> list
     places: of the pixels on a film of this width; key: of where groups begin.
     """
     numbers = pixel_numbers(places, device)
-    first = int(numbers[0])
-    among = torch.full((int(numbers[-1]) - first + 2,), -1, device=device)  # the last one stands for what is elsewhere
+    first, last = (places.start, places.stop - 1) if isinstance(places, slice) else (int(places[0]), int(places[-1]))
+    among = torch.full((last - first + 2,), -1, device=device)  # the last one stands for what is elsewhere
     among[numbers - first] = torch.arange(len(numbers), device=device)
     in_band = numbers % (BAND * width)
     members = []
