@@ -28,7 +28,8 @@ def shown(meshes, materials, width: int, height: int, sky: bool = True, peak: fl
     """Under a sky with a bright part."""
     radiance = np.full((4, 8, 3), 0.3, np.float32)
     radiance[1, 3:5] = peak
-    return Scene("shared", camera, tuple(meshes), tuple(materials), Film(width, height, 3), Environment(radiance) if sky else None)
+    environment = Environment(radiance) if sky else None
+    return Scene("shared", camera, tuple(meshes), tuple(materials), Film(width, height, 3), environment)
 
 
 def terrace(width: int, height: int, sheet: bool = False, sky: bool = True) -> Scene:

@@ -75,7 +75,8 @@ def from_elsewhere(tracer: PathTracer, seed: int = 0) -> np.ndarray:
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_towards_where_the_ray_came_from_it_is_what_was_found(name):
-    samples = traced(PathTracer(lit(MATERIALS[name])), HERE, 0, torch.randint(1, 5, (COUNT,), generator=torch.Generator().manual_seed(1)))
+    parts = torch.randint(1, 5, (COUNT,), generator=torch.Generator().manual_seed(1))
+    samples = traced(PathTracer(lit(MATERIALS[name])), HERE, 0, parts)
     found = samples.first.radiance(torch.arange(COUNT), towards(samples.first, HERE))
     torch.testing.assert_close(found, samples.radiance, rtol=1e-4, atol=1e-5)
     assert float(samples.radiance.std()) > 0.01
@@ -120,7 +121,8 @@ def scattered(material: Material, count: int = 900) -> PathSamples:
     origin = torch.tensor([0.0, 1.2, 0.6])[:, None].repeat(1, count)
     direction = torch.nn.functional.normalize(torch.randn(3, count, generator=torch.Generator().manual_seed(2)), dim=0)
     index = (torch.arange(count) % 3 > 0).nonzero()[:, 0]
-    return tracer.trace(origin, direction, PixelRandom(0, 1, torch.arange(count)), PhaseTimer(), index=index, parts=torch.arange(count) % 4 + 1)
+    random, parts = PixelRandom(0, 1, torch.arange(count)), torch.arange(count) % 4 + 1
+    return tracer.trace(origin, direction, random, PhaseTimer(), index=index, parts=parts)
 
 
 @pytest.mark.parametrize("name", ["coated", "spotlight", "textured"])
@@ -130,7 +132,8 @@ def test_it_is_of_those_asked_for_alone(name):
     first = samples.first
     number = len(first.index)
     assert 200 < number < 399
-    torch.testing.assert_close(first.radiance(torch.arange(number), first.met.outgoing), samples.radiance[:, first.index], rtol=1e-4, atol=1e-5)
+    back = first.radiance(torch.arange(number), first.met.outgoing)
+    torch.testing.assert_close(back, samples.radiance[:, first.index], rtol=1e-4, atol=1e-5)
     outgoing = torch.nn.functional.normalize(first.met.outgoing + 0.5 * first.met.geometric_normal, dim=0)
     whole = first.radiance(torch.arange(number), outgoing)
     shuffled = torch.randperm(number, generator=torch.Generator().manual_seed(3))

@@ -97,7 +97,7 @@ def test_where_there_are_fewer_ends_than_spans_there_are_fewer_spans():
 
 @pytest.mark.parametrize("threads", [2, 5])
 def test_cut_where_they_may_be_they_cost_the_same_but_for_a_band(threads):
-    """The lower half of the picture costs 1.8 times as much as the upper one; each span ends within half a band of an even share."""
+    """The lower half of the picture costs 1.8 times as much as the upper one; spans end within half a band of even shares."""
     batches, pixels, band = Batches(threads), 200_000, 2_000
     cost = np.where(np.arange(pixels) < pixels // 2, 1.0, 1.8)
     ends = np.arange(0, pixels + 1, band)

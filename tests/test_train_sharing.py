@@ -13,7 +13,7 @@ from restir_cases import same_means
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Aperture, Material, Scene
 from bokehguide.train import RenderLoop, RenderSettings, sharing
-from bokehguide.train.ranks import BAND
+from bokehguide.train.ranks import BAND, Ranks
 from bokehguide.train.sharing import ACROSS, DOWN, NOWHERE, _members
 from tests.brute_force import every_hit
 from tests.sharing_cases import CAMERA, FLOOR, SHEET, WALL, Step, loop_of, on_film, same, shown, step_of, taught, terrace
@@ -219,6 +219,23 @@ def test_adjacent_pixels_of_a_band_share_a_group_in_some_steps_and_not_in_others
     assert not together[1, :-1][~inside].any()
 
 
+@pytest.mark.parametrize("count", [2, 3])
+def test_ranks_have_whole_groups(count):
+    """Every pixel is one rank's, and sees whom it would see if one had them all."""
+    width, height, device = 13, 37, torch.device("cpu")
+    whole = _members(slice(0, width * height), width, sharing.hash_int(7), device)
+    found = []
+    for rank in range(count):
+        ranks = Ranks()
+        ranks.rank, ranks.count = rank, count
+        mine = ranks.rows(width, height, device)
+        assert set((mine // width // BAND % count).tolist()) == {rank}
+        for member, expected in zip(_members(mine, width, sharing.hash_int(7), device), whole):
+            assert torch.equal(torch.where(member >= 0, mine[member], -1), expected[mine])
+        found.append(mine)
+    assert torch.equal(torch.cat(found).sort().values, torch.arange(width * height))
+
+
 def pictures(scene: Scene, steps: int, learns: int = 2) -> tuple[np.ndarray, np.ndarray]:
     """What sharing changes of the luminance and of the weights' mean, step by step, `[steps, H, W]` both."""
     loop, found = taught(scene, learns), []
@@ -271,8 +288,8 @@ def groups(step: Step, loop: RenderLoop) -> np.ndarray:
 
 def test_weights_of_lens_points_drawn_evenly_sum_to_one_for_each():
     """What a sample gives the others of its group is what it loses itself."""
-    scene = shown([rectangle(0, (0.3, 0.4, -4.0), scale=0.8), rectangle(1, (-0.3, 0.2, -0.4), scale=0.2)], (FLOOR, WALL), 22, 19, peak=0.3)
-    loop = loop_of(scene)
+    meshes = [rectangle(0, (0.3, 0.4, -4.0), scale=0.8), rectangle(1, (-0.3, 0.2, -0.4), scale=0.2)]
+    loop = loop_of(shown(meshes, (FLOOR, WALL), 22, 19, peak=0.3))
     step = step_of(loop, 3)
     assert step.draw.batch is None
     assert float((step.shared.weight - 1.0).abs().median()) > 0.01
@@ -399,5 +416,6 @@ def test_crops_at_odd_places_have_the_mean_of_the_frame():
             loop = RenderLoop(scene, RenderSettings("guided", seed=seed, threads=1, crop=crop))
             for _ in range(2):
                 loop.step()
-            found.append(luminance(loop.film.radiance().permute(2, 0, 1).flatten(1)).reshape(loop.film.height, -1).double().numpy())
+            light = luminance(loop.film.radiance().permute(2, 0, 1).flatten(1))
+            found.append(light.reshape(loop.film.height, -1).double().numpy())
     assert same_means(np.stack(crops), np.stack(frames)[:, y : y + down, x : x + across]) > SIGNIFICANCE
