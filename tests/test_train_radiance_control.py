@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from scipy import stats
+from scipy.ndimage import median_filter
 from torch import Tensor
 
 from bokehguide.render.vector import luminance
@@ -44,11 +45,12 @@ def samples(steps: int, seed: int = 0) -> list[tuple[Tensor, Tensor]]:
 
 
 def expected_slopes(found: list[tuple[Tensor, Tensor]]) -> np.ndarray:
-    """Least squares of the luminance by the weight, cell by cell, times the trust in it and the mean colour, `[3, N]`."""
+    """Least squares of the luminance by the weight, cell by cell, times the trust in it: the median of cells around, in the
+    cell's mean colour, `[3, N]`."""
     radiance = np.stack([part.double().numpy() for part, _ in found])
     weight = np.stack([part.double().numpy() for _, part in found])
     x, y = np.arange(PIXELS) % WIDTH // CELL, np.arange(PIXELS) // WIDTH // CELL
-    slopes = np.zeros((3, PIXELS))
+    slopes, colors = np.zeros((y[-1] + 1, x[-1] + 1)), np.zeros((3, PIXELS))
     for cell in set(zip(x.tolist(), y.tolist())):
         mine = (x == cell[0]) & (y == cell[1])
         light, w = (COLOR @ radiance[:, :, mine].transpose(1, 0, 2).reshape(3, -1)), weight[:, mine].ravel()
@@ -57,8 +59,8 @@ def expected_slopes(found: list[tuple[Tensor, Tensor]]) -> np.ndarray:
         squared_error = float(residuals[0]) / len(w) / (w.var() * len(w))
         trust = slope**2 / (slope**2 + DOUBT * squared_error)
         color = radiance[:, :, mine].mean((0, 2))
-        slopes[:, mine] = (slope * trust * color / (COLOR @ color))[:, None]
-    return slopes
+        slopes[cell[::-1]], colors[:, mine] = slope * trust, (color / (COLOR @ color))[:, None]
+    return median_filter(slopes, 3, mode="nearest")[y, x] * colors
 
 
 def taught(found: list[tuple[Tensor, Tensor]], control: RadianceControl | None = None) -> RadianceControl:
@@ -77,14 +79,13 @@ def test_slopes_are_those_of_a_regression():
     slopes = taught(found).slope(ALL).numpy()
     expected = expected_slopes(found)
     np.testing.assert_allclose(slopes, expected, rtol=1e-4, atol=1e-6)
-    assert 0.7 * 10.0 < slopes[0, -1] < 11.0 and np.ptp(slopes[0]) > 5.0
+    assert 0.5 * 10.0 < slopes[0, -1] < 11.0 and np.ptp(slopes[0]) > 5.0
 
 
 def test_few_samples_are_hardly_trusted():
     """What two steps show of a radiance that has nothing to do with the weights counts for less than a regression has it."""
     column = slice(0, CELL)
-    few, many = (np.abs(taught(samples(steps, 3)).slope(column).numpy()).max() for steps in (2, 400))
-    assert few < 0.15 and many < 0.15
+    assert np.abs(taught(samples(2, 3)).slope(column).numpy()).max() < 0.15
     trusted = taught(samples(400, 3)).slope(slice(WIDTH - 2, WIDTH)).numpy()
     assert (trusted > 0.7 * np.array([[1.0], [0.6], [0.3]]) * 12 / WIDTH).all()
 

@@ -14,7 +14,7 @@ from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Aperture, Material, Scene
 from bokehguide.train import RenderLoop, RenderSettings, sharing
 from bokehguide.train.ranks import BAND, Ranks
-from bokehguide.train.sharing import ACROSS, DOWN, NOWHERE, _members
+from bokehguide.train.sharing import LONG, NOWHERE, SHORT, _members
 from tests.brute_force import every_hit
 from tests.sharing_cases import CAMERA, FLOOR, SHEET, WALL, Step, loop_of, on_film, same, shown, step_of, taught, terrace
 from tests.statistical import SIGNIFICANCE, z_test
@@ -144,16 +144,8 @@ def unlike(loop: RenderLoop, step: Step) -> tuple[int, int]:
     return int(apart.sum()), seen
 
 
-BEYOND_SHEER = "the sky that others see beyond a sheer surface counts as if nothing were in its own pixel's way"
-SCENES = [
-    pytest.param(False, True, id="opaque"),
-    pytest.param(True, False, id="sheer"),
-    pytest.param(True, True, id="sheer and sky", marks=pytest.mark.xfail(reason=BEYOND_SHEER)),
-]
-
-
 @pytest.mark.parametrize("steps", [0, 2])
-@pytest.mark.parametrize("sheet, sky", SCENES)
+@pytest.mark.parametrize("sheet, sky", [(False, True), (True, False), (True, True)])
 def test_what_is_shared_is_what_plain_loops_make_of_it(sheet, sky, steps):
     """In two bands, one of two rows, in the first step and with what was learnt."""
     loop = taught(terrace(12, 10, sheet, sky), steps)
@@ -182,10 +174,11 @@ def lists(width: int, height: int, seed: int = 0) -> dict[str, torch.Tensor | sl
 @pytest.mark.parametrize("kind", ["whole", "bands", "sparse"])
 @pytest.mark.parametrize("width, height", [(21, 19), (3, 25), (1, 9), (2, 17), (16, 24)])
 def test_groups_are_small_lie_in_bands_and_see_each_other(width, height, kind):
-    """Each is within a tile of 4 × 2 pixels, and holds all of the tile's that there are."""
+    """Each is within a tile of 4 × 2 or 2 × 4 pixels, by turns, and holds all of the tile's that there are."""
     places = lists(width, height)[kind]
     numbers = torch.arange(places.start, places.stop) if isinstance(places, slice) else places
     number_of = {pixel: i for i, pixel in enumerate(numbers.tolist())}
+    shapes = set()
     for step in range(12):
         members = _members(places, width, sharing.hash_int(step), torch.device("cpu"))
         groups = [{i} for i in range(len(numbers))]
@@ -198,14 +191,18 @@ def test_groups_are_small_lie_in_bands_and_see_each_other(width, height, kind):
         for i, group in enumerate(groups):
             assert all(groups[other] == group for other in group)
             x, y = (np.array([part(int(numbers[j])) for j in group]) for part in (lambda n: n % width, lambda n: n // width))
-            assert len(set(y // BAND)) == 1 and np.ptp(x) < ACROSS and np.ptp(y) < DOWN
+            assert len(set(y // BAND)) == 1
+            wide, high = (np.ptp(x) < one and np.ptp(y) < other for one, other in ((LONG, SHORT), (SHORT, LONG)))
+            assert wide or high
+            shapes.add((wide, high))
             box = [(a, b) for a in range(x.min(), x.max() + 1) for b in range(y.min(), y.max() + 1)]
             assert all(number_of[b * width + a] in group for a, b in box if b * width + a in number_of)
+    assert {(True, False), (False, True)} <= shapes or min(width, height) < LONG
 
 
 @pytest.mark.parametrize("width, height", [(13, 19), (3, 9)])
 def test_adjacent_pixels_of_a_band_share_a_group_in_some_steps_and_not_in_others(width, height):
-    """By the share of tiles that hold both: three of four side by side, one of two one below the other; never across bands."""
+    """By the share of tiles that hold both: three of four along them, one of two across; never across bands."""
     together, steps = np.zeros((2, height, width)), 400
     for step in range(steps):
         seen = torch.stack(_members(slice(0, width * height), width, sharing.hash_int(step), torch.device("cpu"))).numpy()
@@ -213,9 +210,10 @@ def test_adjacent_pixels_of_a_band_share_a_group_in_some_steps_and_not_in_others
         for axis, offset in enumerate((1, width)):
             together[axis] += (seen == place + offset).any(0).reshape(height, width) / steps
     inside = np.arange(height - 1) % BAND != BAND - 1
-    for share, expected in ((together[0, :, :-1], 0.75), (together[1, :-1][inside], 0.5)):
+    for share in (together[0, :, :-1], together[1, :-1][inside]):
+        expected = 0.5 * (0.75 + 0.5)
         error = math.sqrt(expected * (1.0 - expected) / steps)
-        assert float(np.abs(share - expected).max()) < 4.5 * error  # all pixels have one of four or two places
+        assert float(np.abs(share - expected).max()) < 4.5 * error  # all pixels have one of a few places in tiles
     assert not together[1, :-1][~inside].any()
 
 
@@ -257,7 +255,6 @@ def test_sharing_leaves_the_mean(sheet, sky, learns):
     assert none_but_noise(weight) > SIGNIFICANCE
 
 
-@pytest.mark.xfail(reason=BEYOND_SHEER)
 def test_sharing_leaves_the_mean_of_the_sky_beyond_the_edge_of_a_sheer_sheet():
     """In focus, so that half of the columns see all of the sky past it and half see all of it through the sheet."""
     across, down = 8, 256
@@ -269,14 +266,14 @@ def test_sharing_leaves_the_mean_of_the_sky_beyond_the_edge_of_a_sheer_sheet():
 
 
 def test_it_pays():
-    """The luminance of what is out of focus has less than half the variance."""
+    """The luminance of most pixels has less than 0.6 of the variance, in a film of a few groups."""
     loop, own, shared = taught(terrace(WIDTH, HEIGHT)), [], []
     for seed in range(24):
         step = step_of(loop, seed)
         own.append(luminance(step.own))
         shared.append(luminance(step.shared.radiance))
     ratio = torch.stack(shared).var(0) / torch.stack(own).var(0).clamp(min=1e-12)
-    assert float(ratio.median()) < 0.5
+    assert float(ratio.median()) < 0.6
 
 
 def groups(step: Step, loop: RenderLoop) -> np.ndarray:

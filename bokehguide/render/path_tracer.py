@@ -64,9 +64,9 @@ class PathSamples:
     radiance, and of the first surface normal, albedo and emission: `[3, N]`; distance to it,
     MISS_DISTANCE where there is none; alpha: 1 where the camera sees a surface or what lies
     at infinity, else 0; triangle: that of the first surface, int32, -1 where there is none;
-    rays: number of rays traced; first: the first surfaces, where paths split there, None where no ray met one. Under a `LightChoice`, also the lights it chose, None where no ray met a surface; and
-    image, the distance at which most of the radiance appears to come from: that of the first surface, or of what is
-    mirrored there.
+    rays: number of rays traced; first: the first surfaces, where paths split there, None where no ray met one. Under a
+    `LightChoice`, also the lights it chose, None where no ray met a surface; and image, the distance at which most of the
+    radiance appears to come from: that of the first surface, or of what is mirrored there.
     """
 
     radiance: Tensor

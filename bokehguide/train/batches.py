@@ -26,8 +26,6 @@ class Batches:
     def __init__(self, threads: int, paths: int = 1):
         self._threads = threads
         self._most = BATCH // paths
-        self._count = 0
-        """How many of them there should be."""
         self._cuts = np.zeros(1)
         """Where spans begin and end, as shares of the row."""
         self._longest = 1.0
@@ -42,8 +40,8 @@ class Batches:
             return []
         rounds = math.ceil(pixels / (self._most * self._threads))
         count = max(min(rounds * self._threads, pixels // SMALL_BATCH), 1)
-        if self._count != count:
-            self._count, self._cuts = count, np.linspace(0.0, 1.0, count + 1)
+        if len(self._cuts) != count + 1:  # another size, or spans lost between ends
+            self._cuts = np.linspace(0.0, 1.0, count + 1)
         self._longest = LONGEST * self._most * count / pixels
         places = np.rint(self._cuts * pixels).astype(int)
         if ends is not None:

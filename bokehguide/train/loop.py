@@ -28,7 +28,8 @@ from bokehguide.render.vector import luminance
 from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
 from bokehguide.train.batches import Batches
-from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide, guide_images, starts_block, uniform_draw
+from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide
+from bokehguide.train.guide import guide_images, starts_block, uniform_draw
 from bokehguide.train.light_guide import LightGuide
 from bokehguide.train.ranks import BAND, Ranks, available_cores
 from bokehguide.train.radiance_control import RadianceControl

@@ -50,7 +50,7 @@ class RadianceControl(RankSums):
     def add(self, places: Pixels, radiance: Tensor, weight: Tensor) -> None:
         """Add samples `[3, N]` with their weights `[N]`. Those that are not finite count for none."""
         light = luminance(radiance)
-        rows = torch.cat((torch.stack((torch.ones_like(light), weight, weight * weight, weight * light, light * light)), radiance))
+        rows = torch.stack((torch.ones_like(light), weight, weight * weight, weight * light, light * light, *radiance))
         rows = rows.double() * (weight + light * light).isfinite()
         self.mine.index_add_(1, self._cells(places), rows.nan_to_num(0.0, 0.0, 0.0))
 

@@ -19,8 +19,8 @@ BAND = 8
 class Ranks:
     """The processes of a job that `torchrun` started, or this one alone.
 
-    Each renders every `count`-th band of BAND rows of the film. A context that leaves the job at its end. All methods that return something of all
-    ranks are collective: every rank calls them, in the same order.
+    Each renders every `count`-th band of BAND rows of the film. A context that leaves the job at its end. All methods that
+    return something of all ranks are collective: every rank calls them, in the same order.
     """
 
     def __init__(self) -> None:

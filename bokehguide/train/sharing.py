@@ -44,16 +44,16 @@ NOWHERE = 1e15
 
 
 class Shared(NamedTuple):
-    """What N pixels see through each other's eyes: W L / (A q) summed over all who found it, and the sum of the weights alone,
-    whose mean is 1; `[3, N]` and `[N]`."""
+    """What N pixels see through each other's eyes: W L / (A q) summed over all who found it, `[3, N]`, and the sum of the weights
+    alone, whose mean is 1, `[N]`."""
 
     radiance: Tensor
     weight: Tensor
 
 
 class _Seen(NamedTuple):
-    """What the samples of a batch met, in the camera frame: the plane `[3, N]` of the first surface (see `Reservoirs`), depth `[N]`,
-    and whether it may be shared, bool `[N]`; place: of the sample among the first surfaces, int64 `[N]`, -1 for none."""
+    """What the samples of a batch met, in the camera frame: the plane `[3, N]` of the first surface (see `Reservoirs`), depth
+    `[N]`, and whether it may be shared, bool `[N]`; place: of the sample among the first surfaces, int64 `[N]`, -1 for none."""
 
     plane: Tensor
     depth: Tensor
@@ -63,7 +63,7 @@ class _Seen(NamedTuple):
 
 class _View(NamedTuple):
     """How J pixels see samples of others: whose they are and who sees them, int64 `[J]`; through which lens points `[2, J]`;
-    |∂l' / ∂l| times the share of the light that arrives, and W / A there, `[J]`; the unit directions towards them, `[3, J]`."""
+    |∂l' / ∂l| times the share of the light that arrives, and W / A there, `[J]`; the unit directions to them, `[3, J]`."""
 
     source: Tensor
     viewer: Tensor
@@ -95,7 +95,7 @@ class PathSharing:
         mixture = None if draw.batch is None else draw.batch.distribution
         own = lens.transmission(points) / lens.area if draw.at is None else draw.at.density
         seen = self._seen(draw, samples, depth)
-        arriving = self._own_transmittance(seen, points, samples, timer)
+        arriving = self._own_transmittance(seen, points, focus, samples, timer)
         total, views = own * arriving, []
         key = hash_int(hash_int(self._seed ^ 0x68E31DA4) + step)
         for viewer in _members(places, self._width, key, focus.device):
@@ -137,7 +137,7 @@ class PathSharing:
         return apart.clamp(max=2.0 * camera.lens.radius) / depth
 
     def _spreads(self, first: FirstSurfaces, least: Tensor) -> Tensor:
-        """Which first surfaces look alike from all lens points of a group: opaque, and with GGX α of at least `least`; bool `[K]`."""
+        """Which first surfaces look alike from all lens points of a group: opaque, with α of at least `least`; bool `[K]`."""
         surface, materials = first.met, self._tracer.geometry.materials
         spreads = surface.alpha >= least
         if surface.clearcoat is not None:
@@ -148,12 +148,15 @@ class PathSharing:
             spreads &= surface.front > 0.0
         return spreads
 
-    def _own_transmittance(self, seen: _Seen, points: Tensor, samples: PathSamples, timer: PhaseTimer) -> Tensor:
-        """How likely rays pass all sheer surfaces before what they met, as `_arriving` has it for the others, `[N]`."""
+    def _own_transmittance(
+        self, seen: _Seen, points: Tensor, focus: Tensor, samples: PathSamples, timer: PhaseTimer
+    ) -> Tensor:
+        """How likely rays pass all sheer surfaces before what they met, as `_view` has it for the others, `[N]`."""
         share = torch.ones_like(seen.depth)
-        if self._tracer.geometry.materials.has_sheer and samples.first is not None:
-            index = indices(seen.shareable & (seen.place >= 0))
-            share[index], _ = self._arriving(seen.place.index_select(0, index), points.index_select(1, index), samples, timer)
+        if self._tracer.geometry.materials.has_sheer:
+            index = indices(seen.shareable)
+            own = (points.index_select(1, index), focus.index_select(1, index))
+            share[index], _ = self._arriving(seen.place.index_select(0, index), *own, samples, timer)
         return share
 
     def _view(
@@ -166,46 +169,43 @@ class PathSharing:
         source = indices(passing > 0.0)
         one = (values.index_select(-1, source) for values in (viewer, through, jacobian, passing))
         view = _View(source, *one, torch.empty(3, len(source), device=source.device))
-        place = seen.place.index_select(0, source)
-        arriving, outgoing = torch.zeros_like(view.jacobian), view.outgoing
+        place, focus_seen = seen.place.index_select(0, source), focus_seen.index_select(1, source)
+        arriving, outgoing = self._arriving(place, view.points, focus_seen, samples, timer)
+        return view._replace(jacobian=view.jacobian * arriving, outgoing=outgoing)
+
+    def _arriving(
+        self, place: Tensor, points: Tensor, focus: Tensor, samples: PathSamples, timer: PhaseTimer
+    ) -> tuple[Tensor, Tensor]:
+        """Share of the light that arrives at lens points `[2, J]`, and unit directions in which it leaves, `[3, J]`.
+
+        It is that of the first surfaces at `place` `[J]`, or where that is -1 of what lies at infinity beyond `focus` `[3, J]`.
+        """
+        arriving, outgoing = torch.zeros_like(points[0]), torch.zeros_like(focus)
         met, infinite = indices(place >= 0), indices(place < 0)
         if len(met) > 0:
-            share, towards = self._arriving(place.index_select(0, met), view.points.index_select(1, met), samples, timer)
-            put(arriving, met, share)
+            first = samples.first.met
+            there = place.index_select(0, met)
+            ends = (values.index_select(-1, there) for values in (first.position, first.geometric_normal, first.offset))
+            on_lens = self._camera.axes[:, :2] @ points.index_select(1, met) + self._camera.position
+            towards, above, *ray = _ray_to(on_lens, *ends)
             put(outgoing, met, towards)
+            rises = indices(above)
+            ray = (values.index_select(-1, rises) for values in ray)
+            put(arriving, met.index_select(0, rises), self._transmittance(*ray, samples, timer))
         if len(infinite) > 0:
-            put(arriving, infinite, self._arriving_from_afar(view, infinite, focus, samples, timer))
-        return view._replace(jacobian=view.jacobian * arriving)
+            ray = self._camera.rays(focus.index_select(1, infinite), points.index_select(1, infinite))
+            distance = torch.full_like(ray[0][0], MISS_DISTANCE)
+            put(arriving, infinite, self._transmittance(*ray, distance, samples, timer))
+        return arriving, outgoing
 
-    def _arriving(self, place: Tensor, points: Tensor, samples: PathSamples, timer: PhaseTimer) -> tuple[Tensor, Tensor]:
-        """Share of the light of first surfaces at `place` `[J]` that arrives at lens points `[2, J]`, and unit directions `[3, J]`."""
-        met, through = samples.first.met, self._on_lens(points)
-        ends = (values.index_select(-1, place) for values in (met.position, met.geometric_normal, met.offset))
-        outgoing, above, *ray = _ray_to(through, *ends)
-        index = indices(above)
-        return self._unblocked(index, ray, samples, timer), outgoing
-
-    def _arriving_from_afar(
-        self, view: _View, index: Tensor, focus: Tensor, samples: PathSamples, timer: PhaseTimer
+    def _transmittance(
+        self, origin: Tensor, direction: Tensor, distance: Tensor, samples: PathSamples, timer: PhaseTimer
     ) -> Tensor:
-        """Share of the light that arrives for those of a view at `index` `[K]`, of samples at infinity, `[K]`."""
-        viewer, points = view.viewer.index_select(0, index), view.points.index_select(1, index)
-        ray = (*self._camera.rays(focus.index_select(1, viewer), points), torch.full_like(points[0], MISS_DISTANCE))
-        return self._unblocked(torch.arange(len(index), device=index.device), ray, samples, timer)
-
-    def _unblocked(self, index: Tensor, ray: tuple[Tensor, ...], samples: PathSamples, timer: PhaseTimer) -> Tensor:
-        """Share of the light that comes through along those of rays (origins, directions, distances) at `index`; 0 for the others."""
-        origin, direction, distance = (values.index_select(-1, index) for values in ray)
+        """Share of the light `[K]` that comes through along rays; they count as those of the samples."""
         with timer.measure("tracing rays"):
             share, traced = self._tracer.opacity.transmittance(origin, direction, distance)
         samples.rays += traced
-        every = torch.zeros_like(ray[2])
-        put(every, index, share)
-        return every
-
-    def _on_lens(self, points: Tensor) -> Tensor:
-        """World positions `[3, J]` of lens points."""
-        return self._camera.axes[:, :2] @ points + self._camera.position
+        return share
 
     def _density(self, mixture: LensMixture | None, view: _View, count: int) -> Tensor:
         """q of the viewers, of `count` pixels, at the lens points through which they see, `[J]`."""
@@ -226,7 +226,7 @@ class PathSharing:
 
 
 def _members(places: Pixels, width: int, key: int, device: torch.device) -> list[Tensor]:
-    """For each other place in a group, who is there for each of N pixels: its number among them, int64 `[N]`, -1 for none.
+    """For each other place in a group, who is there for each of N pixels: its number among them, int64 `[N]`, or -1.
 
     places: of the pixels on a film of this width; key: of where groups begin.
     """
@@ -244,8 +244,8 @@ def _members(places: Pixels, width: int, key: int, device: torch.device) -> list
 
 
 def _ways(width: int, key: int, device: torch.device) -> list[Tensor]:
-    """From each pixel of a band, row by row, to each other place in its group: by how much numbers differ, int64 `[BAND * width]`;
-    out of all films where the band ends before."""
+    """From each pixel of a band, row by row, to each other place in its group: by how much numbers differ, int64
+    `[BAND * width]`; out of all films where the band ends before."""
     row, x = torch.meshgrid(torch.arange(BAND, device=device), torch.arange(width, device=device), indexing="ij")
     across, down = (LONG, SHORT) if key & 1 else (SHORT, LONG)
     right, below = (key >> 8) % across, (key >> 16) % down
@@ -272,7 +272,7 @@ def _reconnected(points: Tensor, focus: Tensor, other: Tensor, depth: Tensor, pl
 
 @kernel
 def _ray_to(through: Tensor, position: Tensor, normal: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
-    """Unit directions from surfaces to points `[3, N]`, whether they lead up from the side with `normal`, and rays, off the surface."""
+    """Unit directions from surfaces to points `[3, N]`, whether they lead up on `normal`'s side, and rays off the surface."""
     way = through - position
     outgoing = way / length(way)
     origin = position + normal * offset
