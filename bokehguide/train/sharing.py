@@ -103,7 +103,7 @@ class PathSharing:
             if len(view.source) > 0:
                 total.index_add_(0, view.source, self._density(mixture, view, len(total)) * view.jacobian)
                 views.append(view)
-        scale = 1.0 / total.clamp(min=1e-20)
+        scale = 1.0 / total.clamp(min=1e-37)
         weight = torch.where(draw.weight > 0.0, _passing(lens, points, focus) * arriving * scale, 0.0)
         shared = Shared(samples.radiance * weight, weight)
         for view in views:
