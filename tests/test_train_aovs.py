@@ -13,11 +13,11 @@ from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectan
 from bokehguide.scene.types import Environment, Film, Material, Scene
 from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
 from bokehguide.train.radiance_control import CELL
-from bokehguide.train.sharing import ACROSS
+from bokehguide.train.sharing import LONG
 from tests.statistical import SIGNIFICANCE, block_means, z_test
 
 BLOCK, RENDERS, SPP = 8, 12, 24
-REACH = (ACROSS - 1) + (CELL - 1)
+REACH = (LONG - 1) + (CELL - 1)
 """Pixels from which light, or the slope that goes with the weights, may come to another one in `guided`."""
 NAMES = ("A", "depth.Z", *(f"normal.{c}" for c in "XYZ"), *(f"{n}.{c}" for n in ("albedo", "emission") for c in "RGB"))
 
