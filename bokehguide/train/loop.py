@@ -277,7 +277,7 @@ class RenderLoop:
             if self.light_guide is not None:
                 self.light_guide.update(self.step_number + 1)
             if self.control is not None:
-                self.control.update()
+                self.control.update(self.film.radiance().reshape(-1, 3).T * self._mine_of_film().to(self.settings.device))
 
     def _add_records(self, results: list[BatchResult]) -> None:
         for result in results:

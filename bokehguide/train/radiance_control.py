@@ -2,7 +2,9 @@
 
 Weights W / (A q) have the mean 1, whatever is seen. Where what is seen is even, all noise is in them, and radiance less
 c (weight - 1) has none of it; where highlights are guided to, weights say little. How much they say, c, is the slope of a
-regression over earlier blocks of steps: a c from the same block would make the picture biased.
+regression over earlier blocks of steps: a c from the same block would make the picture biased. Where an edge goes through a
+cell, that is wrong for some of its pixels: no |c| is larger than what the pixel itself saw on average in those blocks. So what is
+dark stays so exactly, and no mean comes out negative where the mean weight stays below 2.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad, unfold
 
-from bokehguide.render.pixels import Pixels, pixel_numbers
+from bokehguide.render.pixels import Pixels, pixel_numbers, take
 from bokehguide.render.vector import luminance
 from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import BAND, Ranks
@@ -38,6 +40,8 @@ class RadianceControl(RankSums):
         cells = self._across * -(-height // CELL)
         super().__init__(torch.zeros(8, cells, dtype=torch.float64, device=device), ranks)
         self.register_buffer("slopes", torch.zeros(3, cells, device=device))
+        self.register_buffer("most", torch.zeros(3, width * height, device=device))
+        """What |c| may be in each pixel."""
 
     def _cells(self, places: Pixels) -> Tensor:
         numbers = pixel_numbers(places, self.slopes.device)
@@ -45,7 +49,8 @@ class RadianceControl(RankSums):
 
     def slope(self, places: Pixels) -> Tensor:
         """c `[3, N]` of some pixels of the film, 0 in the first block."""
-        return self.slopes.index_select(1, self._cells(places))
+        most = take(self.most, places)
+        return self.slopes.index_select(1, self._cells(places)).clamp(-most, most)
 
     def add(self, places: Pixels, radiance: Tensor, weight: Tensor) -> None:
         """Add samples `[3, N]` with their weights `[N]`. Those that are not finite count for none."""
@@ -54,9 +59,10 @@ class RadianceControl(RankSums):
         rows = rows.double() * (weight + light * light).isfinite()
         self.mine.index_add_(1, self._cells(places), rows.nan_to_num(0.0, 0.0, 0.0))
 
-    def update(self) -> None:
-        """End a block: go by all samples so far; collective."""
+    def update(self, picture: Tensor) -> None:
+        """End a block: go by all samples so far; collective. picture: `[3, pixels]` so far, 0 but in this rank's pixels."""
         self.merge()
+        self.most.copy_(self.ranks.total(picture).clamp(min=0.0))
         count, weight, squares, product, light_squares = self.sums[:5]
         count = count.clamp(min=1.0)
         color = self.sums[5:] / count
