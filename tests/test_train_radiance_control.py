@@ -25,6 +25,8 @@ from tests.tracing import rectangle
 WIDTH, HEIGHT = 14, 11
 PIXELS = WIDTH * HEIGHT
 COLOR = np.array([0.2126, 0.7152, 0.0722])
+BRIGHT = torch.full((3, PIXELS), 1e6)
+"""A picture that bounds no slope."""
 
 
 def control_of(ranks: Ranks | None = None) -> RadianceControl:
@@ -67,7 +69,7 @@ def taught(found: list[tuple[Tensor, Tensor]], control: RadianceControl | None =
     control = control_of() if control is None else control
     for radiance, weight in found:
         control.add(slice(0, PIXELS), radiance, weight)
-    control.update()
+    control.update(BRIGHT)
     return control
 
 
@@ -80,6 +82,18 @@ def test_slopes_are_those_of_a_regression():
     expected = expected_slopes(found)
     np.testing.assert_allclose(slopes, expected, rtol=1e-4, atol=1e-6)
     assert 0.5 * 10.0 < slopes[0, -1] < 11.0 and np.ptp(slopes[0]) > 5.0
+
+
+def test_no_slope_is_larger_than_what_the_pixel_saw():
+    """In any channel; negative means of what was seen count for none."""
+    found = samples(30)
+    control = taught(found)
+    free = control.slope(ALL)
+    picture = torch.linspace(-1.0, 3.0, 3 * PIXELS).reshape(3, PIXELS)
+    control.update(picture)
+    most = picture.clamp(min=0.0)
+    assert torch.equal(control.slope(ALL), free.clamp(-most, most))
+    assert bool((control.slope(ALL) < free).any()) and bool((control.slope(ALL) == free).any())
 
 
 def test_few_samples_are_hardly_trusted():
@@ -98,7 +112,7 @@ def test_all_blocks_so_far_count_and_none_before_it_has_ended():
         control.add(ALL, radiance, weight)
         assert torch.equal(control.slope(ALL), before)
         if number in (3, 11):
-            control.update()
+            control.update(BRIGHT)
             np.testing.assert_allclose(control.slope(ALL).numpy(), expected_slopes(found[: number + 1]), rtol=1e-4, atol=1e-6)
 
 
@@ -109,7 +123,7 @@ def test_pixels_may_come_in_parts():
         for part in (few, ~few):
             places = part.nonzero()[:, 0]
             parts.add(places, radiance[:, places], weight[places])
-    parts.update()
+    parts.update(BRIGHT)
     whole = taught(found)
     torch.testing.assert_close(parts.slope(ALL), whole.slope(ALL), rtol=1e-5, atol=1e-8)
     places = few.nonzero()[:, 0]
@@ -156,7 +170,7 @@ class OneOfTwo(Ranks):
         self.count, self.other = 2, other
 
     def total(self, values: Tensor) -> Tensor:
-        return values + self.other
+        return values + self.other if values.shape == self.other.shape else values
 
 
 def test_two_ranks_know_what_one_alone_would():
@@ -174,7 +188,7 @@ def test_two_ranks_know_what_one_alone_would():
             for rank, other in zip(ranks, reversed(controls)):
                 rank.other = other.mine.clone()
             for control in (*controls, alone):
-                control.update()
+                control.update(BRIGHT)
             for control in controls:
                 torch.testing.assert_close(control.sums, alone.sums, rtol=1e-12, atol=1e-12)
                 torch.testing.assert_close(control.slopes, alone.slopes, rtol=1e-6, atol=1e-9)
@@ -188,7 +202,7 @@ def test_state_dicts_hold_what_was_learnt():
     assert torch.equal(other.slope(ALL), learnt.slope(ALL))
     for control in (learnt, other):
         control.add(ALL, *found[4])
-        control.update()
+        control.update(BRIGHT)
     assert torch.equal(other.slope(ALL), learnt.slope(ALL))
 
 
