@@ -113,7 +113,7 @@ class Reference:
         """Radiance `[3, N]` and weights `[N]`, and how many samples others saw."""
         numbers = torch.arange(self.count) if isinstance(self.step.places, slice) else self.step.places
         members = _members(numbers, self.loop.film.width, key_of(self.loop, self.step), numbers.device)
-        members = torch.stack(members).numpy()
+        members = members.numpy()
         radiance, weights, seen = np.zeros((3, self.count)), np.zeros(self.count), 0
         for source in range(self.count):
             if not self.step.draw.weight[source] > 0.0:
@@ -182,7 +182,7 @@ def test_groups_are_small_lie_in_bands_and_see_each_other(width, height, kind):
     for step in range(12):
         members = _members(places, width, sharing.hash_int(step), torch.device("cpu"))
         groups = [{i} for i in range(len(numbers))]
-        for member in members:
+        for member in members.unbind():
             for i, other in enumerate(member.tolist()):
                 if other >= 0:
                     assert other != i and other not in groups[i]
@@ -205,7 +205,7 @@ def test_adjacent_pixels_of_a_band_share_a_group_in_some_steps_and_not_in_others
     """By the share of tiles that hold both: three of four along them, one of two across; never across bands."""
     together, steps = np.zeros((2, height, width)), 400
     for step in range(steps):
-        seen = torch.stack(_members(slice(0, width * height), width, sharing.hash_int(step), torch.device("cpu"))).numpy()
+        seen = _members(slice(0, width * height), width, sharing.hash_int(step), torch.device("cpu")).numpy()
         place = np.arange(width * height)
         for axis, offset in enumerate((1, width)):
             together[axis] += (seen == place + offset).any(0).reshape(height, width) / steps
@@ -278,7 +278,7 @@ def test_it_pays():
 
 def groups(step: Step, loop: RenderLoop) -> np.ndarray:
     """The least pixel of each pixel's group, `[N]`."""
-    members = torch.stack(_members(step.places, loop.film.width, key_of(loop, step), step.depth.device))
+    members = _members(step.places, loop.film.width, key_of(loop, step), step.depth.device)
     every = torch.arange(len(step.depth))
     return torch.minimum(every, torch.where(members >= 0, members, every).amin(0)).numpy()
 

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.kernels import kernel
-from bokehguide.render.pixels import indices, put
 from bokehguide.render.scattering import opaque_values
 from bokehguide.render.tracer import Hit
 
@@ -41,10 +40,12 @@ class FirstSurfaces:
         """Ray of each path, int64 `[P]`."""
         if self.direct is None:  # without lights to sample
             self.direct, self.towards_light = torch.zeros_like(self.indirect), self.surface.normal
+        self._counts = torch.bincount(self.owner, minlength=len(self.index))
+        """Of paths, of each surface, int64 `[K]`."""
         self._incident: tuple[Tensor, Tensor] | None = None
 
     def radiance(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
-        """Radiance `[3, J]` of the surfaces at `chosen`, int64 `[J]`, each at most once, towards unit directions `[3, J]`.
+        """Radiance `[3, J]` of the surfaces at `chosen`, int64 `[J]`, towards unit directions `[3, J]`.
 
         It is an unbiased estimate for any direction above the surface, from the same incident light; the smoother the surface,
         the noisier. Of partly transmissive surfaces it is none. Shading normals are those of the rays' own view.
@@ -52,18 +53,16 @@ class FirstSurfaces:
         if self._incident is None:
             ways = (self.towards_light, self.onward)
             self._incident = _incident(self.surface, self.surface.outgoing, ways, (self.direct, self.indirect))
-        every = self.met.outgoing.clone()
-        put(every, chosen, outgoing)
-        is_chosen = torch.zeros(self.index.shape, dtype=torch.bool, device=chosen.device)
-        is_chosen[chosen] = True
-        owner, surface, ways, incident = self.owner, self.surface, (self.towards_light, self.onward), self._incident
-        if len(chosen) < FEW * len(self.index):
-            paths = indices(is_chosen.index_select(0, owner))
-            owner, surface = owner.index_select(0, paths), surface.select(paths)
-            ways, incident = (tuple(part.index_select(1, paths) for part in pair) for pair in (ways, incident))
-        scattered = _leaving(surface, every.index_select(1, owner), ways, incident)
-        total = torch.zeros_like(every).index_add_(1, owner, scattered)
-        return total.index_select(1, chosen) + self._emitted(chosen, outgoing)
+        counts = self._counts.index_select(0, chosen)
+        asked = torch.repeat_interleave(counts)
+        first = (self._counts.cumsum(0) - self._counts).index_select(0, chosen) - (counts.cumsum(0) - counts)
+        paths = torch.arange(len(asked), device=asked.device) + first.index_select(0, asked)
+        surface = self.surface.select(paths)
+        ways, incident = (
+            tuple(part.index_select(1, paths) for part in pair) for pair in ((self.towards_light, self.onward), self._incident)
+        )
+        scattered = _leaving(surface, outgoing.index_select(1, asked), ways, incident)
+        return self._emitted(chosen, outgoing).index_add_(1, asked, scattered)
 
     def _emitted(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
         if self.geometry.materials.plain_emission:
@@ -72,8 +71,6 @@ class FirstSurfaces:
         return self.geometry.emission(hit, self.met.front.index_select(0, chosen), outgoing)
 
 
-FEW = 0.7
-"""Below this share of the surfaces, it takes less time to gather them than to look at all of them."""
 FAINTEST = 1e-20
 """BSDFs of less count as none."""
 Ways = tuple[Tensor, Tensor]

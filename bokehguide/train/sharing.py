@@ -40,6 +40,8 @@ APART = 3.0
 SMOOTH = 0.5
 """A surface is shared if its GGX α is at least so many times the angle, in radians, between those who look at it: of what
 is mirrored, one pixel's paths do not know what another one sees."""
+TOGETHER = 65536
+"""Pairs of pixels that are dealt with together, about: of many, memory is what takes time, and of few, Python."""
 NOWHERE = 1e15
 
 
@@ -63,7 +65,8 @@ class _Seen(NamedTuple):
 
 class _View(NamedTuple):
     """How J pixels see samples of others: whose they are and who sees them, int64 `[J]`; through which lens points `[2, J]`;
-    |∂l' / ∂l| times the share of the light that arrives, and W / A there, `[J]`; the unit directions to them, `[3, J]`."""
+    |∂l' / ∂l| times the share of the light that arrives, and W / A there, `[J]`; the unit directions to them, `[3, J]`; and
+    where those of each row of viewers end, the first at 0. In a row, nobody sees or is seen twice."""
 
     source: Tensor
     viewer: Tensor
@@ -71,6 +74,7 @@ class _View(NamedTuple):
     jacobian: Tensor
     passing: Tensor
     outgoing: Tensor
+    ends: list[int]
 
 
 class PathSharing:
@@ -98,8 +102,9 @@ class PathSharing:
         arriving = self._own_transmittance(seen, points, focus, samples, timer)
         total, views = own * arriving, []
         key = hash_int(hash_int(self._seed ^ 0x68E31DA4) + step)
-        for viewer in _members(places, self._width, key, focus.device):
-            view = self._view(viewer, focus, points, seen, samples, timer)
+        members = _members(places, self._width, key, focus.device)
+        for viewers in members.split(max(1, TOGETHER // len(total))) if len(members) > 0 else ():
+            view = self._view(viewers, focus, points, seen, samples, timer)
             if len(view.source) > 0:
                 total.index_add_(0, view.source, self._density(mixture, view, len(total)) * view.jacobian)
                 views.append(view)
@@ -160,18 +165,21 @@ class PathSharing:
         return share
 
     def _view(
-        self, viewer: Tensor, focus: Tensor, points: Tensor, seen: _Seen, samples: PathSamples, timer: PhaseTimer
+        self, viewers: Tensor, focus: Tensor, points: Tensor, seen: _Seen, samples: PathSamples, timer: PhaseTimer
     ) -> _View:
-        """How the pixels `viewer` `[N]`, -1 for none, see the sample of each pixel."""
+        """How each row of pixels of `viewers` `[R, N]`, -1 for none, sees the samples of all pixels."""
+        rows, count = viewers.shape
+        viewer = viewers.flatten()
         focus_seen = focus.index_select(1, viewer.clamp(min=0))
-        through, jacobian = _reconnected(points, focus, focus_seen, seen.depth, seen.plane)
-        passing = _passing(self._camera.lens, through, focus_seen) * seen.shareable * (viewer >= 0)
-        source = indices(passing > 0.0)
-        one = (values.index_select(-1, source) for values in (viewer, through, jacobian, passing))
-        view = _View(source, *one, torch.empty(3, len(source), device=source.device))
-        place, focus_seen = seen.place.index_select(0, source), focus_seen.index_select(1, source)
-        arriving, outgoing = self._arriving(place, view.points, focus_seen, samples, timer)
-        return view._replace(jacobian=view.jacobian * arriving, outgoing=outgoing)
+        mine = (points, focus, seen.depth, seen.plane, seen.shareable)
+        points, focus, depth, plane, shareable = (_repeated(values, rows) for values in mine)
+        through, jacobian = _reconnected(points, focus, focus_seen, depth, plane)
+        index = indices((_passing(self._camera.lens, through, focus_seen) * shareable * (viewer >= 0)) > 0.0)
+        viewer, through, jacobian, focus_seen = (v.index_select(-1, index) for v in (viewer, through, jacobian, focus_seen))
+        source, passing = index % count, _passing(self._camera.lens, through, focus_seen)
+        arriving, outgoing = self._arriving(seen.place.index_select(0, source), through, focus_seen, samples, timer)
+        ends = torch.searchsorted(index, torch.arange(rows + 1, device=index.device) * count).tolist()
+        return _View(source, viewer, through, jacobian * arriving, passing, outgoing, ends)
 
     def _arriving(
         self, place: Tensor, points: Tensor, focus: Tensor, samples: PathSamples, timer: PhaseTimer
@@ -211,9 +219,13 @@ class PathSharing:
         """q of the viewers, of `count` pixels, at the lens points through which they see, `[J]`."""
         if mixture is None:
             return self._camera.lens.transmission(view.points) / self._camera.lens.area
-        points = torch.full((2, count), NOWHERE, device=view.points.device)
-        put(points, view.viewer, view.points)
-        return mixture.pdf(points).index_select(0, view.viewer)
+        found = []
+        for first, end in zip(view.ends, view.ends[1:]):
+            viewer = view.viewer[first:end]
+            points = torch.full((2, count), NOWHERE, device=viewer.device)
+            put(points, viewer, view.points[:, first:end])
+            found.append(mixture.pdf(points).index_select(0, viewer))
+        return torch.cat(found)
 
     def _radiance(self, view: _View, seen: _Seen, samples: PathSamples) -> Tensor:
         """Radiance `[3, J]` of the samples as the viewers see it."""
@@ -225,8 +237,8 @@ class PathSharing:
         return radiance
 
 
-def _members(places: Pixels, width: int, key: int, device: torch.device) -> list[Tensor]:
-    """For each other place in a group, who is there for each of N pixels: its number among them, int64 `[N]`, or -1.
+def _members(places: Pixels, width: int, key: int, device: torch.device) -> Tensor:
+    """For each other place in a group, who is there for each of N pixels: its number among them, int64 `[.., N]`, or -1.
 
     places: of the pixels on a film of this width; key: of where groups begin.
     """
@@ -234,28 +246,27 @@ def _members(places: Pixels, width: int, key: int, device: torch.device) -> list
     first, last = (places.start, places.stop - 1) if isinstance(places, slice) else (int(places[0]), int(places[-1]))
     among = torch.full((last - first + 2,), -1, device=device)  # the last one stands for what is elsewhere
     among[numbers - first] = torch.arange(len(numbers), device=device)
-    in_band = numbers % (BAND * width)
-    members = []
-    for steps in _ways(width, key, device):
-        there = numbers - first + steps.index_select(0, in_band)
-        there = torch.where((there >= 0) & (there < len(among)), there, len(among) - 1)
-        members.append(among.index_select(0, there))
-    return members
+    there = numbers - first + _ways(width, key, device).index_select(1, numbers % (BAND * width))
+    there = torch.where((there >= 0) & (there < len(among)), there, len(among) - 1)
+    return among.index_select(0, there.flatten()).reshape(there.shape)
 
 
-def _ways(width: int, key: int, device: torch.device) -> list[Tensor]:
+def _ways(width: int, key: int, device: torch.device) -> Tensor:
     """From each pixel of a band, row by row, to each other place in its group: by how much numbers differ, int64
-    `[BAND * width]`; out of all films where the band ends before."""
-    row, x = torch.meshgrid(torch.arange(BAND, device=device), torch.arange(width, device=device), indexing="ij")
+    `[.., BAND * width]`; out of all films where the band ends before."""
     across, down = (LONG, SHORT) if key & 1 else (SHORT, LONG)
     right, below = (key >> 8) % across, (key >> 16) % down
-    ways = []
-    for member in range(1, across * down):
-        column = ((x + right) ^ (member % across)) - right
-        line = ((row + below) ^ (member // across)) - below
-        inside = (column >= 0) & (column < width) & (line >= 0) & (line < BAND)
-        ways.append(torch.where(inside, (line - row) * width + column - x, -(1 << 40)).flatten())
-    return ways
+    sizes = (across * down, BAND, width)
+    member, row, x = torch.meshgrid(*(torch.arange(size, device=device) for size in sizes), indexing="ij")
+    column = ((x + right) ^ (member % across)) - right
+    line = ((row + below) ^ (member // across)) - below
+    inside = (column >= 0) & (column < width) & (line >= 0) & (line < BAND)
+    return torch.where(inside, (line - row) * width + column - x, -(1 << 40))[1:].flatten(1)
+
+
+def _repeated(values: Tensor, times: int) -> Tensor:
+    """Values `[.., N]` so many times, `[.., times N]`; as they are for once."""
+    return values if times == 1 else values.repeat(*[1] * (values.ndim - 1), times)
 
 
 def _passing(lens: Lens, points: Tensor, focus: Tensor) -> Tensor:
