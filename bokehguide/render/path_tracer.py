@@ -236,12 +236,7 @@ class PathTracer:
             return paths.select(paths.index[:0])
         paths.rays = None
         if parts is not None:
-            index, emission, met = paths.index, paths.radiance, surface
-            paths, owner = paths.split(parts.index_select(0, index))
-            surface = met.select(owner)
-            result.first = FirstSurfaces(self.geometry, index, hit, met, emission, owner, surface, indirect=paths.brought)
-            if images is not None:
-                images.split(result.first.rays)
+            paths, surface = self._split(paths, parts, hit, surface, images, result)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
         draw = paths.random.uniform
         if depth == 1:
@@ -251,6 +246,18 @@ class PathTracer:
         if not self.lights.empty:
             self._add_direct_light(paths, surface, scattering, draw(dimension + 5, 6), depth, images, result, timer)
         return self._scatter(paths, surface, scattering, draw(dimension + 1, 4), depth, result)
+
+    def _split(
+        self, paths: _Paths, parts: Tensor, hit: Hit, met: Surface, images: MirrorImages | None, result: PathSamples
+    ) -> tuple[_Paths, Surface]:
+        """Split the paths at their first surfaces, and note what is there; returns the surfaces of all of them too."""
+        index, emission = paths.index, paths.radiance
+        paths, owner = paths.split(parts.index_select(0, index))
+        surface = met.select(owner)
+        result.first = FirstSurfaces(self.geometry, index, hit, met, emission, owner, surface, indirect=paths.brought)
+        if images is not None:
+            images.split(result.first.rays)
+        return paths, surface
 
     def _end_in_environment(
         self, paths: _Paths, hit: Hit, depth: int, images: MirrorImages | None, result: PathSamples
