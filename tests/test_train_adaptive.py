@@ -140,6 +140,18 @@ def test_what_a_half_says_of_a_block_hangs_on_that_block_alone(monkeypatch):
     assert torch.equal(errors[0][:, :8], errors[1][:, :8]) and not torch.equal(errors[0][:, 8:], errors[1][:, 8:])
 
 
+@pytest.mark.parametrize("mode", ["uniform", "lis-b", "guided"])
+def test_a_half_decides_by_what_is_on_the_film(mode):
+    """Where all of its samples are."""
+    half = adaptive.HalfLoop(scenes.lamps(WIDTH, HEIGHT), RenderSettings(mode, seed=3, threads=1), None)
+    for _ in range(9):
+        half.step()
+    picture = luminance(half.film.radiance().reshape(-1, 3).T).double()
+    torch.testing.assert_close(half.brightness.sum(0) / 9, picture, rtol=1e-5, atol=1e-7)
+    total, count = half._seen()
+    assert total / count == pytest.approx(half.film.mean_luminance(), rel=1e-5)
+
+
 def test_halves_share_nothing_random_but_all_else():
     loop = AdaptiveLoop(scenes.lamps(WIDTH, HEIGHT), RenderSettings("uniform", threads=1, target_noise=0.1))
     for _ in range(2):

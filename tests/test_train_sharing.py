@@ -12,9 +12,9 @@ from restir_cases import same_means
 
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Aperture, Material, Scene
-from bokehguide.train import RenderLoop, RenderSettings, sharing
+from bokehguide.train import adaptive, RenderLoop, RenderSettings, sharing
 from bokehguide.train.ranks import BAND, Ranks
-from bokehguide.train.sharing import LONG, NOWHERE, SHORT, _members
+from bokehguide.train.sharing import COLUMNS, LONG, NOWHERE, SHORT, _members
 from tests.brute_force import every_hit
 from tests.sharing_cases import CAMERA, FLOOR, SHEET, WALL, Step, loop_of, on_film, same, shown, step_of, taught, terrace
 from tests.statistical import SIGNIFICANCE, z_test
@@ -172,7 +172,7 @@ def lists(width: int, height: int, seed: int = 0) -> dict[str, torch.Tensor | sl
 
 
 @pytest.mark.parametrize("kind", ["whole", "bands", "sparse"])
-@pytest.mark.parametrize("width, height", [(21, 19), (3, 25), (1, 9), (2, 17), (16, 24)])
+@pytest.mark.parametrize("width, height", [(21, 19), (3, 25), (1, 9), (2, 17), (16, 24), (70, 25)])
 def test_groups_are_small_lie_in_bands_and_see_each_other(width, height, kind):
     """Each is within a tile of 4 × 2 or 2 × 4 pixels, by turns, and holds all of the tile's that there are."""
     places = lists(width, height)[kind]
@@ -191,7 +191,7 @@ def test_groups_are_small_lie_in_bands_and_see_each_other(width, height, kind):
         for i, group in enumerate(groups):
             assert all(groups[other] == group for other in group)
             x, y = (np.array([part(int(numbers[j])) for j in group]) for part in (lambda n: n % width, lambda n: n // width))
-            assert len(set(y // BAND)) == 1
+            assert len(set(y // BAND)) == len(set(x // COLUMNS)) == 1
             wide, high = (np.ptp(x) < one and np.ptp(y) < other for one, other in ((LONG, SHORT), (SHORT, LONG)))
             assert wide or high
             shapes.add((wide, high))
@@ -226,12 +226,16 @@ def test_ranks_have_whole_groups(count):
     for rank in range(count):
         ranks = Ranks()
         ranks.rank, ranks.count = rank, count
-        mine = ranks.rows(width, height, device)
+        mine = ranks.rows(width, height, BAND, device)
         assert set((mine // width // BAND % count).tolist()) == {rank}
         for member, expected in zip(_members(mine, width, sharing.hash_int(7), device), whole):
             assert torch.equal(torch.where(member >= 0, mine[member], -1), expected[mine])
         found.append(mine)
     assert torch.equal(torch.cat(found).sort().values, torch.arange(width * height))
+
+
+def test_what_adaptive_sampling_stops_holds_whole_groups():
+    assert adaptive.BLOCK % COLUMNS == 0 and adaptive.BLOCK % BAND == 0
 
 
 def pictures(scene: Scene, steps: int, learns: int = 2) -> tuple[np.ndarray, np.ndarray]:

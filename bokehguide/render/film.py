@@ -47,6 +47,10 @@ class FilmSamples:
     emission: Tensor
     radiance_weight: Tensor | None = None
 
+    def value(self) -> Tensor:
+        """Radiance times its weight, `[3, N]`."""
+        return self.radiance * (self.weight if self.radiance_weight is None else self.radiance_weight)
+
     def features(self) -> Tensor:
         """Alpha, whether a surface was met, depth where one was, normal and albedo, `[9, N]`."""
         hit = (self.depth < NO_DEPTH).to(torch.float32)
@@ -57,7 +61,7 @@ class Film:
     """Running sums of a frame; batches of different pixels may be added side by side.
 
     What the picture is made of is summed in double precision: a float32 sum would drift after some thousand
-    samples. Radiance and emission are means of w x. Alpha, normal, albedo and depth are smooth where
+    samples. Radiance (unless its weight is another one) and emission are means of w x. Alpha, normal, albedo and depth are smooth where
     the weights w are not: their estimate is the mean of w (x - c) + c, unbiased because the weights'
     mean is 1 and c comes from the pixel's earlier samples. Where x is the same throughout, it comes
     out exactly: alpha is 1 where all is opaque.
@@ -126,8 +130,7 @@ class Film:
         counted: which samples are to be in the picture, bool `[N]`, where some are not.
         """
         weight, emission = samples.weight, samples.emission
-        value = samples.radiance * (weight if samples.radiance_weight is None else samples.radiance_weight)
-        features = samples.features()
+        value, features = samples.value(), samples.features()
         good = value.sum(0).isfinite()
         if not bool(good.all()):
             self._report_bad(torch.arange(self.width * self.height, device=good.device)[pixels][~good], step)
@@ -216,7 +219,7 @@ class Film:
 
     def relative_noise(self) -> float:
         """Estimated standard error of the mean over the mean (plus 0.01), averaged over the frame."""
-        mean = luminance(self.radiance().reshape(-1, 3).T)
+        mean = luminance(self.radiance().reshape(-1, 3).T).clamp(min=0.0)
         return float((self.variance().reshape(-1).sqrt() / (mean + 0.01)).mean())
 
     def layers(self) -> dict[str, np.ndarray]:

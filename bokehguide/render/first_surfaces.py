@@ -12,6 +12,10 @@ from bokehguide.render.kernels import kernel
 from bokehguide.render.scattering import opaque_values
 from bokehguide.render.tracer import Hit
 
+FAINTEST = 1e-20
+"""BSDFs of less count as none."""
+Ways = tuple[Tensor, Tensor]
+
 
 @dataclass
 class FirstSurfaces:
@@ -69,11 +73,6 @@ class FirstSurfaces:
             return self.emission.index_select(1, chosen)
         hit = Hit(*(field.index_select(0, chosen) for field in self.hit))
         return self.geometry.emission(hit, self.met.front.index_select(0, chosen), outgoing)
-
-
-FAINTEST = 1e-20
-"""BSDFs of less count as none."""
-Ways = tuple[Tensor, Tensor]
 
 
 @kernel

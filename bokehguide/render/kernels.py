@@ -27,7 +27,7 @@ from torch import Tensor
 
 from bokehguide import __version__
 
-SOURCES = (Path(__file__).parent, Path(__file__).parent.parent / "models")
+SOURCES = tuple(Path(__file__).parent.parent / name for name in ("render", "models", "restir", "train"))
 """Folders of the code that kernels are made of."""
 
 

@@ -41,8 +41,8 @@ class MirrorImages:
     def add(self, index: Tensor, direction: Tensor, pdf: Tensor, distance: Tensor, radiance: Tensor) -> None:
         """Add what some rays brought from beyond their first surface.
 
-        index: which rays, or paths, int64 `[K]`; direction `[3, K]`, distance: where the light was from there; pdf: with which density
-        the BSDF samples that direction, `[K]`; radiance: what it brought, `[3, K]`.
+        index: which rays, or paths, int64 `[K]`; direction `[3, K]`, distance: where the light was from there; pdf: with which
+        density the BSDF samples that direction, `[K]`; radiance: what it brought, `[3, K]`.
         """
         light = luminance(radiance)
         narrow = indices((pdf > NARROW) & (light > 0.0))

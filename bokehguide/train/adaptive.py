@@ -32,7 +32,7 @@ from bokehguide.train.settings import RenderSettings
 from bokehguide.train.steps import StepStats
 
 BLOCK = 32
-"""Pixels across the squares that stop together."""
+"""Pixels across the squares that stop together, which hold whole groups of pixels that share (`sharing.py`)."""
 POOLED = 5
 """Pixels across the squares about a pixel that tell how bright it should be."""
 FIRST_ROUND = 8
@@ -51,7 +51,7 @@ def relative_error(first: Tensor, second: Tensor) -> Tensor:
     in the pixel or, where that is less, about it: a pixel that has a rare highlight is brighter than
     it should be, and its neighbours tell. What neither picture has found they cannot tell.
     """
-    mean = 0.5 * (first + second)
+    mean = (0.5 * (first + second)).clamp(min=0.0)
     about = avg_pool2d(mean[None], POOLED, 1, POOLED // 2, count_include_pad=False)[0]
     return 0.5 * (first - second).abs() / (torch.minimum(mean, about) + EPSILON)
 
@@ -95,8 +95,12 @@ class HalfLoop(RenderLoop):
         light = self.brightness[:, mine].cpu().numpy()
         return float(light.sum()), float(self.step_number * light.shape[1])
 
+    def _so_far(self) -> Tensor:
+        """As `_seen` has it: the luminance, in each channel."""
+        return (self.brightness.sum(0) / self.step_number).float().expand(3, -1)
+
     def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
-        light = luminance(samples.radiance * samples.weight)
+        light = luminance(samples.value())
         increase(self.brightness[1], places, light.nan_to_num(0.0, 0.0, 0.0))
         fresh = self.guide is None or self.guide.is_fresh(self.step_number)
         counted = None if self._counted is None else take(self._counted, places)

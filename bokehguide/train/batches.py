@@ -11,7 +11,7 @@ BATCH, SMALL_BATCH = 262144, 28800
 """Pixels traced together: each thread has as many batches, about as large as memory allows, since Python costs the same for
 large ones and small ones. Below the second number it costs more than another thread brings."""
 SHORTEST, LONGEST = 0.5, 1.5
-"""Least and most pixels in a batch: of the mean, and of the most there should be."""
+"""Least and most pixels in a batch, but for where it may be cut: of the mean, and of the most there should be."""
 
 
 class Batches:

@@ -31,9 +31,9 @@ from bokehguide.train.batches import Batches
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide
 from bokehguide.train.guide import guide_images, starts_block, uniform_draw
 from bokehguide.train.light_guide import LightGuide
-from bokehguide.train.ranks import BAND, Ranks, available_cores
 from bokehguide.train.radiance_control import RadianceControl
 from bokehguide.train.rank_sums import RankSums
+from bokehguide.train.ranks import BAND, Ranks, available_cores
 from bokehguide.train.record_buffer import FAR
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.sharing import PathSharing
@@ -70,7 +70,7 @@ class RenderLoop:
         self.film = self._empty_film()
         self._frame_pixels = box_pixels(settings.crop, self.camera.width).to(device) if settings.crop else None
         """Pixels of the frame that the film's are, int64 `[pixels]`; None where they are the same."""
-        self._share = self.ranks.rows(self.film.width, self.film.height, device)
+        self._share = self.ranks.rows(self.film.width, self.film.height, BAND if settings.lens_mode == "guided" else 1, device)
         """Pixels of the film that are this rank's, int64 `[N]`; None where they all are."""
         self._places = self._share
         """Those that steps render."""
@@ -136,12 +136,12 @@ class RenderLoop:
         return step_stats(self.step_number, results + reused, time.perf_counter() - start, gaussians, self.ranks)
 
     def _spans(self) -> list[slice]:
-        """Spans of what steps render, cut where bands of rows end."""
+        """Spans of what steps render; where pixels share, of whole bands of rows."""
         size = self.film.width * self.film.height
-        ends = np.append(np.arange(0, size, BAND * self.film.width), size)
+        ends = None if self.sharing is None else np.append(np.arange(0, size, BAND * self.film.width), size)
         if self._places is not None:
             size = len(self._places)
-            ends = np.unique(np.searchsorted(self._places.cpu().numpy(), ends))
+            ends = None if ends is None else np.unique(np.searchsorted(self._places.cpu().numpy(), ends))
         return self._batches.spans(size, ends)
 
     def _in_batches(self, work: Callable[[Pixels], BatchResult], spans: list[slice]) -> list[BatchResult]:
@@ -277,7 +277,7 @@ class RenderLoop:
             if self.light_guide is not None:
                 self.light_guide.update(self.step_number + 1)
             if self.control is not None:
-                self.control.update(self.film.radiance().reshape(-1, 3).T * self._mine_of_film().to(self.settings.device))
+                self.control.update(self._so_far() * self._mine_of_film().to(self.settings.device))
 
     def _add_records(self, results: list[BatchResult]) -> None:
         for result in results:
@@ -305,6 +305,10 @@ class RenderLoop:
     def _seen(self) -> tuple[float, float]:
         """Luminance of this rank's samples so far, and their number."""
         return self.film.light(slice(None) if self._share is None else self._share)
+
+    def _so_far(self) -> Tensor:
+        """What this rank has seen so far of each pixel of the film, on average, `[3, pixels]`."""
+        return self.film.radiance().reshape(-1, 3).T
 
     def state_dict(self) -> dict[str, object]:
         """All that later steps depend on, and the times so far; collective.

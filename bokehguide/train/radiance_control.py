@@ -54,9 +54,10 @@ class RadianceControl(RankSums):
 
     def add(self, places: Pixels, radiance: Tensor, weight: Tensor) -> None:
         """Add samples `[3, N]` with their weights `[N]`. Those that are not finite count for none."""
+        radiance, weight = radiance.double(), weight.double()  # squares of large float32 are none
         light = luminance(radiance)
         rows = torch.stack((torch.ones_like(light), weight, weight * weight, weight * light, light * light, *radiance))
-        rows = rows.double() * (weight + light * light).isfinite()
+        rows *= (weight + light).isfinite()
         self.mine.index_add_(1, self._cells(places), rows.nan_to_num(0.0, 0.0, 0.0))
 
     def update(self, picture: Tensor) -> None:

@@ -13,13 +13,13 @@ from torch import Tensor
 from bokehguide.errors import BokehguideError
 
 BAND = 8
-"""Rows of a film that are rendered together."""
+"""Rows of a film that are rendered together where pixels share samples."""
 
 
 class Ranks:
     """The processes of a job that `torchrun` started, or this one alone.
 
-    Each renders every `count`-th band of BAND rows of the film. A context that leaves the job at its end. All methods that
+    Each renders every `count`-th row of the film, or band of rows. A context that leaves the job at its end. All methods that
     return something of all ranks are collective: every rank calls them, in the same order.
     """
 
@@ -63,12 +63,12 @@ class Ranks:
     def alone(self) -> bool:
         return self.count == 1
 
-    def rows(self, width: int, height: int, device: torch.device) -> Tensor | None:
-        """This rank's pixels of a film, bands of BAND rows, int64 `[N]`; None where it has all."""
+    def rows(self, width: int, height: int, band: int, device: torch.device) -> Tensor | None:
+        """This rank's pixels of a film, bands of `band` rows, int64 `[N]`; None where it has all."""
         if self.alone:
             return None
         rows = torch.arange(height, device=device)
-        rows = rows[rows // BAND % self.count == self.rank]
+        rows = rows[rows // band % self.count == self.rank]
         return (rows[:, None] * width + torch.arange(width, device=device)).flatten()
 
     def total(self, values: Tensor) -> Tensor:

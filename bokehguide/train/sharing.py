@@ -4,11 +4,13 @@ What is out of focus is seen by many pixels. Where a ray of one pixel found it, 
 to the others of its group as well (Bekaert, Sbert and Halton 2002): through the lens point from which the other one's focus
 point and the same surface are in one line, Area ReSTIR's reconnection (`restir/shifts.py`), if nothing is in between.
 It is multiple importance sampling: a point x that the densities p_k = q_k |∂l_k / ∂x| of a group's pixels k find counts for
-pixel i as W V_i / (A Σ_k V_k p_k) (balance heuristic, in the measure of x), where V is whether a pixel can see it. What is in
-focus is seen by one pixel alone, and counts as W / (A q).
+pixel i as W V_i |∂l_i / ∂x| / (A Σ_k V_k p_k) (balance heuristic), where V is whether a pixel can see it. What is in focus is
+seen by one pixel alone, and counts as W / (A q). Shading normals that face away from a viewer are as the one who found x has
+them, as nothing but a new look could tell; the two differ at silhouettes by what the lens is wide.
 
-Groups are tiles of the film that lie elsewhere in every step, wide or high, so that no tile shows; they end where bands end, so
-that ranks and batches hold whole ones.
+Groups are tiles of the film that lie elsewhere in every step, wide or high, so that no tile shows. They end where bands of rows
+and of columns end, so that ranks, batches and the squares that adaptive sampling stops hold whole ones. The noise of the
+pixels of a group is correlated.
 """
 
 from __future__ import annotations
@@ -35,6 +37,8 @@ from bokehguide.train.ranks import BAND
 
 LONG, SHORT = 4, 2
 """Pixels along the sides of a group: powers of two."""
+COLUMNS = 32
+"""Columns of a film after which groups end."""
 APART = 3.0
 """Pixels that those of a group are apart, about."""
 SMOOTH = 0.5
@@ -42,7 +46,7 @@ SMOOTH = 0.5
 is mirrored, one pixel's paths do not know what another one sees."""
 TOGETHER = 65536
 """Pairs of pixels that are dealt with together, about: of many, memory is what takes time, and of few, Python."""
-NOWHERE = 1e15
+NOWHERE, INFINITE = 1e15, 1e30
 
 
 class Shared(NamedTuple):
@@ -108,11 +112,11 @@ class PathSharing:
             if len(view.source) > 0:
                 total.index_add_(0, view.source, self._density(mixture, view, len(total)) * view.jacobian)
                 views.append(view)
-        scale = 1.0 / total.clamp(min=1e-37)
+        scale = torch.where(total > 0.0, 1.0 / total, 0.0)
         weight = torch.where(draw.weight > 0.0, _passing(lens, points, focus) * arriving * scale, 0.0)
         shared = Shared(samples.radiance * weight, weight)
         for view in views:
-            weight = view.passing * view.jacobian * scale.index_select(0, view.source)
+            weight = (view.passing * view.jacobian * scale.index_select(0, view.source)).nan_to_num(0.0, 0.0, 0.0)
             light = (self._radiance(view, seen, samples) * weight).nan_to_num(0.0, 0.0, 0.0)
             shared.radiance.index_add_(1, view.viewer, light)
             shared.weight.index_add_(0, view.viewer, weight)
@@ -133,7 +137,7 @@ class PathSharing:
             put(place, first.index, torch.arange(len(first.index), device=device))
             angle = self._angle(position[2].clamp(min=1e-9))
             put(shareable, first.index, self._spreads(first, SMOOTH * angle))
-        return _Seen(plane, depth, shareable, place)
+        return _Seen(plane, torch.where(infinite, INFINITE, depth), shareable, place)
 
     def _angle(self, depth: Tensor) -> Tensor:
         """Angle in radians `[N]` between the lens points through which pixels of a group see what is at `depth` `[N]`, about."""
@@ -260,7 +264,7 @@ def _ways(width: int, key: int, device: torch.device) -> Tensor:
     member, row, x = torch.meshgrid(*(torch.arange(size, device=device) for size in sizes), indexing="ij")
     column = ((x + right) ^ (member % across)) - right
     line = ((row + below) ^ (member // across)) - below
-    inside = (column >= 0) & (column < width) & (line >= 0) & (line < BAND)
+    inside = (column < width) & (column // COLUMNS == x // COLUMNS) & (line >= 0) & (line < BAND)
     return torch.where(inside, (line - row) * width + column - x, -(1 << 40))[1:].flatten(1)
 
 
