@@ -231,9 +231,9 @@ CHANGES = {
     "alone": [guided_with("with none of its parts", ()), *map(alone, PARTS)],
     "candidates": constants("candidates of light samples", direct_light, "CANDIDATES", [1, 3, 4], "guided"),
     "parts": [parts(number) for number in (1, 4, 8)],
-    "group": [group(2, 2), group(4, 4)],
+    "group": [group(1, 1), group(2, 2), group(4, 4)],
     "smooth": constants("α of shared surfaces, views' angles", sharing, "SMOOTH", [0.25, 1.0, 2.0], "guided"),
-    "doubt": constants("doubt in slopes", radiance_control, "DOUBT", [16.0, 256.0], "guided"),
+    "doubt": constants("doubt in slopes", radiance_control, "DOUBT", [16.0, 256.0, 1e30], "guided"),
     "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 3, 5], "guided"),
     "positions": [Change("record positions", "plain means", PLAIN)],
     "weights": [
