@@ -12,7 +12,7 @@ from restir_cases import same_means
 
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Aperture, Material, Scene
-from bokehguide.train import adaptive, RenderLoop, RenderSettings, sharing
+from bokehguide.train import RenderLoop, RenderSettings, adaptive, sharing
 from bokehguide.train.ranks import BAND, Ranks
 from bokehguide.train.sharing import COLUMNS, LONG, NOWHERE, SHORT, _members
 from tests.brute_force import every_hit
@@ -112,8 +112,7 @@ class Reference:
     def shared(self) -> tuple[np.ndarray, np.ndarray, int]:
         """Radiance `[3, N]` and weights `[N]`, and how many samples others saw."""
         numbers = torch.arange(self.count) if isinstance(self.step.places, slice) else self.step.places
-        members = _members(numbers, self.loop.film.width, key_of(self.loop, self.step), numbers.device)
-        members = members.numpy()
+        members = _members(numbers, self.loop.film.width, key_of(self.loop, self.step), numbers.device).numpy()
         radiance, weights, seen = np.zeros((3, self.count)), np.zeros(self.count), 0
         for source in range(self.count):
             if not self.step.draw.weight[source] > 0.0:

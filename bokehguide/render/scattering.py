@@ -59,9 +59,7 @@ class Scattering:
 def opaque_values(surface: Surface, outgoing: Tensor, directions: tuple[Tensor, ...]) -> list[Tensor]:
     """BSDF times cosine `[3, N]` of the opaque part towards each of some world directions `[3, N]`, seen from `outgoing` and
     not as `surface` was."""
-    frame = (*tangent_frame(surface.normal), surface.normal)
-    coat = surface.clearcoat_normal
-    opaque = OpaqueBSDF(to_local(outgoing, *frame), surface, None if coat is None else to_local(coat, *frame))
+    frame, opaque = _opaque(surface, outgoing)
     local = [to_local(direction, *frame) for direction in directions]
     return [opaque.evaluate(one)[0] * _allowed(surface, direction, one[2]) for one, direction in zip(local, directions)]
 
@@ -73,11 +71,16 @@ Frame = tuple[Tensor, Tensor, Tensor]
 @kernel
 def _prepared(surface: Surface) -> tuple[Frame, OpaqueBSDF]:
     """The shading frame, and the opaque part of the BSDF without its surface, which need not come out again."""
-    frame = (*tangent_frame(surface.normal), surface.normal.clone())
-    coat = surface.clearcoat_normal
-    opaque = OpaqueBSDF(to_local(surface.outgoing, *frame), surface, None if coat is None else to_local(coat, *frame))
+    (*tangents, normal), opaque = _opaque(surface, surface.outgoing)
     opaque.surface = None
-    return frame, opaque
+    return (*tangents, normal.clone()), opaque
+
+
+def _opaque(surface: Surface, outgoing: Tensor) -> tuple[Frame, OpaqueBSDF]:
+    """The shading frame, and the opaque part of the BSDF as seen from world directions `outgoing` `[3, N]`."""
+    frame = (*tangent_frame(surface.normal), surface.normal)
+    coat = surface.clearcoat_normal
+    return frame, OpaqueBSDF(to_local(outgoing, *frame), surface, None if coat is None else to_local(coat, *frame))
 
 
 @kernel
