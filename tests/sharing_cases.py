@@ -47,6 +47,16 @@ def terrace(width: int, height: int, sheet: bool = False, sky: bool = True) -> S
     return shown(meshes, (FLOOR, WALL, LAMP, CARD, SHEET), width, height, sky)
 
 
+def leaning(width: int, height: int, material: Material = FLOOR) -> Scene:
+    """A wall that fills the frame, whose shading normals face one half of the lens and not the other."""
+    depth = 3.5
+    wall = rectangle(0, (CAMERA.position[0], CAMERA.position[1], CAMERA.position[2] - depth), scale=9.0)
+    normals = np.zeros_like(wall.vertices)
+    normals[:, 0], normals[:, 2] = depth, wall.vertices[:, 0] - CAMERA.position[0]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return shown([replace(wall, normals=normals)], (material,), width, height)
+
+
 @dataclass
 class Step:
     """What the pixels of a step found, and what they shared; `samples` and `shared` as `share` took and returned them."""

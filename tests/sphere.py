@@ -156,6 +156,7 @@ def surface(
         normal=vector(normal),
         front=whole(front),
         offset=whole(1e-5),
+        facing=whole(1.0),
         base_color=vector(base_color),
         metallic=whole(metallic),
         alpha=whole(max(roughness * roughness, MIN_ALPHA)),

@@ -66,6 +66,22 @@ def test_a_shading_normal_that_faces_away_from_the_viewer_gives_way():
     _, surface = found(geometry, [[0.5, 0, 0.5], [-0.5, 0, 0.5]], [[-1, 0, -0.6], [1, 0, -0.6]])
     torch.testing.assert_close(surface.normal[:, 0], torch.from_numpy(tilt[0]))
     torch.testing.assert_close(surface.normal[:, 1], torch.tensor([0.0, 0.0, 1.0]))
+    assert surface.facing.tolist() == [1.0, 0.0]
+
+
+@pytest.mark.parametrize("slot", ["normal_texture", "clearcoat_normal_texture"])
+def test_so_does_one_that_a_map_bends_away(slot):
+    """Before the vertices' normal does; and that one before the geometry."""
+    bent = Texture(np.array([[[0.5 + 0.5 * math.sin(1.2), 0.5, 0.5 + 0.5 * math.cos(1.2)]]], np.float32))
+    vertices = np.tile(np.array([[-math.sin(0.9), 0.0, math.cos(0.9)]], np.float32), (4, 1))
+    material = matte(clearcoat=1.0, **{slot: bent})
+    geometry = Geometry(scene([replace(rectangle(0), normals=vertices)], [material]))
+    angles = np.radians([-80.0, -30.0, 30.0, 80.0])  # of the rays; the normals lie at -52 and about +17 degrees
+    ways = np.stack((-np.sin(angles), 0.0 * angles, -np.cos(angles)), axis=1)
+    hit, surface = found(geometry, -ways, ways)
+    assert surface.facing.tolist() == [0.0, 1.0, 1.0, 0.0]
+    facing = [dot(normal, surface.outgoing) > 0.0 for normal in geometry.own_normals(surface, hit)]
+    assert facing[0].all()
 
 
 @pytest.mark.parametrize("away", [0.0, 100.0, 10_000.0])

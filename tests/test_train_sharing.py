@@ -10,17 +10,20 @@ import pytest
 import torch
 from restir_cases import same_means
 
+from bokehguide.render.tracer import Hit
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Aperture, Material, Scene
 from bokehguide.train import RenderLoop, RenderSettings, adaptive, sharing
 from bokehguide.train.ranks import BAND, Ranks
 from bokehguide.train.sharing import COLUMNS, LONG, NOWHERE, SHORT, _members
 from tests.brute_force import every_hit
-from tests.sharing_cases import CAMERA, FLOOR, SHEET, WALL, Step, loop_of, on_film, same, shown, step_of, taught, terrace
+from tests.sharing_cases import CAMERA, FLOOR, SHEET, WALL, Step, leaning, loop_of, on_film, same, shown, step_of, taught, terrace
 from tests.statistical import SIGNIFICANCE, z_test
+from tests.test_render_first_surfaces import bumpy
 from tests.tracing import rectangle
 
 WIDTH, HEIGHT = 48, 32
+COATED = replace(FLOOR, clearcoat=1.0, clearcoat_roughness=0.6)
 
 
 def key_of(loop: RenderLoop, step: Step) -> int:
@@ -57,7 +60,16 @@ class Reference:
         triangle = int(self.step.samples.triangle[pixel])
         if triangle < 0:
             return self.loop.scene.environment is not None and bool(self.step.draw.weight[pixel] > 0.0)
-        return True
+        return self.faces(self.points[:, pixel], pixel)
+
+    def faces(self, point: np.ndarray, source: int) -> bool:
+        """Whether shading normals of what `source` met need not give way, as a ray from `point` finds them."""
+        first, place = self.step.samples.first, [self.first[source]]
+        origin = self.axes @ np.append(point, 0.0) + self.position
+        way = first.met.position[:, place].double().numpy()[:, 0] - origin
+        ray = (torch.from_numpy(part).float()[:, None] for part in (origin, way / np.linalg.norm(way)))
+        hit = Hit(*(field[place] for field in first.hit))
+        return bool(self.loop.tracer.geometry.surface(*ray, hit).facing)
 
     def seen_through(self, point: np.ndarray, source: int, viewer: int) -> np.ndarray:
         """Where on the lens `viewer` sees what `source` sees through `point`."""
@@ -84,7 +96,7 @@ class Reference:
             way, end = self.focus[:, viewer] - start, np.inf
         else:
             way, end = surface[0] - start, 1.0 - 1e-4
-            if way @ surface[1] >= 0.0:
+            if way @ surface[1] >= 0.0 or not self.faces(point, source):
                 return 0.0
         origin, direction = self.axes @ start + self.position, self.axes @ way
         distances = every_hit(self.corners, origin[:, None], direction[:, None])[0][0]
@@ -152,6 +164,16 @@ def test_what_is_shared_is_what_plain_loops_make_of_it(sheet, sky, steps):
     assert bool((step.samples.triangle < 0).any()) and step.draw.batch is not None
     apart, seen = unlike(loop, step)
     assert apart == 0 and seen > 80
+
+
+@pytest.mark.parametrize("material", [FLOOR, replace(FLOOR, normal_texture=bumpy()), replace(COATED, clearcoat_normal_texture=bumpy())])
+def test_it_is_so_where_shading_normals_give_way(material):
+    """Which is so for half of the lens points: who sees another normal has another surface before him."""
+    loop = loop_of(leaning(12, 10, material))
+    step = step_of(loop, seed=5)
+    assert 0.2 < float(step.samples.first.met.facing.mean()) < 0.8
+    apart, seen = unlike(loop, step)
+    assert apart == 0 and 30 < seen < 0.8 * sum(step.shared.weight > 0.0) * (LONG * SHORT - 1)
 
 
 def test_it_is_so_through_an_aperture_of_any_shape():
@@ -258,6 +280,11 @@ def test_sharing_leaves_the_mean(sheet, sky, learns):
     assert none_but_noise(weight) > SIGNIFICANCE
 
 
+def test_sharing_leaves_the_mean_where_shading_normals_give_way():
+    light, _ = pictures(leaning(24, 16), 200)  # the weights of a group, drawn evenly, always sum to the same
+    assert none_but_noise(light) > SIGNIFICANCE
+
+
 def test_sharing_leaves_the_mean_of_the_sky_beyond_the_edge_of_a_sheer_sheet():
     """In focus, so that half of the columns see all of the sky past it and half see all of it through the sheet."""
     across, down = 8, 256
@@ -318,7 +345,7 @@ LIMIT = 0.25 / 3.5
         pytest.param(WALL, 180.0, True, id="rough metal, from behind"),
         pytest.param(replace(WALL, roughness=(1.1 * LIMIT) ** 0.5), 0.0, True, id="smoother metal"),
         pytest.param(replace(WALL, roughness=(0.9 * LIMIT) ** 0.5), 0.0, False, id="too smooth a metal"),
-        pytest.param(replace(FLOOR, clearcoat=1.0, clearcoat_roughness=0.6), 0.0, True, id="rough coat"),
+        pytest.param(COATED, 0.0, True, id="rough coat"),
         pytest.param(replace(FLOOR, clearcoat=1.0, clearcoat_roughness=0.1), 0.0, False, id="smooth coat"),
         pytest.param(replace(FLOOR, transmission=0.5, thin=True), 0.0, False, id="partly transmissive"),
         pytest.param(replace(WALL, transmission=0.5, thin=True), 0.0, True, id="metal that cannot transmit"),

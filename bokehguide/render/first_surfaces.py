@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.geometry import MIN_FACING, Geometry, Surface
 from bokehguide.render.kernels import kernel
 from bokehguide.render.scattering import opaque_values
 from bokehguide.render.tracer import Hit
+from bokehguide.render.vector import dot
 
 FAINTEST = 1e-20
 """BSDFs of less count as none."""
@@ -47,12 +48,21 @@ class FirstSurfaces:
         self._counts = torch.bincount(self.owner, minlength=len(self.index))
         """Of paths, of each surface, int64 `[K]`."""
         self._incident: tuple[Tensor, Tensor] | None = None
+        self._normals: list[Tensor] | None = None
+
+    def same_normals(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
+        """Whether surfaces at `chosen`, int64 `[J]`, where no shading normal has given way, keep theirs as seen from unit directions
+        `[3, J]`; bool `[J]`."""
+        if self._normals is None:
+            self._normals = self.geometry.own_normals(self.met, self.hit)
+        facing = [dot(normal.index_select(1, chosen), outgoing) > MIN_FACING for normal in self._normals]
+        return torch.stack(facing).all(0)
 
     def radiance(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
         """Radiance `[3, J]` of the surfaces at `chosen`, int64 `[J]`, towards unit directions `[3, J]`.
 
         It is an unbiased estimate for any direction above the surface, from the same incident light; the smoother the surface,
-        the noisier. Of partly transmissive surfaces it is none. Shading normals are those of the rays' own view.
+        the noisier. Of partly transmissive surfaces it is none. Shading normals are those of the rays' own view (`same_normals`).
         """
         if self._incident is None:
             ways = (self.towards_light, self.onward)

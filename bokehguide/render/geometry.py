@@ -44,7 +44,8 @@ class Surface:
 
     geometric_normal and normal lie on the side of `outgoing`, the direction back along
     the ray. front: whether that is the triangle's front, float32 of 0 or 1.
-    offset: distance by which new rays leave along ±geometric_normal. alpha and
+    offset: distance by which new rays leave along ±geometric_normal. facing: float32, 0 where a
+    shading normal faced away from `outgoing` and gave way, else 1. alpha and
     clearcoat_alpha are GGX's α. A field that may be None is so where no material of the
     scene has the term: specular colours other than white, a clear coat. clearcoat_normal
     is as normal, and None also where every coat's is that of what is beneath.
@@ -56,6 +57,7 @@ class Surface:
     normal: Tensor
     front: Tensor
     offset: Tensor
+    facing: Tensor
     base_color: Tensor
     metallic: Tensor
     alpha: Tensor
@@ -176,7 +178,18 @@ class Geometry:
         x, y, z = tangent_space[0] * side, tangent_space[1] * rows[9], tangent_space[2]
         bent = normalize(x * tangent + y * cross(normal, tangent) + z * normal)
         facing = (dot(bent, surface.outgoing.index_select(1, index)) > MIN_FACING).to(torch.float32)
+        put(surface.facing, index, surface.facing.index_select(0, index) * facing)
         return bent * facing + normal * (1.0 - facing)
+
+    def own_normals(self, surface: Surface, hit: Hit) -> list[Tensor]:
+        """All shading normals `[3, N]` of surfaces at hits that give way where they face away, as they are where none has."""
+        normals = [surface.normal]
+        if surface.clearcoat_normal is not None:
+            normals.append(surface.clearcoat_normal)
+        if self.materials.normal_scales:  # what is bent gives way to these, and these to the geometry
+            rows = self._normals.index_select(1, hit.triangle)
+            normals.append(_interpolated_normal(rows, hit, surface.geometric_normal))
+        return normals
 
     def _color(self, hit: Hit) -> Tensor:
         """Vertex colours `[4, N]`."""
@@ -255,18 +268,24 @@ class Geometry:
 
 @kernel
 def _sides(rows: Tensor, origins: Tensor, directions: Tensor, hit: Hit) -> tuple[Tensor, ...]:
-    """The fields of `Surface` up to `offset`, from the triangles' normals `[12, N]`."""
+    """The fields of `Surface` up to `facing`, from the triangles' normals `[12, N]`."""
     geometric, outgoing = rows[0:3], -directions
     side = dot(geometric, outgoing)
     front = (side > 0.0).to(torch.float32)
     geometric = geometric * torch.copysign(torch.ones_like(side), side)
-    normal = _interpolate(rows[3:12], hit.u, hit.v)
-    normal = normalize(normal * torch.copysign(torch.ones_like(side), dot(normal, geometric)))
+    normal = _interpolated_normal(rows, hit, geometric)
     # A shading normal that faces away from the viewer gives way to the geometric one.
     facing = (dot(normal, outgoing) > MIN_FACING).to(torch.float32)
     normal = normal * facing + geometric * (1.0 - facing)
     position = origins + hit.distance * directions
-    return position, outgoing, geometric, normal, front, leaving_distance(position, hit.distance)
+    return position, outgoing, geometric, normal, front, leaving_distance(position, hit.distance), facing
+
+
+def _interpolated_normal(rows: Tensor, hit: Hit, geometric: Tensor) -> Tensor:
+    """Shading normals `[3, N]` from the triangles' normals `[12, N]`, on the side of the geometric ones."""
+    normal = _interpolate(rows[3:12], hit.u, hit.v)
+    side = dot(normal, geometric)
+    return normalize(normal * torch.copysign(torch.ones_like(side), side))
 
 
 def leaving_distance(position: Tensor, distance: Tensor) -> Tensor:

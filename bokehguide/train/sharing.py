@@ -5,8 +5,8 @@ to the others of its group as well (Bekaert, Sbert and Halton 2002): through the
 point and the same surface are in one line, Area ReSTIR's reconnection (`restir/shifts.py`), if nothing is in between.
 It is multiple importance sampling: a point x that the densities p_k = q_k |∂l_k / ∂x| of a group's pixels k find counts for
 pixel i as W V_i |∂l_i / ∂x| / (A Σ_k V_k p_k) (balance heuristic), where V is whether a pixel can see it. What is in focus is
-seen by one pixel alone, and counts as W / (A q). Shading normals that face away from a viewer are as the one who found x has
-them, as nothing but a new look could tell; the two differ at silhouettes by what the lens is wide.
+seen by one pixel alone, and counts as W / (A q). At silhouettes, where a shading normal faces one of two pixels and gives way
+before the other one, x is not the same surface for both: V is 0 between them.
 
 Groups are tiles of the film that lie elsewhere in every step, wide or high, so that no tile shows. They end where bands of rows
 and of columns end, so that ranks, batches and the squares that adaptive sampling stops hold whole ones. The noise of the
@@ -146,9 +146,9 @@ class PathSharing:
         return apart.clamp(max=2.0 * camera.lens.radius) / depth
 
     def _spreads(self, first: FirstSurfaces, least: Tensor) -> Tensor:
-        """Which first surfaces look alike from all lens points of a group: opaque, with α of at least `least`; bool `[K]`."""
+        """Which first surfaces look alike from lens points of a group: opaque, with α of at least `least`; bool `[K]`."""
         surface, materials = first.met, self._tracer.geometry.materials
-        spreads = surface.alpha >= least
+        spreads = (surface.alpha >= least) & (surface.facing > 0.0)
         if surface.clearcoat is not None:
             spreads &= (surface.clearcoat <= 0.0) | (surface.clearcoat_alpha >= least)
         if materials.has_transmission:
@@ -197,13 +197,12 @@ class PathSharing:
         arriving, outgoing = torch.zeros_like(points[0]), torch.zeros_like(focus)
         met, infinite = indices(place >= 0), indices(place < 0)
         if len(met) > 0:
-            first = samples.first.met
-            there = place.index_select(0, met)
-            ends = (values.index_select(-1, there) for values in (first.position, first.geometric_normal, first.offset))
+            first, there = samples.first, place.index_select(0, met)
+            ends = (values.index_select(-1, there) for values in (first.met.position, first.met.geometric_normal, first.met.offset))
             on_lens = self._camera.axes[:, :2] @ points.index_select(1, met) + self._camera.position
             towards, above, *ray = _ray_to(on_lens, *ends)
             put(outgoing, met, towards)
-            rises = indices(above)
+            rises = indices(above & first.same_normals(there, towards))
             ray = (values.index_select(-1, rises) for values in ray)
             put(arriving, met.index_select(0, rises), self._transmittance(*ray, samples, timer))
         if len(infinite) > 0:
