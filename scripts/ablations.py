@@ -25,6 +25,7 @@ from pathlib import Path
 from unittest import mock
 
 import torch
+from other_fields import LAYERS, LayeredRecord, LearntField, layered_patches
 from torch import Tensor
 
 import bokehguide
@@ -46,14 +47,15 @@ from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.digest import digest
 from bokehguide.scene.lamps import Lamps
-from bokehguide.train import RenderLoop, RenderSettings, fitting, guide, known_lamps, radiance_control, sharing, spot_guide
+from bokehguide.train import RenderLoop, RenderSettings, fitting, guide, known_lamps, loop, radiance_control, sharing, spot_guide
 from bokehguide.train.known_lamps import KnownLamps
 from bokehguide.train.lamp_yield import LampYield
 from bokehguide.train.light_guide import LightGuide
 from bokehguide.train.radiance_control import RadianceControl
 from bokehguide.train.record_buffer import RecordBuffer
 
-CODE = digest(tuple(path.read_text() for path in (*sorted(Path(bokehguide.__file__).parent.rglob("*.py")), Path(__file__))))
+SOURCES = (*sorted(Path(bokehguide.__file__).parent.rglob("*.py")), Path(__file__), Path(__file__).with_name("other_fields.py"))
+CODE = digest(tuple(path.read_text() for path in SOURCES))
 """What renders of other code do not stand in for."""
 FIRST_SEED = 5_000_000
 REFERENCE_SHARE = 32
@@ -216,6 +218,7 @@ def group(long: int, short: int) -> Change:
     return Change("pixels of a group", f"{long} x {short}", ((sharing, "LONG", long), (sharing, "SHORT", short)), "guided")
 
 
+LAYERED = ((spot_guide, "RecordBuffer", LayeredRecord), (fitting, "label_patches", layered_patches))
 PLAIN = ((RecordBuffer, "add", add_plain), (RecordBuffer, "positions", plain_positions))
 CHANGES = {
     "alpha": constants("α of σ = α R_b", fitting, "ALPHA", [0.25, 0.35, 0.7, 1.0]),
@@ -235,6 +238,9 @@ CHANGES = {
     "smooth": constants("α of shared surfaces, views' angles", sharing, "SMOOTH", [0.25, 1.0, 2.0], "guided"),
     "doubt": constants("doubt in slopes", radiance_control, "DOUBT", [16.0, 256.0, 1e30], "guided"),
     "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 3, 5], "guided"),
+    "axes": constants("half axes of found highlights, standard deviations", fitting, "AXES", [1.7, 3.2], "guided"),
+    "layers": [Change("layers of the record", str(LAYERS), LAYERED, "guided")],
+    "field": [Change("σ and mixture weights", "learnt by the KL", ((loop, "LensGuide", LearntField),))],
     "positions": [Change("record positions", "plain means", PLAIN)],
     "weights": [
         Change("mixture weights", name, ((GaussianField, "lens_weights", weights),))
@@ -325,10 +331,10 @@ def measured(
 def rendered(scene: Scene, settings: RenderSettings, change: Change, tracer: PathTracer) -> Tensor:
     """Radiance `[H, W, 3]` with one change made; none of them changes what the scene's tracer is made of."""
     with change.made():
-        loop = RenderLoop(scene, settings, tracer=tracer)
+        render = RenderLoop(scene, settings, tracer=tracer)
         for _ in range(settings.spp):
-            loop.step()
-    return loop.film.radiance().cpu()
+            render.step()
+    return render.film.radiance().cpu()
 
 
 def rows(defaults: list[Change], changes: list[Change], found: dict[str, list[list[float]]]) -> Iterator[str]:

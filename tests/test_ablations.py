@@ -7,12 +7,17 @@ import sys
 from pathlib import Path
 
 import ablations
+import other_fields
 import pytest
 import torch
 
+from bokehguide.models.lens_distribution import GuidedLensDistribution
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import RenderSettings
+from bokehguide.train.record_buffer import RecordBuffer
 
 SCRIPT = Path(__file__).parent.parent / "scripts/ablations.py"
 
@@ -105,6 +110,52 @@ def test_every_part_of_guided_that_is_added_to_nothing_changes_the_picture():
         found = ablations.rendered(scene, settings, ablations.alone(part), tracer)
         assert found.isfinite().all()
         assert not torch.equal(found, before[needed]), f"{part} changes nothing"
+
+
+def test_the_gradient_of_the_field_is_that_of_automatic_differentiation():
+    """Of σ and weight of each of four Gaussians, seen by a hundred pixels."""
+    generator = torch.Generator().manual_seed(2)
+    lens, pixels, count = Lens(0.2, 2.0), 100, 4
+    focus = torch.cat((torch.rand(2, pixels, generator=generator) - 0.5, torch.full((1, pixels), 2.0)))
+    mean = torch.tensor([[0.1, -0.2, 0.3, 0.0], [0.0, 0.1, -0.3, 0.2], [4.0, 5.0, 1.2, 6.0]])
+    start, gaussian = count * torch.arange(pixels + 1), torch.arange(count).repeat(pixels)
+    points, ratio = (torch.rand(2, pixels, generator=generator) - 0.5) * 0.28, torch.rand(pixels, generator=generator)
+    sigma = torch.tensor([0.1, 0.3, 0.05, 0.4]).log().requires_grad_()
+    weight = torch.tensor([1.0, 2.0, 0.5, 1.0]).log().requires_grad_()
+
+    def seen(*of_field: torch.Tensor) -> GuidedLensDistribution:
+        each = (values.exp().index_select(0, gaussian) for values in of_field)
+        beta = torch.full((pixels,), 0.7)
+        return GuidedLensDistribution(lens, focus, beta, start, mean.index_select(1, gaussian), *each)
+
+    with torch.no_grad():
+        mixture = seen(sigma, weight)
+        found = other_fields.field_gradient(mixture, ratio, mixture.evaluate(points))
+    found = torch.zeros(2, count, dtype=found.dtype).index_add_(1, gaussian, found)
+    mixture = seen(sigma, weight)
+    shares = (weight.exp()[gaussian] * mixture._is_kept(lens)).reshape(pixels, count)
+    parts = (shares / shares.sum(1, keepdim=True).clamp(min=1e-30)).reshape(-1) * mixture.component_pdf(points)
+    density = 0.7 * parts.reshape(pixels, count).sum(1) + 0.3 * lens.transmission(points) / lens.area
+    (-(ratio * density.log())[mixture.guided]).sum().backward()
+    torch.testing.assert_close(found, torch.stack((sigma.grad, weight.grad)).to(found.dtype), rtol=1e-3, atol=1e-3)
+
+
+def test_layers_keep_highlights_apart_that_share_a_texel():
+    """In a plain record they are one, at the brighter one's depth or in between."""
+    scene = load_scene("glitter", Overrides(width=64, height=36))
+    camera = ThinLensCamera(scene.camera, 64, 36)
+    depth = torch.tensor([0.4, 30.0]).repeat(50) * camera.lens.focus_distance
+    points = torch.stack((0.01 * depth, 0.02 * depth, depth))
+    found = []
+    for record in (RecordBuffer(camera), other_fields.LayeredRecord(camera)):
+        for _ in range(2):
+            record.add(record.cells(camera, points), points, torch.ones(100))
+            record.merge()
+        lit = record.sums[0].nonzero()[:, 0]
+        assert float(record.sums[0].sum()) == 200.0 and float(record.radiance().sum()) == len(lit)
+        found.append(record.positions(lit)[2])
+    assert len(found[0]) == 1 and depth[0] < found[0][0] < depth[1]
+    torch.testing.assert_close(found[1].sort().values, depth[:2])
 
 
 def test_the_standard_error_is_that_of_repeated_quotients():
