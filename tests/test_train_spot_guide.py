@@ -96,6 +96,29 @@ def share_of_hits(loop: RenderLoop) -> float:
 EDGE_ON, STRIP = ((0.0, 80.0, 0.0), (0.15, 0.15, 1.0)), ((0.0, 0.0, 30.0), (0.15, 0.01, 1.0))
 
 
+@pytest.mark.parametrize("depth, radius", [(-5.0, 0.15), (-3.0, 0.45), (-1.0, 0.2)], ids=["small", "near the focal plane", "before it"])
+def test_a_round_lamp_is_drawn_as_x_f_sees_it(depth, radius):
+    """In all of the frame: what is drawn meets it, and what meets it is drawn."""
+    lamp = spheres(np.array([[0.4, 0.2, depth]]), radius, material=0)
+    scene = scenes.lamps(WIDTH, HEIGHT)
+    camera = replace(scene.camera, aperture_radius=0.4)
+    loop = rendered(replace(scene, camera=camera, meshes=(lamp,), environment=None), 0)
+    focus, mixture = guided_alone(loop)
+    tracer, drawn, missed, lit = loop.tracer.geometry.tracer, [], 0, 0
+    assert bool((mixture.owner.diff() > 0).all())
+    for step in range(64):
+        numbers = torch.rand(3, WIDTH * HEIGHT, generator=torch.Generator().manual_seed(step))
+        for points, whether in ((mixture.sample(numbers), True), (loop.camera.lens.sample(numbers[1:]), False)):
+            hit = tracer.intersect(*loop.camera.rays(focus[:, mixture.owner], points[:, mixture.owner])).triangle >= 0
+            if whether:
+                drawn.append(float(hit[mixture.guided[mixture.owner]].float().mean()))
+            else:
+                lit += int(hit.sum())
+                missed += int((hit & (mixture.component_pdf(points) == 0.0)).sum())
+    assert np.mean(drawn) > 0.96
+    assert lit > 1000 and missed < 1e-3 * lit
+
+
 @pytest.mark.parametrize("angles, size", [EDGE_ON, STRIP], ids=["edge-on", "strip"])
 def test_panels_are_drawn_in_their_own_shape(angles, size):
     """Nearly all of the draws meet it, and many times those of a ball."""

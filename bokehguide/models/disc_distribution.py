@@ -23,6 +23,8 @@ from bokehguide.render.pixels import indices, put
 
 FLATTEST = 1e-4
 """Least squared height of an ellipse by its squared height upright: panels seen from their edge are no lines."""
+DEEPEST = 0.9
+"""Most that a squared half axis along z is by the squared distance to x_F: of what reaches there the outline has no end."""
 BEYOND = 1.001
 """Bands reach so far beyond the lens's circle, in lens radii: what rounding moves across their ends, the lens does not see."""
 NARROWEST = -0.9
@@ -75,7 +77,7 @@ class Ellipses(NamedTuple):
 class DiscLensDistribution(LensMixture):
     """The mixture of ellipsoids projected through x_F onto the lens plane, as even ellipses, cut off where the lens ends.
 
-    The projection is the affine one that holds at an ellipsoid's centre. Densities are per unit lens area. A candidate
+    An ellipse is the outline of its ellipsoid as x_F sees it. Densities are per unit lens area. A candidate
     counts by the root of the shares of its ellipse that lie within the lens's circle, about, and in its band: so the variance
     of what is drawn of ellipses is least.
 
@@ -143,15 +145,21 @@ class DiscLensDistribution(LensMixture):
 
 @kernel
 def _ellipses(mean: Tensor, outline: Tensor, focus: Tensor, weight: Tensor, lens_radius: Tensor) -> tuple[Ellipses, Tensor]:
-    """Ellipsoids projected through x_F, and what of their weights the lens can see."""
-    center = project_to_lens(mean, focus)
+    """Outlines of ellipsoids seen through x_F, and what of their weights the lens can see.
+
+    The planes through x_F that touch an ellipsoid of squared half axes S about x_F + e have normals n of nᵀ (e eᵀ - S) n = 0: that
+    is the dual conic of the outline.
+    """
     gap = focus[2] - mean[2]
     x, y = (mean[0:2] - focus[0:2]) / gap
-    xx, xy, xz, yy, yz, zz = outline
-    scale = (focus[2] / gap).abs()
-    across = xx + x * (2.0 * xz + x * zz)
-    both = xy + y * xz + x * yz + x * y * zz
-    up = yy + y * (2.0 * yz + y * zz)
+    xx, xy, xz, yy, yz, zz = outline / (gap * gap)
+    flatter = (DEEPEST / zz.clamp(min=1e-30)).sqrt().clamp(max=1.0)
+    xz, yz, zz = flatter * xz, flatter * yz, flatter * flatter * zz
+    scale = focus[2] / (1.0 - zz)
+    center = project_to_lens(mean, focus) + scale * torch.stack((xz + x * zz, yz + y * zz))
+    across = xx + x * (2.0 * xz + x * zz) - (xx * zz - xz * xz)
+    both = xy + y * xz + x * yz + x * y * zz - (xy * zz - xz * yz)
+    up = yy + y * (2.0 * yz + y * zz) - (yy * zz - yz * yz)
     width = across.clamp(min=1e-30).sqrt()
     tilt = both / width
     height = (up - tilt * tilt).clamp(min=FLATTEST * up).sqrt()

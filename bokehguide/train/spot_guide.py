@@ -55,6 +55,8 @@ BRIGHTEST = 1e18
 PARTS, MOST_PARTS = 2, 16
 """Paths that go on from the first surface of a draw of weight 1, of others in proportion to their weight, and most of any
 draw: the light they find is what is left of the noise, and a lens point, once found, is dear."""
+SLACK = 0.1
+"""Pixels so many radii beyond a lamp's disc on the raster have it as a candidate: the disc is that of a small ball on the axis."""
 PRIOR = 1e-3
 """Second moment that either part of the mixture is taken to have had already, in units of the frame's mean squared."""
 
@@ -195,7 +197,7 @@ class SpotGuide(nn.Module):
         shapes, found = self._lamps.shapes, len(self.field) - len(self._lamps.field)
         self._numbers = pad(torch.stack((shapes.sky_lamp, shapes.panel)), (0, found), value=-1)
         """Which lamp of the map, and which panel, each of the field is, -1 for none, `[2, G]`."""
-        self.candidates: CandidateList | None = draw_candidates(self.field, self.camera) if len(self.field) else None
+        self.candidates: CandidateList | None = draw_candidates(self.field, self.camera, SLACK) if len(self.field) else None
 
     def blend_weights(self) -> Tensor:
         """β of each pixel, `[pixels]`."""
