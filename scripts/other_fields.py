@@ -23,7 +23,10 @@ WHOLE_PATCHES = fitting.label_patches
 
 
 class LayeredRecord(RecordBuffer):
-    """A record buffer whose cells are as many as LAYERS each, by defocus: highlights that share a texel stay apart."""
+    """A record buffer whose cells are as many as LAYERS each, by defocus: highlights that share a texel stay apart.
+
+    A layer's radiance is what it adds to its texel's, as the rays that pass it by count.
+    """
 
     def __init__(self, camera: ThinLensCamera, ranks: Ranks | None = None):
         super().__init__(camera, ranks)
@@ -32,10 +35,16 @@ class LayeredRecord(RecordBuffer):
 
     def cells(self, camera: ThinLensCamera, points: Tensor) -> Tensor:
         cell = super().cells(camera, points)
-        defocus = 1.0 - self._focus / points[2].clamp(min=1e-9)  # up to 1 at infinity, negative before the focal plane
-        share = (1.0 + defocus / (1.0 + defocus.abs())) / 1.5
-        layer = (LAYERS * share).long().clamp(0, LAYERS - 1)
+        defocus = (1.0 - self._focus / points[2].clamp(min=1e-9)).clamp(-1.0, 1.0)  # 1 at infinity, negative before the focal plane
+        layer = (0.5 * LAYERS * (1.0 + defocus)).long().clamp(max=LAYERS - 1)
         return torch.where(cell >= 0, cell + layer * (self.width * self.height), -1)
+
+    def add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
+        super().add(cells, points, luminance)
+        kept, size = cells[cells >= 0], self.width * self.height
+        for further in range(1, LAYERS):
+            others = (kept + further * size) % (LAYERS * size)
+            self.mine[0].index_add_(0, others, torch.ones_like(others, dtype=torch.float32))
 
     def radiance(self) -> Tensor:
         return (self.sums[1] / self.sums[0].clamp(min=1.0)).reshape(LAYERS * self.height, self.width)

@@ -144,15 +144,15 @@ def test_layers_keep_highlights_apart_that_share_a_texel():
     """In a plain record they are one, at the brighter one's depth or in between."""
     scene = load_scene("glitter", Overrides(width=64, height=36))
     camera = ThinLensCamera(scene.camera, 64, 36)
-    depth = torch.tensor([0.4, 30.0]).repeat(50) * camera.lens.focus_distance
+    depth = torch.tensor([1.5, 30.0]).repeat(50) * camera.lens.focus_distance
     points = torch.stack((0.01 * depth, 0.02 * depth, depth))
     found = []
     for record in (RecordBuffer(camera), other_fields.LayeredRecord(camera)):
         for _ in range(2):
             record.add(record.cells(camera, points), points, torch.ones(100))
             record.merge()
-        lit = record.sums[0].nonzero()[:, 0]
-        assert float(record.sums[0].sum()) == 200.0 and float(record.radiance().sum()) == len(lit)
+        lit = record.sums[1].nonzero()[:, 0]
+        assert bool((record.sums[0][lit] == 200.0).all()) and float(record.radiance().sum()) == 1.0
         found.append(record.positions(lit)[2])
     assert len(found[0]) == 1 and depth[0] < found[0][0] < depth[1]
     torch.testing.assert_close(found[1].sort().values, depth[:2])

@@ -137,7 +137,7 @@ def test_an_outline_is_drawn_where_rays_through_it_leave_the_lens(name):
     case = next(case for case in CASES if case.name == name)
     distribution, count = case.distribution(1), 200_000
     directions = torch.nn.functional.normalize(torch.randn(3, count, generator=torch.Generator().manual_seed(0)).double(), dim=0)
-    axes = torch.tensor(case.axes[0] if case.axes else np.diag([case.sigma[0], case.sigma[0], 0.0])).double()
+    axes = torch.tensor(case.axes[0] if case.axes else case.sigma[0] * np.eye(3)).double()
     shell = torch.tensor(case.mean).double() + axes.T @ directions
     shown = project_to_lens(shell, distribution.focus.double().expand(3, count))
     x, y = shown - distribution.ellipses.center
@@ -180,8 +180,11 @@ def test_evenly_spread_numbers_give_evenly_spread_points():
 
 @pytest.mark.parametrize("x, radius, expected", [(0.0, 0.02, 1.0), (0.0, 0.2, 0.25), (0.13, 0.02, 0.0), (0.1, 0.02, 0.5)])
 def test_overlap_with_the_lens(x, radius, expected):
-    found = overlap(torch.tensor([[x], [0.0]]), torch.tensor([radius]), torch.tensor(Lens(0.1, 2.0).radius))
+    size, lens_radius = torch.tensor([radius]), torch.tensor(Lens(0.1, 2.0).radius)
+    found = overlap(torch.tensor([[x], [0.0]]), size, 0.0 * size, size, lens_radius)
     assert float(found) == pytest.approx(expected, abs=0.06)
+    turned = overlap(torch.tensor([[0.0], [x]]), 0.5 * size, size, size, lens_radius)
+    assert (float(turned) > 0.0) == (x - 2.0**0.5 * radius < 0.1)  # so far it reaches up: hypot(1, 1)
 
 
 def test_parts_of_a_disc_and_their_ends_belong_together():

@@ -1,5 +1,6 @@
 """The guide of mode `guided`: what it knows from the start, what it finds, how it weighs, and when."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +15,11 @@ from bokehguide.render.mirrors import MirrorImages
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_box, unit_rectangle, unit_sphere
-from bokehguide.scene.types import Environment, Material, Mesh, Scene
+from bokehguide.scene.types import Environment, Material, Mesh, Scene, Sun
 from bokehguide.train import RenderLoop, RenderSettings, spot_guide
 from bokehguide.train.fitting import AXES
 from bokehguide.train.guide import GuidedBatch
-from bokehguide.train.known_lamps import REACH
-from bokehguide.train.record_buffer import FAR
+from bokehguide.train.known_lamps import INFINITY, REACH
 from bokehguide.train.spot_guide import HIGHEST, LOWEST
 
 WIDTH, HEIGHT = 64, 36
@@ -96,26 +96,62 @@ def share_of_hits(loop: RenderLoop) -> float:
 EDGE_ON, STRIP = ((0.0, 80.0, 0.0), (0.15, 0.15, 1.0)), ((0.0, 0.0, 30.0), (0.15, 0.01, 1.0))
 
 
-@pytest.mark.parametrize("depth, radius", [(-5.0, 0.15), (-3.0, 0.45), (-1.0, 0.2)], ids=["small", "near the focal plane", "before it"])
-def test_a_round_lamp_is_drawn_as_x_f_sees_it(depth, radius):
-    """In all of the frame: what is drawn meets it, and what meets it is drawn."""
-    lamp = spheres(np.array([[0.4, 0.2, depth]]), radius, material=0)
-    scene = scenes.lamps(WIDTH, HEIGHT)
-    camera = replace(scene.camera, aperture_radius=0.4)
-    loop = rendered(replace(scene, camera=camera, meshes=(lamp,), environment=None), 0)
+def lit_alone(lamps: Scene, aperture: float) -> RenderLoop:
+    """Under nothing else, through another lens."""
+    return rendered(replace(lamps, camera=replace(lamps.camera, aperture_radius=aperture)), 0)
+
+
+def ball(position: tuple[float, float, float], radius: float) -> Scene:
+    return replace(scenes.lamps(WIDTH, HEIGHT), meshes=(spheres(np.array([position]), radius, material=0),), environment=None)
+
+
+def needle(turned: tuple[float, float, float]) -> Scene:
+    mesh = transformed(unit_sphere(), transform((0.0, 0.0, -5.0), turned, (0.75, 0.02, 0.02)))
+    return replace(scenes.lamps(WIDTH, HEIGHT), meshes=(mesh,), environment=None)
+
+
+def sun(azimuth: float, angle: float) -> Scene:
+    """Seen so many degrees off the axis."""
+    far = Sun((math.sin(math.radians(azimuth)), 0.0, -math.cos(math.radians(azimuth))), angle, (1.0, 1.0, 1.0))
+    behind = spheres(np.array([[0.0, 0.0, 9.0]]), 0.1, material=0)
+    return replace(scenes.lamps(WIDTH, HEIGHT), meshes=(behind,), materials=(scenes.BLACK,), environment=None, suns=(far,))
+
+
+@pytest.mark.parametrize(
+    "lamps, aperture, least",
+    [
+        pytest.param(ball((0.4, 0.2, -5.0), 0.15), 0.4, 0.95, id="small"),
+        pytest.param(ball((0.4, 0.2, -3.0), 0.45), 0.4, 0.95, id="near the focal plane"),
+        pytest.param(ball((0.4, 0.2, -1.0), 0.2), 0.4, 0.95, id="before it"),
+        pytest.param(needle((0.0, 60.0, 20.0)), 0.3, 0.75, id="long, and leaning away"),
+        pytest.param(sun(0.0, 0.1), 0.3, 0.95, id="small sun"),
+        pytest.param(sun(18.0, 0.53), 0.1, 0.95, id="sun at the side"),
+    ],
+)
+def test_lamps_are_drawn_as_x_f_sees_them(lamps, aperture, least):
+    """What is drawn meets them, and what meets them is drawn, and not by the uniform part alone: at points beside them, too."""
+    loop = lit_alone(lamps, aperture)
     focus, mixture = guided_alone(loop)
-    tracer, drawn, missed, lit = loop.tracer.geometry.tracer, [], 0, 0
+    environment, drawn, missed, lit = loop.tracer.lights.environment, [], 0, 0
     assert bool((mixture.owner.diff() > 0).all())
+
+    def meets(points: torch.Tensor) -> torch.Tensor:
+        origins, directions = loop.camera.rays(focus, points)
+        hit = loop.tracer.geometry.tracer.intersect(origins, directions).triangle >= 0
+        return hit if environment is None else environment.radiance(directions)[0] > 0.0
+
     for step in range(64):
         numbers = torch.rand(3, WIDTH * HEIGHT, generator=torch.Generator().manual_seed(step))
-        for points, whether in ((mixture.sample(numbers), True), (loop.camera.lens.sample(numbers[1:]), False)):
-            hit = tracer.intersect(*loop.camera.rays(focus[:, mixture.owner], points[:, mixture.owner])).triangle >= 0
-            if whether:
-                drawn.append(float(hit[mixture.guided[mixture.owner]].float().mean()))
-            else:
-                lit += int(hit.sum())
-                missed += int((hit & (mixture.component_pdf(points) == 0.0)).sum())
-    assert np.mean(drawn) > 0.96
+        points = mixture.sample(numbers)
+        drawn.append(float(meets(points)[mixture.guided].float().mean()))
+        if step % 2:
+            points[:, mixture.owner] += 0.3 * (points[:, mixture.owner] - mixture.ellipses.center)
+        else:  # also where no candidate is drawn from
+            points = loop.camera.lens.sample(numbers[1:])
+        found = meets(points) & (loop.camera.lens.transmission(points) > 0.0)
+        lit += int(found.sum())
+        missed += int((found & (mixture.evaluate(points).mixture == 0.0)).sum())
+    assert np.mean(drawn) > least
     assert lit > 1000 and missed < 1e-3 * lit
 
 
@@ -166,9 +202,9 @@ def test_peaks_of_an_environment_are_far_lamps():
     scene = replace(scenes.lamps(WIDTH, HEIGHT), environment=Environment(radiance))
     focus = scene.camera.focus_distance
     field = rendered(scene, 0).guide.field
-    far = field.mean[2] > 0.5 * FAR * focus
+    far = field.mean[2] > 0.5 * INFINITY * focus
     assert int(far.sum()) == 1
-    direction = field.mean[:, far][:, 0] / (FAR * focus)
+    direction = field.mean[:, far][:, 0] / (INFINITY * focus)
     azimuth, height = 2.0 * np.pi * (71 / 128 - 0.5), np.pi * (0.5 - 31 / 64)
     np.testing.assert_allclose(direction[0] / direction[2], np.tan(azimuth), rtol=0.02)
     np.testing.assert_allclose(direction[1], np.sin(height), rtol=0.02)

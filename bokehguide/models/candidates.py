@@ -57,7 +57,7 @@ def draw_candidates(
 ) -> CandidateList:
     """List the Gaussians that each pixel may see, by drawing their discs on the raster.
 
-    slack: by how many σ the means may still move (polynomial offsets). without: pixels to
+    slack: by how many σ discs may be larger, or means may still move (polynomial offsets). without: pixels to
     leave out, bool `[pixels]`.
     """
     center, radius = field.footprints(camera)

@@ -160,28 +160,34 @@ def _ellipses(mean: Tensor, outline: Tensor, focus: Tensor, weight: Tensor, lens
     across = xx + x * (2.0 * xz + x * zz) - (xx * zz - xz * xz)
     both = xy + y * xz + x * yz + x * y * zz - (xy * zz - xz * yz)
     up = yy + y * (2.0 * yz + y * zz) - (yy * zz - yz * yz)
-    width = across.clamp(min=1e-30).sqrt()
+    width = across.clamp(min=1e-37).sqrt()
     tilt = both / width
     height = (up - tilt * tilt).clamp(min=FLATTEST * up).sqrt()
     width, tilt, height = scale * width, scale * tilt, scale * height
     band = _band(center, width, tilt, height, lens_radius)
-    seen = (overlap(center, (width * height).sqrt(), lens_radius) * band.share).sqrt()
+    seen = (overlap(center, width, tilt, height, lens_radius) * band.share).sqrt()
     return Ellipses(center, width, tilt, height, band), weight * seen
 
 
 def _band(center: Tensor, width: Tensor, tilt: Tensor, height: Tensor, lens_radius: Tensor) -> Band:
     """Bands of ellipses: as `Band` says, but for BEYOND and NARROWEST."""
-    distance = center.square().sum(0).sqrt()
-    centred = distance < 1e-6 * lens_radius  # any way will do
-    x, y = center / torch.where(centred, 1.0, distance)
-    x = torch.where(centred, 1.0, x)
-    across, up = width * x + tilt * y, height * y
+    distance, across, up = _towards_lens(center, width, tilt, height, lens_radius)
     reach = (across * across + up * up).sqrt().clamp(min=1e-30)
     low, high = (-BEYOND * lens_radius - distance) / reach, (BEYOND * lens_radius - distance) / reach
     high = high.clamp(min=NARROWEST)
     below = _disc_share(low)
     share = (_disc_share(high) - below).clamp(min=1e-7)  # of the largest discs, the lens is nothing
     return Band(torch.stack((across, up)) / reach, low, high, below, share)
+
+
+def _towards_lens(center: Tensor, width: Tensor, tilt: Tensor, height: Tensor, lens_radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """How far the centres of ellipses are from the lens's, and the way there in coordinates in which they are unit discs: two numbers,
+    as long as an ellipse reaches on that way."""
+    distance = center.square().sum(0).sqrt()
+    centred = distance < 1e-6 * lens_radius  # any way will do
+    x, y = center / torch.where(centred, 1.0, distance)
+    x = torch.where(centred, 1.0, x)
+    return distance, width * x + tilt * y, height * y
 
 
 def _disc_share(x: Tensor) -> Tensor:
@@ -233,14 +239,14 @@ def packed(outline: Tensor) -> Tensor:
 
 
 def balls(radius: Tensor) -> Tensor:
-    """Packed outlines `[6, M]` of discs of radius `[M]` parallel to the lens, which stand for balls."""
+    """Packed outlines `[6, M]` of balls of radius `[M]`."""
     squared, none = radius * radius, torch.zeros_like(radius)
-    return torch.stack((squared, none, none, squared, none, none))
+    return torch.stack((squared, none, none, squared, none, squared))
 
 
-def overlap(center: Tensor, radius: Tensor, lens_radius: Tensor) -> Tensor:
-    """About the share `[N]` of discs `[2, N]` and `[N]` that lies within the circle of the lens, `[]`; 0 where none of it does."""
-    distance = center.square().sum(0).sqrt()
-    smaller = torch.minimum(radius, lens_radius)
-    inside = ((lens_radius + radius - distance) / (2.0 * smaller)).clamp(0.0, 1.0)
-    return inside * (smaller / radius).square()
+def overlap(center: Tensor, width: Tensor, tilt: Tensor, height: Tensor, lens_radius: Tensor) -> Tensor:
+    """About the share `[N]` of ellipses (see `Ellipses`) that lies within the circle of the lens; 0 where none of it does."""
+    distance, across, up = _towards_lens(center, width, tilt, height, lens_radius)
+    reach = (across * across + up * up).sqrt().clamp(min=1e-30)
+    inside = ((lens_radius + reach - distance) / (2.0 * torch.minimum(reach, lens_radius))).clamp(0.0, 1.0)
+    return inside * (lens_radius * lens_radius / (width * height)).clamp(max=1.0)

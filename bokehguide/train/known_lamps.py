@@ -16,11 +16,12 @@ from bokehguide.models.sky_lamps import SkyLamps
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene.lamps import Lamps, find_lamps
 from bokehguide.scene.types import Scene
-from bokehguide.train.record_buffer import FAR
 
 REACH = 1.005
 """Size of a lamp's outline by its own. What of the lamp lies outside is left to the uniform part, and dear: with 0.95 the error is 1.2
 to 5 times as large; with 1.1, of whose draws a sixth misses round lamps, 1.02 to 1.26 times (docs/results.md)."""
+INFINITY = 1e5
+"""Lamps at infinity are taken to be so many focus distances away."""
 EMPTIEST = 16.0
 """A piece whose outline has more than this many times the area that it shows is no lamp but a tangle, left to be found."""
 WIDEST = 3.0
@@ -48,10 +49,12 @@ def known_lamps(scene: Scene, camera: ThinLensCamera) -> KnownLamps:
     arrays = (lamps.centres.T, lamps.extents, lamps.radii, lamps.luminance, lamps.outlines)
     centre, reach, size, bright, outline = (torch.from_numpy(x).float() for x in arrays)
     infinite, axes = torch.from_numpy(lamps.infinite), camera.axes.cpu()
-    scale = torch.where(infinite, FAR * camera.lens.focus_distance, 1.0)
+    scale = torch.where(infinite, INFINITY * camera.lens.focus_distance, 1.0)
     world = centre - torch.where(infinite, 0.0, camera.position.cpu())
     mean, radius = (axes.T @ world) * scale, REACH * reach * scale
-    outline = torch.where(infinite, balls(radius), packed(axes.T @ outline @ axes) * REACH**2)
+    # Of a cone the extent is the tangent, and the ball in it has the sine.
+    cones = balls(radius / (1.0 + reach.square()).sqrt())
+    outline = torch.where(infinite, cones, packed(axes.T @ outline @ axes) * REACH**2)
     energy = bright * radius.square()
     # Rings and other tangles fill little of their outlines.
     area = torch.linalg.eigvalsh(torch.from_numpy(lamps.outlines))[:, 1:].prod(1).sqrt().float()
