@@ -174,7 +174,9 @@ def test_evenly_spread_numbers_give_evenly_spread_points():
     place = (torch.stack(torch.meshgrid(torch.arange(32), torch.arange(32), indexing="ij")).reshape(2, -1) + 0.5) / 32
     distribution = case.distribution(1024)
     points = distribution.sample(torch.cat((torch.full((1, 1024), 0.5), place)))
-    ring = ((points - distribution.ellipses.center).square().sum(0) / distribution.ellipses.width.square() * 32).long()
+    center, width, tilt, height, _ = distribution.ellipses
+    x, y = points - center
+    ring = (32 * ((x / width).square() + ((y - tilt * x / width) / height).square())).long()
     assert (torch.bincount(ring) == 32).all()
 
 
