@@ -80,9 +80,9 @@ def test_so_does_one_that_a_map_bends_away(slot):
     ways = np.stack((-np.sin(angles), 0.0 * angles, -np.cos(angles)), axis=1)
     hit, surface = found(geometry, -ways, ways)
     assert surface.facing.tolist() == [0.0, 1.0, 1.0, 0.0]
-    bent, *_, interpolated = (normals[0] / normals[2] for normals in geometry.own_normals(surface, hit))
-    if slot == "clearcoat_normal_texture":
-        bent = surface.clearcoat_normal[0] / surface.clearcoat_normal[2]
+    names = ["normal_texture", "clearcoat_normal_texture", "vertices"]
+    slopes = {name: normals[0] / normals[2] for name, normals in zip(names, geometry.own_normals(surface, hit), strict=True)}
+    bent, interpolated = slopes[slot], slopes["vertices"]
     torch.testing.assert_close(interpolated, torch.full((4,), -math.tan(0.9)))
     torch.testing.assert_close(bent[1:3], torch.full((2,), math.tan(1.2 - 0.9)), rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(bent[0], torch.tensor(-math.tan(0.9)))
