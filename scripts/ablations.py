@@ -25,7 +25,7 @@ from pathlib import Path
 from unittest import mock
 
 import torch
-from other_fields import LAYERS, LayeredRecord, LearntField, layered_patches
+from other_fields import KeptSpots, LearntField, LearntSpots
 from torch import Tensor
 
 import bokehguide
@@ -53,6 +53,7 @@ from bokehguide.train.lamp_yield import LampYield
 from bokehguide.train.light_guide import LightGuide
 from bokehguide.train.radiance_control import RadianceControl
 from bokehguide.train.record_buffer import RecordBuffer
+from bokehguide.train.voxel_record import VoxelRecord
 
 SOURCES = (*sorted(Path(bokehguide.__file__).parent.rglob("*.py")), Path(__file__), Path(__file__).with_name("other_fields.py"))
 CODE = digest(tuple(path.read_text() for path in SOURCES))
@@ -167,6 +168,7 @@ LAMPS, FOUND, LIGHTS, SHARING = "known lamps", "found highlights", "learnt light
 PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
     LAMPS: ((spot_guide, "known_lamps", no_lamps),),
     FOUND: ((spot_guide, "fit_ellipsoids", nothing_found),),
+    "voxels by depth": ((VoxelRecord, "_layers", lambda _, depth: torch.zeros_like(depth, dtype=torch.int64)),),
     "mirror images": ((MirrorImages, "add", lambda *_: None),),
     "shapes of map lamps and panels": ((known_lamps, "_shapes", no_shapes),),
     "proportions (else balls)": ((known_lamps, "packed", as_balls),),
@@ -184,6 +186,7 @@ PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
 }
 """What mode `guided` is made of, and the patches that take each part away."""
 NEEDED = {
+    "voxels by depth": (FOUND,),
     "mirror images": (FOUND,),
     "shapes of map lamps and panels": (LAMPS,),
     "proportions (else balls)": (LAMPS,),
@@ -218,7 +221,7 @@ def group(long: int, short: int) -> Change:
     return Change("pixels of a group", f"{long} x {short}", ((sharing, "LONG", long), (sharing, "SHORT", short)), "guided")
 
 
-LAYERED = ((spot_guide, "RecordBuffer", LayeredRecord), (fitting, "label_patches", layered_patches))
+SPOTS = (("kept after 8 steps", KeptSpots), ("kept, and learnt by the KL", LearntSpots))
 PLAIN = ((RecordBuffer, "add", add_plain), (RecordBuffer, "positions", plain_positions))
 CHANGES = {
     "alpha": constants("α of σ = α R_b", fitting, "ALPHA", [0.25, 0.35, 0.7, 1.0]),
@@ -239,8 +242,12 @@ CHANGES = {
     "doubt": constants("doubt in slopes", radiance_control, "DOUBT", [16.0, 256.0, 1e30], "guided"),
     "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 3, 5], "guided"),
     "axes": constants("half axes of found highlights, standard deviations", fitting, "AXES", [1.7, 3.2], "guided"),
-    "layers": [Change("layers of the record", str(LAYERS), LAYERED, "guided")],
-    "field": [Change("σ and mixture weights", "learnt by the KL", ((loop, "LensGuide", LearntField),))],
+    "field": [
+        Change("σ and mixture weights", "learnt by the KL", ((loop, "LensGuide", LearntField),)),
+        *(Change("found highlights", how, ((loop, "SpotGuide", guide),), "guided") for how, guide in SPOTS),
+        Change("without known lamps", "", PARTS[LAMPS], "guided"),
+        *(Change("found highlights, no known lamps", how, (*PARTS[LAMPS], (loop, "SpotGuide", guide)), "guided") for how, guide in SPOTS),
+    ],
     "positions": [Change("record positions", "plain means", PLAIN)],
     "weights": [
         Change("mixture weights", name, ((GaussianField, "lens_weights", weights),))

@@ -12,12 +12,13 @@ import pytest
 import torch
 
 from bokehguide.models.lens_distribution import GuidedLensDistribution
-from bokehguide.render.camera import ThinLensCamera
+from bokehguide.models.projection import lens_density
 from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathTracer
+from bokehguide.render.pixels import pixel_numbers
 from bokehguide.scene import Overrides, load_scene
-from bokehguide.train import RenderSettings
-from bokehguide.train.record_buffer import RecordBuffer
+from bokehguide.train import RenderLoop, RenderSettings, loop, spot_guide
+from bokehguide.train.guide import GuidedBatch
 
 SCRIPT = Path(__file__).parent.parent / "scripts/ablations.py"
 
@@ -143,22 +144,33 @@ def test_the_gradient_of_the_field_is_that_of_automatic_differentiation():
     torch.testing.assert_close(found, torch.stack((sigma.grad, weight.grad)).to(found.dtype), rtol=1e-3, atol=1e-3)
 
 
-def test_layers_keep_highlights_apart_that_share_a_texel():
-    """In a plain record they are one, at the brighter one's depth or in between."""
-    scene = load_scene("glitter", Overrides(width=64, height=36))
-    camera = ThinLensCamera(scene.camera, 64, 36)
-    depth = torch.tensor([1.5, 30.0]).repeat(50) * camera.lens.focus_distance
-    points = torch.stack((0.01 * depth, 0.02 * depth, depth))
-    found = []
-    for record in (RecordBuffer(camera), other_fields.LayeredRecord(camera)):
-        for _ in range(2):
-            record.add(record.cells(camera, points), points, torch.ones(100))
-            record.merge()
-        lit = record.sums[1].nonzero()[:, 0]
-        assert bool((record.sums[0][lit] == 200.0).all()) and float(record.radiance().sum()) == 1.0
-        found.append(record.positions(lit)[2])
-    assert len(found[0]) == 1 and depth[0] < found[0][0] < depth[1]
-    torch.testing.assert_close(found[1].sort().values, depth[:2])
+def test_the_gradient_of_found_highlights_is_that_of_the_loss(monkeypatch):
+    """Against automatic differentiation of the mixture with Gaussians in the place of found discs."""
+    monkeypatch.setattr(loop, "SpotGuide", other_fields.LearntSpots)
+    monkeypatch.setattr(spot_guide, "known_lamps", ablations.no_lamps)
+    render = RenderLoop(load_scene("glitter", Overrides(width=64, height=36)), RenderSettings("guided", 32, threads=1))
+    for _ in range(17):
+        render.step()
+    guide, generator = render.guide, torch.Generator().manual_seed(3)
+    assert bool((guide.changes != 0.0).any())
+    pixels, camera = slice(0, 64 * 36), render.camera
+    numbers = pixel_numbers(pixels)
+    raster = torch.stack((numbers % 64, numbers // 64)) + 0.5
+    focus = camera.focus_points(raster)
+    mixture, spot = guide._mixture(pixels, focus)
+    ratio = torch.rand(len(numbers), generator=generator)
+    at = mixture.evaluate(camera.lens.sample(torch.rand(2, len(numbers), generator=generator)))
+    found = guide._gradient(GuidedBatch(pixels, raster, mixture, spot), ratio, at)
+    mean, sigma = guide._learnt()
+    seen = (at.points[:, mixture.owner], focus[:, mixture.owner], mean[:, spot], sigma[spot])
+    density = lens_density(*(values.double() for values in seen))
+    weight = mixture.weight * guide.changes[4].exp()[spot].double()
+    total, mixed = torch.zeros(2, len(numbers), dtype=torch.float64).index_add(1, mixture.owner, torch.stack((weight, weight * density)))
+    whole = mixture.beta * mixed / total.clamp(min=1e-30) + (1.0 - mixture.beta) * camera.lens.transmission(at.points) / camera.lens.area
+    guide.changes.grad = None
+    (-(ratio * whole.log())[mixture.guided]).sum().backward()
+    assert bool((found.abs().amax(1) > 0.1).all())
+    torch.testing.assert_close(found, guide.changes.grad.double(), rtol=2e-3, atol=1e-3)
 
 
 def test_the_standard_error_is_that_of_repeated_quotients():

@@ -11,12 +11,15 @@ from lens_cases import LENS, PolarGrid, histogram_check
 from scipy import stats
 from statistical import SIGNIFICANCE, sidak
 
-from bokehguide.models.panels import Panels, SeenPanels
+from bokehguide.models.panels import BEYOND, Panels, SeenPanels
+from bokehguide.models.projection import FAR_OUTSIDE
 
 RADIUS = torch.tensor(LENS.radius)
 DRAWS = 100_000
 X_F, NEARER_X_F, FAR_X_F = (0.3, -0.2, 2.0), (0.05, -0.1, 2.0), (1.8e11, -1.2e11, 1e12)
 Point = tuple[float, float, float]
+WHOLE = 1.002 * LENS.radius
+"""Reach of a grid that holds all that is drawn of a panel which is larger than the lens."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,23 @@ class PanelCase:
         one = self.panels().select(torch.tensor([1]))
         return one.window(torch.tensor(self.focus)[:, None], RADIUS)[:, :, 0].double().numpy()
 
+    def chords(self, across: np.ndarray) -> np.ndarray:
+        """Ends `[2, N]` of what lies before the lens's circle along the second coordinate, at first ones `[N]`, in double precision:
+        lens points are quotients of linear functions of it, and |(a + b y) / (c + d y)|² ≤ r² is a quadratic inequality."""
+        low, high = self.window()[:, 1]
+        focus, up = np.array(self.focus), np.array(self.up)
+        start = (np.array(self.centre) + across[:, None] * np.array(self.right)) - focus
+        a, b = focus[:2] * start[:, 2:] - focus[2] * start[:, :2], focus[:2] * up[2] - focus[2] * up[:2]
+        c, d, squared = start[:, 2], up[2], (BEYOND * LENS.radius) ** 2
+        equations = np.stack(((b @ b - squared * d * d) + 0.0 * c, 2.0 * (a @ b - squared * c * d), (a * a).sum(1) - squared * c * c))
+        ends = []
+        for equation in equations.T:
+            edges = [root.real for root in np.roots(equation) if abs(root.imag) < 1e-12 and low < root.real < high]
+            edges = np.array(sorted([low, *edges, high]))
+            inside = np.polyval(equation, 0.5 * (edges[1:] + edges[:-1])) <= 0.0
+            ends.append((edges[:-1][inside].min(), edges[1:][inside].max()) if inside.any() else (low, low))
+        return np.array(ends).T
+
     def cells(self) -> PolarGrid:
         return PolarGrid(self.reach * np.sqrt(np.linspace(0.0, 1.0, 9)), 16, self.middle)
 
@@ -72,11 +92,11 @@ class PanelCase:
 CASES = [
     PanelCase("whole in the lens", (0.86, -0.58, 6.0), (0.06, 0.02, 0.01), (-0.01, 0.05, 0.03), 0.05, (0.02, -0.01)),
     PanelCase("before the focus", (0.168, -0.112, 1.2), (0.01, 0.002, 0.004), (0.0, 0.012, -0.003), 0.05, (-0.03, 0.02)),
-    PanelCase("clipped", (0.63, -0.575, 5.0), (0.3, 0.05, 0.1), (-0.04, 0.2, 0.1), 0.2),
-    PanelCase("larger than the lens", (0.3, -0.35, 5.0), (2.0, 0.3, 0.5), (-0.4, 1.5, 0.9), 0.22),
+    PanelCase("clipped", (0.63, -0.575, 5.0), (0.3, 0.05, 0.1), (-0.04, 0.2, 0.1), WHOLE),
+    PanelCase("larger than the lens", (0.3, -0.35, 5.0), (2.0, 0.3, 0.5), (-0.4, 1.5, 0.9), WHOLE),
     PanelCase("nearly from the edge", (0.88, -0.64, 6.0), (0.02, 0.15, 0.0), (0.274, -0.132, 1.2), 0.15, (0.03, 0.02)),
-    PanelCase("parallel to a ray", (0.35, -0.2, 6.0), (0, 0.2, 0), (0, 0, 2.0), 0.35, (-0.15, 0.03), NEARER_X_F, fine=120),
-    PanelCase("side wall", (0.7, -0.4, 7.0), (0.0, 2.0, 0.0), (0.0, 0.0, 4.5), 0.35, (0.0, 0.1), fine=120),
+    PanelCase("parallel to a ray", (0.35, -0.2, 6.0), (0, 0.2, 0), (0, 0, 2.0), WHOLE, (0.0, 0.0), NEARER_X_F, fine=120),
+    PanelCase("side wall", (0.7, -0.4, 7.0), (0.0, 2.0, 0.0), (0.0, 0.0, 4.5), WHOLE, fine=120),
     PanelCase("small", (0.86, -0.58, 6.0), (2e-3, 1e-4, 0.0), (0.0, 1e-3, 5e-4), 1.2e-3, (0.02, -0.01)),
     PanelCase("focus far away", (0.74, -0.48, 4.0), (0.03, 0.0, 0.01), (0.0, 0.02, 0.0), 0.045, (0.02, 0.0), FAR_X_F),
 ]
@@ -103,14 +123,22 @@ def test_the_density_integrates_to_one(case):
 
 @BY_NAME
 def test_draws_lie_on_the_panel(case):
-    """Evenly over what the lens can see of it, but for a rim against rounding; none that meets it has the density 0."""
-    points = case.draw(DRAWS, seed=3)
+    """Evenly along it and, at each place, across what the lens sees there, but for a rim against rounding; none that meets it
+    has the density 0."""
+    points = case.draw(DRAWS // 10, seed=3)
     depth, *places = case.places(points.double().numpy())
     assert (depth > 0.0).all() and max(np.abs(place).max() for place in places) < 1.02
-    within = [(place - low) / (high - low) for place, (low, high) in zip(places, case.window().T)]
+    window, (low, high) = case.window(), case.chords(places[0])
+    within = [(places[0] - window[0, 0]) / (window[1, 0] - window[0, 0]), (places[1] - low) / (high - low)]
     assert sidak([stats.kstest(place, "uniform").pvalue for place in within]) > SIGNIFICANCE
     meets = (np.abs(places) <= 1.0).all(0)
     assert (case.pdf(points).numpy()[meets] > 0.0).all()
+
+
+@BY_NAME
+def test_hardly_a_draw_misses_the_lens(case):
+    """But for the rim against rounding; even in the panel's coordinates, over all of the lens's square, a third would."""
+    assert float((case.draw(DRAWS, seed=7).norm(dim=0) > LENS.radius).float().mean()) < 0.01
 
 
 @BY_NAME
@@ -131,9 +159,11 @@ def test_the_density_is_one_over_the_stretch(case):
     for aside in np.eye(2)[:, :, None] * step:
         columns.append((case.places(points + aside) - case.places(points - aside))[1:] / (2.0 * step))
     (a, b), (c, d) = columns
-    expected = np.abs(a * d - b * c) / np.diff(window, axis=0).prod()
-    density = case.pdf(torch.from_numpy(points)).numpy()
+    area = np.diff(window[:, 0]) * np.diff(case.chords(case.places(points)[1]), axis=0)[0]
+    inside = np.hypot(*points) < LENS.radius
+    density, expected = case.pdf(torch.from_numpy(points)).numpy()[inside], (np.abs(a * d - b * c) / area)[inside]
     np.testing.assert_allclose(density[density > 0.0], expected[density > 0.0], rtol=2e-3)
+    assert (density > 0.0).mean() > 0.8
 
 
 @BY_NAME
@@ -164,7 +194,7 @@ def test_what_cannot_be_seen_has_no_density(case):
 def test_a_ray_along_a_panel_does_not_meet_it():
     """The lens point beside the panel by as much as x_F."""
     case = PanelCase("wall", (0.1, -0.2, 6.0), *BESIDE, 0.1, focus=(0.05, -0.2, 2.0))
-    density = case.pdf(torch.tensor([[0.05, 0.05, 0.025], [0.0, -0.2, -0.2]]))
+    density = case.pdf(torch.tensor([[0.05, 0.05, 0.025], [0.0, 0.05, 0.0]]))
     assert (density[:2] == 0.0).all() and 0.0 < float(density[2]) < 1e6
 
 
@@ -178,6 +208,6 @@ def test_a_wrong_density_fails(monkeypatch):
 
 def test_a_wrong_shape_fails(monkeypatch):
     """Even over the lens plane and not over the panel."""
-    monkeypatch.setattr(Panels, "pdf", lambda self, points, window, focus: 1.0 / self.size(window, focus))
+    monkeypatch.setattr(Panels, "pdf", lambda self, points, *seen: 1.0 / self.size(*seen))
     with pytest.raises(AssertionError):
         test_draws_follow_the_density(next(case for case in CASES if case.name == "side wall"))

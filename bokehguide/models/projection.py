@@ -13,6 +13,9 @@ from torch import Tensor
 
 from bokehguide.render.vector import cross, dot
 
+FAR_OUTSIDE = 1e15
+"""Coordinates of lens points from which nothing of a lamp is seen, metres."""
+
 
 def lens_magnification(depth: Tensor, focus_distance: float) -> Tensor:
     """k = d_F / (d_F - Z) `[N]`: how the lens plane shows lengths at depth Z through x_F.

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.models.projection import FAR_OUTSIDE
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.equirectangular import Equirectangular
 from bokehguide.render.kernels import kernel
@@ -20,10 +21,6 @@ from bokehguide.render.pixels import indices
 from bokehguide.render.vector import dot, normalize
 from bokehguide.scene.lamps import LUMINANCE
 from bokehguide.scene.types import Environment
-
-FAR_OUTSIDE = 1e15
-"""Coordinates of lens points from which nothing of a lamp is seen, metres."""
-
 
 class SkyLamps:
     """S lamps, and their densities per unit area of the lens plane.

@@ -7,9 +7,9 @@ from torch import Tensor
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.pixels import indices
 from bokehguide.render.vector import length
-from bokehguide.train.record_buffer import RecordBuffer
+from bokehguide.train.record_buffer import Raster, RecordBuffer
+from bokehguide.train.voxel_record import VoxelRecord
 
 RADIANCE_THRESHOLD = 8.0
 """A spot's cell is at least this many times as bright as the frame's mean (4.2.2: "high radiance", no figure)."""
@@ -23,15 +23,16 @@ DEPTH_GAP = 8.0
 """Connected cells belong to two spots where their depths, sorted, leap by so many cell widths."""
 
 
-def find_spotlights(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> tuple[Tensor, Tensor]:
-    """Cells `[K]` of the record that are bright and out of focus, and their positions `[3, K]`."""
-    cells = indices(record.sums[1] > RADIANCE_THRESHOLD * mean_luminance * record.sums[0])
-    points = record.positions(cells)
+def find_spotlights(
+    record: RecordBuffer | VoxelRecord, camera: ThinLensCamera, mean_luminance: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Cells `[K]` of the record that are bright and out of focus, their positions `[3, K]` and mean luminance `[K]`."""
+    cells, points, light = record.bright(RADIANCE_THRESHOLD * mean_luminance)
     defocused = camera.coc_diameter(points[2]) >= COC_THRESHOLD
-    return cells[defocused], points[:, defocused]
+    return cells[defocused], points[:, defocused], light[defocused]
 
 
-def label_patches(record: RecordBuffer, cells: Tensor, depth: Tensor, width: Tensor) -> Tensor:
+def label_patches(record: Raster, cells: Tensor, depth: Tensor, width: Tensor) -> Tensor:
     """Patch number of each spotlight cell, int64 `[K]` from 0 without gaps.
 
     Cells that touch on the raster form a patch, which is split where the sorted depths of
@@ -52,7 +53,7 @@ def label_patches(record: RecordBuffer, cells: Tensor, depth: Tensor, width: Ten
     return patch
 
 
-def fit_ellipsoids(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float) -> tuple[Tensor, ...]:
+def fit_ellipsoids(record: VoxelRecord, camera: ThinLensCamera, mean_luminance: float) -> tuple[Tensor, ...]:
     """One ellipsoid for each patch of spotlight cells: the cells `[K]`; means `[3, G]`, outlines `[6, G]` (see
     `DiscLensDistribution`), largest half axes as the lens sees them and energies `[G]`.
 
@@ -60,11 +61,11 @@ def fit_ellipsoids(record: RecordBuffer, camera: ThinLensCamera, mean_luminance:
     reaches, would make the box around them several times as large. Of all Gaussians theirs has the least KL divergence from the
     light: what gradients would seek step by step is known at once.
     """
-    cells, points = find_spotlights(record, camera, mean_luminance)
+    cells, points, light = find_spotlights(record, camera, mean_luminance)
     width = points[2] * camera.pixel_slope
     patch = label_patches(record, cells, points[2], width)
     count = int(patch.max()) + 1 if len(patch) else 0
-    light = record.radiance().reshape(-1)[cells].double() * width * width
+    light = light.double() * width * width
     energy = torch.zeros(count, device=points.device, dtype=torch.float64).index_add_(0, patch, light)
     share = (light / energy[patch]).float()
     empty = torch.zeros(6, count, device=points.device)
@@ -86,7 +87,7 @@ def fit_gaussians(field: GaussianField, record: RecordBuffer, camera: ThinLensCa
     width in every cell. (The sphere about the box itself reaches to its corners, and σ
     would come out as large as the lamp, when R / 1.78 is best for a disc of radius R.)
     """
-    cells, points = find_spotlights(record, camera, mean_luminance)
+    cells, points, light = find_spotlights(record, camera, mean_luminance)
     width = points[2] * camera.pixel_slope
     patch = label_patches(record, cells, points[2], width)
     count = int(patch.max()) + 1 if len(patch) else 0
@@ -97,7 +98,6 @@ def fit_gaussians(field: GaussianField, record: RecordBuffer, camera: ThinLensCa
     center = 0.5 * (low + high)
     reach = length(points - center[:, patch]) + 0.5 * width
     radius = torch.zeros(count, device=points.device).scatter_reduce(0, patch, reach, "amax")
-    light = record.radiance().reshape(-1)[cells]
     energy = torch.zeros(count, device=points.device).index_add_(0, patch, light * width * width)
     field.assign(center, radius, ALPHA * radius, energy)
     return cells

@@ -22,7 +22,7 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.train.fitting import fit_gaussians
 from bokehguide.train.ranks import Ranks
-from bokehguide.train.record_buffer import RecordBuffer
+from bokehguide.train.record_buffer import Raster, RecordBuffer
 from bokehguide.train.settings import RenderSettings
 
 FITS = 8
@@ -183,6 +183,10 @@ class LensGuide(nn.Module):
         """At which distances `[N]` the record buffer takes them to lie: where the first surface is."""
         return samples.distance
 
+    def remember(self, cells: Tensor, points: Tensor, luminance: Tensor, mean_luminance: float) -> None:
+        """Add samples to the record buffer (see `RecordBuffer.add`)."""
+        self.record.add(cells, points, luminance)
+
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
         """End a step: one Adam step, then, while fitting goes on, the next set of Gaussians; collective."""
         if self.learns_blend and self.ranks.any(bool(lessons))[0]:
@@ -262,7 +266,7 @@ class LensGuide(nn.Module):
 
 
 def guide_images(
-    camera: ThinLensCamera, record: RecordBuffer, spotlights: Tensor, beta: Tensor, candidates: CandidateList | None
+    camera: ThinLensCamera, record: Raster, spotlights: Tensor, beta: Tensor, candidates: CandidateList | None
 ) -> dict[str, Tensor]:
     """β, record buffer and spotlights as `[H, W, 3]` in 0 … 1; the last two with their margin."""
     beta = beta.reshape(camera.height, camera.width)

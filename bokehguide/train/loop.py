@@ -281,7 +281,7 @@ class RenderLoop:
 
     def _add_records(self, results: list[BatchResult]) -> None:
         for result in results:
-            self.guide.record.add(*result.records)
+            self.guide.remember(*result.records, self._mean_luminance)
 
     def _add_lights(self, results: list[BatchResult]) -> None:
         if self.light_guide is not None and self._mean_luminance > 0.0:

@@ -20,8 +20,31 @@ FAR = 1000.0
 """The environment is recorded at this many focus distances."""
 
 
-class RecordBuffer(RankSums):
-    """A raster with a margin whose cells keep sample count, radiance and position.
+class Raster(RankSums):
+    """A raster with a margin, whose cells keep sums over samples: the first is their count, the second Σ L.
+
+    sums: `[planes, cells]`.
+    """
+
+    def __init__(self, camera: ThinLensCamera, planes: int, ranks: Ranks | None = None):
+        border = math.ceil(MARGIN * camera.width)
+        width, height = camera.width + 2 * border, camera.height + 2 * border
+        super().__init__(torch.zeros(planes, width * height), ranks)
+        self.border, self.width, self.height = border, width, height
+
+    def cells(self, camera: ThinLensCamera, points: Tensor) -> Tensor:
+        """Cell of each camera-frame point `[3, N]`, int64 `[N]`; -1 outside or behind the lens."""
+        column, row = (camera.raster(points) + self.border).floor().nan_to_num(-1.0).clamp(-1.0, 1e6).unbind(0)
+        inside = (points[2] > 0.0) & (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
+        return torch.where(inside, row.long() * self.width + column.long(), -1)
+
+    def radiance(self) -> Tensor:
+        """Mean luminance of each cell, `[height, width]`."""
+        return (self.sums[1] / self.sums[0].clamp(min=1.0)).reshape(self.height, self.width)
+
+
+class RecordBuffer(Raster):
+    """A raster whose cells keep sample count, radiance and position.
 
     Positions are averaged with the radiance as weight, or a small highlight would be mixed
     with what lies behind it, and as slopes and inverse depth, or a dim environment, which
@@ -30,16 +53,7 @@ class RecordBuffer(RankSums):
     """
 
     def __init__(self, camera: ThinLensCamera, ranks: Ranks | None = None):
-        border = math.ceil(MARGIN * camera.width)
-        width, height = camera.width + 2 * border, camera.height + 2 * border
-        super().__init__(torch.zeros(5, width * height), ranks)
-        self.border, self.width, self.height = border, width, height
-
-    def cells(self, camera: ThinLensCamera, points: Tensor) -> Tensor:
-        """Cell of each camera-frame point `[3, N]`, int64 `[N]`; -1 outside or behind the lens."""
-        column, row = (camera.raster(points) + self.border).floor().nan_to_num(-1.0).clamp(-1.0, 1e6).unbind(0)
-        inside = (points[2] > 0.0) & (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
-        return torch.where(inside, row.long() * self.width + column.long(), -1)
+        super().__init__(camera, 5, ranks)
 
     def add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
@@ -52,9 +66,10 @@ class RecordBuffer(RankSums):
         for total, value in zip(places, (x / depth, y / depth, 1.0 / depth)):
             total.index_add_(0, cells, light * value)
 
-    def radiance(self) -> Tensor:
-        """Mean luminance of each cell, `[height, width]`."""
-        return (self.sums[1] / self.sums[0].clamp(min=1.0)).reshape(self.height, self.width)
+    def bright(self, threshold: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Cells int64 `[K]` whose mean luminance is above the threshold, their positions `[3, K]` and mean luminance `[K]`."""
+        cells = indices(self.sums[1] > threshold * self.sums[0])
+        return cells, self.positions(cells), self.sums[1, cells] / self.sums[0, cells]
 
     def positions(self, cells: Tensor) -> Tensor:
         """Radiance-weighted mean positions `[3, K]` of cells `[K]` that have seen light."""

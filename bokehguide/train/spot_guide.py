@@ -4,7 +4,8 @@ It differs from the paper's (`guide.py`) in what is measured to pay:
 
 - The lamps that the scene holds (emissive pieces, peaks of the environment, suns) are in the
   field from the start; the record buffer is left to find what they show up in: reflections
-  and refractions. What is mirrored is recorded where its image is, and not where the mirror is.
+  and refractions. What is mirrored is recorded where its image is, and not where the mirror is, and what lies behind one
+  another is kept apart (`voxel_record.py`).
 - A highlight is an even disc on the lens and no Gaussian, cut off where the lens ends; one of the map is as bright on the
   lens as the map has it.
 - It learns at the ends of blocks of steps only, which grow in powers of two. Within a block
@@ -37,12 +38,12 @@ from bokehguide.render.pixels import Pixels, increase, indices, take
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
-from bokehguide.train.fitting import fit_ellipsoids
+from bokehguide.train.fitting import RADIANCE_THRESHOLD, fit_ellipsoids
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, guided_draw, starts_block, uniform_draw
 from bokehguide.train.known_lamps import known_lamps
 from bokehguide.train.lamp_yield import LampYield
 from bokehguide.train.ranks import Ranks
-from bokehguide.train.record_buffer import RecordBuffer
+from bokehguide.train.voxel_record import VoxelRecord
 
 FIRST_BLEND = 0.65
 """β in the first block."""
@@ -75,7 +76,7 @@ class SpotGuide(nn.Module):
         self.camera, self.ranks = camera, ranks or Ranks()
         pixels, device = camera.width * camera.height, camera.position.device
         self.field = GaussianField()
-        self.record = RecordBuffer(camera, self.ranks)
+        self.record = VoxelRecord(camera, self.ranks)
         self.register_buffer("beta", torch.full((pixels,), FIRST_BLEND))
         self.register_buffer("moments", torch.zeros(2, pixels))
         """Σ β² f² p / q³ and Σ (1 - β)² f² u / q³ of the discs and the uniform part: at the β of least variance
@@ -161,6 +162,10 @@ class SpotGuide(nn.Module):
     def apparent_distance(self, samples: PathSamples) -> Tensor:
         """At which distances `[N]` the record buffer takes them to lie: mirrored lamps where their images are."""
         return samples.distance if samples.image is None else samples.image
+
+    def remember(self, cells: Tensor, points: Tensor, luminance: Tensor, mean_luminance: float) -> None:
+        """Add samples to the record buffer (see `VoxelRecord.add`)."""
+        self.record.add(cells, points, luminance, RADIANCE_THRESHOLD * mean_luminance)
 
     @torch.no_grad()
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
