@@ -25,6 +25,7 @@ from pathlib import Path
 from unittest import mock
 
 import torch
+from mirror_balls import mirror_balls
 from other_fields import KeptSpots, LearntField, LearntSpots
 from torch import Tensor
 
@@ -58,6 +59,8 @@ from bokehguide.train.voxel_record import VoxelRecord
 SOURCES = (*sorted(Path(bokehguide.__file__).parent.rglob("*.py")), Path(__file__), Path(__file__).with_name("other_fields.py"))
 CODE = digest(tuple(path.read_text() for path in SOURCES))
 """What renders of other code do not stand in for."""
+MIRROR_BALLS = "mirror-balls"
+"""Name of the scene that stands for highlights behind one another."""
 FIRST_SEED = 5_000_000
 REFERENCE_SHARE = 32
 """SPP of a reference for one of a render's."""
@@ -242,6 +245,7 @@ CHANGES = {
     "doubt": constants("doubt in slopes", radiance_control, "DOUBT", [16.0, 256.0, 1e30], "guided"),
     "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 3, 5], "guided"),
     "axes": constants("half axes of found highlights, standard deviations", fitting, "AXES", [1.7, 3.2], "guided"),
+    "depth": [guided_with("without voxels by depth", tuple(part for part in PARTS if part != "voxels by depth"))],
     "field": [
         Change("σ and mixture weights", "learnt by the KL", ((loop, "LensGuide", LearntField),)),
         *(Change("found highlights", how, ((loop, "SpotGuide", guide),), "guided") for how, guide in SPOTS),
@@ -264,7 +268,7 @@ def main() -> None:
     defaults = [Change("default", mode, mode=mode) for mode in sorted({change.mode for change in changes})]
     path = options.out / "ablations.json"
     kept = read_kept(path)
-    scenes = [load_scene(name, Overrides(*options.size)) for name in options.scenes]
+    scenes = [mirror_balls(*options.size) if name == MIRROR_BALLS else load_scene(name, Overrides(*options.size)) for name in options.scenes]
     found = {scene.name: measured(scene, [*defaults, *changes], options, path, kept) for scene in scenes}
     table = "\n".join(rows(defaults, changes, found)) + "\n"
     with replacing(options.out / "ablations.md") as temporary:
@@ -275,7 +279,7 @@ def main() -> None:
 def parse() -> argparse.Namespace:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
-    add("scenes", nargs="*", default=list(BUILTIN), metavar="SCENE", help="default: all that are built in")
+    add("scenes", nargs="*", default=list(BUILTIN), metavar="SCENE", help=f"or {MIRROR_BALLS}; default: all that are built in")
     add("--only", type=names, default=list(CHANGES), metavar="NAMES", help=f"of {','.join(CHANGES)}; default all")
     add("--size", type=size, default="160x90", metavar="WxH", help="default 160x90")
     add("--spp", type=positive, default=64, metavar="N", help="default 64")

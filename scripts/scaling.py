@@ -110,7 +110,7 @@ def guide_memory(loop: RenderLoop) -> tuple[float, float]:
     held = [value for guide in (loop.guide, loop.light_guide) if guide is not None for value in guide.state_dict().values()]
     held += [value for one in loop.guide.optimizers.values() for state in one.state.values() for value in state.values()]
     held += [] if loop.guide.candidates is None else [loop.guide.candidates.start, loop.guide.candidates.gaussian]
-    sizes = (sum(value.numel() * value.element_size() for value in values) for values in (held, [loop.guide.record.sums]))
+    sizes = (sum(value.numel() * value.element_size() for value in values) for values in (held, loop.guide.record.state_dict().values()))
     return tuple(size / 2**20 for size in sizes)
 
 

@@ -121,7 +121,7 @@ def test_a_receding_row_of_lamps_is_one_patch(camera):
 def test_a_line_of_300_cells_is_one_patch(camera):
     record = wall_record(camera)
     light_up(record, camera, torch.arange(50.0, 350.0), 20.0, 4.0)
-    cells, points = find_spotlights(record, camera, 0.1)
+    cells, points, _ = find_spotlights(record, camera, 0.1)
     assert len(cells) == 300
     assert label_patches(record, cells, points[2], points[2] * camera.pixel_slope).unique().tolist() == [0]
 
@@ -166,7 +166,7 @@ def test_what_is_in_focus_or_dim_is_no_spotlight(camera):
     light_up(record, camera, torch.tensor([100.0]), 20.0, 2.01)  # a CoC below 4 pixels
     light_up(record, camera, torch.tensor([200.0]), 20.0, 4.0, radiance=1.4)  # (0.1 + 1.4) / 2 is 7.5 means
     light_up(record, camera, torch.tensor([300.0]), 20.0, 4.0, radiance=1.6)
-    cells, _ = find_spotlights(record, camera, 0.1)
+    cells, *_ = find_spotlights(record, camera, 0.1)
     assert (cells % record.width - record.border).tolist() == [300]
 
 
