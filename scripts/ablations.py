@@ -41,8 +41,8 @@ from bokehguide.models.projection import lens_magnification
 from bokehguide.render import direct_light, path_tracer
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.light_choice import LightChoice
-from bokehguide.render.mirrors import MirrorImages
 from bokehguide.render.path_tracer import PathTracer
+from bokehguide.render.pencils import Images
 from bokehguide.render.random import PixelRandom
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.builtin import BUILTIN
@@ -172,7 +172,7 @@ PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
     LAMPS: ((spot_guide, "known_lamps", no_lamps),),
     FOUND: ((spot_guide, "fit_ellipsoids", nothing_found),),
     "voxels by depth": ((VoxelRecord, "_layers", lambda _, depth: torch.zeros_like(depth, dtype=torch.int64)),),
-    "mirror images": ((MirrorImages, "add", lambda *_: None),),
+    "images in mirrors and glass": ((Images, "_add", lambda *_: None),),
     "shapes of map lamps and panels": ((known_lamps, "_shapes", no_shapes),),
     "proportions (else balls)": ((known_lamps, "packed", as_balls),),
     "discs cut off at the lens": ((disc_distribution, "_band", uncut),),
@@ -190,7 +190,7 @@ PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
 """What mode `guided` is made of, and the patches that take each part away."""
 NEEDED = {
     "voxels by depth": (FOUND,),
-    "mirror images": (FOUND,),
+    "images in mirrors and glass": (FOUND,),
     "shapes of map lamps and panels": (LAMPS,),
     "proportions (else balls)": (LAMPS,),
     "discs cut off at the lens": (LAMPS,),

@@ -8,6 +8,7 @@ from torch import Tensor
 from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity, LensMixture
 from bokehguide.models.projection import lens_density, log_density_gradient, project_to_lens
 from bokehguide.render.pixels import indices
+from bokehguide.train import fitting
 from bokehguide.train.guide import FITS, BatchLesson, GuidedBatch, LensGuide
 from bokehguide.train.spot_guide import SpotGuide
 
@@ -15,8 +16,8 @@ FIELD_RATE = 0.03
 """Learning rate of σ and of weights, as logarithms, and of means, in units of σ."""
 LARGEST = 2.0
 """Most that they change by."""
-DISC = 1.78
-"""Radius of a disc by the σ of the Gaussian that stands for it best (`models/disc_distribution.py`)."""
+DISC = fitting.AXES
+"""Radius of a found disc by the σ of the Gaussian of least KL divergence from its light."""
 
 
 class LearntField(LensGuide):

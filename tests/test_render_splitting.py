@@ -12,7 +12,7 @@ from bokehguide.render.timer import PhaseTimer
 from bokehguide.scene.types import Material, Scene
 from tests.statistical import SIGNIFICANCE
 from tests.test_render_light_choice import RAY, learnt_choice
-from tests.test_render_mirrors import as_in_a_render
+from tests.test_render_pencils import as_in_a_render
 from tests.test_render_mis import MATERIALS, room, sky_with_a_window
 from tests.test_render_random import independence, uniformity
 from tests.tracing import DOWN, UP, agreement, lamp, matte, rectangle, scene, sky

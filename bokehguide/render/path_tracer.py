@@ -22,8 +22,8 @@ from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
-from bokehguide.render.mirrors import MirrorImages
 from bokehguide.render.opacity import MAX_CROSSINGS, Opacity
+from bokehguide.render.pencils import Images
 from bokehguide.render.pixels import increase, indices, put
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
@@ -66,7 +66,7 @@ class PathSamples:
     at infinity, else 0; triangle: that of the first surface, int32, -1 where there is none;
     rays: number of rays traced; first: the first surfaces, where paths split there, None where no ray met one. Under a
     `LightChoice`, also the lights it chose, None where no ray met a surface; and image, the distance at which most of the
-    radiance appears to come from: that of the first surface, or of what is mirrored there.
+    radiance appears to come from: that of the first surface, or of what it mirrors or lets through.
     """
 
     radiance: Tensor
@@ -175,7 +175,7 @@ class PathTracer:
         Kirk 1990), int64 `[N]`, at least 1.
         """
         result = PathSamples.empty(origin.shape[1], origin.device)
-        images = None if choose is None else MirrorImages(self.geometry, direction, result.triangle, result.distance)
+        images = None if choose is None else Images(self.geometry, origin.shape[1], origin.device)
         if index is None:
             index = torch.arange(origin.shape[1], device=origin.device)
         else:
@@ -193,8 +193,8 @@ class PathTracer:
         if result.first is not None:
             increase(result.radiance, result.first.rays, result.first.direct + result.first.indirect)
         if images is not None:
-            mirrored = images.light > 0.5 * luminance(result.radiance)
-            result.image = torch.where(mirrored, images.distance, result.distance)
+            shown = images.light > 0.5 * luminance(result.radiance)
+            result.image = torch.where(shown, images.distance, result.distance)
         return result
 
     def _segment(
@@ -204,7 +204,7 @@ class PathTracer:
         last: bool,
         choose: Callable[[Tensor], LightChoice] | None,
         parts: Tensor | None,
-        images: MirrorImages | None,
+        images: Images | None,
         result: PathSamples,
         timer: PhaseTimer,
     ) -> _Paths:
@@ -213,8 +213,8 @@ class PathTracer:
             dimension = FIRST_CROSSING + MAX_CROSSINGS * depth
             hit, traced = self.opacity.nearest(paths.rays.origin, paths.rays.direction, paths.random, dimension)
         result.rays += traced
-        mirrored = images if depth == 2 else None
-        paths, hit = self._end_in_environment(paths, hit, depth, mirrored, result)
+        beyond = images if depth > 1 else None
+        paths, hit = self._end_in_environment(paths, hit, depth, beyond, result)
         if len(paths.index) == 0:
             return paths
         surface = self.geometry.surface(paths.rays.origin, paths.rays.direction, hit)
@@ -227,7 +227,7 @@ class PathTracer:
         transmittance = self.geometry.transmittance(hit, surface.front)
         if transmittance is not None:
             paths.throughput *= transmittance
-        self._add_emission(paths, hit, surface, mirrored)
+        self._add_emission(paths, hit, surface, beyond)
         if depth == 1:
             put(result.emission, paths.index, paths.radiance)
         paths.choice = None if choose is None else choose(surface.position)
@@ -235,8 +235,12 @@ class PathTracer:
             paths.finish()
             return paths.select(paths.index[:0])
         paths.rays = None
+        if beyond is not None:
+            beyond.arrive(paths.index, hit, surface)
         if parts is not None:
-            paths, surface = self._split(paths, parts, hit, surface, images, result)
+            paths, surface = self._split(paths, parts, hit, surface, result)
+        if images is not None and depth == 1:
+            images.begin(result.triangle, result.distance, result.first and result.first.rays)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
         draw = paths.random.uniform
         if depth == 1:
@@ -245,22 +249,20 @@ class PathTracer:
         scattering = Scattering(surface, choice)
         if not self.lights.empty:
             self._add_direct_light(paths, surface, scattering, draw(dimension + 5, 6), depth, images, result, timer)
-        return self._scatter(paths, surface, scattering, draw(dimension + 1, 4), depth, result)
+        return self._scatter(paths, surface, scattering, draw(dimension + 1, 4), depth, images, result)
 
     def _split(
-        self, paths: _Paths, parts: Tensor, hit: Hit, met: Surface, images: MirrorImages | None, result: PathSamples
+        self, paths: _Paths, parts: Tensor, hit: Hit, met: Surface, result: PathSamples
     ) -> tuple[_Paths, Surface]:
         """Split the paths at their first surfaces, and note what is there; returns the surfaces of all of them too."""
         index, emission = paths.index, paths.radiance
         paths, owner = paths.split(parts.index_select(0, index))
         surface = met.select(owner)
         result.first = FirstSurfaces(self.geometry, index, hit, met, emission, owner, surface, indirect=paths.brought)
-        if images is not None:
-            images.split(result.first.rays)
         return paths, surface
 
     def _end_in_environment(
-        self, paths: _Paths, hit: Hit, depth: int, images: MirrorImages | None, result: PathSamples
+        self, paths: _Paths, hit: Hit, depth: int, images: Images | None, result: PathSamples
     ) -> tuple[_Paths, Hit]:
         """Add the environment's radiance to the paths that left the scene, and end them."""
         missed = indices(hit.triangle < 0)
@@ -274,14 +276,14 @@ class PathTracer:
             arrived = gone.throughput * environment.radiance(direction) * weight
             gone.radiance += arrived
             if images is not None:
-                images.add(gone.index, direction, pdf, torch.full_like(weight, MISS_DISTANCE), arrived)
+                images.add(gone.index, torch.full_like(weight, MISS_DISTANCE), arrived)
             if depth == 1:
                 result.alpha[gone.index] = environment.alpha(direction)
         gone.finish()
         kept = indices(hit.triangle >= 0)
         return paths.select(kept), Hit(*(field.index_select(0, kept) for field in hit))
 
-    def _add_emission(self, paths: _Paths, hit: Hit, surface: Surface, images: MirrorImages | None) -> None:
+    def _add_emission(self, paths: _Paths, hit: Hit, surface: Surface, images: Images | None) -> None:
         """Add what the surfaces that were hit emit, weighed against light sampling."""
         material = self.geometry.material.index_select(0, hit.triangle)
         index = indices(self.geometry.materials.emissive.index_select(0, material))
@@ -300,7 +302,7 @@ class PathTracer:
         arrived = paths.throughput.index_select(1, index) * radiance * weight
         paths.radiance.index_add_(1, index, arrived)
         if images is not None:
-            images.add(paths.index.index_select(0, index), rays.direction, rays.pdf, distance, arrived)
+            images.add(paths.index.index_select(0, index), distance, arrived)
 
     def _add_direct_light(
         self,
@@ -309,7 +311,7 @@ class PathTracer:
         scattering: Scattering,
         uniforms: Tensor,
         depth: int,
-        images: MirrorImages | None,
+        images: Images | None,
         result: PathSamples,
         timer: PhaseTimer,
     ) -> None:
@@ -329,16 +331,18 @@ class PathTracer:
         else:
             paths.radiance += contribution
         if paths.choice is not None:
-            images.add(paths.index, light.direction, light.pdf, light.distance, contribution)
+            images.add_sampled(paths.index, surface, light.direction, light.pdf, light.distance, contribution)
             result.lights = LightsChosen(paths.choice.row, light.cluster, light.worth * visibility, visibility)
 
     def _scatter(
-        self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, depth: int, result: PathSamples
+        self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, depth: int, images: Images | None, result: PathSamples
     ) -> _Paths:
         """Sample the BSDF, play Russian roulette, and compact the paths that go on."""
         direction, weight, pdf = scattering.sample(uniforms[0:3])
         if depth == 1 and result.first is not None:
             result.first.onward = direction
+        if images is not None:
+            images.leave(paths.index, surface, direction, pdf)
         origin, throughput, survival = _next_segment(
             surface, paths.throughput, direction, weight, uniforms[3], depth >= ROULETTE_DEPTH
         )
