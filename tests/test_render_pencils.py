@@ -16,6 +16,7 @@ from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.render.vector import luminance
 from bokehguide.scene.shapes import transform, transformed, unit_box
 from bokehguide.scene.types import Material, Mesh, Scene
 from tests.tracing import lamp, matte, rectangle, scene, sky, sphere
@@ -244,7 +245,9 @@ def as_in_a_render(points: torch.Tensor) -> LightChoice:
     return LightChoice(torch.zeros(points.shape[1], dtype=torch.int32), None, 1)
 
 
-def traced(scene: Scene, directions, choose=as_in_a_render, count: int = COUNT, index: torch.Tensor | None = None) -> PathSamples:
+def traced(
+    scene: Scene, directions, choose=as_in_a_render, count: int = COUNT, index: torch.Tensor | None = None, bright: float = 0.0
+) -> PathSamples:
     """Paths from the eye; directions: one, or `[3, N]`; index: of those to be traced, if not all are."""
     directions = np.asarray(directions, np.float64)
     directions = np.repeat(directions[:, None], count, axis=1) if directions.ndim == 1 else directions
@@ -252,7 +255,7 @@ def traced(scene: Scene, directions, choose=as_in_a_render, count: int = COUNT, 
     random = PixelRandom(0, 1, torch.arange(directions.shape[1]))
     with torch.no_grad():
         tracer = PathTracer(scene)
-        return tracer.trace(torch.zeros_like(directions), directions, random, PhaseTimer(), choose=choose, index=index)
+        return tracer.trace(torch.zeros_like(directions), directions, random, PhaseTimer(), choose=choose, index=index, bright=bright)
 
 
 def lit(samples: PathSamples) -> np.ndarray:
@@ -478,6 +481,31 @@ def test_glass_mirrors_some_of_the_light():
     found = lit(samples)
     assert len(found) > 0.03 * 20_000
     np.testing.assert_allclose(found, np.linalg.norm(image_in_mirror(LAMP_PLACE)) - 0.1, rtol=0.006)
+
+
+def test_what_is_no_highlight_in_a_mirror_is_taken_to_be_far_away():
+    """And what a dull surface shows to be there, bright or not."""
+    place = image_in_mirror(LAMP_PLACE)
+    for material, seen in ((POLISHED, np.float32(MISS_DISTANCE)), (matte(0.8), None)):
+        dim, bright = (traced(flat_mirror(material), place, bright=limit) for limit in (1000.0, 50.0))
+        found = dim.image.numpy()
+        assert np.mean(found == (dim.distance.numpy() if seen is None else seen)) > 0.98
+        if seen is not None:
+            images = bright.image[luminance(bright.radiance) > 50.0].numpy()
+            assert np.mean(np.abs(images / (np.linalg.norm(place) - 0.1) - 1.0) < 0.006) > 0.98
+
+
+def test_images_close_to_the_eye_are_left_out():
+    """A bowl's image of a lamp floats before it: nearer to the eye than to the bowl it is taken to lie on the bowl."""
+    for radius, seen in ((4.0, 1.0), (7.3, 0.0)):  # images 2.3 and 5 m before a bowl that is 8 m away
+        hollow = sphere(0, (0.0, 0.0, radius - 8.0), radius)
+        near = hollow.vertices[hollow.triangles].mean(1)[:, 2] < -7.0
+        hollow = replace(hollow, triangles=np.ascontiguousarray(hollow.triangles[near]))
+        lens = scene([hollow, sphere(1, (0.0, 0.4, 5.5), 0.05)], [POLISHED, BRIGHT])
+        samples = traced(lens, np.stack((np.zeros(8000), np.linspace(-0.2, 0.2, 8000), -np.ones(8000))))
+        shown = (samples.radiance.amax(0) > 1.0) & (samples.emission.amax(0) == 0.0)
+        afloat = (samples.image != samples.distance)[shown].float()
+        assert int(shown.sum()) > 10 and abs(float(afloat.mean()) - seen) < 0.1
 
 
 def test_without_a_choice_of_lights_there_are_no_images():

@@ -29,7 +29,7 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
-from bokehguide.render.vector import dot, length, luminance
+from bokehguide.render.vector import dot, length
 from bokehguide.scene.types import Scene
 
 ROULETTE_DEPTH = 4
@@ -167,15 +167,16 @@ class PathTracer:
         choose: Callable[[Tensor], LightChoice] | None = None,
         index: Tensor | None = None,
         parts: Tensor | None = None,
+        bright: float = 0.0,
     ) -> PathSamples:
         """Trace rays with world origins and unit directions `[3, N]`; one path a ray, of max_depth segments if given.
 
         choose: how lights are chosen at first surfaces, by their positions `[3, N]`. index: of the rays to be traced, int64
         `[K]`, if not all are; the others meet nothing. parts: into how many paths each splits at its first surface (Arvo and
-        Kirk 1990), int64 `[N]`, at least 1.
+        Kirk 1990), int64 `[N]`, at least 1. bright: luminance from which on it matters where light appears to come from.
         """
         result = PathSamples.empty(origin.shape[1], origin.device)
-        images = None if choose is None else Images(self.geometry, origin.shape[1], origin.device)
+        images = None if choose is None else Images(self.geometry, origin.shape[1])
         if index is None:
             index = torch.arange(origin.shape[1], device=origin.device)
         else:
@@ -193,8 +194,7 @@ class PathTracer:
         if result.first is not None:
             increase(result.radiance, result.first.rays, result.first.direct + result.first.indirect)
         if images is not None:
-            shown = images.light > 0.5 * luminance(result.radiance)
-            result.image = torch.where(shown, images.distance, result.distance)
+            result.image = images.distances(result.radiance, result.distance, bright)
         return result
 
     def _segment(
@@ -235,12 +235,11 @@ class PathTracer:
             paths.finish()
             return paths.select(paths.index[:0])
         paths.rays = None
-        if beyond is not None:
-            beyond.arrive(paths.index, hit, surface)
+        owner = None
         if parts is not None:
-            paths, surface = self._split(paths, parts, hit, surface, result)
-        if images is not None and depth == 1:
-            images.begin(result.triangle, result.distance, result.first and result.first.rays)
+            paths, surface, owner = self._split(paths, parts, hit, surface, images, result)
+        if images is not None:
+            images.arrive(paths.index, hit, surface, owner)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
         draw = paths.random.uniform
         if depth == 1:
@@ -252,14 +251,16 @@ class PathTracer:
         return self._scatter(paths, surface, scattering, draw(dimension + 1, 4), depth, images, result)
 
     def _split(
-        self, paths: _Paths, parts: Tensor, hit: Hit, met: Surface, result: PathSamples
-    ) -> tuple[_Paths, Surface]:
-        """Split the paths at their first surfaces, and note what is there; returns the surfaces of all of them too."""
+        self, paths: _Paths, parts: Tensor, hit: Hit, met: Surface, images: Images | None, result: PathSamples
+    ) -> tuple[_Paths, Surface, Tensor]:
+        """Split the paths at their first surfaces, and note what is there; returns the surfaces of all of them too, and which each was."""
         index, emission = paths.index, paths.radiance
         paths, owner = paths.split(parts.index_select(0, index))
         surface = met.select(owner)
         result.first = FirstSurfaces(self.geometry, index, hit, met, emission, owner, surface, indirect=paths.brought)
-        return paths, surface
+        if images is not None:
+            images.split(result.first.rays)
+        return paths, surface, owner
 
     def _end_in_environment(
         self, paths: _Paths, hit: Hit, depth: int, images: Images | None, result: PathSamples
@@ -331,7 +332,7 @@ class PathTracer:
         else:
             paths.radiance += contribution
         if paths.choice is not None:
-            images.add_sampled(paths.index, surface, light.direction, light.pdf, light.distance, contribution)
+            images.add_sampled(paths.index, light.direction, light.pdf, light.distance, contribution)
             result.lights = LightsChosen(paths.choice.row, light.cluster, light.worth * visibility, visibility)
 
     def _scatter(
@@ -342,7 +343,7 @@ class PathTracer:
         if depth == 1 and result.first is not None:
             result.first.onward = direction
         if images is not None:
-            images.leave(paths.index, surface, direction, pdf)
+            images.leave(direction, pdf)
         origin, throughput, survival = _next_segment(
             surface, paths.throughput, direction, weight, uniforms[3], depth >= ROULETTE_DEPTH
         )

@@ -2,11 +2,13 @@
 
 A highlight on polished metal wanders over it as the point of the lens does. What stays where it is, and is as far out
 of focus as the highlight looks, is the lamp's image: as far behind a flat mirror as the lamp is before it, close behind a
-bulging one, and in the focus of a ball of glass. It is found by matrix optics: paths that go on from the eye in mirrors
-and glass alone take along how a narrow pencil of rays about them spreads.
+bulging one, and in the focus of a ball of glass. It is found by matrix optics: how a narrow pencil of rays spreads about a path
+that has met mirrors and glass alone.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -19,99 +21,140 @@ from bokehguide.render.vector import cross, dot, length, luminance, normalize
 
 NARROW = 4.0
 """A BSDF that samples a direction with at least this density per steradian shows what lies there: GGX's α is below 0.14."""
+AFLOAT = 0.5
+"""Images that float in the air, before hollow mirrors, nearer than this part of the way to the first surface are left out: one
+stray ray would make a highlight there whose circle of confusion is the whole picture."""
 GRAZING = 0.02
 """Cosines to the normal count as at least this."""
+
+
+class _Vertex(NamedTuple):
+    """What paths met, as arrays over them in an order of its own, and where they went on to.
+
+    place: of each path in these arrays, int32 `[P]`, by its index; owner: of each of them, its place in those of the hit, None
+    where they are the same.
+    """
+
+    place: Tensor
+    owner: Tensor | None
+    hit: Hit
+    outgoing: Tensor
+    front: Tensor
+    thin: Tensor
+    transmission: Tensor
+    ior: Tensor
+    direction: Tensor
+    pdf: Tensor
+
+
+class _Event(NamedTuple):
+    """Light that some paths, int64 `[K]`, brought over vertices from so far beyond the last, `[K]`; radiance `[3, K]`."""
+
+    vertices: list[_Vertex]
+    index: Tensor
+    distance: Tensor
+    radiance: Tensor
 
 
 class Images:
     """What N rays see in mirrors and glass.
 
-    distance: along each ray, to the image of the brightest light, MISS_DISTANCE where it is at infinity or behind the eye; light:
-    luminance of all that was seen so; `[N]` both.
+    What paths meet and bring is noted as it is, and looked up for the few rays that see a highlight.
     """
 
-    def __init__(self, geometry: Geometry, count: int, device: torch.device):
-        self._geometry = geometry
-        self.distance, self.light, self._brightest = torch.zeros(3, count, device=device)
+    def __init__(self, geometry: Geometry, count: int):
+        self._geometry, self._paths = geometry, count
         self._rays: Tensor | None = None
-        self._pencils = self._triangle = torch.zeros(4, 0, device=device)
+        self._vertices: list[_Vertex] = []
+        self._events: list[_Event] = []
+        self._starts = torch.zeros(0, dtype=torch.int64)
 
-    def begin(self, triangle: Tensor, distance: Tensor, rays: Tensor | None = None) -> None:
-        """Paths have come to their first surfaces, whose triangles and distances are told of all rays, `[N]`.
+    def split(self, rays: Tensor) -> None:
+        """From now on indices are those of paths, each of which belongs to one of `rays`, int64 `[P]`."""
+        self._rays, self._paths = rays, len(rays)
 
-        rays: which of them each path belongs to, int64 `[P]`; None where there is one for each.
-        """
-        self._rays = rays
-        if rays is not None:
-            triangle, distance = triangle.index_select(0, rays), distance.index_select(0, rays)
-        one = torch.ones_like(distance)
-        self._pencils, self._triangle = torch.stack((one, distance, 0.0 * one, one)), triangle.clone()
+    def arrive(self, index: Tensor, hit: Hit, surface: Surface, owner: Tensor | None = None) -> None:
+        """Some paths, int64 `[K]`, have come to these surfaces; owner: which of the hits each has, where not its own."""
+        place = torch.empty(self._paths, dtype=torch.int32, device=index.device)
+        place.scatter_(0, index, torch.arange(len(index), dtype=torch.int32, device=index.device))
+        self._starts = self._starts if self._vertices else index
+        medium = (surface.front, surface.thin, surface.transmission, surface.ior)
+        self._at = (place, owner, hit, surface.outgoing, *medium)
 
-    def arrive(self, index: Tensor, hit: Hit, surface: Surface) -> None:
-        """Some paths, int64 `[K]`, have come to their next surfaces; a way through glass is shorter by its index."""
-        place = self._shown(index)
-        if len(place) == 0:
-            return
-        index, distance, triangle, front, thin, ior = (
-            values.index_select(0, place)
-            for values in (index, hit.distance, hit.triangle, surface.front, surface.thin, surface.ior)
-        )
-        way = distance / torch.where((front > 0.0) | (thin > 0.0), 1.0, ior)
-        put(self._pencils, index, _after(self._pencils.index_select(1, index), way))
-        put(self._triangle, index, triangle)
-
-    def leave(self, index: Tensor, surface: Surface, direction: Tensor, pdf: Tensor) -> None:
-        """Some paths leave their surfaces in directions `[3, K]` of which the BSDF samples have this density `[K]`."""
-        narrow = self._shown(index, pdf > NARROW)
-        bent = self._bent(index, narrow, surface, direction)
-        self._pencils[0].index_fill_(0, index, torch.nan)
-        put(self._pencils, index.index_select(0, narrow), bent)
-
-    def add_sampled(
-        self, index: Tensor, surface: Surface, direction: Tensor, pdf: Tensor, distance: Tensor, radiance: Tensor
-    ) -> None:
-        """Add what light samples bring from there; pdf: with which density the BSDF samples their directions, as in `leave`."""
-        light = luminance(radiance)
-        narrow = self._shown(index, (pdf > NARROW) & (light > 0.0))
-        bent = self._bent(index, narrow, surface, direction)
-        self._add(*(values.index_select(0, narrow) for values in (index, distance, light)), bent)
+    def leave(self, direction: Tensor, pdf: Tensor) -> None:
+        """They go on in directions `[3, K]` of which the BSDF samples have this density `[K]`."""
+        self._vertices.append(_Vertex(*self._at, direction, pdf))
 
     def add(self, index: Tensor, distance: Tensor, radiance: Tensor) -> None:
-        """Add what some paths, int64 `[K]`, brought from where they came to: `[K]` from the last surface, `[3, K]`."""
-        light = luminance(radiance)
-        shown = self._shown(index, light > 0.0)
-        index, distance, light = (values.index_select(0, shown) for values in (index, distance, light))
-        self._add(index, distance, light, self._pencils.index_select(1, index))
+        """Some paths, int64 `[K]`, bring light from where they came to: `[K]` from where they left, `[3, K]`."""
+        self._events.append(_Event(self._vertices.copy(), index, distance, radiance))
 
-    def _shown(self, index: Tensor, among: Tensor | None = None) -> Tensor:
-        """Which of the paths, of some of them, have met mirrors and glass alone, int64."""
-        shown = self._pencils[0].index_select(0, index).isfinite()
-        return indices(shown if among is None else shown & among)
+    def add_sampled(self, index: Tensor, direction: Tensor, pdf: Tensor, distance: Tensor, radiance: Tensor) -> None:
+        """As `add`, of what light samples bring to where paths are; direction, pdf: as in `leave`."""
+        self._events.append(_Event([*self._vertices, _Vertex(*self._at, direction, pdf)], index, distance, radiance))
 
-    def _bent(self, index: Tensor, narrow: Tensor, surface: Surface, direction: Tensor) -> Tensor:
-        """Pencils `[4, K]` of the `narrow` ones of paths when they have left their surfaces."""
-        index, direction = index.index_select(0, narrow), direction.index_select(1, narrow)
-        incoming = -surface.outgoing.index_select(1, narrow)
-        triangle = self._triangle.index_select(0, index)
-        corners, normals = self._geometry.corners(triangle), self._geometry.corner_normals(triangle)
-        front, thin, ior = (values.index_select(0, narrow) for values in (surface.front, surface.thin, surface.ior))
-        return _bend(self._pencils.index_select(1, index), corners, normals, incoming, direction, front, thin, ior)
+    def distances(self, radiance: Tensor, own: Tensor, bright: float) -> Tensor:
+        """Along each ray, `[N]`, to where most of its light appears to come from: to the brightest that mirrors and glass show,
+        MISS_DISTANCE where that is at infinity or behind the eye, or its own distance `[N]`, where less than half is shown so.
+        Rays that are not bright and go on in a mirror or glass are taken to see something far beyond.
 
-    def _add(self, index: Tensor, distance: Tensor, light: Tensor, pencils: Tensor) -> None:
-        if len(index) == 0:
+        radiance: of the rays, `[3, N]`; bright: luminance of a highlight.
+        """
+        whole = luminance(radiance)
+        own = torch.where(self._goes_on(own) & (whole <= bright), MISS_DISTANCE, own)
+        distance, light, brightest = torch.zeros(3, len(own), device=own.device)
+        for event in self._events:
+            self._add(event, whole > bright, distance, light, brightest)
+        return torch.where(light > 0.5 * whole, distance, own)
+
+    def _goes_on(self, own: Tensor) -> Tensor:
+        """Which rays, bool `[N]`, met a mirror or glass first, or may have: some of their paths went on narrowly."""
+        found = torch.zeros_like(own, dtype=torch.bool)
+        if self._vertices:
+            narrow = self._starts.index_select(0, indices(self._vertices[0].pdf > NARROW))
+            found[narrow if self._rays is None else self._rays.index_select(0, narrow)] = True
+        return found
+
+    def _add(self, event: _Event, bright: Tensor, distance: Tensor, light: Tensor, brightest: Tensor) -> None:
+        """Add an event, as far as its light went through mirrors and glass alone, to what bright rays see."""
+        rays = event.index if self._rays is None else self._rays.index_select(0, event.index)
+        shown = indices(bright.index_select(0, rays) & (event.radiance.amax(0) > 0.0))
+        places = []
+        for vertex in event.vertices:
+            place = vertex.place.index_select(0, event.index.index_select(0, shown))
+            narrow = indices(vertex.pdf.index_select(0, place) > NARROW)
+            shown = shown.index_select(0, narrow)
+            places = [each.index_select(0, narrow) for each in (*places, place)]
+        if len(shown) == 0:
             return
-        if self._rays is not None:
-            index = self._rays.index_select(0, index)
-        image = _image(pencils, distance)
-        increase(self.light, index, light)
-        self._brightest.scatter_reduce_(0, index, light, "amax")
-        first = light == self._brightest.index_select(0, index)
-        put(self.distance, index[first], image[first])
+        pencils = torch.eye(2, device=light.device).reshape(4, 1).expand(4, len(shown))
+        for vertex, place in zip(event.vertices, places):
+            pencils = self._bent(vertex, place, pencils)
+        image = _image(pencils, event.distance.index_select(0, shown))
+        trusted = indices(image > AFLOAT * self._reached(event.vertices[0], places[0]))
+        shown, image = shown.index_select(0, trusted), image.index_select(0, trusted)
+        rays, added = rays.index_select(0, shown), luminance(event.radiance.index_select(1, shown))
+        increase(light, rays, added)
+        brightest.scatter_reduce_(0, rays, added, "amax")
+        first = added == brightest.index_select(0, rays)
+        put(distance, rays[first], image[first])
+
+    def _reached(self, vertex: _Vertex, place: Tensor) -> Tensor:
+        """How far paths came to a vertex, by their place in it."""
+        return vertex.hit.distance.index_select(0, place if vertex.owner is None else vertex.owner.index_select(0, place))
+
+    def _bent(self, vertex: _Vertex, place: Tensor, pencils: Tensor) -> Tensor:
+        """Pencils `[4, K]` at a place in it each, from where they left the last one to where they leave this one."""
+        hits = place if vertex.owner is None else vertex.owner.index_select(0, place)
+        triangle, distance = vertex.hit.triangle.index_select(0, hits), self._reached(vertex, place)
+        corners, normals = self._geometry.corners(triangle), self._geometry.corner_normals(triangle)
+        found = (vertex.outgoing, vertex.direction, vertex.front, vertex.thin, vertex.transmission, vertex.ior)
+        return _bend(pencils, distance, corners, normals, *(values.index_select(-1, place) for values in found))
 
 
 def _after(pencils: Tensor, distance: Tensor) -> Tensor:
-    """Pencils `[4, N]` further on. Rows: how far from their middle, and at which angle by the medium's index, rays are that began
-    there beside it, and under an angle to it: A, C and B, D of matrix optics, in the order A, B, C, D."""
+    """Pencils `[4, N]` further on. Rows are A, B, C and D of matrix optics: how far from the middle rays are that began beside it,
+    and under an angle to it, and at which angles, times the medium's index."""
     return torch.cat((pencils[:2] + distance * pencils[2:], pencils[2:]))
 
 
@@ -126,17 +169,22 @@ def _image(pencils: Tensor, distance: Tensor) -> Tensor:
 @kernel
 def _bend(
     pencils: Tensor,
+    distance: Tensor,
     corners: Tensor,
     normals: Tensor,
-    incoming: Tensor,
+    outgoing: Tensor,
     direction: Tensor,
     front: Tensor,
     thin: Tensor,
+    transmission: Tensor,
     ior: Tensor,
 ) -> Tensor:
-    """Pencils that triangles mirror or let through."""
+    """Pencils that come so far to triangles which mirror or let them through; a way through glass is shorter by its index."""
+    solid = (thin == 0.0) & (transmission > 0.0)
+    pencils = _after(pencils, distance / torch.where(solid & (front == 0.0), ior, 1.0))
+    incoming = -outgoing
     mirrored = dot(incoming, normals[0]) * dot(direction, normals[0]) < 0.0
-    refracted = refraction_vergence(corners, normals, incoming, direction, front, ior) * (1.0 - thin)
+    refracted = refraction_vergence(corners, normals, incoming, direction, front, ior) * solid
     vergence = torch.where(mirrored, mirror_vergence(corners, normals, incoming), refracted)
     return torch.cat((pencils[:2], pencils[2:] + vergence * pencils[:2]))
 

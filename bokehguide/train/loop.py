@@ -28,6 +28,7 @@ from bokehguide.render.vector import luminance
 from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
 from bokehguide.train.batches import Batches
+from bokehguide.train.fitting import RADIANCE_THRESHOLD
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide
 from bokehguide.train.guide import guide_images, starts_block, uniform_draw
 from bokehguide.train.light_guide import LightGuide
@@ -239,7 +240,9 @@ class RenderLoop:
         inside = indices(weight > 0.0)
         index = None if len(inside) == len(weight) else inside
         parts = None if self.guide is None else self.guide.parts(weight)
-        return self.tracer.trace(origins, directions, random, timer, choose=choose, index=index, parts=parts), directions
+        bright = 0.5 * RADIANCE_THRESHOLD * self._mean_luminance * (self.step_number > 1)  # it is not known before
+        samples = self.tracer.trace(origins, directions, random, timer, choose=choose, index=index, parts=parts, bright=bright)
+        return samples, directions
 
     def _film_samples(self, samples: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
         depth = self.camera.depth(samples.distance, directions)
