@@ -172,7 +172,7 @@ PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
     LAMPS: ((spot_guide, "known_lamps", no_lamps),),
     FOUND: ((spot_guide, "fit_ellipsoids", nothing_found),),
     "voxels by depth": ((VoxelRecord, "_layers", lambda _, depth: torch.zeros_like(depth, dtype=torch.int64)),),
-    "images in mirrors and glass": ((Images, "_add", lambda *_: None),),
+    "images in mirrors and glass": ((Images, "distances", lambda self, radiance, own, bright: own),),
     "shapes of map lamps and panels": ((known_lamps, "_shapes", no_shapes),),
     "proportions (else balls)": ((known_lamps, "packed", as_balls),),
     "discs cut off at the lens": ((disc_distribution, "_band", uncut),),

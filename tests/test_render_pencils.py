@@ -457,7 +457,7 @@ def test_a_ball_of_glass_shows_the_sky_in_its_focus(radius):
 
 
 def test_a_lens_of_water_magnifies_what_is_before_its_focus():
-    """A lamp in the middle of a bowl is seen there; 0.2 m behind a ball of 0.5 m, by the two surfaces in turn."""
+    """A lamp 0.2 m behind a ball of 0.5 m, by the two surfaces in turn."""
     ball = fine_ball(BALL_CENTRE, BALL_RADIUS)
     water = replace(GLASS, ior=1.33)
     place, size = np.array([0.0, 0.0, -4.0 - BALL_RADIUS - 0.25]), 0.05
@@ -465,6 +465,45 @@ def test_a_lens_of_water_magnifies_what_is_before_its_focus():
     first = 1.33 / (1.0 / 0.2 - 0.33 / BALL_RADIUS)  # before the far side, seen from within
     behind = 1.0 / (1.33 / (2.0 * BALL_RADIUS + first) - 0.33 / BALL_RADIUS)
     assert_seen(samples, 3.5 + behind, 0.03)
+
+
+def test_a_lamp_in_the_middle_of_a_ball_of_glass_is_seen_there():
+    ball = fine_ball(BALL_CENTRE, BALL_RADIUS)
+    samples = traced(scene([ball, sphere(1, BALL_CENTRE, 0.01)], [GLASS, BRIGHT], max_depth=6), (0.0, 0.0, -1.0))
+    assert_seen(samples, 4.0 - 0.01, 0.02)
+
+
+def refracted(way: np.ndarray, normal: np.ndarray, ratio: float) -> np.ndarray:
+    """Snell's law, for a unit direction that arrives against the normal; ratio: of the indices, before to beyond."""
+    cosine = -way @ normal
+    return ratio * way + (ratio * cosine - math.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal
+
+
+def test_the_back_of_a_ball_of_glass_mirrors_the_sky_close_before_it():
+    """Where a ray that came in beside the axis and left again, mirrored once, comes back to it."""
+    height = 1e-4
+    place, way = np.array([height, math.sqrt(BALL_RADIUS**2 - height**2)]), np.array([0.0, -1.0])
+    way = refracted(way, unit(place), 1.0 / 1.5)
+    for turn in (lambda way, normal: mirrored(way, normal), lambda way, normal: refracted(way, normal, 1.5)):
+        place = place - 2.0 * (place @ way) * way
+        way = turn(way, -unit(place))
+    expected = 4.0 - (place[1] - place[0] / way[0] * way[1])
+    dark_behind = rectangle(1, (0.0, 0.0, -5.0), scale=3.0)
+    lens = scene([fine_ball(BALL_CENTRE, BALL_RADIUS), dark_behind], [GLASS, matte(0.0)], sky(1.0), max_depth=8)
+    samples = traced(lens, BALL_CENTRE, count=20_000)
+    found = samples.image[(samples.radiance.amax(0) > 0.0)].double().numpy()
+    assert np.mean(np.abs(found - expected) < 0.02) > 0.2
+
+
+@pytest.mark.parametrize("roughness", [0.05, 0.1])
+def test_a_polished_mirror_in_a_mirror_shows_a_small_lamp_where_it_is(roughness):
+    """Most of its light comes by light samples at the second mirror."""
+    lower, upper = rectangle(0, (0.0, 0.0, -4.0), (-45.0, 0.0, 0.0), 0.8), rectangle(2, (0.0, 2.0, -4.0), (135.0, 0.0, 0.0), 0.8)
+    small = scene([lower, upper, sphere(1, (0.0, 2.0, -9.0), 0.05)], [POLISHED, BRIGHT, replace(POLISHED, roughness=roughness)], max_depth=4)
+    samples = traced(small, (0.0, 0.0, -1.0), count=20_000)
+    light = samples.radiance[0].double().numpy()
+    there = np.abs(samples.image.double().numpy() - (4.0 + 2.0 + 4.95)) < 0.5
+    assert light[there].sum() > 0.9 * light.sum() > 0.0
 
 
 def test_two_mirrors_show_a_lamp_at_the_unfolded_rays_length():

@@ -402,7 +402,7 @@ def test_highlights_on_a_metal_ball_are_found_where_its_images_are(found_on_a_ba
 def test_most_draws_meet_highlights_on_a_metal_ball(found_on_a_ball, monkeypatch):
     """Nearly as many as AXES leaves of an even disc; far fewer where the highlights are taken to lie on the ball."""
     share = share_of_bright_draws(found_on_a_ball)
-    monkeypatch.setattr(Images, "_add", lambda *_: None)
+    monkeypatch.setattr(Images, "distances", lambda self, radiance, own, bright: own)
     loop = rendered(ball_of_lamps(), 32)
     assert len(loop.guide.field) == 3 and float(loop.guide.field.mean[2].max()) < 5.2
     assert share > 0.8 * (2.0 / AXES) ** 2 and share > 1.4 * share_of_bright_draws(loop)

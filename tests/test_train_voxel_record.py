@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import defaultdict
 
@@ -48,7 +49,7 @@ def test_it_is_a_dictionary_of_bright_samples():
         cells = record.cells(lens, points)
         for part in (slice(0, 1000), slice(1000, 3000)):
             record.add(cells[part], points[:, part], light[part], THRESHOLD)
-        record.merge()
+        record.settle()
         for cell, (x, y, z), value in zip(cells.tolist(), points.T.double().tolist(), light.double().tolist()):
             per_cell[cell] += 1
             if value > THRESHOLD or cell in lit:
@@ -75,7 +76,7 @@ def test_highlights_behind_one_another_stay_two():
     depth = torch.tensor([0.8] * 30 + [6.0] * 10)
     points = torch.stack((0.01 * depth, 0.02 * depth, depth))
     record.add(record.cells(lens, points), points, torch.tensor([20.0] * 30 + [40.0] * 10), THRESHOLD)
-    record.merge()
+    record.settle()
     cells, points, radiance = record.bright(THRESHOLD)
     assert len(cells.unique()) == 1 and radiance.tolist() == [15.0, 40.0]
     torch.testing.assert_close(points, torch.tensor([[0.01, 0.02, 1.0]]).T * torch.tensor([0.8, 6.0]))
@@ -89,8 +90,8 @@ def test_there_are_no_more_voxels_than_a_share_of_the_cells():
     everything.sums = record.sums.repeat(1, 100)
     everything._lit = record._lit.repeat(100)
     everything.add(everything.cells(lens, points), points, light, 0.0)
-    record.merge()
-    everything.merge()
+    record.settle()
+    everything.settle()
     most = record.sums.shape[1] // TEXELS
     assert len(everything.voxels) > 2 * most and len(record.voxels) == most
     kept = torch.isin(everything.voxels[:, 0], record.voxels[:, 0])
@@ -101,15 +102,36 @@ def test_there_are_no_more_voxels_than_a_share_of_the_cells():
 def test_what_is_saved_goes_on():
     record, other = VoxelRecord(camera()), VoxelRecord(camera())
     lens = camera()
-    for part, one in ((1, record), (2, record)):
+    for part in range(4):
         points, light = samples(500, seed=part)
-        one.add(one.cells(lens, points), points, light, THRESHOLD)
-        one.merge()
+        for one in (record, other) if part > 1 else (record,):
+            one.add(one.cells(lens, points), points, light, THRESHOLD)
+        if part == 0:
+            record.settle()
         if part == 1:
+            other.add(other.cells(lens, points), points, light, THRESHOLD)  # forgotten
+            record.merge()
             other.load_state_dict(record.state_dict())
-    other.add(other.cells(lens, points), points, light, THRESHOLD)
-    other.merge()
+    record.settle()
+    other.settle()
     assert torch.equal(record.voxels, other.voxels) and torch.equal(record.sums, other.sums)
+
+
+def test_telling_other_ranks_changes_nothing():
+    """Within a block: neither which cells are lit, nor what is added up in the end."""
+    told, quiet = VoxelRecord(camera()), VoxelRecord(camera())
+    lens = camera()
+    for part in range(6):
+        points, light = samples(500, seed=part)
+        for record in (told, quiet):
+            record.add(record.cells(lens, points), points, light, THRESHOLD)
+        told.merge()
+        if part == 1:
+            told.settle()
+            quiet.settle()
+    told.settle()
+    quiet.settle()
+    assert len(told.voxels) > 50 and torch.equal(told.voxels, quiet.voxels)
 
 
 @pytest.mark.parametrize(
@@ -119,6 +141,8 @@ def test_what_is_saved_goes_on():
         torch.tensor([[-1.0, 1, 1, 0, 0, 1]]),
         torch.tensor([[1e12, 1, 1, 0, 0, 1]]),
         torch.tensor([[3.0, -1, 1, 0, 0, 1]]),
+        torch.tensor([[3.0, 0, 1, 0, 0, 1]]),
+        torch.tensor([[3.0, 1, 1, 0, 0, 0]]),
         torch.tensor([[3.0, 1, 1, 0, 0, 1]] * 2),
         torch.zeros(1, 5),
         torch.zeros(6),
@@ -146,3 +170,29 @@ def test_a_render_finds_highlights_behind_one_another(monkeypatch):
     near, far = found_depths(monkeypatch, layered=True)
     without = found_depths(monkeypatch, layered=False)
     assert near > 20 and far > 5 > without[1]
+
+
+def test_saving_changes_no_bit():
+    """Also in the middle of blocks, whatever is then known of highlights."""
+    saved, quiet = (RenderLoop(mirror_balls(96, 54), RenderSettings("guided", 24, threads=1)) for _ in range(2))
+    for step in range(1, 21):
+        for loop in (saved, quiet):
+            loop.step()
+        if step in (4, 6, 7, 10, 13, 14):
+            saved.state_dict()
+    assert len(quiet.guide.record.voxels) > 20
+    assert torch.equal(saved.film.radiance(), quiet.film.radiance())
+    assert torch.equal(saved.guide.record.voxels, quiet.guide.record.voxels)
+
+
+def test_a_state_takes_the_place_of_what_a_loop_has_seen():
+    one, other = (RenderLoop(mirror_balls(96, 54), RenderSettings("guided", 24, threads=1)) for _ in range(2))
+    for _ in range(6):
+        one.step()
+    for _ in range(7):
+        other.step()
+    other.load_state_dict(copy.deepcopy(one.state_dict()))
+    for loop in (one, other):
+        for _ in range(6):
+            loop.step()
+    assert torch.equal(one.film.radiance(), other.film.radiance())

@@ -22,6 +22,7 @@ from bokehguide.render.vector import dot, normalize
 from bokehguide.scene.lamps import LUMINANCE
 from bokehguide.scene.types import Environment
 
+
 class SkyLamps:
     """S lamps, and their densities per unit area of the lens plane.
 

@@ -27,16 +27,16 @@ class DirectLight(NamedTuple):
     """One light sample for each of N paths.
 
     direction: unit, `[3, N]`; distance `[N]`; value: what it would bring, unshadowed, over its density and with its MIS
-    weight, `[3, N]`. Under a `LightChoice`, also its cluster, int32 `[N]`, its worth (see `PathSamples`) if nothing
-    blocks it, `[N]`, and the density with which the BSDF samples its direction, `[N]`.
+    weight, `[3, N]`; pdf: the density with which the BSDF samples its direction, `[N]`. Under a `LightChoice`, also its
+    cluster, int32 `[N]`, and its worth (see `PathSamples`) if nothing blocks it, `[N]`.
     """
 
     direction: Tensor
     distance: Tensor
     value: Tensor
+    pdf: Tensor
     cluster: Tensor | None = None
     worth: Tensor | None = None
-    pdf: Tensor | None = None
 
 
 def direct_light(
@@ -55,7 +55,7 @@ def direct_light(
     query = lights.query(surface.position, choice)
     light, other = _candidate(lights, query, scattering, uniforms)
     if choice is None:
-        return DirectLight(light.direction, light.distance, _worth(light, other, None)[0])
+        return DirectLight(light.direction, light.distance, _worth(light, other, None)[0], other[1])
     value, total = _worth(light, other, choice.visibility(light.cluster))
     kept = _Kept(light.direction, light.distance, value, light.share, total, light.cluster, other[1])
     for number in range(1, CANDIDATES):
@@ -66,7 +66,7 @@ def direct_light(
         kept, total = _better(kept, total, light, other, choice.visibility(light.cluster), spare[6])
     scale = total / (CANDIDATES * kept.target.clamp(min=1e-30))
     worth = luminance(kept.value) * (kept.share * scale).sqrt()
-    return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.cluster, worth, kept.pdf)
+    return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.pdf, kept.cluster, worth)
 
 
 class _Kept(NamedTuple):

@@ -331,12 +331,20 @@ class PathTracer:
             result.first.towards_light, result.first.direct = light.direction, contribution
         else:
             paths.radiance += contribution
-        if paths.choice is not None:
+        if images is not None:
             images.add_sampled(paths.index, light.direction, light.pdf, light.distance, contribution)
+        if paths.choice is not None:
             result.lights = LightsChosen(paths.choice.row, light.cluster, light.worth * visibility, visibility)
 
     def _scatter(
-        self, paths: _Paths, surface: Surface, scattering: Scattering, uniforms: Tensor, depth: int, images: Images | None, result: PathSamples
+        self,
+        paths: _Paths,
+        surface: Surface,
+        scattering: Scattering,
+        uniforms: Tensor,
+        depth: int,
+        images: Images | None,
+        result: PathSamples,
     ) -> _Paths:
         """Sample the BSDF, play Russian roulette, and compact the paths that go on."""
         direction, weight, pdf = scattering.sample(uniforms[0:3])

@@ -24,6 +24,8 @@ NARROW = 4.0
 AFLOAT = 0.5
 """Images that float in the air, before hollow mirrors, nearer than this part of the way to the first surface are left out: one
 stray ray would make a highlight there whose circle of confusion is the whole picture."""
+BEGUN = (1.0, 0.0, 0.0, 1.0, 1.0)
+"""A pencil of rays at the eye (see `_after`), in air."""
 GRAZING = 0.02
 """Cosines to the normal count as at least this."""
 
@@ -127,7 +129,7 @@ class Images:
             places = [each.index_select(0, narrow) for each in (*places, place)]
         if len(shown) == 0:
             return
-        pencils = torch.eye(2, device=light.device).reshape(4, 1).expand(4, len(shown))
+        pencils = light.new_tensor(BEGUN)[:, None].expand(-1, len(shown))
         for vertex, place in zip(event.vertices, places):
             pencils = self._bent(vertex, place, pencils)
         image = _image(pencils, event.distance.index_select(0, shown))
@@ -144,7 +146,7 @@ class Images:
         return vertex.hit.distance.index_select(0, place if vertex.owner is None else vertex.owner.index_select(0, place))
 
     def _bent(self, vertex: _Vertex, place: Tensor, pencils: Tensor) -> Tensor:
-        """Pencils `[4, K]` at a place in it each, from where they left the last one to where they leave this one."""
+        """Pencils `[5, K]` at a place in it each, from where they left the last one to where they leave this one."""
         hits = place if vertex.owner is None else vertex.owner.index_select(0, place)
         triangle, distance = vertex.hit.triangle.index_select(0, hits), self._reached(vertex, place)
         corners, normals = self._geometry.corners(triangle), self._geometry.corner_normals(triangle)
@@ -153,9 +155,9 @@ class Images:
 
 
 def _after(pencils: Tensor, distance: Tensor) -> Tensor:
-    """Pencils `[4, N]` further on. Rows are A, B, C and D of matrix optics: how far from the middle rays are that began beside it,
-    and under an angle to it, and at which angles, times the medium's index."""
-    return torch.cat((pencils[:2] + distance * pencils[2:], pencils[2:]))
+    """Pencils `[5, N]` further on. Rows are A, B, C and D of matrix optics: how far from the middle rays are that began beside it,
+    and under an angle to it, and at which angles, times the medium's index, which is the last row."""
+    return torch.cat((pencils[:2] + distance / pencils[4] * pencils[2:4], pencils[2:]))
 
 
 @kernel
@@ -179,14 +181,14 @@ def _bend(
     transmission: Tensor,
     ior: Tensor,
 ) -> Tensor:
-    """Pencils that come so far to triangles which mirror or let them through; a way through glass is shorter by its index."""
-    solid = (thin == 0.0) & (transmission > 0.0)
-    pencils = _after(pencils, distance / torch.where(solid & (front == 0.0), ior, 1.0))
-    incoming = -outgoing
+    """Pencils that come so far to triangles which mirror or let them through."""
+    pencils, incoming = _after(pencils, distance), -outgoing
+    index, solid = pencils[4], (thin == 0.0) & (transmission > 0.0)
     mirrored = dot(incoming, normals[0]) * dot(direction, normals[0]) < 0.0
-    refracted = refraction_vergence(corners, normals, incoming, direction, front, ior) * solid
-    vergence = torch.where(mirrored, mirror_vergence(corners, normals, incoming), refracted)
-    return torch.cat((pencils[:2], pencils[2:] + vergence * pencils[:2]))
+    through = torch.where(solid, refraction_vergence(corners, normals, incoming, direction, front, ior), 0.0)
+    vergence = torch.where(mirrored, index * mirror_vergence(corners, normals, incoming), through)
+    beyond = torch.where(solid & ~mirrored, torch.where(front > 0.0, ior, 1.0), index)
+    return torch.cat((pencils[:2], pencils[2:4] + vergence * pencils[:2], beyond[None]))
 
 
 def mirror_vergence(corners: Tensor, normals: Tensor, incoming: Tensor) -> Tensor:

@@ -29,3 +29,9 @@ class RankSums(nn.Module):
         if self._own is not None:
             self.sums += self.ranks.total(self._own)
             self._own.zero_()
+
+    def _load_from_state_dict(self, state_dict, prefix, *args):
+        """What was added since the last `merge` is no part of what is loaded."""
+        super()._load_from_state_dict(state_dict, prefix, *args)
+        if self._own is not None:
+            self._own.zero_()

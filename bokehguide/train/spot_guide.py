@@ -4,7 +4,7 @@ It differs from the paper's (`guide.py`) in what is measured to pay:
 
 - The lamps that the scene holds (emissive pieces, peaks of the environment, suns) are in the
   field from the start; the record buffer is left to find what they show up in: reflections
-  and refractions. What is mirrored is recorded where its image is, and not where the mirror is, and what lies behind one
+  and refractions. What mirrors and glass show is recorded where its image is, and not where they are, and what lies behind one
   another is kept apart (`voxel_record.py`).
 - A highlight is an even disc on the lens and no Gaussian, cut off where the lens ends; one of the map is as bright on the
   lens as the map has it.
@@ -160,7 +160,7 @@ class SpotGuide(nn.Module):
         return light * hit if self._lamps.whole_sky else light
 
     def apparent_distance(self, samples: PathSamples) -> Tensor:
-        """At which distances `[N]` the record buffer takes them to lie: mirrored lamps where their images are."""
+        """At which distances `[N]` the record buffer takes them to lie: lamps in mirrors and glass where their images are."""
         return samples.distance if samples.image is None else samples.image
 
     def remember(self, cells: Tensor, points: Tensor, luminance: Tensor, mean_luminance: float) -> None:
@@ -188,7 +188,7 @@ class SpotGuide(nn.Module):
     @torch.no_grad()
     def refit(self, mean_luminance: float) -> None:
         """The lamps, and what the record buffer shows beside them; then list each pixel's candidates. Collective."""
-        self.record.merge()
+        self.record.settle()
         self.spotlights, *found = fit_ellipsoids(self.record, self.camera, mean_luminance)
         lamps = (self._lamps.field.mean, self._lamps.outlines, self._lamps.field.radius, self._lamps.field.energy)
         mean, self.outlines, radius, energy = (torch.cat(part, dim=-1) for part in zip(lamps, found))

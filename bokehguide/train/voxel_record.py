@@ -17,28 +17,32 @@ SIDE = OCTAVES * PER_OCTAVE
 LAYERS = 2 * SIDE
 TEXELS = 4
 """There is a voxel for so many texels at most; of more, those stay that have seen most light."""
-WAITING = 1 << 18
-"""Samples that are kept at a time before they are added up."""
+WAITING = 1 << 17
+"""Rows of new samples that are kept before they are added up; more, where more are left then."""
 
 
 class VoxelRecord(Raster):
     """A raster with a margin whose cells keep sample count and radiance. What is bright in them is kept by depth as well.
 
-    Only samples above a threshold make a cell one of voxels, from the next `merge` on: there are as many as highlights
+    Only samples above a threshold make a cell one of voxels, from the next `settle` on: there are as many as highlights
     cover, and not one for each cell and depth. Positions in them are averaged as in `RecordBuffer`.
 
     sums: `[2, cells]`: count, Σ L. voxels: float64 `[K, 6]`, in ascending order: its number (cell · LAYERS + layer, from
-    near to far), count, Σ L, Σ L·(X/Z, Y/Z, 1/Z), camera frame.
+    near to far), count, Σ L, Σ L·(X/Z, Y/Z, 1/Z), camera frame; waiting: those of the samples since the last `settle`, of all
+    ranks up to the last `merge`.
     """
 
     def __init__(self, camera: ThinLensCamera, ranks: Ranks | None = None):
         super().__init__(camera, 2, ranks)
         self._focus_distance = camera.lens.focus_distance
-        self.register_buffer("voxels", torch.zeros(0, 6, dtype=torch.float64))
+        for name in ("voxels", "waiting"):
+            self.register_buffer(name, torch.zeros(0, 6, dtype=torch.float64))
         self.register_buffer("_lit", torch.zeros(self.sums.shape[1], dtype=torch.bool), persistent=False)
         """Cells that have voxels."""
         self._new: list[Tensor] = []
-        """Voxels of this rank's samples since the last `merge`."""
+        """Rows of this rank's samples since the last `merge`."""
+        self._fewest = 0
+        """New rows that are worth adding up, at least, so that it costs no more than in proportion to the samples."""
 
     def add(self, cells: Tensor, points: Tensor, luminance: Tensor, threshold: float) -> None:
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`, and to voxels those that
@@ -53,8 +57,8 @@ class VoxelRecord(Raster):
         x, y, depth = points.index_select(1, index.index_select(0, lit)).double()
         number = cells * LAYERS + self._layers(depth)
         self._new.append(torch.stack((number, torch.ones_like(light), light, light * x / depth, light * y / depth, light / depth), dim=1))
-        if sum(map(len, self._new)) > WAITING:
-            self._new = [_added_up(self._new)]
+        if sum(map(len, self._new)) > max(WAITING, self._fewest):
+            self._add_up()
 
     def _layers(self, depth: Tensor) -> Tensor:
         """Layer of each depth `[N]`, 0 … LAYERS - 1 from near to far, int64 `[N]`."""
@@ -62,15 +66,31 @@ class VoxelRecord(Raster):
         place = (PER_OCTAVE * (defocus.abs().log2() + OCTAVES - 2)).clamp(0.0, SIDE - 1.0).long()
         return torch.where(defocus < 0.0, SIDE - 1 - place, SIDE + place)
 
+    def _add_up(self) -> None:
+        """Make what is new one list: of one rank alone, with what waits, in the samples' order, whenever it is done."""
+        if self.ranks.alone:
+            self.waiting, self._new = _added_up([self.waiting, *self._new]).to(self.sums.device), []
+            self._fewest = len(self.waiting)
+        else:
+            self._new = [_added_up(self._new)]
+            self._fewest = 2 * len(self._new[0])
+
     def merge(self) -> None:
         """Let every rank know the samples of all; collective."""
         super().merge()
-        found = _added_up(self._new)
-        found = [found] if self.ranks.alone else self.ranks.gathered(found.cpu())
-        voxels, most = _added_up([self.voxels, *(each.to(self.voxels.device) for each in found)]), self.sums.shape[1] // TEXELS
+        self._add_up()
+        if not self.ranks.alone:
+            self.waiting = _added_up([self.waiting, *self.ranks.gathered(self._new[0])]).to(self.sums.device)
+            self._new, self._fewest = [], 0
+
+    def settle(self) -> None:
+        """End a block of steps: add its voxels to those of the others; collective."""
+        self.merge()
+        voxels, most = _added_up([self.voxels, self.waiting]), self.sums.shape[1] // TEXELS
         if len(voxels) > most:
             voxels = voxels[voxels[:, 2].topk(most).indices.sort().values]
-        self.voxels, self._new = voxels, []
+        self.voxels, self.waiting = voxels.to(self.sums.device), self.waiting[:0]
+        self._fewest = 0
         self._light_up()
 
     def _light_up(self) -> None:
@@ -93,23 +113,30 @@ class VoxelRecord(Raster):
 
     def _load_from_state_dict(self, state_dict, prefix, *args):
         """Raises ValueError where voxels are none."""
-        voxels = state_dict[prefix + "voxels"]
-        self.voxels = torch.empty_like(voxels, device=self.sums.device)
+        for name in ("voxels", "waiting"):
+            rows = state_dict[prefix + name]
+            self._require_rows(rows)
+            setattr(self, name, torch.empty_like(rows, device=self.sums.device))
         super()._load_from_state_dict(state_dict, prefix, *args)
-        if voxels.ndim != 2 or voxels.shape[1] != 6 or not bool((voxels[:, [1, 2, 5]] >= 0.0).all()):
+        self._new, self._fewest = [], 0
+        self._light_up()
+
+    def _require_rows(self, rows: Tensor) -> None:
+        if rows.ndim != 2 or rows.shape[1] != 6 or rows.dtype != torch.float64:
             raise ValueError("voxels that are none")
-        number = voxels[:, 0]
+        number, count, light, *_, inverse_depth = rows.T
+        if not bool((count > 0.0).all() and (light >= 0.0).all() and ((inverse_depth > 0.0) == (light > 0.0)).all()):
+            raise ValueError("voxels without samples or depth")
         inside = bool((number >= 0.0).all() and (number < self.sums.shape[1] * LAYERS).all())
         if not inside or not bool((number == number.floor()).all() and (number.diff() > 0.0).all()):
             raise ValueError("voxels outside the record buffer")
-        self._light_up()
 
 
 def _added_up(parts: list[Tensor]) -> Tensor:
-    """Voxels of some lists as one, each voxel once, in ascending order."""
+    """Rows of some lists as one, each voxel once, in ascending order; on the CPU, where they add up to the same bits on every rank."""
     if not parts:
         return torch.zeros(0, 6, dtype=torch.float64)
-    rows = torch.cat(parts)
+    rows = torch.cat([part.cpu() for part in parts])
     number, place = rows[:, 0].unique(return_inverse=True)
-    sums = torch.zeros(len(number), 5, dtype=rows.dtype, device=rows.device).index_add_(0, place, rows[:, 1:])
+    sums = torch.zeros(len(number), 5, dtype=rows.dtype).index_add_(0, place, rows[:, 1:])
     return torch.cat((number[:, None], sums), dim=1)
