@@ -87,8 +87,7 @@ def test_there_are_no_more_voxels_than_a_share_of_the_cells():
     points, light = samples(40_000, seed=5)
     record.add(record.cells(lens, points), points, light, 0.0)
     everything = VoxelRecord(camera())
-    everything.sums = record.sums.repeat(1, 100)
-    everything._lit = record._lit.repeat(100)
+    everything._most = 10**9
     everything.add(everything.cells(lens, points), points, light, 0.0)
     record.settle()
     everything.settle()
@@ -97,6 +96,26 @@ def test_there_are_no_more_voxels_than_a_share_of_the_cells():
     kept = torch.isin(everything.voxels[:, 0], record.voxels[:, 0])
     assert float(everything.voxels[kept, 2].min()) >= float(everything.voxels[~kept, 2].max())
     assert bool((record.voxels[:, 0].diff() > 0.0).all())
+
+
+def test_few_samples_wait():
+    """Those of one step, beside as many as there are voxels at most; told to other ranks in between or not."""
+    told, quiet, lens = VoxelRecord(camera()), VoxelRecord(camera()), camera()
+    most, settled = told.sums.shape[1] // TEXELS, 0
+    for step in range(40):
+        points, light = samples(100, seed=step)
+        for record in (told, quiet):
+            record.add(record.cells(lens, points), points, light, 0.0)
+            if record is told and step % 3 == 0:
+                record.merge()
+            record.end_step()
+            waits = int(record.waiting[:, 1].sum()) + sum(map(len, record._new))
+            assert waits <= most
+        settled += waits == 0
+    assert 5 < settled < 30
+    told.settle()
+    quiet.settle()
+    assert torch.equal(told.voxels, quiet.voxels)
 
 
 def test_what_is_saved_goes_on():

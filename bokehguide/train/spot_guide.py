@@ -173,6 +173,7 @@ class SpotGuide(nn.Module):
         for lesson in lessons:
             self.lamp_yield.add(*lesson.draws)
         if not starts_block(step + 1):
+            self.record.end_step()
             return
         self.block.fill_(step + 1)
         self.lamp_yield.update()

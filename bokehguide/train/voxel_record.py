@@ -15,8 +15,8 @@ OCTAVES, PER_OCTAVE = 8, 4
 circle of confusion goes by: so many doublings up to 4, so many layers in each."""
 SIDE = OCTAVES * PER_OCTAVE
 LAYERS = 2 * SIDE
-TEXELS = 4
-"""There is a voxel for so many texels at most; of more, those stay that have seen most light."""
+TEXELS = 8
+"""There is a voxel for so many texels at most; of more, those stay that have seen most light. About as many may wait."""
 WAITING = 1 << 17
 """Rows of new samples that are kept before they are added up; more, where more are left then."""
 
@@ -41,6 +41,7 @@ class VoxelRecord(Raster):
         """Cells that have voxels."""
         self._new: list[Tensor] = []
         """Rows of this rank's samples since the last `merge`."""
+        self._most = self.sums.shape[1] // TEXELS
         self._fewest = 0
         """New rows that are worth adding up, at least, so that it costs no more than in proportion to the samples."""
 
@@ -83,12 +84,18 @@ class VoxelRecord(Raster):
             self.waiting = _added_up([self.waiting, *self.ranks.gathered(self._new[0])]).to(self.sums.device)
             self._new, self._fewest = [], 0
 
+    def end_step(self) -> None:
+        """Settle in the middle of a block, where more samples wait than there may be voxels; collective."""
+        [new] = self.ranks.totals(sum(float(rows[:, 1].sum()) for rows in self._new))
+        if new + float(self.waiting[:, 1].sum()) > self._most:
+            self.settle()
+
     def settle(self) -> None:
-        """End a block of steps: add its voxels to those of the others; collective."""
+        """Add the voxels of new samples to those of the others; collective."""
         self.merge()
-        voxels, most = _added_up([self.voxels, self.waiting]), self.sums.shape[1] // TEXELS
-        if len(voxels) > most:
-            voxels = voxels[voxels[:, 2].topk(most).indices.sort().values]
+        voxels = _added_up([self.voxels, self.waiting])
+        if len(voxels) > self._most:
+            voxels = voxels[voxels[:, 2].topk(self._most).indices.sort().values]
         self.voxels, self.waiting = voxels.to(self.sums.device), self.waiting[:0]
         self._fewest = 0
         self._light_up()
