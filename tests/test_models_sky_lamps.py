@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
 import torch
-from lens_cases import LENS, PolarGrid, histogram_check
+from lens_cases import PolarGrid, histogram_check
 from statistical import SIGNIFICANCE
 
-from bokehguide.models.sky_lamps import FAR_OUTSIDE, SkyLamps
+from bokehguide.models.map_view import BEYOND, ROUNDING, _is_wide
+from bokehguide.models.sky_lamps import FAR_OUTSIDE, SeenSky, SkyLamps
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.environment import EnvironmentMap
 from bokehguide.render.vector import luminance
@@ -26,7 +28,8 @@ LAMP, OTHER = 1, 0
 class SkyCase:
     """A lamp of texels (row, column, brightness) on a black map `[height, 2 height]`, seen through a focus point aslant.
 
-    aside: by how much the camera looks beside the lamp. lost: share of the lamp's draws that lie beyond the map's top.
+    aside: by how much the camera looks beside the lamp. lens: its radius, metres, at a focus distance of 2; it cuts the lamp
+    where it is small. off: by how much x_F is moved from where the lens's centre sees the lamp's middle.
     """
 
     name: str
@@ -34,7 +37,8 @@ class SkyCase:
     height: int = 64
     rotation: float = 0.0
     aside: tuple[float, float, float] = (0.2, -0.1, 0.15)
-    lost: float = 0.0
+    lens: float = 0.6
+    off: tuple[float, float] = (0.02, -0.03)
 
     def environment(self) -> Environment:
         radiance = np.zeros((self.height, 2 * self.height, 3), np.float32)
@@ -53,7 +57,7 @@ class SkyCase:
 
     def camera(self, way: float = 1.0) -> ThinLensCamera:
         target = tuple(way * self.middle() + self.aside)
-        return ThinLensCamera(Camera((0.0, 0.0, 0.0), target, aperture_radius=0.1, focus_distance=2.0), 64, 36)
+        return ThinLensCamera(Camera((0.0, 0.0, 0.0), target, aperture_radius=self.lens, focus_distance=FOCUS_DISTANCE), 64, 36)
 
     def lamps(self, way: float = 1.0) -> SkyLamps:
         bright = self.environment().radiance[:, :, 0] > 0.0
@@ -65,28 +69,19 @@ class SkyCase:
     def focus(self) -> torch.Tensor:
         """x_F `[3, 1]` through which the lamp is seen from about the middle of the lens."""
         local = self.camera().axes.double().numpy().T @ self.middle()
-        return torch.tensor(local / local[2] * LENS.focus_distance + (0.02, -0.03, 0.0)).float()[:, None]
+        return torch.tensor(local / local[2] * FOCUS_DISTANCE + (*self.off, 0.0)).float()[:, None]
 
-    def cells(self) -> PolarGrid:
-        """A grid that holds all that is drawn of the lamp; about the map's top where the density has its pole there."""
-        draws = self.draw(10_000, seed=9).double().numpy()
-        draws = draws[:, draws[0] < 0.1 * FAR_OUTSIDE]
-        centre = 0.5 * (draws.min(1) + draws.max(1))
-        if self.lost > 0.0:
-            top, focus = self.camera().axes.double().numpy()[1], self.focus().double().numpy()[:, 0]
-            centre = focus[:2] - top[:2] * focus[2] / top[2]
-        reach = 1.1 * np.hypot(*(draws - centre[:, None])).max()
-        return PolarGrid(reach * np.sqrt(np.linspace(0.0, 1.0, 13)), 16, tuple(centre))
+    def seen(self, count: int, lamps: SkyLamps | None = None, number: int = LAMP, whole: bool = False) -> SeenSky:
+        """The lamp as the one candidate of so many pixels; whole: said to be within the lens."""
+        focus = self.focus().expand(3, count)
+        return SeenSky(lamps or self.lamps(), torch.full((count,), number), torch.arange(count), focus, torch.full((count,), whole))
 
-    def draw(self, count: int, seed: int) -> torch.Tensor:
+    def draw(self, count: int, seed: int, lamps: SkyLamps | None = None, number: int = LAMP, whole: bool = False) -> torch.Tensor:
         bits = torch.randint(0, 1 << 23, (2, count), generator=torch.Generator().manual_seed(seed))
-        which = torch.full((count,), LAMP)
-        return self.lamps().sample(which, (bits + 0.5) / 2.0**23, self.focus().expand(3, count))
+        return self.seen(count, lamps, number, whole).sample(torch.arange(count), (bits + 0.5) / 2.0**23)
 
     def pdf(self, points: torch.Tensor, lamps: SkyLamps | None = None) -> torch.Tensor:
-        focus = self.focus().expand(3, points.shape[1])
-        lamp, density = (lamps or self.lamps()).evaluate(points.float(), focus)
-        return (density * (lamp == LAMP)).double()
+        return self.seen(points.shape[1], lamps).pdf(points.float()).double()
 
     def directions(self, points: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
         """World directions `[3, N]` that lens points `[2, N]` see, and their solid angle per lens area `[N]`."""
@@ -95,20 +90,99 @@ class SkyCase:
         distance = np.linalg.norm(ray, axis=0)
         return self.camera().axes.double().numpy() @ ray / distance, focus[2] / distance**3
 
+    def places(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and rows `[N]` of directions `[3, N]` on the map, in texels from its corner."""
+        x, y, z = directions
+        column = (0.5 + np.arctan2(x, -z) / (2.0 * np.pi) + self.rotation / 360.0) * 2 * self.height
+        return column % (2 * self.height), np.arctan2(np.hypot(x, z), y) / np.pi * self.height
 
+    def frame(self) -> np.ndarray:
+        """World axes `[3, 3]` of which the last leads from the lens's centre through x_F."""
+        forward = self.camera().axes.double().numpy() @ self.focus().double().numpy()[:, 0]
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, (0.3, 0.8, 0.4))
+        right /= np.linalg.norm(right)
+        return np.stack((right, np.cross(right, forward), forward), 1)
+
+    def is_wide(self) -> bool:
+        """Whether all of the circle of the map that holds what the lens sees is taken to be seen."""
+        return bool(_is_wide(self.lamps().view(self.focus()))[0])
+
+    def widest(self) -> float:
+        """Radius on `flat` within which the lens is seen."""
+        focus, angle = self.focus().double().numpy(), np.linspace(0.0, 2.0 * np.pi, 10_000)
+        rim = BEYOND * self.lens * np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)))
+        if not self.is_wide():
+            return BEYOND * self.lens + ROUNDING * float(focus[2, 0])
+        cosine = focus[:, 0] @ (focus - rim) / np.linalg.norm(focus - rim, axis=0) / np.linalg.norm(focus)
+        return float(np.tan(np.arccos(cosine.min()) + ROUNDING))
+
+    def flat(self, points: torch.Tensor) -> torch.Tensor:
+        """A plane `[2, N]` on which all that is drawn lies in a circle, for lens points `[2, N]`: that of the lens, or, of what
+        is wide, one before x_F, at a distance of 1."""
+        if not self.is_wide():
+            return points.double()
+        local = self.frame().T @ self.directions(points)[0]
+        return torch.from_numpy(local[:2] / local[2])
+
+    def on_lens(self, flat: torch.Tensor) -> tuple[torch.Tensor, np.ndarray]:
+        """Lens points `[2, N]` for points of this plane, and the area of the lens plane for one on this, `[N]`."""
+        if not self.is_wide():
+            return flat, np.ones(flat.shape[1])
+        ray = np.concatenate((flat.numpy(), np.ones((1, flat.shape[1]))))
+        local = self.camera().axes.double().numpy().T @ (self.frame() @ ray)
+        focus = self.focus().double().numpy()
+        points = torch.from_numpy(focus[:2] - local[:2] * (focus[2] / local[2]))
+        return points, np.linalg.norm(ray, axis=0) ** -3 / self.directions(points)[1]
+
+    def cells(self) -> PolarGrid:
+        """A grid of `flat` that holds all that is drawn of the lamp; about the map's top where the density has its pole there."""
+        draws = self.flat(self.draw(10_000, seed=9)).numpy()
+        widest = self.widest()
+        if np.hypot(*draws).max() > 0.98 * widest:
+            return PolarGrid(widest * np.sqrt(np.linspace(0.0, 1.0, 13)), 16)
+        centre = 0.5 * (draws.min(1) + draws.max(1))
+        if min(texel[0] for texel in self.texels) == 0:
+            local = self.camera().axes.double().numpy()[1]
+            focus = self.focus().double().numpy()[:, 0]
+            centre = self.flat(torch.from_numpy(focus[:2] - local[:2] * (focus[2] / local[2]))[:, None])[:, 0].numpy()
+        reach = 1.1 * np.hypot(*(draws - centre[:, None])).max()
+        return PolarGrid(reach * np.sqrt(np.linspace(0.0, 1.0, 13)), 16, tuple(centre))
+
+
+FOCUS_DISTANCE = 2.0
 SQUARE = tuple((row, column, 7.0) for row in (20, 21) for column in (40, 41))
 CORNER = ((20, 90, 1.0), (21, 90, 20.0), (22, 90, 3.0), (22, 91, 9.0), (22, 92, 0.5))
+FORK = tuple((row, column, 1.0 + column % 3) for row in (40, 41) for column in (60, 61, 65, 66)) + tuple(
+    (42, column, 2.0) for column in range(60, 67)
+)
 TOP = tuple((row, column, 1.0 + column) for row in (1, 2) for column in range(30, 50))
 POLE = tuple((0, column, 4.0) for column in range(10, 20))
-CASES = [
+RING = tuple((row, column, 2.0 + column % 4) for row in (1, 2) for column in range(16))
+EDGE = ((35, 127, 5.0), (35, 0, 1.0), (36, 0, 2.0))
+WINDOW = tuple((row, column, 3.0 + (row * column) % 4) for row in range(25, 45) for column in range(30, 60))
+WHOLE = [
     SkyCase("square", SQUARE),
     SkyCase("one texel", ((33, 60, 2.0),), rotation=75.0),
     SkyCase("uneven corner", CORNER, rotation=-130.0),
-    SkyCase("across the edge", ((35, 127, 5.0), (35, 0, 1.0), (36, 0, 2.0)), rotation=33.0),
-    SkyCase("near the top", TOP, rotation=33.0),
-    SkyCase("top row", POLE, aside=(0.2, -0.1, -0.3), lost=0.125),
-    SkyCase("coarse map", ((3, 7, 1.0), (3, 8, 2.0)), height=8),
+    SkyCase("across the edge", EDGE, rotation=33.0),
+    SkyCase("near the top", TOP, rotation=33.0, lens=1.0),
+    SkyCase("top row", POLE, aside=(0.2, -0.1, -0.3)),
+    SkyCase("coarse map", ((3, 7, 1.0), (3, 8, 2.0)), height=8, lens=2.0),
 ]
+CUT = [
+    SkyCase("square, cut", SQUARE, lens=0.12),
+    SkyCase("square, from aside", SQUARE, lens=0.1, off=(0.12, 0.1)),
+    SkyCase("one texel, cut", ((33, 60, 2.0),), rotation=75.0, lens=0.05),
+    SkyCase("corner, cut", CORNER, rotation=-130.0, lens=0.15, off=(-0.08, 0.02)),
+    SkyCase("fork, cut", FORK, lens=0.35, off=(0.0, 0.05)),
+    SkyCase("across the edge, cut", EDGE, rotation=33.0, lens=0.1),
+    SkyCase("near the top, cut", TOP, rotation=33.0, lens=0.1),
+    SkyCase("about the top", RING, height=8, aside=(0.1, 0.0, 0.2), lens=0.8, off=(0.1, 0.05)),
+    SkyCase("far larger than the lens", WINDOW, lens=0.1, off=(0.1, 0.2)),
+    SkyCase("hardly seen", WINDOW, lens=0.1, off=(0.85, 0.0)),
+]
+CASES = WHOLE + CUT
 BY_NAME = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 
 
@@ -116,34 +190,116 @@ def named(name: str) -> SkyCase:
     return next(case for case in CASES if case.name == name)
 
 
+def counts(case: SkyCase, points: torch.Tensor) -> np.ndarray:
+    """Lens points `[2, N]` in each of the case's cells, and beyond. Where a line hardly meets the lens's circle its ends lie a little
+    beyond: that counts as within."""
+    flat = case.flat(points)
+    radius = flat.norm(dim=0) / case.widest()
+    return case.cells().count(torch.where((radius > 1.0) & (radius < 1.001), (1.0 - 1e-9) / radius, 1.0) * flat)
+
+
 def probabilities(case: SkyCase, lamps: SkyLamps | None = None) -> np.ndarray:
-    points, area = case.cells().nodes(40)
-    return (case.pdf(points, lamps).numpy().reshape(area.shape) * area).sum(2)
+    flat, area = case.cells().nodes(40)
+    points, stretch = case.on_lens(flat)
+    return ((case.pdf(points, lamps).numpy() * stretch).reshape(area.shape) * area).sum(2)
 
 
 @BY_NAME
 def test_draws_follow_the_density(case):
-    """Over the lens plane; what would lie beyond the map's top sees nothing."""
-    observed = case.cells().count(case.draw(DRAWS, seed=1))
-    assert observed[-1] / DRAWS == pytest.approx(case.lost, abs=5e-3)
+    observed = counts(case, case.draw(DRAWS, seed=1))
     assert histogram_check(observed, probabilities(case)) > SIGNIFICANCE
 
 
 @BY_NAME
 def test_the_density_integrates_to_one(case):
-    assert probabilities(case).sum() + case.lost == pytest.approx(1.0, abs=2e-3)
+    assert probabilities(case).sum() == pytest.approx(1.0, abs=2e-3)
 
 
 @BY_NAME
 def test_draws_see_the_lamp(case):
     """Every direction lies less than a texel, across and down, from the middle of one of the lamp's texels."""
-    points = case.draw(2_000, seed=3)
-    (x, y, z), _ = case.directions(points[:, points[0] < 0.1 * FAR_OUTSIDE])
-    column = (0.5 + np.arctan2(x, -z) / (2.0 * np.pi) + case.rotation / 360.0) * 2 * case.height - 0.5
-    row = np.arctan2(np.hypot(x, z), y) / np.pi * case.height - 0.5
-    across = np.stack([(column - texel[1] + case.height) % (2 * case.height) - case.height for texel in case.texels])
-    down = np.stack([row - texel[0] for texel in case.texels])
+    column, row = case.places(case.directions(case.draw(2_000, seed=3))[0])
+    across = np.stack([(column - 0.5 - texel[1] + case.height) % (2 * case.height) - case.height for texel in case.texels])
+    down = np.stack([row - 0.5 - texel[0] for texel in case.texels])
     assert (np.maximum(np.abs(across), np.abs(down)).min(0) < 1.001).all()
+
+
+@pytest.mark.parametrize("case", [case for case in CUT if case.lens <= 0.15], ids=lambda case: case.name)
+def test_few_draws_miss_the_lens(case):
+    """But for the thousandth by which the lens is taken to be wider, and where the circle of the map is drawn from whole."""
+    points = case.draw(20_000, seed=7)
+    assert (points.norm(dim=0) > case.lens).double().mean() < (0.1 if case.is_wide() else 0.02)
+
+
+@cache
+def texel_light(case: SkyCase) -> np.ndarray:
+    """Light of the lamp's texels, with an empty row above the map and one below it, `[H + 2, 2 H]`."""
+    texels = np.zeros((case.height + 2, 2 * case.height))
+    rows, columns = np.array([texel[:2] for texel in case.texels]).T
+    texels[rows + 1, columns] = case.environment().radiance[rows, columns] @ LUMINANCE * np.sin(np.pi * (rows + 0.5) / case.height)
+    return texels
+
+
+def map_light(case: SkyCase, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Light of the lamp at columns and rows `[..]` of the map: its texels', interpolated."""
+    texels = texel_light(case)
+    left, top = np.floor(x - 0.5).astype(int), np.floor(y + 0.5).astype(int)
+    across, down = x - 0.5 - left, y + 0.5 - top
+    light = 0.0
+    for column, beside in ((left, 1.0 - across), (left + 1, across)):
+        for row, above in ((top, 1.0 - down), (top + 1, down)):
+            light = light + beside * above * texels[row, column % (2 * case.height)]
+    return light
+
+
+@cache
+def drawn_from(case: SkyCase) -> tuple[bool, float, np.ndarray, np.ndarray]:
+    """Whether the case is wide, how wide, world axes of what is drawn from, and x_F."""
+    axes, focus = case.camera().axes.double().numpy(), case.focus().double().numpy()[:, 0]
+    return case.is_wide(), case.widest(), case.frame() if case.is_wide() else axes, focus
+
+
+def seen_by_the_lens(case: SkyCase, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Whether places `[..]` of the map are where draws may lie: seen from the lens, or in a circle about that."""
+    theta, phi = np.pi / case.height * y, np.pi / case.height * x - np.pi - np.radians(case.rotation)
+    towards = np.stack(np.broadcast_arrays(np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi)))
+    wide, widest, frame, focus = drawn_from(case)
+    right, up, ahead = np.tensordot(frame.T, towards, 1)
+    if not wide:
+        right, up = focus[0] * ahead - right * focus[2], focus[1] * ahead - up * focus[2]
+    return (ahead > 0.0) & (np.hypot(right, up) <= widest * ahead)
+
+
+@BY_NAME
+def test_the_density_is_that_of_plain_sums(case):
+    """By rows as bright as they are, among those that the lens sees anything of between the lamp's ends; and on each by what the
+    lens sees of it."""
+    points = case.draw(40, seed=8)
+    directions, solid_angle = case.directions(points)
+    column, row = case.places(directions)
+    x = (np.arange(1 << 16) + 0.5) / (1 << 16) * 2 * case.height
+    coarse = x[::64]
+    lit = sorted(texel[0] for texel in case.texels)
+    low, high = max(lit[0] - 0.5, 0.0), min(lit[-1] + 1.5, case.height)
+    heights = low + (np.arange(1000) + 0.5) / 1000 * (high - low)
+    between = map_light(case, coarse[:, None], heights[None, ::10]).any(1) | case.is_wide()
+    rows = np.array([map_light(case, coarse, at).mean() * (seen_by_the_lens(case, coarse, at) & between).any() for at in heights])
+    rows = rows.mean() * (high - low)
+    whole = np.array([map_light(case, x, at).mean() for at in row])
+    shown = np.array([(map_light(case, x, at) * seen_by_the_lens(case, x, at)).mean() for at in row])
+    clear = shown > 0.02 * whole  # of a short chord the sum has few terms
+    density = whole / rows * map_light(case, column, row) / (shown * 2 * case.height)
+    expected = density * solid_angle * (case.height / np.pi) ** 2 / np.sin(np.pi / case.height * row)
+    assert clear.mean() > 0.8
+    np.testing.assert_allclose(case.pdf(points).numpy()[clear], expected[clear], rtol=0.03)
+
+
+@pytest.mark.parametrize("case", WHOLE, ids=lambda case: case.name)
+def test_of_whole_lamps_nothing_is_cut_off(case):
+    """Those that are known to be within the lens are drawn, and have densities, as if that had to be found out."""
+    points, whole = case.draw(1000, seed=2), case.draw(1000, seed=2, whole=True)
+    torch.testing.assert_close(whole, points)
+    torch.testing.assert_close(case.seen(1000, whole=True).pdf(points), case.seen(1000).pdf(points), rtol=1e-5, atol=0.0)
 
 
 EVENNESS = [("square", 0.01), ("one texel", 0.01), ("uneven corner", 0.01), ("across the edge", 0.01), ("near the top", 0.2)]
@@ -151,7 +307,7 @@ EVENNESS = [("square", 0.01), ("one texel", 0.01), ("uneven corner", 0.01), ("ac
 
 @pytest.mark.parametrize("name, spread", EVENNESS)
 def test_the_density_is_as_the_map_shines(name, spread):
-    """What a draw brings is the same for all draws, and all that the lamp's texels send through the lens plane.
+    """What a draw brings is the same for all draws, and all that the lamp's texels send through the lens plane: of whole lamps.
 
     But near the top, where the texels of a row are not of one width.
     """
@@ -168,22 +324,25 @@ def test_the_density_is_as_the_map_shines(name, spread):
 
 def test_nothing_is_seen_outside_a_lamp_or_of_one_behind():
     case = named("uneven corner")
-    cells, angle = case.cells(), torch.linspace(0.0, 6.0, 1000)
-    ring = 1.2 * cells.edges[-1] * torch.stack((angle.cos(), angle.sin())) + torch.tensor(cells.centre).float()[:, None]
-    assert not case.pdf(ring).any() and not case.pdf(torch.full((2, 4), FAR_OUTSIDE)).any()
+    cells, angle = case.cells(), torch.linspace(0.0, 6.0, 1000, dtype=torch.float64)
+    ring = 1.2 * cells.edges[-1] * torch.stack((angle.cos(), angle.sin())) + torch.tensor(cells.centre)[:, None]
+    assert not case.pdf(case.on_lens(ring)[0]).any() and not case.pdf(torch.full((2, 4), FAR_OUTSIDE)).any()
     behind = case.lamps(way=-1.0)
     assert not case.pdf(case.draw(1000, seed=5), behind).any()
-    drawn = behind.sample(torch.full((1000,), LAMP), torch.rand(2, 1000), case.focus().expand(3, 1000))
-    assert (drawn == FAR_OUTSIDE).all()
+    assert (case.draw(1000, seed=5, lamps=behind) == FAR_OUTSIDE).all()
+
+
+def test_what_the_lens_does_not_see_is_not_drawn():
+    case = replace(named("hardly seen"), off=(6.0, 0.0))
+    assert (case.draw(1000, seed=5) == FAR_OUTSIDE).all()
+    assert not case.pdf(torch.rand(2, 1000) * 0.2 - 0.1).any()
 
 
 def test_each_lamp_has_a_density_of_its_own():
     """What is drawn of the other lamp is seen as the other's, and as nothing of this one."""
-    case = named("square")
-    lamps, focus = case.lamps(), case.focus().expand(3, 1000)
-    points = lamps.sample(torch.full((1000,), OTHER), torch.rand(2, 1000, generator=torch.Generator().manual_seed(6)), focus)
-    lamp, density = lamps.evaluate(points, focus)
-    assert (lamp == OTHER).all() and (density > 0.0).all() and not case.pdf(points).any()
+    case = replace(named("square"), off=(2.0, 0.0), lens=2.0)
+    points = case.draw(1000, seed=6, number=OTHER)
+    assert (case.seen(1000, number=OTHER).pdf(points) > 0.0).all() and not case.pdf(points).any()
 
 
 @pytest.mark.parametrize("defect", ["scale", "texels"])
@@ -195,5 +354,5 @@ def test_a_wrong_density_fails(defect):
     else:
         lamps._light = torch.where(lamps._lamp == LAMP, 1.0 / len(case.texels), lamps._light)
     probability = probabilities(case, lamps)
-    observed = case.cells().count(case.draw(DRAWS, seed=2))
+    observed = counts(case, case.draw(DRAWS, seed=2))
     assert abs(probability.sum() - 1.0) > 2e-3 or histogram_check(observed, probability) < SIGNIFICANCE

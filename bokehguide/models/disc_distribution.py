@@ -99,10 +99,14 @@ class DiscLensDistribution(LensMixture):
         shapes: Shapes | None = None,
     ):
         owner, radius = owners(start), torch.tensor(lens.radius, device=focus.device)
+        all_of_it = weight
         self.ellipses, weight = _ellipses(mean, outline, focus.index_select(1, owner), weight, radius)
         self._parts: list[SeenSky | SeenPanels] = []
         if shapes is not None and shapes.sky is not None:
-            self._parts.append(SeenSky(shapes.sky, shapes.sky_lamp, owner, focus))
+            share, whole = _within(self.ellipses, radius)
+            sky = SeenSky(shapes.sky, shapes.sky_lamp, owner, focus, whole > 0.0)
+            put(weight, sky.index, (all_of_it * share).index_select(0, sky.index))
+            self._parts.append(sky)
         if shapes is not None and shapes.panels is not None:
             seen = SeenPanels(shapes.panels, shapes.panel, owner, focus, radius)
             light = shapes.light.index_select(0, shapes.panel.index_select(0, seen.index))
@@ -205,6 +209,16 @@ def _disc_place(share: Tensor) -> Tensor:
         sine = angle.sin()
         angle = angle - 0.5 * (angle - sine * angle.cos() - math.pi * half) / (sine * sine).clamp(min=1e-12)
     return torch.where(share < 0.5, -angle.cos(), angle.cos())
+
+
+@kernel
+def _within(ellipses: Ellipses, lens_radius: Tensor) -> tuple[Tensor, Tensor]:
+    """About the shares of ellipses that lie within the circle of the lens; and 1 for those that do so whole, 0 for others. `[M]` each."""
+    center, width, tilt, height, _ = ellipses
+    across, both, up = width * width, width * tilt, tilt * tilt + height * height
+    longest = (0.5 * (across + up) + (0.25 * (across - up).square() + both * both).sqrt()).sqrt()
+    whole = (center.square().sum(0).sqrt() + longest < lens_radius) + torch.zeros_like(width)
+    return overlap(center, width, tilt, height, lens_radius), whole
 
 
 @kernel
