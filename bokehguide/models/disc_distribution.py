@@ -105,7 +105,8 @@ class DiscLensDistribution(LensMixture):
         if shapes is not None and shapes.sky is not None:
             share, whole = _within(self.ellipses, radius)
             sky = SeenSky(shapes.sky, shapes.sky_lamp, owner, focus, whole > 0.0)
-            put(weight, sky.index, (all_of_it * share).index_select(0, sky.index))
+            share = torch.minimum(share.index_select(0, sky.index), sky.share)
+            put(weight, sky.index, all_of_it.index_select(0, sky.index) * share)
             self._parts.append(sky)
         if shapes is not None and shapes.panels is not None:
             seen = SeenPanels(shapes.panels, shapes.panel, owner, focus, radius)

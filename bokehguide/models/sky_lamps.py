@@ -178,7 +178,8 @@ class SeenSky:
     """Those of M candidates that are lamps of the map, seen through x_F `[3, N]` of the pixels that own them.
 
     number: which of `lamps` each candidate is, -1 for the others, int64 `[M]`; owner: int64 `[M]`; whole: of which nothing is cut
-    off by the lens, bool `[M]`. index: of the K candidates that are lamps of the map.
+    off by the lens, bool `[M]`. index: of the K candidates that are lamps of the map; share: of their light, what is in the rows
+    that the lens sees anything of, at least what passes it, `[K]`.
     """
 
     def __init__(self, lamps: SkyLamps, number: Tensor, owner: Tensor, focus: Tensor, whole: Tensor):
@@ -197,6 +198,7 @@ class SeenSky:
         self._rows = lamps.whole.index_select(1, self._number)
         view = self._view.select(self._owner.index_select(0, cut))
         put(self._rows, cut, lamps.rows(self._number.index_select(0, cut), view))
+        self.share = (self._rows[1] - self._rows[0]).float()
 
     def sample(self, place: Tensor, uniforms: Tensor) -> Tensor:
         """Lens points `[2, J]` of those at `place` among the K, from uniform numbers `[2, J]`."""
