@@ -137,7 +137,7 @@ class SkyCase:
 
     def cells(self) -> PolarGrid:
         """A grid of `flat` that holds all that is drawn of the lamp; about the map's top where the density has its pole there."""
-        draws = self.flat(self.draw(10_000, seed=9)).numpy()
+        draws = self.flat(drawn(self.draw(10_000, seed=9))).numpy()
         widest = self.widest()
         if np.hypot(*draws).max() > 0.98 * widest:
             return PolarGrid(widest * np.sqrt(np.linspace(0.0, 1.0, 13)), 16)
@@ -161,6 +161,8 @@ POLE = tuple((0, column, 4.0) for column in range(10, 20))
 RING = tuple((row, column, 2.0 + column % 4) for row in (1, 2) for column in range(16))
 EDGE = ((35, 127, 5.0), (35, 0, 1.0), (36, 0, 2.0))
 WINDOW = tuple((row, column, 3.0 + (row * column) % 4) for row in range(25, 45) for column in range(30, 60))
+CAP = tuple((row, column, 1.0 + row) for row in range(3) for column in range(400))
+GAP = tuple((row, column, 2.0) for row in (7, 8, 9) for column in range(121))
 WHOLE = [
     SkyCase("square", SQUARE),
     SkyCase("one texel", ((33, 60, 2.0),), rotation=75.0),
@@ -180,14 +182,24 @@ CUT = [
     SkyCase("near the top, cut", TOP, rotation=33.0, lens=0.1),
     SkyCase("about the top", RING, height=8, aside=(0.1, 0.0, 0.2), lens=0.8, off=(0.1, 0.05)),
     SkyCase("far larger than the lens", WINDOW, lens=0.1, off=(0.1, 0.2)),
+    SkyCase("a cap through a small lens", CAP, height=1024, aside=(0.2, -0.1, -0.3), lens=0.008, off=(0.0, 0.01)),
+    SkyCase("a ring with a gap", GAP, lens=0.24, off=(0.1, 0.6), aside=(0.3, 0.0, 0.1)),
+    SkyCase("very aslant", WINDOW, lens=0.1, aside=(-1.5, 0.4, 1.2), off=(0.1, 0.2)),
     SkyCase("hardly seen", WINDOW, lens=0.1, off=(0.85, 0.0)),
 ]
 CASES = WHOLE + CUT
+SUN = SkyCase("a small sun at the top", ((0, 100, 4.0),), height=512, aside=(0.2, -0.1, -0.3), lens=0.008, off=(0.004, 0.002))
+"""So narrow near the top that cells are too wide for it."""
 BY_NAME = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 
 
 def named(name: str) -> SkyCase:
     return next(case for case in CASES if case.name == name)
+
+
+def drawn(points: torch.Tensor) -> torch.Tensor:
+    """Those of lens points `[2, N]` that are any: on some rows the lens may see nothing of a lamp."""
+    return points[:, points[0] < 0.1 * FAR_OUTSIDE]
 
 
 def counts(case: SkyCase, points: torch.Tensor) -> np.ndarray:
@@ -212,23 +224,32 @@ def test_draws_follow_the_density(case):
 
 @BY_NAME
 def test_the_density_integrates_to_one(case):
-    assert probabilities(case).sum() == pytest.approx(1.0, abs=2e-3)
+    lost = 1.0 - drawn(case.draw(DRAWS, seed=6)).shape[1] / DRAWS
+    bound = 2e-3 + 4.0 * np.sqrt(lost * (1.0 - lost) / DRAWS)
+    assert probabilities(case).sum() + lost == pytest.approx(1.0, abs=bound)
+
+
+@pytest.mark.parametrize("case", [*CASES, SUN], ids=lambda case: case.name)
+def test_draws_have_a_density(case):
+    """All that the lens sees of them: what is drawn and has none would be counted for nothing."""
+    points = case.draw(20_000, seed=6)
+    seen = points.norm(dim=0) <= case.lens
+    assert seen.double().mean() > 0.1 and (case.pdf(points)[seen] > 0.0).all()
 
 
 @BY_NAME
 def test_draws_see_the_lamp(case):
     """Every direction lies less than a texel, across and down, from the middle of one of the lamp's texels."""
-    column, row = case.places(case.directions(case.draw(2_000, seed=3))[0])
+    column, row = case.places(case.directions(drawn(case.draw(2_000, seed=3)))[0])
     across = np.stack([(column - 0.5 - texel[1] + case.height) % (2 * case.height) - case.height for texel in case.texels])
     down = np.stack([row - 0.5 - texel[0] for texel in case.texels])
     assert (np.maximum(np.abs(across), np.abs(down)).min(0) < 1.001).all()
 
 
-@pytest.mark.parametrize("case", [case for case in CUT if case.lens <= 0.15], ids=lambda case: case.name)
+@pytest.mark.parametrize("case", [case for case in CUT if not case.is_wide()], ids=lambda case: case.name)
 def test_few_draws_miss_the_lens(case):
-    """But for the thousandth by which the lens is taken to be wider, and where the circle of the map is drawn from whole."""
-    points = case.draw(20_000, seed=7)
-    assert (points.norm(dim=0) > case.lens).double().mean() < (0.1 if case.is_wide() else 0.02)
+    """But for the thousandth by which it is taken to be wider. Where the circle of the map is drawn from whole, more do."""
+    assert (case.draw(20_000, seed=7).norm(dim=0) > case.lens).double().mean() < 0.02
 
 
 @cache
@@ -274,7 +295,7 @@ def seen_by_the_lens(case: SkyCase, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def test_the_density_is_that_of_plain_sums(case):
     """By rows as bright as they are, among those that the lens sees anything of between the lamp's ends; and on each by what the
     lens sees of it."""
-    points = case.draw(40, seed=8)
+    points = drawn(case.draw(40, seed=8))
     directions, solid_angle = case.directions(points)
     column, row = case.places(directions)
     x = (np.arange(1 << 16) + 0.5) / (1 << 16) * 2 * case.height
@@ -287,7 +308,7 @@ def test_the_density_is_that_of_plain_sums(case):
     rows = rows.mean() * (high - low)
     whole = np.array([map_light(case, x, at).mean() for at in row])
     shown = np.array([(map_light(case, x, at) * seen_by_the_lens(case, x, at)).mean() for at in row])
-    clear = shown > 0.02 * whole  # of a short chord the sum has few terms
+    clear = shown > 100 * 2.0**-16 * whole.max() / case.height  # of a short chord the sum has few terms
     density = whole / rows * map_light(case, column, row) / (shown * 2 * case.height)
     expected = density * solid_angle * (case.height / np.pi) ** 2 / np.sin(np.pi / case.height * row)
     assert clear.mean() > 0.8

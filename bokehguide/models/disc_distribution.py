@@ -79,7 +79,7 @@ class DiscLensDistribution(LensMixture):
 
     An ellipse is the outline of its ellipsoid as x_F sees it. Densities are per unit lens area. A candidate
     counts by the root of the shares of its ellipse that lie within the lens's circle, about, and in its band: so the variance
-    of what is drawn of ellipses is least.
+    of what is drawn of ellipses is least. Lamps of the map and panels, of which nothing else is drawn, count by what passes the lens.
 
     mean `[3, M]` (metres, camera frame) and outline `[6, M]`: centres and `packed` squared half axes of the candidates'
     ellipsoids, none of them in focus; factor: what is known of their weights beside how bright they look, `[M]`; shapes:
@@ -114,7 +114,7 @@ class DiscLensDistribution(LensMixture):
             put(weight, seen.index, light * seen.size / math.pi)
             self._parts.append(seen)
         self.bright = weight
-        """Luminance times area on the lens over π, `[M]`, times the root of those shares: what draws of each might bring, as
+        """Luminance times area on the lens over π, `[M]`, times those shares or their root: what draws of each might bring, as
         their root mean square."""
         self.chosen = torch.full_like(start[1:], -1)
         """Candidate that each pixel's last sample was drawn from, -1 for none, `[N]`."""

@@ -1,7 +1,7 @@
 """What of an environment map the lens sees through a focus point: from which row to which, and on each from where to where.
 
 Through x_F the lens's circle is a cone. A circle of the map about it is found by spherical trigonometry, and holds a little
-more; away from the map's poles its ends are moved to the cone itself.
+more. Its ends are moved to the cone itself, but near the map's poles and where the cone is wide or aslant.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from torch import Tensor
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.equirectangular import Equirectangular
 from bokehguide.render.kernels import kernel
-from bokehguide.render.vector import dot, normalize, to_world
+from bokehguide.render.vector import dot, normalize, polar_angle, to_world
 
 BEYOND, ROUNDING = 1.001, 1e-6
 """The lens is taken to be so many times as wide, and so many focus distances wider: what rounding moves across the end of what is
 drawn, it does not see."""
-WIDEST, NEAREST = 0.3, 3.0
-"""Of circles of a larger angular radius, and of those that are not so many radii away from a pole, the ends are left where they are."""
+WIDEST, NEAREST, FLATTEST = 0.3, 3.0, 0.6
+"""Of circles of a larger angular radius, of those that are not so many radii away from a pole, and where the cosine to the optical axis is
+less, the ends are left where they are."""
 STEPS = 3
 """Of Newton's method, and of the search for where the cone reaches highest: each has errors of the fourth power of an angle left."""
 
@@ -60,7 +61,7 @@ def _circle(layout: Equirectangular, focus: Tensor, axes: Tensor, radius: Tensor
     # The way to x_F turns most along tangents of the ball about the lens; from before the lens, it does towards the rim.
     aside = (focus[0] * focus[0] + focus[1] * focus[1]).sqrt()
     tangent = torch.asin((radius / distance).clamp(max=1.0))
-    rim = torch.atan(radius * focus[2] / (squared - radius * aside).clamp(min=1e-300))
+    rim = polar_angle(radius * focus[2], squared - radius * aside)
     return column, math.pi / layout.height * row, torch.where(aside < radius, rim, tangent) + ROUNDING
 
 
@@ -70,7 +71,8 @@ def _turned(axes: Tensor, local: Tensor) -> Tensor:
 
 
 def _is_wide(view: View) -> Tensor:
-    return (view.reach > WIDEST) | (view.theta.sin() < NEAREST * view.reach.sin())
+    steep = dot(view.focus, view.focus) * FLATTEST**2 > view.focus[2] * view.focus[2]
+    return steep | (view.reach > WIDEST) | (view.theta.sin() < NEAREST * view.reach.sin())
 
 
 @kernel
@@ -78,6 +80,9 @@ def heights(layout: Equirectangular, view: View, middle: Tensor, half: Tensor) -
     """From where to where views show columns up to `half` texels beside `middle`, `[N]` both: texels below the map's top,
     `[2, N]`, equal for nowhere."""
     ends = []
+    # What leaves out fewer columns than the circle has, is seen on both sides of them.
+    widest = torch.asin((view.reach.sin() / view.theta.sin().clamp(min=1e-300)).clamp(max=1.0)) * (layout.width / math.pi)
+    half = torch.where(layout.width - 2.0 * half < widest, 0.5 * layout.width, half)
     for end, sign in ((view.theta - view.reach, -1.0), (view.theta + view.reach, 1.0)):
         seen, up = view.focus, view.axes[1][:, None]
         for _ in range(STEPS):  # the rim is highest where it runs level

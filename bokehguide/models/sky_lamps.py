@@ -2,7 +2,8 @@
 
 A point at infinity is seen through x_F from one lens point alone, so that a density over directions is one over the
 lens plane. That of a lamp here is its luminance as the map interpolates it: a tent over each of its texels. Nothing is
-left of a lamp's shape, or of what is uneven in it, to make noise. What of a lamp lies beyond the lens is not drawn.
+left of a lamp's shape, or of what is uneven in it, to make noise. Of what lies beyond the lens little is drawn: rows of texels
+that the lens sees nothing of are left out, and on each row what it does not see.
 """
 
 from __future__ import annotations
@@ -130,7 +131,8 @@ class SkyLamps:
         line = self._line(lamp, view, y)
         aside = (x - view.column) / self._map.width
         aside = (aside - aside.round()) * self._map.width
-        shown = (aside >= line.ends[0]) & (aside <= line.ends[1])
+        above = self._rows.below(lamp, y + 0.5)
+        shown = (aside >= line.ends[0]) & (aside <= line.ends[1]) & (above >= rows[0]) & (above <= rows[1])
         part = (rows[1] - rows[0]) * (line.tents * line.mass).sum(0)
         whole = (line.tents * self._totals(line)).sum(0)
         return torch.where(shown & (part > 0.0), whole / part, 0.0)

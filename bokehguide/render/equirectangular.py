@@ -26,7 +26,8 @@ class Equirectangular:
         """Columns and rows `[N]` of unit directions `[3, N]`, from 0 to the map's width and height."""
         x, y, z = directions.unbind(0)
         u = 0.5 + polar_angle(x, -z) / (2.0 * math.pi) + self._turn
-        return (u - u.floor()) * self.width, torch.acos(y.clamp(-1.0, 1.0)) / math.pi * self.height
+        # Not the arc cosine of y, which has few digits near the poles.
+        return (u - u.floor()) * self.width, polar_angle((x * x + z * z).sqrt(), y) / math.pi * self.height
 
     def corner(self, directions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Column and row of the first of the four texels whose middles lie about unit directions `[3, N]`, -1 beyond the
