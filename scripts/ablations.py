@@ -25,7 +25,7 @@ from pathlib import Path
 from unittest import mock
 
 import torch
-from mirror_balls import mirror_balls
+from ablation_scenes import SCENES
 from other_fields import KeptSpots, LearntField, LearntSpots
 from torch import Tensor
 
@@ -56,11 +56,10 @@ from bokehguide.train.radiance_control import RadianceControl
 from bokehguide.train.record_buffer import RecordBuffer
 from bokehguide.train.voxel_record import VoxelRecord
 
-SOURCES = (*sorted(Path(bokehguide.__file__).parent.rglob("*.py")), Path(__file__), Path(__file__).with_name("other_fields.py"))
+HERE = (Path(__file__).with_name(name) for name in ("ablations.py", "other_fields.py"))
+SOURCES = (*sorted(Path(bokehguide.__file__).parent.rglob("*.py")), *HERE)
 CODE = digest(tuple(path.read_text() for path in SOURCES))
 """What renders of other code do not stand in for."""
-MIRROR_BALLS = "mirror-balls"
-"""Name of the scene that stands for highlights behind one another."""
 FIRST_SEED = 5_000_000
 REFERENCE_SHARE = 32
 """SPP of a reference for one of a render's."""
@@ -209,6 +208,10 @@ def guided_with(what: str, kept: tuple[str, ...]) -> Change:
     return Change(f"guided {what}", "", patches, "guided")
 
 
+def guided_without(part: str) -> Change:
+    return guided_with(f"without {part}", tuple(other for other in PARTS if other != part))
+
+
 def alone(part: str) -> Change:
     needed = NEEDED.get(part, ())
     return guided_with(f"with {part} alone" if not needed else f"with {part} on {' and '.join(needed)}", (part, *needed))
@@ -236,7 +239,7 @@ CHANGES = {
     "blend-rate": constants("learning rate of β", guide, "BLEND_RATE", [0.02, 0.05, 0.2, 0.5], "lis-b"),
     "offset-rate": constants("learning rate of the offsets", guide, "OFFSET_RATE", [0.001, 0.003, 0.03, 0.1]),
     "fixed-beta": [start(0.5), start(0.65), start(0.9)],
-    "guided": [guided_with(f"without {part}", tuple(other for other in PARTS if other != part)) for part in PARTS],
+    "guided": [guided_without(part) for part in PARTS],
     "alone": [guided_with("with none of its parts", ()), *map(alone, PARTS)],
     "candidates": constants("candidates of light samples", direct_light, "CANDIDATES", [1, 3, 4], "guided"),
     "parts": [parts(number) for number in (1, 4, 8)],
@@ -245,7 +248,9 @@ CHANGES = {
     "doubt": constants("doubt in slopes", radiance_control, "DOUBT", [16.0, 256.0, 1e30], "guided"),
     "roulette": constants("first depth of Russian roulette", path_tracer, "ROULETTE_DEPTH", [2, 3, 5], "guided"),
     "axes": constants("half axes of found highlights, standard deviations", fitting, "AXES", [1.7, 3.2], "guided"),
-    "depth": [guided_with("without voxels by depth", tuple(part for part in PARTS if part != "voxels by depth"))],
+    "depth": [guided_without("voxels by depth")],
+    "proportions": [guided_without("proportions (else balls)")],
+    "visibility": [guided_without("learnt visibility")],
     "field": [
         Change("σ and mixture weights", "learnt by the KL", ((loop, "LensGuide", LearntField),)),
         *(Change("found highlights", how, ((loop, "SpotGuide", guide),), "guided") for how, guide in SPOTS),
@@ -268,7 +273,7 @@ def main() -> None:
     defaults = [Change("default", mode, mode=mode) for mode in sorted({change.mode for change in changes})]
     path = options.out / "ablations.json"
     kept = read_kept(path)
-    scenes = [mirror_balls(*options.size) if name == MIRROR_BALLS else load_scene(name, Overrides(*options.size)) for name in options.scenes]
+    scenes = [SCENES[name](*options.size) if name in SCENES else load_scene(name, Overrides(*options.size)) for name in options.scenes]
     found = {scene.name: measured(scene, [*defaults, *changes], options, path, kept) for scene in scenes}
     table = "\n".join(rows(defaults, changes, found)) + "\n"
     with replacing(options.out / "ablations.md") as temporary:
@@ -279,7 +284,7 @@ def main() -> None:
 def parse() -> argparse.Namespace:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
-    add("scenes", nargs="*", default=list(BUILTIN), metavar="SCENE", help=f"or {MIRROR_BALLS}; default: all that are built in")
+    add("scenes", nargs="*", default=list(BUILTIN), metavar="SCENE", help=f"or {', '.join(SCENES)}; default: all that are built in")
     add("--only", type=names, default=list(CHANGES), metavar="NAMES", help=f"of {','.join(CHANGES)}; default all")
     add("--size", type=size, default="160x90", metavar="WxH", help="default 160x90")
     add("--spp", type=positive, default=64, metavar="N", help="default 64")
