@@ -4,7 +4,8 @@
     python scripts/profile_step.py --scene chrome --mode uniform --size 640x360 --compile
 
 One thread renders; with `--compile` it does so again with compiled kernels, which are compiled first. What PyTorch, NumPy
-and Embree do counts for the function that calls them. The profiler's own time is in all rows but the last.
+and Embree do counts for the function that calls them. The profiler's own time, and waiting for a busy machine, are in all rows but
+the last.
 """
 
 from __future__ import annotations
@@ -46,14 +47,14 @@ def main() -> None:
 
 
 def profiled(args: argparse.Namespace, compiled: bool) -> tuple[Counter[str], float, float]:
-    """Nanoseconds a ray by function, rays a sample, and nanoseconds a ray of steps that are not profiled."""
+    """Nanoseconds a ray by function, rays a sample, and nanoseconds of processor time a ray of steps that are not profiled."""
     scene = load_scene(args.scene, Overrides(*args.size))
     loop = RenderLoop(scene, RenderSettings(args.mode, args.warm_up + 2 * args.spp, threads=1, compile=compiled))
     for _ in range(args.warm_up):
         loop.step()
-    start = time.perf_counter()
+    start = time.process_time()
     plain = sum(loop.step().rays for _ in range(args.spp))
-    plain = (time.perf_counter() - start) / plain
+    plain = (time.process_time() - start) / plain
     threads = [cProfile.Profile(), cProfile.Profile()]
     loop._pool.submit(threads[0].enable).result()
     with threads[1]:

@@ -8,7 +8,7 @@ from collections import defaultdict
 
 import pytest
 import torch
-from mirror_balls import FAR, NEAR, mirror_balls
+from ablation_scenes import FAR, NEAR, mirror_balls
 
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene.types import Camera
