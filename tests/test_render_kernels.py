@@ -17,7 +17,7 @@ import torch
 from scipy.stats import chisquare
 
 from bokehguide.image.exr import read_rgb
-from bokehguide.render import kernels
+from bokehguide.render import compiling, kernels
 from bokehguide.render.alias import AliasTable
 from bokehguide.scene.shapes import transform, transformed, unit_rectangle
 from bokehguide.scene.types import Environment, Material
@@ -166,18 +166,18 @@ HEADERS = """
 import os, sys
 from pathlib import Path
 import torch
-from bokehguide.render import kernels
+from bokehguide.render import compiling, kernels
 
 @kernels.kernel
 def difference(one, other):
     return one - other
 
-searched, compile_one = [], kernels._compile
+searched, compile_one = [], compiling._package
 def remember(*arguments):
     searched.append(os.environ["CPLUS_INCLUDE_PATH"])
     compile_one(*arguments)
 
-kernels._compile, kernels.HEADERS = remember, Path(sys.argv[1])
+compiling._package, compiling.HEADERS = remember, Path(sys.argv[1])
 kernels.compile_kernels(1)
 assert torch.equal(difference(torch.ones(9), torch.zeros(9)), torch.ones(9))
 assert [type(variant).__name__ for variant in difference._variants.values()] == ["_Variant"]
@@ -191,7 +191,7 @@ print(*searched)
 def test_our_headers_are_used_and_not_needed(useful, tmp_path):
     """The compiler's own are, where ours do not do: as with a PyTorch that asks more of them. Each in a process that has
     compiled nothing before."""
-    folder = kernels.HEADERS if useful else tmp_path
+    folder = compiling.HEADERS if useful else tmp_path
     (tmp_path / "regex").write_text("#error of no use\n")
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "CPLUS_INCLUDE_PATH": "before"}
     command = [sys.executable, "-c", HEADERS, str(folder)]
@@ -222,7 +222,7 @@ def test_our_regex_takes_devices_apart_as_the_standard_one(tmp_path):
     names = ("cpu", "cuda", "cuda:1", "xpu:12", "mps:0", "cpu:", "cpu:x", "cpu:-1", "cuda:1:2", "cuda:1x")
     (tmp_path / "devices.cpp").write_text(DEVICES)
     found = []
-    for headers in ((), ("-isystem", str(kernels.HEADERS))):
+    for headers in ((), ("-isystem", str(compiling.HEADERS))):
         program = tmp_path / f"devices{len(found)}"
         subprocess.run([compiler, "-std=c++20", *headers, "-o", str(program), str(tmp_path / "devices.cpp")], check=True, timeout=120)
         found.append(subprocess.run([str(program), *names], check=True, capture_output=True, text=True, timeout=10).stdout)
@@ -258,7 +258,7 @@ def test_random_numbers_are_the_same_to_the_bit(calls):
     kernels.compile_kernels(2)
     found = 0
     for name, made, arguments in calls:
-        if name in ("_uniform", "_scrambles"):
+        if name in ("_uniform", "_scrambled"):
             found += 1
             for one, other in zip(tensors_of(made._function(*arguments)), tensors_of(made(*arguments))):
                 assert torch.equal(one, other)

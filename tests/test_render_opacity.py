@@ -165,9 +165,9 @@ def one_technique(technique: str, monkeypatch) -> None:
     elif technique == "light samples":
         add_emission = PathTracer._add_emission
 
-        def seen_directly(self, paths, *found):
-            if len(paths.index) and paths.rays.pdf[0] == DELTA_PDF:
-                add_emission(self, paths, *found)
+        def seen_directly(self, paths, rays, *found):
+            if len(paths.index) and rays.pdf[0] == DELTA_PDF:
+                add_emission(self, paths, rays, *found)
 
         monkeypatch.setattr(PathTracer, "_add_emission", seen_directly)
         monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))

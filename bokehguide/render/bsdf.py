@@ -219,8 +219,8 @@ class OpaqueBSDF:
         if self._clearcoat is not None:
             half = half + (self._clearcoat.from_own(half) - half) * over
         mirrored = 2.0 * dot(self._outgoing, half) * half - self._outgoing
-        radius, angle = uniforms[1].sqrt(), 2.0 * math.pi * uniforms[2]
-        height = (1.0 - uniforms[1]).sqrt()
+        angle, radius = 2.0 * math.pi * uniforms[1], uniforms[2].sqrt()  # the angle of the microfacets too: its sine is computed once
+        height = (1.0 - uniforms[2]).sqrt()
         diffuse = torch.stack((radius * angle.cos(), radius * angle.sin(), height))
         specular = (uniforms[0] < microfacet_share).to(torch.float32)
         return diffuse + (mirrored - diffuse) * specular

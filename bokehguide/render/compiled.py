@@ -11,6 +11,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
+import torch
 from torch import Tensor
 from torch._C._aoti import alloc_tensors_by_stealing_from_void_ptrs, unsafe_alloc_void_ptrs_from_tensors
 
@@ -20,20 +21,32 @@ _pointer = ctypes.pythonapi.PyCapsule_GetPointer
 _pointer.restype, _pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
 
 
+ARGUMENTS = "arguments.txt"
+"""The file in a package that says which of the tensors its code asks for."""
+AS_FLOATS = {torch.int32: torch.float32, torch.int64: torch.float64}
+"""What kernels get whole numbers as, bit by bit: PyTorch's vectors of them load by way of the stack, five times as slowly."""
+
+
+def as_floats(tensor: Tensor) -> Tensor:
+    kind = AS_FLOATS.get(tensor.dtype)
+    return tensor if kind is None else tensor.view(kind)
+
+
 class CompiledFunction:
-    """A function of tensors in a package of AOTInductor; `threads` may run it side by side, others wait.
+    """A function of tensors in a package of `compiling.py`; `threads` may run it side by side, others wait.
 
     path: of the package. Raises OSError, ValueError, zipfile.BadZipFile or RuntimeError where it is none.
     """
 
     def __init__(self, path: Path, threads: int):
-        library, container, outputs = _library(path), ctypes.c_void_p(), ctypes.c_size_t()
+        (library, self._arguments), container, outputs = _library(path), ctypes.c_void_p(), ctypes.c_size_t()
         _check(library.AOTInductorModelContainerCreateWithDevice(ctypes.byref(container), ctypes.c_size_t(threads), b"cpu", None))
         _check(library.AOTInductorModelContainerGetNumOutputs(container, ctypes.byref(outputs)))
         self._run, self._container, self._outputs = library.AOTInductorModelContainerRun, container, outputs.value
 
     def __call__(self, tensors: list[Tensor]) -> list[Tensor]:
-        """Results for contiguous tensors."""
+        """Results for tensors."""
+        tensors = [as_floats(tensors[number].contiguous()) for number in self._arguments]
         given = [_pointer(capsule, None) for capsule in unsafe_alloc_void_ptrs_from_tensors(tensors)]
         inputs, outputs = (ctypes.c_void_p * len(given))(*given), (ctypes.c_void_p * self._outputs)()
         # Both sides' handles change hands: the library frees the inputs', the tensors made of the outputs' free those.
@@ -47,15 +60,15 @@ def _check(status: int) -> None:
         raise RuntimeError("the compiled code fails")
 
 
-def _library(path: Path) -> ctypes.CDLL:
-    """The library in a package. Raises RuntimeError where it calls what only PyTorch's loader could provide."""
+def _library(path: Path) -> tuple[ctypes.CDLL, list[int]]:
+    """The library in a package, and the places of the tensors that it asks for. Raises RuntimeError where it calls what only PyTorch's loader could provide."""
     with zipfile.ZipFile(path) as package:
         names = package.namelist()
         (library,) = (name for name in names if name.endswith(".so"))
         if any(name.endswith(".json") and not name.endswith("_metadata.json") for name in names):
             raise RuntimeError("it calls operations that are not compiled")
-        code = package.read(library)
+        code, arguments = package.read(library), [int(number) for number in package.read(ARGUMENTS).split()]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "kernel.so"
         file.write_bytes(code)
-        return ctypes.CDLL(str(file))
+        return ctypes.CDLL(str(file)), arguments

@@ -14,10 +14,8 @@ import functools
 import hashlib
 import itertools
 import operator
-import os
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -30,13 +28,6 @@ from bokehguide import __version__
 SOURCES = tuple(Path(__file__).parent.parent / name for name in ("render", "models", "restir", "train"))
 """Folders of the code that kernels are made of."""
 
-
-LARGEST_FIXED = 4
-"""Sizes up to this one may be part of the code: of matrices, whose size never changes."""
-HEADERS = Path(__file__).parent / "headers"
-"""Stand before those of C++: see there."""
-AS_FLOATS = {torch.int32: torch.float32, torch.int64: torch.float64}
-"""What kernels get whole numbers as, bit by bit: PyTorch's vectors of them load by way of the stack, five times as slowly."""
 
 
 class _Compiling:
@@ -154,7 +145,7 @@ class _Variant:
 
     def __call__(self, tensors: list[Tensor], shown: slice = slice(None)):
         """Its results, as far as they are `shown`."""
-        results = self._run([_as_floats(tensor.contiguous()) for tensor in tensors])
+        results = self._run(tensors)
         return _rebuilt(self._results, (result[..., shown] for result in results))
 
 
@@ -170,13 +161,8 @@ class _AsTwo:
         return self._variant([torch.cat((tensor, tensor), -1) if batched else tensor for tensor, batched in pairs], slice(1))
 
 
-def _as_floats(tensor: Tensor) -> Tensor:
-    kind = AS_FLOATS.get(tensor.dtype)
-    return tensor if kind is None else tensor.view(kind)
-
-
 class _Flat(torch.nn.Module):
-    """The function of a flat list of tensors, whole numbers among them `_as_floats`."""
+    """The function of a flat list of tensors, whole numbers among them `as_floats`."""
 
     def __init__(self, function: Callable, arguments: tuple, kinds: list[torch.dtype]):
         super().__init__()
@@ -196,22 +182,17 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
     name = f"{function.__module__}.{function.__qualname__}"
     path = _Compiling.folder / f"{name}-{hashlib.sha256(f'{_state()} {name} {key}'.encode()).hexdigest()[:24]}.pt2"
     try:
-        from torch._inductor.exc import InductorError  # of PyTorch's inner parts, which may not be there
-
-        from bokehguide.render.compiled import CompiledFunction
+        from bokehguide.render.compiled import CompiledFunction, as_floats
+        from bokehguide.render.compiling import compile_package
 
         if not path.exists():
             if not _has_compiler():
                 return None
             _announce()
             # Copies: of one tensor that is given twice, torch.export would make one argument.
-            copies = tuple(_as_floats(tensor.clone(memory_format=torch.contiguous_format)) for tensor in tensors)
+            copies = tuple(as_floats(tensor.clone(memory_format=torch.contiguous_format)) for tensor in tensors)
             flat = _Flat(function, arguments, [tensor.dtype for tensor in tensors])
-            try:
-                with _searched_first(HEADERS):
-                    _compile(flat, copies, path)
-            except InductorError:  # with a PyTorch that asks more of them
-                _compile(flat, copies, path)
+            compile_package(flat, copies, path)
         return _Variant(CompiledFunction(path, _Compiling.threads), tensors, results)
     except Exception as error:  # whatever a compiler may fail with: pictures come out the same without it
         with contextlib.suppress(OSError):  # the folder itself may be what is wrong
@@ -240,44 +221,6 @@ def _announce() -> None:
     if not _Compiling.announced:
         _Compiling.announced = True
         print(f"bokehguide: compiling kernels, once on this machine; they are kept in {_Compiling.folder}", file=sys.stderr)
-
-
-def _compile(flat: _Flat, tensors: tuple[Tensor, ...], path: Path) -> None:
-    from torch._inductor import aoti_compile_and_package, config
-
-    last = [{tensor.ndim - 1: torch.export.Dim.AUTO} if tensor.ndim and tensor.shape[-1] > 1 else None for tensor in tensors]
-    options = {"cpp.threads": 1, "aot_inductor.compile_wrapper_opt_level": "O0"}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(f".{os.getpid()}.pt2")
-    with warnings.catch_warnings(), torch.no_grad(), config.patch(options):
-        warnings.simplefilter("ignore")
-        program = torch.export.export(flat, tensors, dynamic_shapes=(tuple(last),), strict=False)
-        _check_sizes(program)
-        aoti_compile_and_package(program, package_path=str(temporary))
-    temporary.replace(path)
-
-
-@contextlib.contextmanager
-def _searched_first(folder: Path) -> Iterator[None]:
-    """Let the C++ compiler look for headers in a folder before its own."""
-    before = os.environ.get("CPLUS_INCLUDE_PATH")
-    os.environ["CPLUS_INCLUDE_PATH"] = f"{folder}{os.pathsep}{before}" if before else str(folder)
-    try:
-        yield
-    finally:
-        del os.environ["CPLUS_INCLUDE_PATH"]
-        if before is not None:
-            os.environ["CPLUS_INCLUDE_PATH"] = before
-
-
-def _check_sizes(program: torch.export.ExportedProgram) -> None:
-    """Raises RuntimeError where a size became part of the code: at any other size its results would be wrong."""
-    from torch.fx.experimental.symbolic_shapes import is_concrete_int
-
-    arguments = (node.meta["val"] for node in program.graph.nodes if node.op == "placeholder")
-    fixed = [int(value.shape[-1]) for value in arguments if value.ndim and is_concrete_int(value.shape[-1])]
-    if max(fixed, default=0) > LARGEST_FIXED:
-        raise RuntimeError(f"its code depends on the size {max(fixed)} of an argument")
 
 
 @functools.cache

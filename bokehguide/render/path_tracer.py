@@ -93,24 +93,26 @@ class PathSamples:
 class _Rays(NamedTuple):
     """The next segments of paths.
 
-    vertex: where the last scattering was and lights were sampled for; origin: the same, off the surface; pdf: of the direction.
+    vertex: where the last scattering was and lights were sampled for; origin: the same, off the surface; pdf: of the direction;
+    going: which of them go on, int64 `[K]`, None where all do. What the others hold means nothing.
     """
 
     vertex: Tensor
     origin: Tensor
     direction: Tensor
     pdf: Tensor
+    going: Tensor | None = None
 
     def select(self, index: Tensor) -> _Rays:
-        return _Rays(*(values.index_select(-1, index) for values in self))
+        return _Rays(*(values.index_select(-1, index) for values in self[:4]))
 
 
 @dataclass
 class _Paths:
-    """The paths still alive, compacted after each segment.
+    """Paths that are alive, compacted where their rays end.
 
     brought: radiance `[3, M]`, to which paths add theirs at `index` when they end. choice: how lights were sampled for them
-    last, or will be, where not as everywhere. rays: None between their end and the scattering there.
+    last, or will be, where not as everywhere.
     """
 
     brought: Tensor
@@ -119,12 +121,10 @@ class _Paths:
     radiance: Tensor
     random: PixelRandom
     choice: LightChoice | None
-    rays: _Rays | None
 
     def select(self, index: Tensor) -> _Paths:
         values = (values.index_select(-1, index) for values in (self.index, self.throughput, self.radiance))
-        choice, rays = (part and part.select(index) for part in (self.choice, self.rays))
-        return _Paths(self.brought, *values, self.random.select(index), choice, rays)
+        return _Paths(self.brought, *values, self.random.select(index), self.choice and self.choice.select(index))
 
     def split(self, parts: Tensor) -> tuple[_Paths, Tensor]:
         """Each ends, and becomes `parts`, int64 `[N]`, of equal shares of the throughput, next to one another, which bring what
@@ -183,13 +183,12 @@ class PathTracer:
             origin, direction, random = origin.index_select(1, index), direction.index_select(1, index), random.select(index)
         pdf = torch.full(index.shape, DELTA_PDF, device=origin.device)
         rays = _Rays(origin, origin, direction, pdf)
-        paths = _Paths(result.radiance, index, torch.ones_like(origin), torch.zeros_like(origin), random, None, rays)
+        paths = _Paths(result.radiance, index, torch.ones_like(origin), torch.zeros_like(origin), random, None)
         last = max_depth or self.max_depth
         for depth in range(1, last + 1):
-            paths = self._segment(
-                paths, depth, depth == last, choose if depth == 1 else None, parts if depth == 1 else None, images, result, timer
-            )
-            if len(paths.index) == 0:
+            first = (choose, parts) if depth == 1 else (None, None)
+            paths, rays = self._segment(paths, rays, depth, depth == last, *first, images, result, timer)
+            if rays is None:
                 break
         if result.first is not None:
             increase(result.radiance, result.first.rays, result.first.direct + result.first.indirect)
@@ -200,6 +199,7 @@ class PathTracer:
     def _segment(
         self,
         paths: _Paths,
+        rays: _Rays,
         depth: int,
         last: bool,
         choose: Callable[[Tensor], LightChoice] | None,
@@ -207,17 +207,25 @@ class PathTracer:
         images: Images | None,
         result: PathSamples,
         timer: PhaseTimer,
-    ) -> _Paths:
-        """Trace the paths to their next surface, gather light there, and choose how they go on."""
+    ) -> tuple[_Paths, _Rays | None]:
+        """Trace the paths to their next surface, gather light there, and choose how they go on; None where none does."""
+        going, random = rays.going, paths.random if rays.going is None else paths.random.select(rays.going)
+        origin, direction = _taken(rays.origin, going), _taken(rays.direction, going)
         with timer.measure("tracing rays"):
-            dimension = FIRST_CROSSING + MAX_CROSSINGS * depth
-            hit, traced = self.opacity.nearest(paths.rays.origin, paths.rays.direction, paths.random, dimension)
+            hit, traced = self.opacity.nearest(origin, direction, random, FIRST_CROSSING + MAX_CROSSINGS * depth)
         result.rays += traced
         beyond = images if depth > 1 else None
-        paths, hit = self._end_in_environment(paths, hit, depth, beyond, result)
-        if len(paths.index) == 0:
-            return paths
-        surface = self.geometry.surface(paths.rays.origin, paths.rays.direction, hit)
+        missed = indices(hit.triangle < 0)
+        if len(missed) > 0:
+            gone = missed if going is None else going.index_select(0, missed)
+            self._end_in_environment(paths.select(gone), rays.select(gone), depth, beyond, result)
+            met = indices(hit.triangle >= 0)
+            hit, origin, direction = Hit(*(_taken(field, met) for field in hit)), _taken(origin, met), _taken(direction, met)
+            going = met if going is None else going.index_select(0, met)
+        if len(hit.triangle) == 0:
+            return paths, None
+        paths = paths if going is None else paths.select(going)
+        surface = self.geometry.surface(origin, direction, hit)
         if depth == 1:
             put(result.distance, paths.index, hit.distance)
             put(result.triangle, paths.index, hit.triangle)
@@ -227,14 +235,13 @@ class PathTracer:
         transmittance = self.geometry.transmittance(hit, surface.front)
         if transmittance is not None:
             paths.throughput *= transmittance
-        self._add_emission(paths, hit, surface, beyond)
+        self._add_emission(paths, rays, going, hit, surface, beyond)
         if depth == 1:
             put(result.emission, paths.index, paths.radiance)
         paths.choice = None if choose is None else choose(surface.position)
         if last:
             paths.finish()
-            return paths.select(paths.index[:0])
-        paths.rays = None
+            return paths, None
         owner = None
         if parts is not None:
             paths, surface, owner = self._split(paths, parts, hit, surface, images, result)
@@ -248,7 +255,8 @@ class PathTracer:
         scattering = Scattering(surface, choice)
         if not self.lights.empty:
             self._add_direct_light(paths, surface, scattering, draw(dimension + 5, 6), depth, images, result, timer)
-        return self._scatter(paths, surface, scattering, draw(dimension + 1, 4), depth, images, result)
+        uniforms = draw(dimension + 1, 4 if depth >= ROULETTE_DEPTH else 3)
+        return self._scatter(paths, surface, scattering, uniforms, depth, images, result)
 
     def _split(
         self, paths: _Paths, parts: Tensor, hit: Hit, met: Surface, images: Images | None, result: PathSamples
@@ -263,16 +271,12 @@ class PathTracer:
         return paths, surface, owner
 
     def _end_in_environment(
-        self, paths: _Paths, hit: Hit, depth: int, images: Images | None, result: PathSamples
-    ) -> tuple[_Paths, Hit]:
-        """Add the environment's radiance to the paths that left the scene, and end them."""
-        missed = indices(hit.triangle < 0)
-        if len(missed) == 0:
-            return paths, hit
-        gone = paths.select(missed)
+        self, gone: _Paths, rays: _Rays, depth: int, images: Images | None, result: PathSamples
+    ) -> None:
+        """Add the environment's radiance to paths that left the scene, and end them."""
         environment = self.lights.environment
         if environment is not None and (depth > 1 or environment.visible):
-            vertex, _, direction, pdf = gone.rays
+            vertex, _, direction, pdf, _ = rays
             weight = mis.power_heuristic(pdf, self.lights.environment_pdf(vertex, direction, gone.choice))
             arrived = gone.throughput * environment.radiance(direction) * weight
             gone.radiance += arrived
@@ -281,16 +285,17 @@ class PathTracer:
             if depth == 1:
                 result.alpha[gone.index] = environment.alpha(direction)
         gone.finish()
-        kept = indices(hit.triangle >= 0)
-        return paths.select(kept), Hit(*(field.index_select(0, kept) for field in hit))
 
-    def _add_emission(self, paths: _Paths, hit: Hit, surface: Surface, images: Images | None) -> None:
-        """Add what the surfaces that were hit emit, weighed against light sampling."""
+    def _add_emission(
+        self, paths: _Paths, rays: _Rays, going: Tensor | None, hit: Hit, surface: Surface, images: Images | None
+    ) -> None:
+        """Add what the surfaces that were hit emit, weighed against light sampling; going: which of the rays hit them."""
         material = self.geometry.material.index_select(0, hit.triangle)
         index = indices(self.geometry.materials.emissive.index_select(0, material))
         if len(index) == 0:
             return
-        lamp, rays = Hit(*(field.index_select(0, index) for field in hit)), paths.rays.select(index)
+        lamp = Hit(*(field.index_select(0, index) for field in hit))
+        rays = rays.select(index if going is None else going.index_select(0, index))
         outgoing = surface.outgoing.index_select(1, index)
         radiance = self.geometry.emission(lamp, surface.front.index_select(0, index), outgoing)
         # As `Lights.sample` sees it, from the vertex itself and not from where the ray left it.
@@ -345,23 +350,29 @@ class PathTracer:
         depth: int,
         images: Images | None,
         result: PathSamples,
-    ) -> _Paths:
-        """Sample the BSDF, play Russian roulette, and compact the paths that go on."""
+    ) -> tuple[_Paths, _Rays | None]:
+        """Sample the BSDF, and play Russian roulette where there are uniform numbers `[4, N]` and not `[3, N]`."""
         direction, weight, pdf = scattering.sample(uniforms[0:3])
         if depth == 1 and result.first is not None:
             result.first.onward = direction
         if images is not None:
             images.leave(direction, pdf)
-        origin, throughput, survival = _next_segment(
-            surface, paths.throughput, direction, weight, uniforms[3], depth >= ROULETTE_DEPTH
-        )
+        chance = uniforms[3] if len(uniforms) > 3 else None
+        origin, throughput, survival = _next_segment(surface, paths.throughput, direction, weight, chance)
         goes_on = survival > 0.0
         ended = indices(~goes_on)
         if len(ended) > 0:
             unknown = 0.0 * throughput.index_select(1, ended)  # a NaN is the film's to report
             increase(paths.brought, paths.index.index_select(0, ended), paths.radiance.index_select(1, ended) + unknown)
-        paths.throughput, paths.rays = throughput, _Rays(surface.position, origin, direction, pdf)
-        return paths.select(indices(goes_on))
+            if len(ended) == len(goes_on):
+                return paths, None
+        paths.throughput = throughput
+        return paths, _Rays(surface.position, origin, direction, pdf, indices(goes_on) if len(ended) > 0 else None)
+
+
+def _taken(values: Tensor, index: Tensor | None) -> Tensor:
+    """The entries `[.., K]` at `index`, int64 `[K]`; None: all of them."""
+    return values if index is None else values.index_select(-1, index)
 
 
 @kernel
@@ -379,12 +390,13 @@ def _shadow_ray(surface: Surface, throughput: Tensor, direction: Tensor, distanc
 
 @kernel
 def _next_segment(
-    surface: Surface, throughput: Tensor, direction: Tensor, weight: Tensor, uniform: Tensor, may_end: bool
+    surface: Surface, throughput: Tensor, direction: Tensor, weight: Tensor, uniform: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Origins and throughputs `[3, N]` of paths that go on, and a number `[N]` that is positive where they do (Russian roulette)."""
+    """Origins and throughputs `[3, N]` of paths that go on, and a number `[N]` that is positive where they do (Russian roulette,
+    from uniform numbers `[N]` if there are any)."""
     throughput = throughput * weight
     survival = throughput.amax(0)
-    if may_end:
+    if uniform is not None:
         chance = survival.clamp(max=0.95)
         survival = chance * (uniform < chance)
         throughput = throughput / chance.clamp(min=1e-20)

@@ -34,6 +34,8 @@ _MASK = 0xFFFFFFFF
 _BITS = 31
 _DIRECTIONS = (torch.quasirandom.SobolEngine(8).sobolstate << 1).tolist()
 """Sobol' direction numbers of _BITS bits (Joe and Kuo 2008), by dimension and bit of the index."""
+_AT_ONCE = 4
+"""Bits of points are taken so many at once: each number of them is compiled anew."""
 
 
 def hash_int(x: int) -> int:
@@ -75,15 +77,14 @@ def sobol_point(index: int, dimension: int) -> int:
     return value
 
 
+def _places(point: int) -> list[int]:
+    """Places of the ones among its _BITS bits, from the highest down."""
+    return [place for place in range(_BITS) if point >> (_BITS - 1 - place) & 1]
+
+
 def _to_unit(bits: Tensor) -> Tensor:
     """Float32 in (0, 1) from the upper 23 of the _BITS lower bits of int32 values, which it overwrites."""
     return bits.bitwise_right_shift_(8).bitwise_and_(0x7FFFFF).to(torch.float32).add_(0.5).mul_(2.0**-23)
-
-
-@kernel
-def _units(bits: Tensor) -> Tensor:
-    """`_to_unit`, which leaves its argument as it is."""
-    return _to_unit(bits.clone())
 
 
 @kernel
@@ -93,10 +94,16 @@ def _uniform(pixel_keys: Tensor, keys: Tensor) -> Tensor:
 
 
 @kernel
-def _scrambles(pixel_keys: Tensor, keys: Tensor) -> tuple[Tensor, Tensor]:
-    """Digital shifts and first columns of matrices for every key and pixel, int32 `[keys, N]` both."""
+def _scrambled(pixel_keys: Tensor, keys: Tensor, places: Tensor) -> Tensor:
+    """Points of Sobol' sequences, float32 `[keys, N]`, scrambled by every key and pixel.
+
+    places: of the ones among the points' bits, from the highest down, float32 `[ones, keys]`; _BITS where there are fewer.
+    """
     values = hash_tensor(pixel_keys ^ keys[:, None])
-    return values, (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)
+    columns = (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)  # the first ones of the matrices
+    for place in places.to(torch.int32):
+        values ^= columns >> place[:, None]
+    return _to_unit(values)
 
 
 class PixelRandom:
@@ -144,11 +151,8 @@ class PixelRandom:
         """
         key = hash_int(self.seed_key + 0x3C6EF372 * dimension + hash_int(first - 1))
         index = shuffle_index(self.index - (first - 1), key)
-        values, columns = _scrambles(self.pixel_keys, self._keys(key + i for i in range(count)))
-        moved = torch.empty_like(self.pixel_keys)
-        for i, (value, column) in enumerate(zip(values, columns)):
-            point = sobol_point(index, i)
-            for place in range(_BITS):
-                if point >> (_BITS - 1 - place) & 1:
-                    value ^= torch.bitwise_right_shift(column, place, out=moved)
-        return _units(values.view(-1)).view(values.shape)  # of one shape, or each count would be compiled anew
+        ones = [_places(sobol_point(index, i)) for i in range(count)]
+        rows = max(-(-max(map(len, ones)) // _AT_ONCE), 1) * _AT_ONCE
+        places = [[float(point[row]) if row < len(point) else _BITS for point in ones] for row in range(rows)]
+        places = torch.tensor(places, device=self.pixel_keys.device)
+        return _scrambled(self.pixel_keys, self._keys(key + i for i in range(count)), places)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-BATCH, SMALL_BATCH = 262144, 28800
+BATCH, SMALL_BATCH = 524288, 28800
 """Pixels traced together: each thread has as many batches, about as large as memory allows, since Python costs the same for
 large ones and small ones. Below the second number it costs more than another thread brings."""
 SHORTEST, LONGEST = 0.5, 1.5

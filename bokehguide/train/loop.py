@@ -32,6 +32,7 @@ from bokehguide.train.fitting import RADIANCE_THRESHOLD
 from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, LensDraw, LensGuide
 from bokehguide.train.guide import guide_images, starts_block, uniform_draw
 from bokehguide.train.light_guide import LightGuide
+from bokehguide.train.memory import keep_freed_memory
 from bokehguide.train.radiance_control import RadianceControl
 from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import BAND, Ranks, available_cores
@@ -93,6 +94,7 @@ class RenderLoop:
         self._batches = Batches(self._threads, PARTS if isinstance(self.guide, SpotGuide) else 1)
         # Threads work on batches. Those that torch would start inside operations only fight them.
         torch.set_num_threads(1)
+        keep_freed_memory()
         compile_kernels(self._threads if settings.compile else 0)
         self._pool = ThreadPoolExecutor(self._threads, initializer=torch.set_num_threads, initargs=(1,))
         self._learns = guided

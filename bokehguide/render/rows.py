@@ -1,0 +1,116 @@
+"""Kernels' graphs, row by row.
+
+Of an operation on `[3, N]` tensors Inductor makes a loop over three rows of N, in which it works out anew for each row what all
+three have in common, such as a length, and beside loops over N alone it does not fuse it. Where graphs are of rows `[N]` all
+is one loop, and what rows have in common is worked out once.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import torch
+from torch import Tensor
+from torch.utils import _pytree as pytree
+
+aten = torch.ops.aten
+
+MOST_ROWS = 32
+"""Tensors of more rows than this stay whole."""
+AS_POINTWISE = {aten.alias.default, aten.clone.default, aten._to_copy.default, aten.view.dtype}
+"""Operations on each element for itself that PyTorch does not tag as such."""
+
+
+class _Rows(list):
+    """The rows, `[N]`, of a tensor `[C, N]`."""
+
+
+class ByRows(torch.fx.Interpreter):
+    """Runs a graph of core ATen operations with the rows of tensors whose last dimension may be of any size.
+
+    What it does not know how to do with rows it does with the whole tensor.
+    """
+
+    def placeholder(self, target, args, kwargs):
+        value = super().placeholder(target, args, kwargs)
+        varies = isinstance(value, Tensor) and value.ndim == 2 and not isinstance(value.shape[1], int)
+        return _Rows(value.unbind(0)) if varies and _few(value.shape[0]) else value
+
+    def call_function(self, target, args, kwargs):
+        values = pytree.tree_leaves((args, kwargs), is_leaf=_is_rows)
+        if any(_is_rows(value) for value in values):
+            found = _by_rows(target, args, kwargs)
+            if found is not None:
+                return found
+        elif target is aten.unsqueeze.default and args[0].ndim == 1 and args[1] == 0:
+            return _Rows([args[0]])
+        elif target in (aten.cat.default, aten.stack.default) and len(args) == 1:  # along the first dimension
+            if args[0][0].ndim == (2 if target is aten.cat.default else 1):
+                return _joined(args[0])
+        whole = pytree.tree_map(_whole, (args, kwargs), is_leaf=_is_rows)
+        return super().call_function(target, *whole)
+
+    def output(self, target, args, kwargs):
+        return pytree.tree_map(_whole, args[0], is_leaf=_is_rows)
+
+
+def _is_rows(value: object) -> bool:
+    return isinstance(value, _Rows)
+
+
+def _few(count: object) -> bool:
+    return isinstance(count, int) and count <= MOST_ROWS
+
+
+def _whole(value: object) -> object:
+    return torch.stack(list(value)) if _is_rows(value) else value
+
+
+def _by_rows(target, args: tuple, kwargs: dict) -> _Rows | Tensor | None:
+    """What an operation on `_Rows` makes; None where it is not known here."""
+    first = args[0]
+    if torch.Tag.pointwise in getattr(target, "tags", ()) or target in AS_POINTWISE:
+        return _each(target, args, kwargs)
+    if target in (aten.cat.default, aten.stack.default) and args[1:] in ((), (0,)):
+        return _joined(first)
+    if not _is_rows(first):
+        return None
+    if target is aten.select.int and args[1] == 0:
+        return first[args[2]]
+    if target is aten.unbind.int and args[1:] in ((), (0,)):
+        return first
+    if target is aten.slice.Tensor and args[1:2] == (0,):
+        return _Rows(first[slice(*args[2:])])
+    if target is aten.sum.dim_IntList and args[1:] == ([0],) and not kwargs:
+        return functools.reduce(torch.add, first)
+    if target is aten.amax.default and args[1:] == ([0],):
+        return functools.reduce(torch.maximum, first)
+    if target is aten.index_select.default and args[1] == 1:
+        return _Rows(row.index_select(0, args[2]) for row in first)
+    return None
+
+
+def _joined(parts: list) -> _Rows | None:
+    """The rows of tensors `[N]` and `[C, N]`, one behind the other."""
+    rows = _Rows()
+    for part in parts:
+        if _is_rows(part):
+            rows.extend(part)
+        elif part.ndim == 1:
+            rows.append(part)
+        elif _few(part.shape[0]):
+            rows.extend(part.unbind(0))
+        else:
+            return None
+    return rows
+
+
+def _each(target, args: tuple, kwargs: dict) -> _Rows | None:
+    """An operation on each element for itself, row by row."""
+    values, structure = pytree.tree_flatten((args, kwargs), is_leaf=_is_rows)
+    if any(isinstance(value, Tensor) and (value.ndim > 2 or value.ndim == 2 and not _few(value.shape[0])) for value in values):
+        return None
+    values = [_Rows(value.unbind(0)) if isinstance(value, Tensor) and value.ndim == 2 else value for value in values]
+    count = max(len(value) for value in values if _is_rows(value))
+    rows = ([value[row % len(value)] if _is_rows(value) else value for value in values] for row in range(count))
+    return _Rows(target(*given[0], **given[1]) for given in (pytree.tree_unflatten(row, structure) for row in rows))
