@@ -134,7 +134,8 @@ class Geometry:
 
     def surface(self, origins: Tensor, directions: Tensor, hit: Hit) -> Surface:
         """The surfaces at valid hits of rays `[3, N]`."""
-        sides = _sides(self._normals, origins, directions, hit)
+        rows = self._normals.index_select(1, hit.triangle)
+        sides = _sides(rows, origins, directions, hit)
         material = self.material.index_select(0, hit.triangle)
         values = self.materials.parameters.index_select(1, material)
         surface = Surface(*sides, values[0:3], *values[3:])
@@ -266,9 +267,8 @@ class Geometry:
 
 
 @kernel
-def _sides(normals: Tensor, origins: Tensor, directions: Tensor, hit: Hit) -> tuple[Tensor, ...]:
-    """The fields of `Surface` up to `facing`, from the normals `[12, T]` of all triangles."""
-    rows = normals.index_select(1, hit.triangle)
+def _sides(rows: Tensor, origins: Tensor, directions: Tensor, hit: Hit) -> tuple[Tensor, ...]:
+    """The fields of `Surface` up to `facing`, from the triangles' normals `[12, N]`."""
     geometric, outgoing = rows[0:3], -directions
     side = dot(geometric, outgoing)
     front = (side > 0.0).to(torch.float32)
