@@ -20,6 +20,7 @@ from bokehguide.models.sky_lamps import SeenSky, SkyLamps
 from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
 from bokehguide.render.pixels import indices, put
+from bokehguide.render.transfers import sent
 
 FLATTEST = 1e-4
 """Least squared height of an ellipse by its squared height upright: panels seen from their edge are no lines."""
@@ -98,7 +99,7 @@ class DiscLensDistribution(LensMixture):
         factor: Tensor,
         shapes: Shapes | None = None,
     ):
-        owner, radius = owners(start), torch.tensor(lens.radius, device=focus.device)
+        owner, radius = owners(start), sent(lens.radius, focus.device, torch.float32)
         all_of_it = weight
         self.ellipses, weight = _ellipses(mean, outline, focus.index_select(1, owner), weight, radius)
         self._parts: list[SeenSky | SeenPanels] = []

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from bokehguide.render.bsdf import ggx_density, sample_visible_normal, smith_root
 from bokehguide.render.geometry import SMOOTH_ALPHA, Surface
+from bokehguide.render.transfers import sent
 from bokehguide.render.vector import dot, normalize
 
 DELTA_PDF = 1e30
@@ -88,7 +89,7 @@ class DielectricBSDF:
         reflectance = self._reflectance(cosine)
         below = (uniforms[0] >= reflectance).to(torch.float32)
         mirrored = 2.0 * cosine * half - self._outgoing
-        flipped = mirrored * torch.tensor(_BELOW, device=half.device)[:, None]
+        flipped = mirrored * sent(_BELOW, half.device)[:, None]
         incoming = mirrored + (flipped - mirrored) * (below * self._surface.thin)
         incoming = incoming + (self._refract(half, cosine) - incoming) * (below * self._solid)
         right_side = ((incoming[2] < 0.0) == (below > 0.0)).to(torch.float32)

@@ -12,6 +12,7 @@ from bokehguide.render.alias import AliasTable
 from bokehguide.render.equirectangular import Equirectangular
 from bokehguide.render.kernels import kernel
 from bokehguide.render.suns import SunDisc
+from bokehguide.render.transfers import sent
 from bokehguide.scene.lamps import LUMINANCE
 from bokehguide.scene.types import Environment, Sun
 
@@ -57,7 +58,7 @@ class EnvironmentLight:
         texel = self.map.pick(uniforms[0:2]) if self._share[0] > 0.0 else None
         if not self.suns:
             return texel
-        edges = torch.tensor(np.cumsum(self._share[:-1]), dtype=torch.float32, device=uniforms.device)
+        edges = sent(np.cumsum(self._share[:-1]), uniforms.device, torch.float32)
         sun = (uniforms[2] >= edges[:, None]).sum(0, dtype=torch.int32)
         return -sun if texel is None else torch.where(sun > 0, -sun, texel)
 

@@ -158,7 +158,7 @@ class Lights:
         return light
 
     def _sample_environment(self, query: LightQuery, uniforms: Tensor) -> LightSample:
-        element = self.environment.pick(uniforms[[0, 1, 4]])
+        element = self.environment.pick(torch.stack((uniforms[0], uniforms[1], uniforms[4])))
         if query.learnt:
             picked = self.clusters.pick(query.cluster.clamp(min=self.clusters.triangles), uniforms[0:2])
             element = torch.where(query.by_cell, element, picked)

@@ -24,7 +24,7 @@ from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
 from bokehguide.render.opacity import MAX_CROSSINGS, Opacity
 from bokehguide.render.pencils import Images
-from bokehguide.render.pixels import increase, indices, put
+from bokehguide.render.pixels import increase, indices, parted, put
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
@@ -215,11 +215,10 @@ class PathTracer:
             hit, traced = self.opacity.nearest(origin, direction, random, FIRST_CROSSING + MAX_CROSSINGS * depth)
         result.rays += traced
         beyond = images if depth > 1 else None
-        missed = indices(hit.triangle < 0)
+        missed, met = parted(hit.triangle < 0)
         if len(missed) > 0:
             gone = missed if going is None else going.index_select(0, missed)
             self._end_in_environment(paths.select(gone), rays.select(gone), depth, beyond, result)
-            met = indices(hit.triangle >= 0)
             hit, origin, direction = Hit(*(_taken(field, met) for field in hit)), _taken(origin, met), _taken(direction, met)
             going = met if going is None else going.index_select(0, met)
         if len(hit.triangle) == 0:
@@ -359,15 +358,13 @@ class PathTracer:
             images.leave(direction, pdf)
         chance = uniforms[3] if len(uniforms) > 3 else None
         origin, throughput, survival = _next_segment(surface, paths.throughput, direction, weight, chance)
-        goes_on = survival > 0.0
-        ended = indices(~goes_on)
+        going, ended = parted(survival > 0.0)
         if len(ended) > 0:
             unknown = 0.0 * throughput.index_select(1, ended)  # a NaN is the film's to report
             increase(paths.brought, paths.index.index_select(0, ended), paths.radiance.index_select(1, ended) + unknown)
-            if len(ended) == len(goes_on):
-                return paths, None
         paths.throughput = throughput
-        return paths, _Rays(surface.position, origin, direction, pdf, indices(goes_on) if len(ended) > 0 else None)
+        rays = _Rays(surface.position, origin, direction, pdf, going if len(ended) > 0 else None)
+        return paths, rays if len(going) > 0 else None
 
 
 def _taken(values: Tensor, index: Tensor | None) -> Tensor:

@@ -121,12 +121,11 @@ class Images:
         """Add an event, as far as its light went through mirrors and glass alone, to what bright rays see."""
         rays = event.index if self._rays is None else self._rays.index_select(0, event.index)
         shown = indices(bright.index_select(0, rays) & (event.radiance.amax(0) > 0.0))
-        places = []
-        for vertex in event.vertices:
-            place = vertex.place.index_select(0, event.index.index_select(0, shown))
-            narrow = indices(vertex.pdf.index_select(0, place) > NARROW)
-            shown = shown.index_select(0, narrow)
-            places = [each.index_select(0, narrow) for each in (*places, place)]
+        paths = event.index.index_select(0, shown)
+        places = [vertex.place.index_select(0, paths) for vertex in event.vertices]
+        least = torch.stack([vertex.pdf.index_select(0, place) for vertex, place in zip(event.vertices, places)]).amin(0)
+        narrow = indices(least > NARROW)
+        shown, places = shown.index_select(0, narrow), [place.index_select(0, narrow) for place in places]
         if len(shown) == 0:
             return
         pencils = light.new_tensor(BEGUN)[:, None].expand(-1, len(shown))

@@ -23,6 +23,14 @@ def indices(mask: Tensor) -> Tensor:
     return mask.nonzero()[:, 0]
 
 
+def parted(mask: Tensor) -> tuple[Tensor, Tensor]:
+    """The places, int64, at which `mask` `[N]` is true, and those at which it is false; the host waits once for both."""
+    if mask.device.type == "cpu":
+        return indices(mask), indices(~mask)
+    order, count = mask.argsort(descending=True, stable=True), int(mask.sum())
+    return order[:count], order[count:]
+
+
 def take(values: Tensor, pixels: Pixels) -> Tensor:
     """The entries `[.., N]` of `values` `[.., P]`; those of a slice are a view."""
     return values[..., pixels] if isinstance(pixels, slice) else values.index_select(-1, pixels)

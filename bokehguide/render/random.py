@@ -29,6 +29,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.kernels import kernel
+from bokehguide.render.transfers import sent
 
 _MASK = 0xFFFFFFFF
 _BITS = 31
@@ -141,7 +142,7 @@ class PixelRandom:
         return _uniform(self.pixel_keys, self._keys(self.step_key + 0x3C6EF372 * (dimension + i) for i in range(count)))
 
     def _keys(self, keys: Iterable[int]) -> Tensor:
-        return torch.tensor([_signed(hash_int(key)) for key in keys], dtype=torch.int32, device=self.pixel_keys.device)
+        return sent([_signed(hash_int(key)) for key in keys], self.pixel_keys.device, torch.int32)
 
     def stratified(self, dimension: int, count: int, first: int = 1) -> Tensor:
         """Like `uniform`, with numbers that are one point of a `count`-dimensional sequence over the steps from `first` on.
@@ -154,5 +155,4 @@ class PixelRandom:
         ones = [_places(sobol_point(index, i)) for i in range(count)]
         rows = max(-(-max(map(len, ones)) // _AT_ONCE), 1) * _AT_ONCE
         places = [[float(point[row]) if row < len(point) else _BITS for point in ones] for row in range(rows)]
-        places = torch.tensor(places, device=self.pixel_keys.device)
-        return _scrambled(self.pixel_keys, self._keys(key + i for i in range(count)), places)
+        return _scrambled(self.pixel_keys, self._keys(key + i for i in range(count)), sent(places, self.pixel_keys.device))

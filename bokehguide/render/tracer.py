@@ -10,6 +10,8 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from torch import Tensor
 
+from bokehguide.render.transfers import fetched, sent
+
 MISS_DISTANCE = 1e37
 
 
@@ -53,16 +55,17 @@ class Tracer:
         The distance of a miss is MISS_DISTANCE, or its limit.
         """
         _check_rays(origins, directions, limits)
-        limits = None if limits is None else limits.cpu().numpy().copy()  # Embree writes into it
-        found = self._scene.run(origins.cpu().numpy().T, directions.cpu().numpy().T, dists=limits, output=True)
-        device = origins.device
-        return Hit(*(torch.from_numpy(found[key]).to(device) for key in ("primID", "tfar", "u", "v")))
+        origin, direction, *limit = fetched(origins, directions, *(() if limits is None else (limits,)))
+        limit = limit[0].copy() if limit else None  # Embree writes into it
+        found = self._scene.run(origin.T, direction.T, dists=limit, output=True)
+        return Hit(*(sent(found[key], origins.device) for key in ("primID", "tfar", "u", "v")))
 
     def visible(self, origins: Tensor, directions: Tensor, distances: Tensor) -> Tensor:
         """1 where nothing lies within `distances` `[N]` along the rays `[3, N]`, else 0; float32 `[N]`."""
         _check_rays(origins, directions, distances)
-        blocked = self._scene.run(origins.cpu().numpy().T, directions.cpu().numpy().T, dists=distances.cpu().numpy(), query="OCCLUDED")
-        return torch.from_numpy(blocked).to(origins.device).neg().to(torch.float32)
+        origin, direction, distance = fetched(origins, directions, distances)
+        blocked = self._scene.run(origin.T, direction.T, dists=distance, query="OCCLUDED")
+        return sent(blocked, origins.device).neg().to(torch.float32)
 
 
 def _check_rays(origins: Tensor, directions: Tensor, limits: Tensor | None) -> None:

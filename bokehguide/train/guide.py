@@ -59,7 +59,7 @@ class BatchLesson:
     """What one batch teaches: its loss, and the gradients of its pixels' β and of the polynomial coefficients, or what
     `LampYield.add` takes."""
 
-    kl: float
+    kl: Tensor
     pixels: Pixels
     blend_gradient: Tensor | None = None
     offset_gradient: Tensor | None = None
@@ -165,7 +165,7 @@ class LensGuide(nn.Module):
         of_offsets = None
         if self.offsets is not None:
             of_offsets = offset_gradient(mixture, self.offsets, batch.gaussian, batch.raster, ratio, at)
-        loss = float(one_sample_kl(ratio, at.density, mixture.lens.area))
+        loss = one_sample_kl(ratio, at.density, mixture.lens.area)
         return BatchLesson(loss, batch.pixels, of_blend, of_offsets)
 
     def is_fresh(self, step: int) -> bool:

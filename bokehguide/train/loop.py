@@ -24,6 +24,7 @@ from bokehguide.render.pixels import Pixels, box_pixels, indices, pixel_numbers
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.render.transfers import own_stream
 from bokehguide.render.vector import luminance
 from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
@@ -40,7 +41,7 @@ from bokehguide.train.record_buffer import FAR
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.sharing import PathSharing
 from bokehguide.train.spot_guide import PARTS, SpotGuide
-from bokehguide.train.steps import BatchResult, GuideCounts, StepStats, finite, step_stats
+from bokehguide.train.steps import BatchResult, StepStats, finite, guide_counts, step_stats
 
 PRIMING_DIMENSION = LENS_DIMENSION + 5
 """Random dimensions of the lens points that prime the film: from this one on two."""
@@ -151,11 +152,20 @@ class RenderLoop:
         """What `work` returns for the film's pixels of each span of those that steps render."""
         start = time.perf_counter()
         places = self._places
-        results = list(self._pool.map(work, spans if places is None else [places[span] for span in spans]))
+        results = list(self._pool.map(self._beside(work), spans if places is None else [places[span] for span in spans]))
         worked = sum((result.timer.seconds for result in results), Counter())
         scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
         self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
         return results
+
+    def _beside(self, work: Callable[[Pixels], BatchResult]) -> Callable[[Pixels], BatchResult]:
+        """`work`, beside that of other threads on a GPU as well."""
+
+        def run(pixels: Pixels) -> BatchResult:
+            with own_stream(self.camera.position.device):
+                return work(pixels)
+
+        return run
 
     @torch.no_grad()
     def _render_batch(self, places: Pixels) -> BatchResult:
@@ -191,7 +201,7 @@ class RenderLoop:
             result.lesson = self._study(batch, weight, finite(luminance(samples.radiance), good), at)
             recorded = finite(self.guide.recorded(samples), good)
             result.records = self._records(points, directions, self.guide.apparent_distance(samples), weight, recorded)
-            result.counts = GuideCounts.of(batch, weight)
+            result.counts = guide_counts(batch, weight)
             if self.light_guide is not None:
                 result.lights = samples.lights
         return result

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import MAX_SIDE
 
+DEVICES = ("cpu", "cuda")
 LENS_MODES = ("uniform", "lis", "lis-b", "lis-o", "guided")
 """Uniform lens sampling, independent from step to step as in the paper; the paper's modes: guided with
 β = 0.8; with learnt β; with learnt β and polynomial offsets; and this project's own."""
@@ -44,8 +45,8 @@ class RenderSettings:
     def __post_init__(self) -> None:
         if self.mode not in MODES:
             raise BokehguideError(f"mode: {self.mode!r} is unknown; choose one of {', '.join(MODES)}")
-        if self.device not in ("cpu", "cuda"):
-            raise BokehguideError(f"device: {self.device!r} is unknown; choose cpu or cuda")
+        if self.device not in DEVICES:
+            raise BokehguideError(f"device: {self.device!r} is unknown; choose {' or '.join(DEVICES)}")
         if self.spp < 1:
             raise BokehguideError(f"spp: {self.spp} is not positive; give at least 1 sample per pixel")
         if self.threads is not None and self.threads < 1:

@@ -26,7 +26,7 @@ from bokehguide.render.first_surfaces import FirstSurfaces
 from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathSamples, PathTracer
-from bokehguide.render.pixels import Pixels, indices, pixel_numbers, put
+from bokehguide.render.pixels import Pixels, indices, parted, pixel_numbers, put
 from bokehguide.render.random import hash_int
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
@@ -195,7 +195,7 @@ class PathSharing:
         It is that of the first surfaces at `place` `[J]`, or where that is -1 of what lies at infinity beyond `focus` `[3, J]`.
         """
         arriving, outgoing = torch.zeros_like(points[0]), torch.zeros_like(focus)
-        met, infinite = indices(place >= 0), indices(place < 0)
+        met, infinite = parted(place >= 0)
         if len(met) > 0:
             first, there = samples.first, place.index_select(0, met)
             ends = (values.index_select(-1, there) for values in (first.met.position, first.met.geometric_normal, first.met.offset))

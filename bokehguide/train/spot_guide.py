@@ -130,7 +130,7 @@ class SpotGuide(nn.Module):
         increase(self.moments[0], pixels, squared * of_discs * mixture.beta)
         increase(self.moments[1], pixels, squared * (1.0 - of_discs) * (1.0 - mixture.beta))
         draws = self._draws(batch, ratio)
-        return BatchLesson(float(one_sample_kl(ratio, at.density, mixture.lens.area)), pixels, draws=draws)
+        return BatchLesson(one_sample_kl(ratio, at.density, mixture.lens.area), pixels, draws=draws)
 
     def _draws(self, batch: GuidedBatch, ratio: Tensor) -> tuple[Tensor, Tensor]:
         """Slots of the lamps that were drawn, and the squares of what the draws brought over what they might have."""

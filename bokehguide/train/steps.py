@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from bokehguide.render.path_tracer import LightsChosen
@@ -28,31 +28,24 @@ class StepStats:
     outside: float
 
 
-class GuideCounts(NamedTuple):
-    """Guided pixels of a batch, draws of them outside the lens, and the sum of their β."""
-
-    guided: int = 0
-    outside: int = 0
-    beta: float = 0.0
-
-    @classmethod
-    def of(cls, batch: GuidedBatch | None, weight: Tensor) -> GuideCounts:
-        """weight: of the samples, 0 outside the lens, `[N]`."""
-        if batch is None:
-            return cls()
-        mixture = batch.distribution
-        return cls(int(mixture.guided.sum()), int(((weight == 0.0) & mixture.guided).sum()), float(mixture.beta.sum()))
+def guide_counts(batch: GuidedBatch | None, weight: Tensor) -> Tensor:
+    """Guided pixels of a batch, draws of them outside the lens, and the sum of their β, float64 `[3]`; weight: of the samples,
+    0 outside the lens, `[N]`."""
+    if batch is None:
+        return weight.new_zeros(3, dtype=torch.float64)
+    guided, beta = batch.distribution.guided, batch.distribution.beta
+    return torch.stack((guided.sum().double(), ((weight == 0.0) & guided).sum().double(), beta.sum().double()))
 
 
 @dataclass
 class BatchResult:
-    """What a batch leaves behind, beside the film: records are cells, positions and luminance for the record buffer; lights
+    """What a batch leaves behind, beside the film: counts are those of the guide (`guide_counts`), records are cells, positions and luminance for the record buffer; lights
     are for the light guide."""
 
     samples: int
     rays: int
     timer: PhaseTimer
-    counts: GuideCounts = GuideCounts()
+    counts: Tensor | None = None
     lesson: BatchLesson | None = None
     records: tuple[Tensor, Tensor, Tensor] | None = None
     lights: LightsChosen | None = None
@@ -60,8 +53,10 @@ class BatchResult:
 
 def step_stats(step: int, results: list[BatchResult], seconds: float, gaussians: int, ranks: Ranks) -> StepStats:
     """The sums over a step's batches on all ranks; collective."""
-    counts = [sum(column) for column in zip(*(result.counts for result in results))] or [0, 0, 0.0]
-    kl = sum(result.lesson.kl for result in results if result.lesson is not None)
+    # On a GPU the host waits for these here, once, and not in each batch.
+    counted = [result.counts for result in results if result.counts is not None]
+    counts = torch.stack(counted).sum(0).tolist() if counted else [0.0, 0.0, 0.0]
+    kl = float(sum(result.lesson.kl for result in results if result.lesson is not None))
     work = (sum(result.samples for result in results), sum(result.rays for result in results))
     samples, rays, guided, outside, beta, kl = ranks.totals(*work, *counts, kl)
     kl, beta, outside = (value / guided if guided else math.nan for value in (kl, beta, outside))

@@ -1,0 +1,46 @@
+"""Between the host, where Embree traces, and the device that all else is on."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+from torch import Tensor
+
+_of_thread = threading.local()
+
+
+def fetched(*tensors: Tensor) -> list[np.ndarray]:
+    """Tensors `[.., N]` of the same N and type as arrays on the host, which waits for them; from a CPU they are not copied,
+    from other devices all go together."""
+    if tensors[0].device.type == "cpu":
+        return [tensor.numpy() for tensor in tensors]
+    heights = [math.prod(tensor.shape[:-1]) for tensor in tensors]
+    rows = torch.cat([tensor.reshape(height, tensor.shape[-1]) for height, tensor in zip(heights, tensors)])
+    there = torch.empty(rows.shape, dtype=rows.dtype, pin_memory=rows.is_cuda).copy_(rows)
+    return [part.reshape(tensor.shape).numpy() for part, tensor in zip(there.split(heights), tensors)]
+
+
+def sent(values: np.ndarray | Sequence, device: torch.device, dtype: torch.dtype | None = None) -> Tensor:
+    """Values of the host's as a tensor on a device, for which the host does not wait."""
+    return torch.as_tensor(values, dtype=dtype).to(device, non_blocking=True)
+
+
+@contextmanager
+def own_stream(device: torch.device) -> Iterator[None]:
+    """What this thread asks of a GPU runs beside what others ask, and beside their transfers: after what was asked for before,
+    and before what is asked for afterwards. Elsewhere nothing changes."""
+    if device.type != "cuda":
+        yield
+        return
+    if not hasattr(_of_thread, "stream"):
+        _of_thread.stream = torch.cuda.Stream(device)
+    common = torch.cuda.current_stream(device)
+    _of_thread.stream.wait_stream(common)
+    with torch.cuda.stream(_of_thread.stream):
+        yield
+    common.wait_stream(_of_thread.stream)
