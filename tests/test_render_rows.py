@@ -35,6 +35,19 @@ def gathered(one: Tensor, other: Tensor, number: Tensor) -> list[Tensor]:
     return [one.index_select(1, index) + other, other[:, index], number.index_select(0, index)]
 
 
+def bound(one: Tensor, other: Tensor, number: Tensor) -> list[Tensor]:
+    """What would be another thing row by row: three dimensions, whole numbers, other types, what is left out."""
+    large = one > number
+    both, sheet = torch.stack((one, other)), torch.stack((large[0], large[1]))
+    whole = torch.stack((large[0].int(), number))
+    joined = torch.cat((large.int(), other))
+    return [both[1].sum(0), both, large.sum(0), large.int().sum(0), sheet.any(0), whole[0] * 3, joined[0] * 3, aten.slice(one, 0, 1), one[-1]]
+
+
+def alone(one: Tensor, other: Tensor, number: Tensor) -> list[Tensor]:
+    return [number[None].sum(0), number[None].amax(0), one[0:1].sum(0)]
+
+
 def tall(one: Tensor, other: Tensor, number: Tensor) -> list[Tensor]:
     whole = torch.cat((one,) * MOST_ROWS)
     return [whole * number, whole.amax(0)]
@@ -59,7 +72,7 @@ def by_rows(function) -> torch.export.ExportedProgram:
     return _exported(Function(ByRows(graph).run), given(50))
 
 
-@pytest.mark.parametrize("function", [frames, parts, mixed, gathered, tall])
+@pytest.mark.parametrize("function", [frames, parts, mixed, gathered, bound, alone, tall])
 def test_results_are_those_of_the_function(function):
     program = by_rows(function).module()
     for count in (2, 50, 77):
@@ -69,6 +82,22 @@ def test_results_are_those_of_the_function(function):
         for one, other in zip(found, wanted):
             assert one.dtype == other.dtype
             torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-6)
+
+
+def test_results_are_no_views_of_arguments():
+    program, tensors = by_rows(alone).module(), given(7)
+    for result in program(*tensors):
+        result.zero_()
+    assert all(torch.equal(one, other) for one, other in zip(tensors, given(7)))
+
+
+def test_places_that_depend_on_sizes_are_not_fixed():
+    def function(one: Tensor, other: Tensor, number: Tensor) -> list[Tensor]:
+        return [one.select(0, number.shape[0] % 3) * 2.0]
+
+    program = by_rows(function).module()
+    for count in (49, 50, 51):
+        torch.testing.assert_close(program(*given(count)), function(*given(count)))
 
 
 @pytest.mark.parametrize("function", [frames, parts])

@@ -35,7 +35,7 @@ def as_floats(tensor: Tensor) -> Tensor:
 class CompiledFunction:
     """A function of tensors in a package of `compiling.py`; `threads` may run it side by side, others wait.
 
-    path: of the package. Raises OSError, ValueError, zipfile.BadZipFile or RuntimeError where it is none.
+    path: of the package. Raises OSError, ValueError, KeyError, zipfile.BadZipFile or RuntimeError where it is none.
     """
 
     def __init__(self, path: Path, threads: int):

@@ -39,7 +39,7 @@ def compile_package(function: torch.nn.Module, tensors: tuple[Tensor, ...], path
     try:
         with _searched_first(HEADERS), _bits_in_registers():
             _package(function, tensors, path)
-    except InductorError:  # with a PyTorch that asks more of our headers, or does without what we replace
+    except (InductorError, ImportError, AttributeError):  # PyTorch asks more of our headers, or does without what we replace
         _package(function, tensors, path)
 
 

@@ -154,5 +154,5 @@ class PixelRandom:
         index = shuffle_index(self.index - (first - 1), key)
         ones = [_places(sobol_point(index, i)) for i in range(count)]
         rows = max(-(-max(map(len, ones)) // _AT_ONCE), 1) * _AT_ONCE
-        places = [[float(point[row]) if row < len(point) else _BITS for point in ones] for row in range(rows)]
+        places = [[float(point[row] if row < len(point) else _BITS) for point in ones] for row in range(rows)]
         return _scrambled(self.pixel_keys, self._keys(key + i for i in range(count)), sent(places, self.pixel_keys.device))

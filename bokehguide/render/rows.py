@@ -44,9 +44,10 @@ class ByRows(torch.fx.Interpreter):
                 return found
         elif target is aten.unsqueeze.default and args[0].ndim == 1 and args[1] == 0:
             return _Rows([args[0]])
-        elif target in (aten.cat.default, aten.stack.default) and len(args) == 1:  # along the first dimension
-            if args[0][0].ndim == (2 if target is aten.cat.default else 1):
-                return _joined(args[0])
+        elif target is aten.stack.default and len(args) == 1:  # along the first dimension
+            found = _joined(args[0], 1)
+            if found is not None:
+                return found
         whole = pytree.tree_map(_whole, (args, kwargs), is_leaf=_is_rows)
         return super().call_function(target, *whole)
 
@@ -68,41 +69,38 @@ def _whole(value: object) -> object:
 
 def _by_rows(target, args: tuple, kwargs: dict) -> _Rows | Tensor | None:
     """What an operation on `_Rows` makes; None where it is not known here."""
-    first = args[0]
+    first, rest = args[0], args[1:]
     if torch.Tag.pointwise in getattr(target, "tags", ()) or target in AS_POINTWISE:
         return _each(target, args, kwargs)
-    if target in (aten.cat.default, aten.stack.default) and args[1:] in ((), (0,)):
-        return _joined(first)
-    if not _is_rows(first):
+    if target in (aten.cat.default, aten.stack.default) and rest in ((), (0,)):
+        return _joined(first, 2 if target is aten.cat.default else 1)
+    if not _is_rows(first) or kwargs:
         return None
-    if target is aten.select.int and args[1] == 0:
-        return first[args[2]]
-    if target is aten.unbind.int and args[1:] in ((), (0,)):
+    if target is aten.select.int and rest[0] == 0 and type(rest[1]) is int:
+        return first[rest[1]]
+    if target is aten.unbind.int and rest in ((), (0,)):
         return first
-    if target is aten.slice.Tensor and args[1:2] == (0,):
-        return _Rows(first[slice(*args[2:])])
-    if target is aten.sum.dim_IntList and args[1:] == ([0],) and not kwargs:
-        return functools.reduce(torch.add, first)
-    if target is aten.amax.default and args[1:] == ([0],):
-        return functools.reduce(torch.maximum, first)
-    if target is aten.index_select.default and args[1] == 1:
-        return _Rows(row.index_select(0, args[2]) for row in first)
+    if target is aten.slice.Tensor and rest[:1] == (0,) and all(end is None or type(end) is int for end in rest[1:]):
+        start, end, step = (*rest[1:], *(None,) * (4 - len(rest)))
+        return _Rows(first[start:end:step])
+    if target is aten.index_select.default and rest[0] == 1:
+        return _Rows(row.index_select(0, rest[1]) for row in first)
+    if len(first) > 1 and rest == ([0],) and first[0].dtype.is_floating_point:
+        if target is aten.sum.dim_IntList:
+            return functools.reduce(torch.add, first)
+        if target is aten.amax.default:
+            return functools.reduce(torch.maximum, first)
     return None
 
 
-def _joined(parts: list) -> _Rows | None:
-    """The rows of tensors `[N]` and `[C, N]`, one behind the other."""
+def _joined(parts: list, ndim: int) -> _Rows | None:
+    """The rows, of one type, of tensors of so many dimensions, one behind the other; None where they are others, or many."""
     rows = _Rows()
     for part in parts:
-        if _is_rows(part):
-            rows.extend(part)
-        elif part.ndim == 1:
-            rows.append(part)
-        elif _few(part.shape[0]):
-            rows.extend(part.unbind(0))
-        else:
+        if (2 if _is_rows(part) else part.ndim) != ndim or not (ndim == 1 or _is_rows(part) or _few(part.shape[0])):
             return None
-    return rows
+        rows.extend(part if _is_rows(part) else [part] if ndim == 1 else part.unbind(0))
+    return rows if len(rows) <= MOST_ROWS and len({row.dtype for row in rows}) == 1 else None
 
 
 def _each(target, args: tuple, kwargs: dict) -> _Rows | None:
