@@ -61,7 +61,8 @@ def _check(status: int) -> None:
 
 
 def _library(path: Path) -> tuple[ctypes.CDLL, list[int]]:
-    """The library in a package, and the places of the tensors that it asks for. Raises RuntimeError where it calls what only PyTorch's loader could provide."""
+    """The library in a package, and the places of the tensors that it asks for. Raises RuntimeError where it calls what only
+    PyTorch's loader could provide."""
     with zipfile.ZipFile(path) as package:
         names = package.namelist()
         (library,) = (name for name in names if name.endswith(".so"))

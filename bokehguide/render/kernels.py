@@ -29,7 +29,6 @@ SOURCES = tuple(Path(__file__).parent.parent / name for name in ("render", "mode
 """Folders of the code that kernels are made of."""
 
 
-
 class _Compiling:
     """Whether kernels are compiled, for all of the process: how many threads run them; where they are kept."""
 

@@ -39,8 +39,8 @@ def guide_counts(batch: GuidedBatch | None, weight: Tensor) -> Tensor:
 
 @dataclass
 class BatchResult:
-    """What a batch leaves behind, beside the film: counts are those of the guide (`guide_counts`), records are cells, positions and luminance for the record buffer; lights
-    are for the light guide."""
+    """What a batch leaves behind, beside the film: counts are those of the guide (`guide_counts`), records are cells, positions
+    and luminance for the record buffer; lights are for the light guide."""
 
     samples: int
     rays: int
@@ -56,7 +56,7 @@ def step_stats(step: int, results: list[BatchResult], seconds: float, gaussians:
     # On a GPU the host waits for these here, once, and not in each batch.
     counted = [result.counts for result in results if result.counts is not None]
     counts = torch.stack(counted).sum(0).tolist() if counted else [0.0, 0.0, 0.0]
-    kl = float(sum(result.lesson.kl for result in results if result.lesson is not None))
+    kl = float(sum(result.lesson.kl.double() for result in results if result.lesson is not None))
     work = (sum(result.samples for result in results), sum(result.rays for result in results))
     samples, rays, guided, outside, beta, kl = ranks.totals(*work, *counts, kl)
     kl, beta, outside = (value / guided if guided else math.nan for value in (kl, beta, outside))
