@@ -94,7 +94,7 @@ def _run(function, args: tuple, kwargs: dict):
         return _copied(function, args, kwargs)
     if there and any(tensor.ndim > 0 for tensor in here) and function is not aten.index.Tensor:
         raise RuntimeError(f"{function}: tensors here and there at {_place()}")
-    if there and (function in WAITED_FOR or function is aten.index.Tensor and _masks(args[1])):
+    if there and _is_waited_for(function, args, kwargs):
         _count(function)
     made = _on_host(function, args, kwargs)
     on_device = torch.device(asked).type == NAME if asked is not None else bool(there)
@@ -102,6 +102,12 @@ def _run(function, args: tuple, kwargs: dict):
         return made
     known = {id(leaf.data_on_host): leaf for leaf in there}  # what was changed in place is the same tensor as before
     return pytree.tree_map_only(torch.Tensor, lambda value: known[id(value)] if id(value) in known else OnDevice(value), made)
+
+
+def _is_waited_for(function, args: tuple, kwargs: dict) -> bool:
+    if function is aten.repeat_interleave.Tensor and kwargs.get("output_size") is not None:
+        return False
+    return function in WAITED_FOR or function is aten.index.Tensor and _masks(args[1])
 
 
 def _masks(index: object) -> bool:

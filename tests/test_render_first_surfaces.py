@@ -119,9 +119,9 @@ def scattered(material: Material, count: int = 900) -> PathSamples:
     tracer = PathTracer(lit(material))
     origin = torch.tensor([0.0, 1.2, 0.6])[:, None].repeat(1, count)
     direction = torch.nn.functional.normalize(torch.randn(3, count, generator=torch.Generator().manual_seed(2)), dim=0)
-    index = (torch.arange(count) % 3 > 0).nonzero()[:, 0]
+    alive = torch.arange(count) % 3 / 2.0
     random, parts = PixelRandom(0, 1, torch.arange(count)), torch.arange(count) % 4 + 1
-    return tracer.trace(origin, direction, random, PhaseTimer(), index=index, parts=parts)
+    return tracer.trace(origin, direction, random, PhaseTimer(), alive=alive, parts=parts)
 
 
 @pytest.mark.parametrize("name", ["coated", "spotlight", "textured"])

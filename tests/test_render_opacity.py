@@ -13,7 +13,8 @@ from bokehguide.render.geometry import Geometry
 from bokehguide.render.opacity import Opacity
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
-from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.render.timer import PhaseTimer
+from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.scene.types import Material, Mesh, Texture
 from tests.brute_force import every_hit
 from tests.statistical import SIGNIFICANCE, z_test
@@ -61,12 +62,59 @@ def rays(count: int) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.from_numpy(origins).float(), torch.from_numpy(directions).float()
 
 
+def stops(opacity: Opacity, origins: torch.Tensor, directions: torch.Tensor, random: PixelRandom) -> Hit:
+    """Where all of the rays stop, those too that leave the scene."""
+    arrivals, _ = opacity.nearest(origins, directions, random, 1000, PhaseTimer())
+    count = origins.shape[1]
+    met = torch.arange(count) if arrivals.met is None else arrivals.met
+    assert torch.equal(torch.cat((met, arrivals.missed)).sort().values, torch.arange(count)) and len(arrivals.ended) == 0
+    hit = Hit(torch.full((count,), -1, dtype=torch.int32), torch.full((count,), MISS_DISTANCE), *torch.zeros(2, count))
+    for values, found in zip(hit, arrivals.hit):
+        values[met] = found
+    return hit
+
+
+@pytest.mark.parametrize("sheer", [False, True])
+@pytest.mark.parametrize("ended", [0, 1500, 4000])
+def test_rays_are_sorted_by_what_becomes_of_them(sheer, ended):
+    meshes, materials = soup()
+    materials = materials if sheer else [matte()] * 4
+    materials[2] = replace(materials[2], emission=(1.0, 1.0, 1.0))
+    origins, directions = rays(4000)
+    alive = torch.ones(4000)
+    alive[torch.randperm(4000, generator=torch.Generator().manual_seed(3))[:ended]] = 0.0
+    opacity, random = Opacity(Geometry(scene(meshes, materials)), tuple(meshes)), PixelRandom(0, 0, torch.arange(4000))
+    found, traced = opacity.nearest(origins, directions, random, 1000, PhaseTimer(), alive)
+    every = stops(opacity, origins, directions, random)
+    met = torch.arange(4000) if found.met is None else found.met
+    assert torch.equal(found.ended, (alive == 0.0).nonzero()[:, 0])
+    assert torch.equal(found.missed, ((alive > 0.0) & (every.triangle < 0)).nonzero()[:, 0])
+    assert torch.equal(met, ((alive > 0.0) & (every.triangle >= 0)).nonzero()[:, 0])
+    assert all(torch.equal(values, whole[met]) for values, whole in zip(found.hit, every))
+    assert torch.equal(found.lamps, (found.hit.triangle // 16 == 2).nonzero()[:, 0])
+    assert traced >= 4000 - ended if sheer else traced == 4000 - ended
+
+
+@pytest.mark.parametrize("sheer", [False, True])
+def test_shadow_rays_that_are_worth_nothing_are_not_traced(sheer):
+    meshes, materials = soup()
+    origins, directions = rays(4000)
+    opacity = Opacity(Geometry(scene(meshes, materials if sheer else [matte()] * 4)), tuple(meshes))
+    limit, worth = torch.full((4000,), 3.0), (torch.arange(4000) % 3).float()
+    every, most = opacity.transmittance(origins, directions, limit, torch.ones(4000), PhaseTimer())
+    found, traced = opacity.transmittance(origins, directions, limit, worth, PhaseTimer())
+    assert torch.equal(found, every * (worth > 0.0)) and 0.0 < float(every.mean()) < 1.0
+    assert traced < 0.7 * most if sheer else (traced, most) == (2666, 4000)
+    nothing, none = opacity.transmittance(origins, directions, limit, torch.zeros(4000), PhaseTimer())
+    assert not nothing.any() and none == 0
+
+
 def test_transmittance_is_the_product_over_all_crossings():
     meshes, materials = soup()
     origins, directions = rays(4000)
     limit = torch.from_numpy(np.random.default_rng(9).uniform(0.0, 4.0, 4000)).float()
     opacity = Opacity(Geometry(scene(meshes, materials)), tuple(meshes))
-    found, traced = opacity.transmittance(origins, directions, limit)
+    found, traced = opacity.transmittance(origins, directions, limit, torch.ones(4000), PhaseTimer())
     met = crossings(meshes, origins.numpy(), directions.numpy()) < limit.numpy()[:, None]
     expected = np.where(met, 1.0 - OPACITY, 1.0).prod(axis=1)
     assert ((met & (OPACITY < 1.0)).sum(axis=1) > 2).sum() > 100 and traced > 4000
@@ -77,7 +125,7 @@ def test_nearest_stops_at_each_surface_as_often_as_it_is_opaque():
     meshes, materials = soup()
     origins, directions = rays(40_000)
     opacity = Opacity(Geometry(scene(meshes, materials)), tuple(meshes))
-    hit, _ = opacity.nearest(origins, directions, PixelRandom(0, 0, torch.arange(40_000)), 1000)
+    hit = stops(opacity, origins, directions, PixelRandom(0, 0, torch.arange(40_000)))
     t = crossings(meshes, origins.numpy(), directions.numpy())
     order = t.argsort(axis=1)
     crossed = np.isfinite(np.take_along_axis(t, order, axis=1))
@@ -87,11 +135,11 @@ def test_nearest_stops_at_each_surface_as_often_as_it_is_opaque():
     np.put_along_axis(probability, order, np.where(crossed, reached[:, :-1] * OPACITY[order], 0.0), axis=1)
     probability[:, -1] = reached[:, -1]
     triangle = hit.triangle.numpy()
-    stops = np.eye(t.shape[1] + 1)[triangle]
+    found = np.eye(t.shape[1] + 1)[triangle]
     assert (probability[np.arange(len(t)), triangle] > 0.0).mean() > 0.998
     error = np.sqrt((probability * (1.0 - probability)).sum(axis=0)) + 2e-4 * len(t)
     used = probability.sum(axis=0) > 20
-    assert z_test((stops - probability).sum(axis=0)[used], error[used]) > SIGNIFICANCE
+    assert z_test((found - probability).sum(axis=0)[used], error[used]) > SIGNIFICANCE
     met = triangle >= 0
     same = probability[np.arange(len(t)), triangle] > 0.0
     np.testing.assert_allclose(hit.distance.numpy()[met & same], t[np.arange(len(t)), triangle][met & same], rtol=1e-3, atol=1e-4)
@@ -107,10 +155,10 @@ def test_a_sheet_counts_once_however_it_is_met(away, tilt):
     meshes = (plate, rectangle(1, (away, 0.0, 200.0), scale=9.0))
     opacity = Opacity(Geometry(scene(meshes, [sheet(0.4), matte()])), meshes)
     met = crossings([plate], origins.numpy(), directions.numpy()) < 150.0
-    share, _ = opacity.transmittance(origins, directions, torch.full((2000,), 150.0))
+    share, _ = opacity.transmittance(origins, directions, torch.full((2000,), 150.0), torch.ones(2000), PhaseTimer())
     np.testing.assert_allclose(share.numpy(), 1.0 - 0.4 * met.any(axis=1), rtol=1e-6)
     random = PixelRandom(0, 0, torch.arange(2000))
-    hit, _ = opacity.nearest(origins, directions, random, 1000)
+    hit = stops(opacity, origins, directions, random)
     assert (hit.triangle.numpy() >= 0).tolist() == (met.any(axis=1) & (random.uniform(1000, 1)[0].numpy() < 0.4)).tolist()
 
 
@@ -120,9 +168,9 @@ def test_a_wall_close_behind_a_sheet_is_met():
     opacity = Opacity(Geometry(scene(meshes, [sheet(0.0), matte()])), meshes)
     direction = torch.nn.functional.normalize(torch.tensor([[0.05], [0.02], [-1.0]]), dim=0).repeat(1, 100)
     origins = torch.tensor([[0.3], [0.2], [50.0]]).repeat(1, 100)
-    hit, _ = opacity.nearest(origins, direction, PixelRandom(0, 0, torch.arange(100)), 1000)
+    hit = stops(opacity, origins, direction, PixelRandom(0, 0, torch.arange(100)))
     assert (hit.triangle >= 2).all()
-    assert not opacity.transmittance(origins, direction, torch.full((100,), 90.0))[0].any()
+    assert not opacity.transmittance(origins, direction, torch.full((100,), 90.0), torch.ones(100), PhaseTimer())[0].any()
 
 
 def test_a_sheet_before_a_constant_sky():

@@ -246,16 +246,16 @@ def as_in_a_render(points: torch.Tensor) -> LightChoice:
 
 
 def traced(
-    scene: Scene, directions, choose=as_in_a_render, count: int = COUNT, index: torch.Tensor | None = None, bright: float = 0.0
+    scene: Scene, directions, choose=as_in_a_render, count: int = COUNT, alive: torch.Tensor | None = None, bright: float = 0.0
 ) -> PathSamples:
-    """Paths from the eye; directions: one, or `[3, N]`; index: of those to be traced, if not all are."""
+    """Paths from the eye; directions: one, or `[3, N]`; alive: positive for those to be traced, if not all are."""
     directions = np.asarray(directions, np.float64)
     directions = np.repeat(directions[:, None], count, axis=1) if directions.ndim == 1 else directions
     directions = torch.tensor(directions / np.linalg.norm(directions, axis=0), dtype=torch.float32)
     random = PixelRandom(0, 1, torch.arange(directions.shape[1]))
     with torch.no_grad():
         tracer = PathTracer(scene)
-        return tracer.trace(torch.zeros_like(directions), directions, random, PhaseTimer(), choose=choose, index=index, bright=bright)
+        return tracer.trace(torch.zeros_like(directions), directions, random, PhaseTimer(), choose=choose, alive=alive, bright=bright)
 
 
 def lit(samples: PathSamples) -> np.ndarray:
@@ -555,8 +555,9 @@ def test_without_a_choice_of_lights_there_are_no_images():
 def test_some_of_the_rays_bring_what_they_bring_among_all(choose):
     """To the bit; the others met nothing, as if they had been sent into the void."""
     index = torch.arange(100) * 3 + 1
+    alive = torch.zeros(300).index_fill(0, index, 0.3)
     all_of_them, some, none = (
-        vars(traced(flat_mirror(), image_in_mirror(LAMP_PLACE), choose, 300, index)) for index in (None, index, index[:0])
+        vars(traced(flat_mirror(), image_in_mirror(LAMP_PLACE), choose, 300, rays)) for rays in (None, alive, 0.0 * alive)
     )
     others = torch.ones(300, dtype=torch.bool).index_fill(0, index, False)
     assert some.pop("rays") < all_of_them.pop("rays") and none.pop("rays") == 0

@@ -96,7 +96,8 @@ def test_rays_that_miss_and_rays_that_are_not_traced_do_not_split():
     direction = torch.nn.functional.normalize(torch.randn(3, count, generator=torch.Generator().manual_seed(2)), dim=0)
     parts, index = torch.arange(count) % 4 + 1, torch.arange(0, count, 3)
     random = PixelRandom(0, 1, torch.arange(count))
-    found = tracer.trace(origin, direction, random, PhaseTimer(), index=index, parts=parts).radiance
+    alive = torch.zeros(count).index_fill(0, index, 0.5)
+    found = tracer.trace(origin, direction, random, PhaseTimer(), alive=alive, parts=parts).radiance
     expected = tracer.trace(origin, direction, random, PhaseTimer(), parts=parts).radiance
     assert torch.equal(found[:, index], expected[:, index])
     assert not found.index_fill(1, index, 0.0).any()

@@ -33,7 +33,7 @@ def lamp_yield(lamps: int = LAMPS) -> LampYield:
 def all_slots(learnt: LampYield, lamps: int = LAMPS) -> np.ndarray:
     """Of each pixel and lamp, `[HEIGHT, WIDTH, lamps]`."""
     pixels = WIDTH * HEIGHT
-    lamp, owner = torch.arange(lamps).repeat(pixels), owners(torch.arange(pixels + 1) * lamps)
+    lamp, owner = torch.arange(lamps).repeat(pixels), owners(torch.arange(pixels + 1) * lamps, pixels * lamps)
     return learnt.slots(slice(0, pixels), owner, lamp).reshape(HEIGHT, WIDTH, lamps).numpy()
 
 

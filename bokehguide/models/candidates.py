@@ -38,7 +38,7 @@ class CandidateList:
         """Starts `[N + 1]` from 0 and Gaussians int64 of N pixels."""
         if isinstance(pixels, slice):
             start = self.start[pixels.start : pixels.stop + 1]
-            low, high = int(start[0]), int(start[-1])
+            low, high = torch.stack((start[0], start[-1])).tolist()
             return start - low, self.gaussian[low:high].long()
         first = take(self.start[:-1], pixels)
         counts = take(self.start[1:], pixels) - first

@@ -99,7 +99,7 @@ class DiscLensDistribution(LensMixture):
         factor: Tensor,
         shapes: Shapes | None = None,
     ):
-        owner, radius = owners(start), sent(lens.radius, focus.device, torch.float32)
+        owner, radius = owners(start, len(weight)), sent(lens.radius, focus.device, torch.float32)
         all_of_it = weight
         self.ellipses, weight = _ellipses(mean, outline, focus.index_select(1, owner), weight, radius)
         self._parts: list[SeenSky | SeenPanels] = []

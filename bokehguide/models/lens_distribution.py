@@ -66,7 +66,7 @@ class LensMixture:
 
     def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, weight: Tensor):
         self.lens, self.focus = lens, focus
-        self.owner = owners(start)
+        self.owner = owners(start, len(weight))
         """Pixel `[M]` that each candidate belongs to."""
         kept = weight.double()
         total = torch.zeros(focus.shape[1], dtype=torch.float64, device=kept.device).index_add_(0, self.owner, kept)
@@ -115,9 +115,9 @@ class LensMixture:
         return self.pdf(points).log()
 
 
-def owners(start: Tensor) -> Tensor:
-    """Pixel int64 `[M]` that each candidate of a packed list belongs to; start: int64 `[N + 1]`."""
-    return torch.repeat_interleave(start[1:] - start[:-1])
+def owners(start: Tensor, count: int) -> Tensor:
+    """Pixel int64 `[M]` that each candidate of a packed list belongs to; start: int64 `[N + 1]`; count: M."""
+    return torch.repeat_interleave(start[1:] - start[:-1], output_size=count)
 
 
 class GuidedLensDistribution(LensMixture):
@@ -129,7 +129,7 @@ class GuidedLensDistribution(LensMixture):
 
     def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, mean: Tensor, sigma: Tensor, weight: Tensor):
         self.mean, self.sigma = mean, sigma
-        self._focus = focus.index_select(1, owners(start))
+        self._focus = focus.index_select(1, owners(start, len(weight)))
         super().__init__(lens, focus, beta, start, weight * self._is_kept(lens))
 
     def _is_kept(self, lens: Lens) -> Tensor:

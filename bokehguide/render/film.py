@@ -194,8 +194,9 @@ class Film:
 
     def light(self, pixels: Pixels = slice(None)) -> tuple[float, float]:
         """Luminance of all samples of some pixels, and their number."""
-        total = luminance(take(self._radiance, pixels)).cpu().numpy().sum()  # in an order that no thread count changes
-        return float(total), float(take(self._count, pixels).cpu().numpy().sum())
+        seen = torch.stack((luminance(take(self._radiance, pixels)), take(self._count, pixels)))
+        total, count = seen.cpu().numpy().sum(1)  # in an order that no thread count changes
+        return float(total), float(count)
 
     def mean_luminance(self) -> float:
         """Mean luminance of the frame so far."""

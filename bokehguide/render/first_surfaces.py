@@ -24,7 +24,7 @@ class FirstSurfaces:
 
     index: the rays, int64 `[K]`, ascending; hit, met: the surfaces, `[K]`; emission: what they emit towards the rays'
     origins, `[3, K]`; owner: of which of them each path is, int64 `[P]`, ascending; surface: the same surfaces once for each
-    path. Of each path, `[3, P]`: towards_light, the unit direction of its light sample, and direct, the radiance that this
+    path; parts: into how many each ray split, int64 `[K]`. Of each path, `[3, P]`: towards_light, the unit direction of its light sample, and direct, the radiance that this
     brought along the ray; onward, the direction in which it went on, and indirect, what came from there.
     """
 
@@ -35,6 +35,7 @@ class FirstSurfaces:
     emission: Tensor
     owner: Tensor
     surface: Surface
+    parts: Tensor
     indirect: Tensor
     direct: Tensor | None = None
     towards_light: Tensor | None = None
@@ -45,8 +46,6 @@ class FirstSurfaces:
         """Ray of each path, int64 `[P]`."""
         if self.direct is None:  # without lights to sample
             self.direct, self.towards_light = torch.zeros_like(self.indirect), self.surface.normal
-        self._counts = torch.bincount(self.owner, minlength=len(self.index))
-        """Of paths, of each surface, int64 `[K]`."""
         self._incident: tuple[Tensor, Tensor] | None = None
         self._normals: list[Tensor] | None = None
 
@@ -67,9 +66,9 @@ class FirstSurfaces:
         if self._incident is None:
             ways = (self.towards_light, self.onward)
             self._incident = _incident(self.surface, self.surface.outgoing, ways, (self.direct, self.indirect))
-        counts = self._counts.index_select(0, chosen)
+        counts = self.parts.index_select(0, chosen)
         asked = torch.repeat_interleave(counts)
-        first = (self._counts.cumsum(0) - self._counts).index_select(0, chosen) - (counts.cumsum(0) - counts)
+        first = (self.parts.cumsum(0) - self.parts).index_select(0, chosen) - (counts.cumsum(0) - counts)
         paths = torch.arange(len(asked), device=asked.device) + first.index_select(0, asked)
         surface = self.surface.select(paths)
         ways, incident = (

@@ -13,6 +13,7 @@ from bokehguide.render.kernels import kernel, record
 from bokehguide.render.materials import CLEARCOAT_F0, Materials
 from bokehguide.render.pixels import indices, put
 from bokehguide.render.tracer import Hit, Tracer
+from bokehguide.render.transfers import sent
 from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
 from bokehguide.scene.types import Scene
 
@@ -112,7 +113,7 @@ class Geometry:
     def corners(self, triangle: Tensor) -> Tensor:
         """Vertex positions `[corner, component, N]` of triangles `[N]`."""
         corners = self._vertices[self._triangles[triangle.cpu().numpy()]]
-        return torch.from_numpy(corners).permute(1, 2, 0).contiguous().to(self.device)
+        return sent(torch.from_numpy(corners).permute(1, 2, 0).contiguous(), self.device)
 
     def corner_normals(self, triangle: Tensor) -> Tensor:
         """Shading normals `[corner, component, N]` at the corners of triangles `[N]`."""

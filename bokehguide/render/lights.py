@@ -145,7 +145,14 @@ class Lights:
             chosen = _learnt(query.choice.table, query.choice.row, query.environment_share, uniforms[0], self._first_far)
             by_cell, sky = chosen[1] > 0.0, chosen[2] > 0.0
             query = replace(query, by_cell=by_cell, cluster=chosen[0])
-        # The one kind is drawn for all points, where there is any, and the rarer one then put in its place.
+        if self._sky == 0.0:
+            return self._sample_triangles(query, uniforms[1:])
+        if len(self._triangles) == 0:
+            return self._sample_environment(query, uniforms[1:])
+        if sky.device.type != "cpu":  # less work than to wait for how many there are of each kind
+            kinds = zip(self._sample_environment(query, uniforms[1:]), self._sample_triangles(query, uniforms[1:]))
+            return LightSample(*(None if far is None else torch.where(sky, far, near) for far, near in kinds))
+        # The one kind is drawn for all points, and the rarer one then put in its place.
         rare, draw_rare, draw_most = indices(sky), self._sample_environment, self._sample_triangles
         if 2 * len(rare) > len(sky):
             rare, draw_rare, draw_most = indices(~sky), draw_most, draw_rare
@@ -201,6 +208,8 @@ class Lights:
         """A cluster for each point, from uniform numbers `[N]`, as far as it is not chosen yet."""
         if not query.learnt:
             return self._grid.sample_cluster(query.cells, uniforms)
+        if query.by_cell.device.type != "cpu":
+            return torch.where(query.by_cell, self._grid.sample_cluster(query.cells, uniforms), query.cluster.clamp(max=self._grid.clusters - 1))
         index = indices(query.by_cell)
         by_cell = self._grid.sample_cluster(query.cells.index_select(0, index), uniforms.index_select(0, index))
         cluster = query.cluster.clamp(max=self._grid.clusters - 1)

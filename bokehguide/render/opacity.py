@@ -1,10 +1,15 @@
-"""What rays meet where some surfaces let light through: alpha masks and blended sheets.
+"""What rays meet, where some surfaces may let light through: alpha masks and blended sheets.
 
 Embree knows triangles only. Rays that scatter are sent on from a sheer surface by chance,
 1 - opacity of them; shadow rays go through all of them and are dimmed.
+
+Rays are traced on the host, and sorted out there as well: which of them are traced at all, and what becomes of them. So what is
+asked for on a GPU never waits for how many they are, but once for rays and once for shadow rays.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,15 +17,28 @@ from torch import Tensor
 
 from bokehguide.render import triangles
 from bokehguide.render.geometry import Geometry, leaving_distance
-from bokehguide.render.pixels import indices
+from bokehguide.render.pixels import indices, parted
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import Hit, Tracer
+from bokehguide.render.transfers import fetched, sent
 from bokehguide.scene.types import Mesh
 
 MAX_CROSSINGS = 256
 """A ray that went through this many surfaces stops at the next one."""
 SHORT = 1.0 / 16.0
 """Beyond a sheer surface rays start this much nearer to it than scattered ones: a wall may be close behind a decal."""
+
+
+class Arrivals(NamedTuple):
+    """What became of N rays: places, int64, of those that had ended before, of those that left the scene and of those that met a
+    surface, None where all did; where they met it, as many; and which of those, int64, met lamps."""
+
+    ended: Tensor
+    missed: Tensor
+    met: Tensor | None
+    hit: Hit
+    lamps: Tensor
 
 
 class Opacity:
@@ -32,24 +50,58 @@ class Opacity:
     def __init__(self, geometry: Geometry, meshes: tuple[Mesh, ...]):
         self._geometry = geometry
         sheer = geometry.materials.sheer.tolist()
+        self._emits = geometry.materials.emissive.index_select(0, geometry.material).cpu()
+        """Which triangles are lamps, bool `[T]`, on the host."""
         self._opaque, self._sheer = geometry.tracer, None
         if geometry.materials.has_sheer:
             self._opaque, _ = _part(meshes, [not sheer[mesh.material] for mesh in meshes])
             self._sheer, numbers = _part(meshes, [sheer[mesh.material] for mesh in meshes])
             self._numbers = torch.from_numpy(numbers).to(geometry.device)
 
-    def nearest(self, origins: Tensor, directions: Tensor, random: PixelRandom, dimension: int) -> tuple[Hit, int]:
-        """Surfaces that rays `[3, N]` stop at, and the number of rays traced.
+    def nearest(
+        self,
+        origins: Tensor,
+        directions: Tensor,
+        random: PixelRandom,
+        dimension: int,
+        timer: PhaseTimer,
+        alive: Tensor | None = None,
+    ) -> tuple[Arrivals, int]:
+        """What surfaces rays `[3, N]` stop at, and the number of rays traced.
 
-        Surface by surface the rays use up one random dimension from `dimension` on.
-        Distances are from the origins.
+        alive: positive, `[N]`, for those that have not ended before, where some may have. Surface by surface the rays use up one
+        random dimension from `dimension` on. Distances are from the origins.
         """
-        tracer, geometry = self._geometry.tracer, self._geometry
-        hit = tracer.intersect(origins, directions)
-        rays = origins.shape[1]
-        if self._sheer is None:
-            return hit, rays
-        index = torch.arange(rays, device=origins.device)
+        origin, direction, *going = fetched(origins, directions, *(() if alive is None else (alive,)))
+        going, ended = parted(going[0] > 0.0) if going else (None, torch.zeros(0, dtype=torch.int64))
+        if len(ended) > 0:
+            origin, direction = origin.index_select(1, going), direction.index_select(1, going)
+        with timer.measure("tracing rays"):
+            hit = self._geometry.tracer.intersect(origin, direction)
+        traced, device = len(hit.triangle), origins.device
+        if self._sheer is not None:
+            if len(ended) > 0:
+                index = sent(going, device)
+                origins, directions, random = origins.index_select(1, index), directions.index_select(1, index), random.select(index)
+            hit, more = self._beyond_sheer(origins, directions, hit, random, dimension, timer)
+            traced += more
+        missed, met = parted(hit.triangle < 0)
+        if len(missed) > 0:
+            hit = Hit(*(field.index_select(0, met) for field in hit))
+        lamps = indices(self._emits.index_select(0, hit.triangle))
+        if len(ended) > 0:
+            missed, met = going.index_select(0, missed), going.index_select(0, met)
+        met = sent(met, device) if len(ended) + len(missed) > 0 else None
+        ended, missed, lamps, *hit = (sent(values, device) for values in (ended, missed, lamps, *hit))
+        return Arrivals(ended, missed, met, Hit(*hit), lamps), traced
+
+    def _beyond_sheer(
+        self, origins: Tensor, directions: Tensor, hit: Hit, random: PixelRandom, dimension: int, timer: PhaseTimer
+    ) -> tuple[Hit, int]:
+        """Where rays stop that meet `hit`, on the host, first; and the number of rays traced on the way."""
+        tracer, geometry, rays = self._geometry.tracer, self._geometry, 0
+        hit = Hit(*(sent(field, origins.device) for field in hit))
+        index = torch.arange(len(hit.triangle), device=origins.device)
         last = torch.full_like(hit.triangle, -1)
         for crossing in range(MAX_CROSSINGS):
             index = index[hit.triangle[index] >= 0]
@@ -64,25 +116,44 @@ class Opacity:
                 break
             last[index] = hit.triangle[index]
             start, origin = _beyond(origins[:, index], directions[:, index], hit.distance[index], again[goes_on])
-            found = tracer.intersect(origin, directions[:, index])
+            with timer.measure("tracing rays"):
+                found = tracer.intersect(origin, directions[:, index])
             rays += len(index)
             for field, value in zip(hit, found._replace(distance=found.distance + start)):
                 field[index] = value
-        return hit, rays
+        triangle, *others = fetched(hit.triangle.view(torch.float32), *hit[1:])
+        return Hit(triangle.view(torch.int32), *others), rays
 
-    def transmittance(self, origins: Tensor, directions: Tensor, distances: Tensor) -> tuple[Tensor, int]:
-        """Share of the light `[N]` that comes through within `distances` `[N]` of rays `[3, N]`, and rays traced."""
-        rays = origins.shape[1]
-        share = torch.ones_like(distances)
+    def transmittance(
+        self, origins: Tensor, directions: Tensor, distances: Tensor, worth: Tensor, timer: PhaseTimer
+    ) -> tuple[Tensor, int]:
+        """Share of the light `[N]` that comes through within `distances` `[N]` of rays `[3, N]`, and rays traced.
+
+        worth: positive, `[N]`, for the rays that are asked for; 0 comes through along the others.
+        """
+        device = origins.device
+        *rays, worth = fetched(origins, directions, distances, worth)
+        index = indices(worth > 0.0)
+        some = len(index) < len(worth)
+        rays = [values.index_select(-1, index) for values in rays] if some else rays
+        traced, share = len(index), torch.ones(len(index))
         if self._opaque is not None:
-            share = self._opaque.visible(origins, directions, distances)
+            with timer.measure("tracing rays"):
+                share = self._opaque.visible(*rays)
+        share = torch.zeros(len(worth)).scatter_(0, index, share) if some else share
+        share = sent(share, device)
         if self._sheer is None:
-            return share, rays
-        index = indices(share > 0.0)
+            return share, traced
+        return share, traced + self._dim(share, origins, directions, distances, timer)
+
+    def _dim(self, share: Tensor, origins: Tensor, directions: Tensor, distances: Tensor, timer: PhaseTimer) -> int:
+        """Take from the share of the light that comes through what sheer surfaces stop; returns the number of rays traced."""
+        index, rays = indices(share > 0.0), 0
         start, origin = torch.zeros_like(distances[index]), origins[:, index]
         last = torch.full_like(index, -1)
         for _ in range(MAX_CROSSINGS):
-            found = self._sheer.intersect(origin, directions[:, index], distances[index] - start)
+            with timer.measure("tracing rays"):
+                found = self._sheer.intersect(origin, directions[:, index], distances[index] - start)
             rays += len(index)
             met = indices(found.triangle >= 0)
             index, found = index[met], Hit(*(field[met] for field in found))
@@ -96,7 +167,7 @@ class Opacity:
             if len(index) == 0:
                 break
         share[index] = 0.0
-        return share, rays
+        return rays
 
 
 def _beyond(origins: Tensor, directions: Tensor, distance: Tensor, again: Tensor) -> tuple[Tensor, Tensor]:

@@ -22,9 +22,9 @@ from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
-from bokehguide.render.opacity import MAX_CROSSINGS, Opacity
+from bokehguide.render.opacity import MAX_CROSSINGS, Arrivals, Opacity
 from bokehguide.render.pencils import Images
-from bokehguide.render.pixels import increase, indices, parted, put
+from bokehguide.render.pixels import increase, put
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
 from bokehguide.render.timer import PhaseTimer
@@ -94,14 +94,14 @@ class _Rays(NamedTuple):
     """The next segments of paths.
 
     vertex: where the last scattering was and lights were sampled for; origin: the same, off the surface; pdf: of the direction;
-    going: which of them go on, int64 `[K]`, None where all do. What the others hold means nothing.
+    alive: positive, `[N]`, where paths go on, None where all do. What the others hold means nothing.
     """
 
     vertex: Tensor
     origin: Tensor
     direction: Tensor
     pdf: Tensor
-    going: Tensor | None = None
+    alive: Tensor | None = None
 
     def select(self, index: Tensor) -> _Rays:
         return _Rays(*(values.index_select(-1, index) for values in self[:4]))
@@ -144,6 +144,11 @@ class _Paths:
         """Add the radiance of all of them to what paths brought."""
         increase(self.brought, self.index, self.radiance)
 
+    def end(self, ended: Tensor) -> None:
+        """Add the radiance of those at `ended`, int64 `[K]`, that do not go on."""
+        unknown = 0.0 * self.throughput.index_select(1, ended)  # a NaN is the film's to report
+        increase(self.brought, self.index.index_select(0, ended), self.radiance.index_select(1, ended) + unknown)
+
 
 class PathTracer:
     """Radiance along batches of rays. Threads may call `trace` side by side.
@@ -165,24 +170,21 @@ class PathTracer:
         timer: PhaseTimer,
         max_depth: int | None = None,
         choose: Callable[[Tensor], LightChoice] | None = None,
-        index: Tensor | None = None,
+        alive: Tensor | None = None,
         parts: Tensor | None = None,
         bright: float = 0.0,
     ) -> PathSamples:
         """Trace rays with world origins and unit directions `[3, N]`; one path a ray, of max_depth segments if given.
 
-        choose: how lights are chosen at first surfaces, by their positions `[3, N]`. index: of the rays to be traced, int64
-        `[K]`, if not all are; the others meet nothing. parts: into how many paths each splits at its first surface (Arvo and
+        choose: how lights are chosen at first surfaces, by their positions `[3, N]`. alive: positive, `[N]`, for the rays to be
+        traced, if not all are; the others meet nothing. parts: into how many paths each splits at its first surface (Arvo and
         Kirk 1990), int64 `[N]`, at least 1. bright: luminance from which on it matters where light appears to come from.
         """
         result = PathSamples.empty(origin.shape[1], origin.device)
         images = None if choose is None else Images(self.geometry, origin.shape[1])
-        if index is None:
-            index = torch.arange(origin.shape[1], device=origin.device)
-        else:
-            origin, direction, random = origin.index_select(1, index), direction.index_select(1, index), random.select(index)
+        index = torch.arange(origin.shape[1], device=origin.device)
         pdf = torch.full(index.shape, DELTA_PDF, device=origin.device)
-        rays = _Rays(origin, origin, direction, pdf)
+        rays = _Rays(origin, origin, direction, pdf, alive)
         paths = _Paths(result.radiance, index, torch.ones_like(origin), torch.zeros_like(origin), random, None)
         last = max_depth or self.max_depth
         for depth in range(1, last + 1):
@@ -209,21 +211,19 @@ class PathTracer:
         timer: PhaseTimer,
     ) -> tuple[_Paths, _Rays | None]:
         """Trace the paths to their next surface, gather light there, and choose how they go on; None where none does."""
-        going, random = rays.going, paths.random if rays.going is None else paths.random.select(rays.going)
-        origin, direction = _taken(rays.origin, going), _taken(rays.direction, going)
-        with timer.measure("tracing rays"):
-            hit, traced = self.opacity.nearest(origin, direction, random, FIRST_CROSSING + MAX_CROSSINGS * depth)
+        crossing = FIRST_CROSSING + MAX_CROSSINGS * depth
+        found, traced = self.opacity.nearest(rays.origin, rays.direction, paths.random, crossing, timer, rays.alive)
         result.rays += traced
-        beyond = images if depth > 1 else None
-        missed, met = parted(hit.triangle < 0)
-        if len(missed) > 0:
-            gone = missed if going is None else going.index_select(0, missed)
-            self._end_in_environment(paths.select(gone), rays.select(gone), depth, beyond, result)
-            hit, origin, direction = Hit(*(_taken(field, met) for field in hit)), _taken(origin, met), _taken(direction, met)
-            going = met if going is None else going.index_select(0, met)
+        beyond, hit, met = images if depth > 1 else None, found.hit, found.met
+        if len(found.ended) > 0:
+            paths.end(found.ended)
+        if len(found.missed) > 0:
+            self._end_in_environment(paths.select(found.missed), rays.select(found.missed), depth, beyond, result)
         if len(hit.triangle) == 0:
             return paths, None
-        paths = paths if going is None else paths.select(going)
+        origin, direction = rays.origin, rays.direction
+        if met is not None:
+            paths, origin, direction = paths.select(met), origin.index_select(1, met), direction.index_select(1, met)
         surface = self.geometry.surface(origin, direction, hit)
         if depth == 1:
             put(result.distance, paths.index, hit.distance)
@@ -234,7 +234,8 @@ class PathTracer:
         transmittance = self.geometry.transmittance(hit, surface.front)
         if transmittance is not None:
             paths.throughput *= transmittance
-        self._add_emission(paths, rays, going, hit, surface, beyond)
+        if len(found.lamps) > 0:
+            self._add_emission(paths, rays, found, surface, beyond)
         if depth == 1:
             put(result.emission, paths.index, paths.radiance)
         paths.choice = None if choose is None else choose(surface.position)
@@ -255,16 +256,16 @@ class PathTracer:
         if not self.lights.empty:
             self._add_direct_light(paths, surface, scattering, draw(dimension + 5, 6), depth, images, result, timer)
         uniforms = draw(dimension + 1, 4 if depth >= ROULETTE_DEPTH else 3)
-        return self._scatter(paths, surface, scattering, uniforms, depth, images, result)
+        return paths, self._scatter(paths, surface, scattering, uniforms, depth, images, result)
 
     def _split(
         self, paths: _Paths, parts: Tensor, hit: Hit, met: Surface, images: Images | None, result: PathSamples
     ) -> tuple[_Paths, Surface, Tensor]:
         """Split the paths at their first surfaces, and note what is there; returns the surfaces of all of them too, and which each was."""
-        index, emission = paths.index, paths.radiance
-        paths, owner = paths.split(parts.index_select(0, index))
+        index, emission, parts = paths.index, paths.radiance, parts.index_select(0, paths.index)
+        paths, owner = paths.split(parts)
         surface = met.select(owner)
-        result.first = FirstSurfaces(self.geometry, index, hit, met, emission, owner, surface, indirect=paths.brought)
+        result.first = FirstSurfaces(self.geometry, index, hit, met, emission, owner, surface, parts, indirect=paths.brought)
         if images is not None:
             images.split(result.first.rays)
         return paths, surface, owner
@@ -285,16 +286,11 @@ class PathTracer:
                 result.alpha[gone.index] = environment.alpha(direction)
         gone.finish()
 
-    def _add_emission(
-        self, paths: _Paths, rays: _Rays, going: Tensor | None, hit: Hit, surface: Surface, images: Images | None
-    ) -> None:
-        """Add what the surfaces that were hit emit, weighed against light sampling; going: which of the rays hit them."""
-        material = self.geometry.material.index_select(0, hit.triangle)
-        index = indices(self.geometry.materials.emissive.index_select(0, material))
-        if len(index) == 0:
-            return
-        lamp = Hit(*(field.index_select(0, index) for field in hit))
-        rays = rays.select(index if going is None else going.index_select(0, index))
+    def _add_emission(self, paths: _Paths, rays: _Rays, found: Arrivals, surface: Surface, images: Images | None) -> None:
+        """Add what the lamps emit that rays met, weighed against light sampling; paths, surface: of the rays that met any surface."""
+        index = found.lamps
+        lamp = Hit(*(field.index_select(0, index) for field in found.hit))
+        rays = rays.select(index if found.met is None else found.met.index_select(0, index))
         outgoing = surface.outgoing.index_select(1, index)
         radiance = self.geometry.emission(lamp, surface.front.index_select(0, index), outgoing)
         # As `Lights.sample` sees it, from the vertex itself and not from where the ray left it.
@@ -323,12 +319,7 @@ class PathTracer:
         """Next-event estimation: one shadow ray a path."""
         light = direct_light(self.lights, surface, scattering, paths.choice, uniforms, paths.random)
         contribution, brightest, *ray = _shadow_ray(surface, paths.throughput, light.direction, light.distance, light.value)
-        index = indices(brightest > 0.0)
-        origin, direction, distance = (values.index_select(-1, index) for values in ray)
-        with timer.measure("tracing rays"):
-            share, traced = self.opacity.transmittance(origin, direction, distance)
-        visibility = torch.zeros_like(light.distance)
-        put(visibility, index, share)
+        visibility, traced = self.opacity.transmittance(*ray, brightest, timer)
         result.rays += traced
         contribution *= visibility
         if depth == 1 and result.first is not None:
@@ -349,7 +340,7 @@ class PathTracer:
         depth: int,
         images: Images | None,
         result: PathSamples,
-    ) -> tuple[_Paths, _Rays | None]:
+    ) -> _Rays:
         """Sample the BSDF, and play Russian roulette where there are uniform numbers `[4, N]` and not `[3, N]`."""
         direction, weight, pdf = scattering.sample(uniforms[0:3])
         if depth == 1 and result.first is not None:
@@ -357,19 +348,8 @@ class PathTracer:
         if images is not None:
             images.leave(direction, pdf)
         chance = uniforms[3] if len(uniforms) > 3 else None
-        origin, throughput, survival = _next_segment(surface, paths.throughput, direction, weight, chance)
-        going, ended = parted(survival > 0.0)
-        if len(ended) > 0:
-            unknown = 0.0 * throughput.index_select(1, ended)  # a NaN is the film's to report
-            increase(paths.brought, paths.index.index_select(0, ended), paths.radiance.index_select(1, ended) + unknown)
-        paths.throughput = throughput
-        rays = _Rays(surface.position, origin, direction, pdf, going if len(ended) > 0 else None)
-        return paths, rays if len(going) > 0 else None
-
-
-def _taken(values: Tensor, index: Tensor | None) -> Tensor:
-    """The entries `[.., K]` at `index`, int64 `[K]`; None: all of them."""
-    return values if index is None else values.index_select(-1, index)
+        origin, paths.throughput, survival = _next_segment(surface, paths.throughput, direction, weight, chance)
+        return _Rays(surface.position, origin, direction, pdf, survival)
 
 
 @kernel

@@ -8,6 +8,7 @@ that has met mirrors and glass alone.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -15,8 +16,9 @@ from torch import Tensor
 
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.kernels import kernel
-from bokehguide.render.pixels import increase, indices, put
+from bokehguide.render.pixels import increase, indices_of_each
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
+from bokehguide.render.transfers import sent
 from bokehguide.render.vector import cross, dot, length, luminance, normalize
 
 NARROW = 4.0
@@ -48,6 +50,17 @@ class _Vertex(NamedTuple):
     direction: Tensor
     pdf: Tensor
 
+    def triangles(self, place: Tensor) -> Tensor:
+        """Those met, by the places of paths."""
+        return self.hit.triangle.index_select(0, self._hits(place))
+
+    def distances(self, place: Tensor) -> Tensor:
+        """How far paths came, by their places."""
+        return self.hit.distance.index_select(0, self._hits(place))
+
+    def _hits(self, place: Tensor) -> Tensor:
+        return place if self.owner is None else self.owner.index_select(0, place)
+
 
 class _Event(NamedTuple):
     """Light that some paths, int64 `[K]`, brought over vertices from so far beyond the last, `[K]`; radiance `[3, K]`."""
@@ -56,6 +69,20 @@ class _Event(NamedTuple):
     index: Tensor
     distance: Tensor
     radiance: Tensor
+
+
+class _View(NamedTuple):
+    """What rays, int64 `[K]`, see of an event: that light of it which is at `index`, int64 `[K]`, and came over these places in the
+    vertices, int32 `[K]` each."""
+
+    event: _Event
+    rays: Tensor
+    index: Tensor
+    places: list[Tensor]
+
+    def select(self, index: Tensor) -> _View:
+        places = [place.index_select(0, index) for place in self.places]
+        return _View(self.event, self.rays.index_select(0, index), self.index.index_select(0, index), places)
 
 
 class Images:
@@ -104,53 +131,68 @@ class Images:
         """
         whole = luminance(radiance)
         own = torch.where(self._goes_on(own) & (whole <= bright), MISS_DISTANCE, own)
-        distance, light, brightest = torch.zeros(3, len(own), device=own.device)
-        for event in self._events:
-            self._add(event, whole > bright, distance, light, brightest)
-        return torch.where(light > 0.5 * whole, distance, own)
+        # The last place is for what is no ray's.
+        distance, light, brightest = torch.zeros(3, len(own) + 1, device=own.device)
+        for rays, image, added in self._seen(whole > bright):
+            increase(light, rays, added)
+            brightest.scatter_reduce_(0, rays, added, "amax")
+            distance.scatter_(0, torch.where(added == brightest.index_select(0, rays), rays, len(own)), image)
+        return torch.where(light[:-1] > 0.5 * whole, distance[:-1], own)
 
     def _goes_on(self, own: Tensor) -> Tensor:
         """Which rays, bool `[N]`, met a mirror or glass first, or may have: some of their paths went on narrowly."""
-        found = torch.zeros_like(own, dtype=torch.bool)
+        found = torch.zeros_like(own)
         if self._vertices:
-            narrow = self._starts.index_select(0, indices(self._vertices[0].pdf > NARROW))
-            found[narrow if self._rays is None else self._rays.index_select(0, narrow)] = True
-        return found
+            increase(found, self._ray_of(self._starts), (self._vertices[0].pdf > NARROW).to(own.dtype))
+        return found > 0.0
 
-    def _add(self, event: _Event, bright: Tensor, distance: Tensor, light: Tensor, brightest: Tensor) -> None:
-        """Add an event, as far as its light went through mirrors and glass alone, to what bright rays see."""
-        rays = event.index if self._rays is None else self._rays.index_select(0, event.index)
-        shown = indices(bright.index_select(0, rays) & (event.radiance.amax(0) > 0.0))
-        paths = event.index.index_select(0, shown)
-        places = [vertex.place.index_select(0, paths) for vertex in event.vertices]
-        least = torch.stack([vertex.pdf.index_select(0, place) for vertex, place in zip(event.vertices, places)]).amin(0)
-        narrow = indices(least > NARROW)
-        shown, places = shown.index_select(0, narrow), [place.index_select(0, narrow) for place in places]
-        if len(shown) == 0:
-            return
-        pencils = light.new_tensor(BEGUN)[:, None].expand(-1, len(shown))
-        for vertex, place in zip(event.vertices, places):
-            pencils = self._bent(vertex, place, pencils)
-        image = _image(pencils, event.distance.index_select(0, shown))
-        trusted = indices(image > AFLOAT * self._reached(event.vertices[0], places[0]))
-        shown, image = shown.index_select(0, trusted), image.index_select(0, trusted)
-        rays, added = rays.index_select(0, shown), luminance(event.radiance.index_select(1, shown))
-        increase(light, rays, added)
-        brightest.scatter_reduce_(0, rays, added, "amax")
-        first = added == brightest.index_select(0, rays)
-        put(distance, rays[first], image[first])
+    def _ray_of(self, paths: Tensor) -> Tensor:
+        """Which ray each of some paths, int64 `[K]`, belongs to."""
+        return paths if self._rays is None else self._rays.index_select(0, paths)
 
-    def _reached(self, vertex: _Vertex, place: Tensor) -> Tensor:
-        """How far paths came to a vertex, by their place in it."""
-        return vertex.hit.distance.index_select(0, place if vertex.owner is None else vertex.owner.index_select(0, place))
+    def _seen(self, bright: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """What bright rays, bool `[N]`, see of each event through mirrors and glass alone: which rays, int64 `[K]`, how far off, and
+        how much light it brings them, `[K]`. Where no image is to be trusted the ray is N."""
+        events, rays = self._events, [self._ray_of(event.index) for event in self._events]
+        shown = indices_of_each([bright.index_select(0, of) & (event.radiance.amax(0) > 0.0) for event, of in zip(events, rays)])
+        paths = [event.index.index_select(0, index) for event, index in zip(events, shown)]
+        places = [[vertex.place.index_select(0, of) for vertex in event.vertices] for event, of in zip(events, paths)]
+        narrow = indices_of_each([_least_density(event, at) > NARROW for event, at in zip(events, places)])
+        views = [
+            _View(event, of.index_select(0, index), index, at).select(which)
+            for event, of, index, at, which in zip(events, rays, shown, places, narrow)
+            if len(which) > 0
+        ]
+        for view, corners in zip(views, self._corners(views)):
+            image, trusted = self._image(view, corners)
+            ray = torch.where(trusted, view.rays, len(bright))
+            yield ray, image, luminance(view.event.radiance.index_select(1, view.index))
 
-    def _bent(self, vertex: _Vertex, place: Tensor, pencils: Tensor) -> Tensor:
-        """Pencils `[5, K]` at a place in it each, from where they left the last one to where they leave this one."""
-        hits = place if vertex.owner is None else vertex.owner.index_select(0, place)
-        triangle, distance = vertex.hit.triangle.index_select(0, hits), self._reached(vertex, place)
-        corners, normals = self._geometry.corners(triangle), self._geometry.corner_normals(triangle)
-        found = (vertex.outgoing, vertex.direction, vertex.front, vertex.thin, vertex.transmission, vertex.ior)
-        return _bend(pencils, distance, corners, normals, *(values.index_select(-1, place) for values in found))
+    def _corners(self, views: list[_View]) -> list[list[Tensor]]:
+        """Corners of the triangles at each of the views' vertices: all together, as a GPU's host, which has them, waits to be asked."""
+        triangles = [[vertex.triangles(place) for vertex, place in zip(view.event.vertices, view.places)] for view in views]
+        every = [triangle for of_view in triangles for triangle in of_view]
+        if not every:
+            return []
+        corners = iter(self._geometry.corners(torch.cat(every)).split([len(triangle) for triangle in every], dim=2))
+        return [[next(corners).contiguous() for _ in of_view] for of_view in triangles]
+
+    def _image(self, view: _View, corners: list[Tensor]) -> tuple[Tensor, Tensor]:
+        """How far off each ray of the view sees it, `[K]`, and whether to believe it."""
+        device, vertices = view.rays.device, view.event.vertices
+        pencils = sent(BEGUN, device, torch.float32)[:, None].expand(-1, len(view.rays))
+        for vertex, place, at in zip(vertices, view.places, corners):
+            normals = self._geometry.corner_normals(vertex.triangles(place))
+            found = (vertex.outgoing, vertex.direction, vertex.front, vertex.thin, vertex.transmission, vertex.ior)
+            found = (values.index_select(-1, place) for values in found)
+            pencils = _bend(pencils, vertex.distances(place), at, normals, *found)
+        image = _image(pencils, view.event.distance.index_select(0, view.index))
+        return image, image > AFLOAT * vertices[0].distances(view.places[0])
+
+
+def _least_density(event: _Event, places: list[Tensor]) -> Tensor:
+    """With which density, at least, paths went on at their places in the event's vertices, `[K]`."""
+    return torch.stack([vertex.pdf.index_select(0, place) for vertex, place in zip(event.vertices, places)]).amin(0)
 
 
 def _after(pencils: Tensor, distance: Tensor) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -23,12 +25,24 @@ def indices(mask: Tensor) -> Tensor:
     return mask.nonzero()[:, 0]
 
 
+def indices_of_each(masks: Sequence[Tensor]) -> list[Tensor]:
+    """`indices` of some masks, of any sizes; the host waits once for all of them."""
+    if not masks or masks[0].device.type == "cpu":
+        return [indices(mask) for mask in masks]
+    counts = torch.stack([mask.sum() for mask in masks]).tolist()
+    return [_first_places(mask, count) for mask, count in zip(masks, counts)]
+
+
+def _first_places(mask: Tensor, count: int) -> Tensor:
+    """The `count` places at which a mask is true, with no wait; the others are put behind, in one place."""
+    place = torch.where(mask, mask.cumsum(0) - 1, count)
+    return torch.empty(count + 1, dtype=torch.int64, device=mask.device).scatter_(0, place, torch.arange(len(mask), device=mask.device))[:count]
+
+
 def parted(mask: Tensor) -> tuple[Tensor, Tensor]:
     """The places, int64, at which `mask` `[N]` is true, and those at which it is false; the host waits once for both."""
-    if mask.device.type == "cpu":
-        return indices(mask), indices(~mask)
-    order, count = mask.argsort(descending=True, stable=True), int(mask.sum())
-    return order[:count], order[count:]
+    true, false = indices_of_each((mask, ~mask))
+    return true, false
 
 
 def take(values: Tensor, pixels: Pixels) -> Tensor:

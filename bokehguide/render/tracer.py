@@ -56,14 +56,14 @@ class Tracer:
         """
         _check_rays(origins, directions, limits)
         origin, direction, *limit = fetched(origins, directions, *(() if limits is None else (limits,)))
-        limit = limit[0].copy() if limit else None  # Embree writes into it
-        found = self._scene.run(origin.T, direction.T, dists=limit, output=True)
+        limit = limit[0].numpy().copy() if limit else None  # Embree writes into it
+        found = self._scene.run(origin.numpy().T, direction.numpy().T, dists=limit, output=True)
         return Hit(*(sent(found[key], origins.device) for key in ("primID", "tfar", "u", "v")))
 
     def visible(self, origins: Tensor, directions: Tensor, distances: Tensor) -> Tensor:
         """1 where nothing lies within `distances` `[N]` along the rays `[3, N]`, else 0; float32 `[N]`."""
         _check_rays(origins, directions, distances)
-        origin, direction, distance = fetched(origins, directions, distances)
+        origin, direction, distance = (values.numpy() for values in fetched(origins, directions, distances))
         blocked = self._scene.run(origin.T, direction.T, dists=distance, query="OCCLUDED")
         return sent(blocked, origins.device).neg().to(torch.float32)
 

@@ -14,18 +14,18 @@ from torch import Tensor
 _of_thread = threading.local()
 
 
-def fetched(*tensors: Tensor) -> list[np.ndarray]:
-    """Tensors `[.., N]` of the same N and type as arrays on the host, which waits for them; from a CPU they are not copied,
-    from other devices all go together."""
+def fetched(*tensors: Tensor) -> list[Tensor]:
+    """Tensors `[.., N]` of the same N and type, on the host, which waits for them; from a CPU they are not copied, from other
+    devices all go together."""
     if tensors[0].device.type == "cpu":
-        return [tensor.numpy() for tensor in tensors]
+        return list(tensors)
     heights = [math.prod(tensor.shape[:-1]) for tensor in tensors]
     rows = torch.cat([tensor.reshape(height, tensor.shape[-1]) for height, tensor in zip(heights, tensors)])
     there = torch.empty(rows.shape, dtype=rows.dtype, pin_memory=rows.is_cuda).copy_(rows)
-    return [part.reshape(tensor.shape).numpy() for part, tensor in zip(there.split(heights), tensors)]
+    return [part.reshape(tensor.shape) for part, tensor in zip(there.split(heights), tensors)]
 
 
-def sent(values: np.ndarray | Sequence, device: torch.device, dtype: torch.dtype | None = None) -> Tensor:
+def sent(values: Tensor | np.ndarray | Sequence, device: torch.device, dtype: torch.dtype | None = None) -> Tensor:
     """Values of the host's as a tensor on a device, for which the host does not wait."""
     return torch.as_tensor(values, dtype=dtype).to(device, non_blocking=True)
 

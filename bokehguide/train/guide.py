@@ -12,7 +12,7 @@ from bokehguide.models.blend_weight import BlendWeightMap
 from bokehguide.models.candidates import CandidateList, draw_candidates
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.kl import blend_gradient, offset_gradient, one_sample_kl
-from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity, LensMixture
+from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity, LensMixture, owners
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lens import Lens
@@ -147,7 +147,7 @@ class LensGuide(nn.Module):
         field, lens = self.field, self.camera.lens
         mean = field.mean.index_select(1, gaussian)
         if self.offsets is not None:
-            owner = torch.repeat_interleave(start[1:] - start[:-1])
+            owner = owners(start, len(gaussian))
             mean = mean + self.offsets(gaussian, raster.index_select(1, owner))
         beta = self.blend(pixels)
         weight = field.lens_weights(lens.focus_distance).index_select(0, gaussian)

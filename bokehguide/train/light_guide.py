@@ -14,7 +14,6 @@ from torch import Tensor
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.clusters import ClusterTable
 from bokehguide.render.light_choice import LightChoice
-from bokehguide.render.pixels import indices
 from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import Ranks
 from bokehguide.train.spot_guide import BRIGHTEST
@@ -62,13 +61,11 @@ class LightGuide(RankSums):
 
     def add(self, tiles: Tensor, clusters: Tensor, worth: Tensor, seen: Tensor, unit: float) -> None:
         """Add light samples, `[N]` each; clusters: -1 for none; unit: the frame's mean luminance."""
-        index = indices(clusters >= 0)
-        sums = self.mine.view(3, -1)
-        tiles, clusters, worth, seen = (values.index_select(0, index) for values in (tiles, clusters, worth, seen))
-        place = tiles * self.probability.shape[1] + clusters
+        counted = (clusters >= 0).double()
+        place = tiles * self.probability.shape[1] + clusters.clamp(min=0)
         squared = (worth / unit).nan_to_num(0.0, BRIGHTEST).clamp(max=BRIGHTEST).square()
-        for total, values in zip(sums, (squared, torch.ones_like(squared), seen)):
-            total.index_add_(0, place, values.double())  # or sums, and choices by them, would depend on who adds first
+        for total, values in zip(self.mine.view(3, -1), (squared, torch.ones_like(squared), seen)):
+            total.index_add_(0, place, values * counted)  # double, or sums, and choices by them, would depend on who adds first
 
     def update(self, step: int) -> None:
         """Begin a block of steps with `step`: choose by all that was seen before it; collective."""

@@ -41,7 +41,7 @@ from bokehguide.train.record_buffer import FAR
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.sharing import PathSharing
 from bokehguide.train.spot_guide import PARTS, SpotGuide
-from bokehguide.train.steps import BatchResult, StepStats, finite, guide_counts, step_stats
+from bokehguide.train.steps import BatchResult, StepStats, finite, guide_figures, step_stats
 
 PRIMING_DIMENSION = LENS_DIMENSION + 5
 """Random dimensions of the lens points that prime the film: from this one on two."""
@@ -201,7 +201,7 @@ class RenderLoop:
             result.lesson = self._study(batch, weight, finite(luminance(samples.radiance), good), at)
             recorded = finite(self.guide.recorded(samples), good)
             result.records = self._records(points, directions, self.guide.apparent_distance(samples), weight, recorded)
-            result.counts = guide_counts(batch, weight)
+            result.figures = guide_figures(batch, weight, result.lesson)
             if self.light_guide is not None:
                 result.lights = samples.lights
         return result
@@ -249,11 +249,9 @@ class RenderLoop:
         """Radiance of the rays that pass the aperture, 0 for the others; world directions `[3, N]`."""
         choose = self.light_guide.choice if self.light_guide else None
         origins, directions = self.camera.rays(focus, points)
-        inside = indices(weight > 0.0)
-        index = None if len(inside) == len(weight) else inside
         parts = None if self.guide is None else self.guide.parts(weight)
         bright = 0.5 * RADIANCE_THRESHOLD * self._mean_luminance * (self.step_number > 1)  # it is not known before
-        samples = self.tracer.trace(origins, directions, random, timer, choose=choose, index=index, parts=parts, bright=bright)
+        samples = self.tracer.trace(origins, directions, random, timer, choose=choose, alive=weight, parts=parts, bright=bright)
         return samples, directions
 
     def _film_samples(self, samples: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:

@@ -15,6 +15,7 @@ pixels of a group is correlated.
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import NamedTuple
 
 import torch
@@ -26,7 +27,7 @@ from bokehguide.render.first_surfaces import FirstSurfaces
 from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathSamples, PathTracer
-from bokehguide.render.pixels import Pixels, indices, parted, pixel_numbers, put
+from bokehguide.render.pixels import Pixels, indices, indices_of_each, parted, pixel_numbers, put
 from bokehguide.render.random import hash_int
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
@@ -45,7 +46,7 @@ SMOOTH = 0.5
 """A surface is shared if its GGX α is at least so many times the angle, in radians, between those who look at it: of what
 is mirrored, one pixel's paths do not know what another one sees."""
 TOGETHER = 65536
-"""Pairs of pixels that are dealt with together, about: of many, memory is what takes time, and of few, Python."""
+"""Pairs of pixels that a CPU deals with together, about: of many, memory is what takes time, and of few, Python."""
 NOWHERE, INFINITE = 1e15, 1e30
 
 
@@ -69,8 +70,9 @@ class _Seen(NamedTuple):
 
 class _View(NamedTuple):
     """How J pixels see samples of others: whose they are and who sees them, int64 `[J]`; through which lens points `[2, J]`;
-    |∂l' / ∂l| times the share of the light that arrives, and W / A there, `[J]`; the unit directions to them, `[3, J]`; and
-    where those of each row of viewers end, the first at 0. In a row, nobody sees or is seen twice."""
+    |∂l' / ∂l| times the share of the light that arrives, and W / A there, `[J]`; the unit directions to them, `[3, J]`, and which
+    of them are first surfaces, int64 `[K]`; and where those of each row of viewers end, the first at 0. In a row, nobody sees or
+    is seen twice."""
 
     source: Tensor
     viewer: Tensor
@@ -78,6 +80,7 @@ class _View(NamedTuple):
     jacobian: Tensor
     passing: Tensor
     outgoing: Tensor
+    met: Tensor
     ends: list[int]
 
 
@@ -107,7 +110,8 @@ class PathSharing:
         total, views = own * arriving, []
         key = hash_int(hash_int(self._seed ^ 0x68E31DA4) + step)
         members = _members(places, self._width, key, focus.device)
-        for viewers in members.split(max(1, TOGETHER // len(total))) if len(members) > 0 else ():
+        together = max(1, TOGETHER // len(total)) if focus.device.type == "cpu" else len(members)
+        for viewers in members.split(together) if len(members) > 0 else ():
             view = self._view(viewers, focus, points, seen, samples, timer)
             if len(view.source) > 0:
                 total.index_add_(0, view.source, self._density(mixture, view, len(total)) * view.jacobian)
@@ -165,7 +169,7 @@ class PathSharing:
         if self._tracer.geometry.materials.has_sheer:
             index = indices(seen.shareable)
             own = (points.index_select(1, index), focus.index_select(1, index))
-            share[index], _ = self._arriving(seen.place.index_select(0, index), *own, samples, timer)
+            share[index], *_ = self._arriving(seen.place.index_select(0, index), *own, samples, timer)
         return share
 
     def _view(
@@ -179,18 +183,20 @@ class PathSharing:
         points, focus, depth, plane, shareable = (_repeated(values, rows) for values in mine)
         through, jacobian = _reconnected(points, focus, focus_seen, depth, plane)
         passing = _passing(self._camera.lens, through, focus_seen) * shareable * (viewer >= 0)
-        index = indices(passing > 0.0)
+        found = indices_of_each((passing > 0.0).view(rows, count).unbind())
+        index = torch.cat([among + row * count for row, among in enumerate(found)])
         every = (viewer, through, jacobian, passing, focus_seen)
         viewer, through, jacobian, passing, focus_seen = (values.index_select(-1, index) for values in every)
-        source = index % count
-        arriving, outgoing = self._arriving(seen.place.index_select(0, source), through, focus_seen, samples, timer)
-        ends = torch.searchsorted(index, torch.arange(rows + 1, device=index.device) * count).tolist()
-        return _View(source, viewer, through, jacobian * arriving, passing, outgoing, ends)
+        source = torch.cat(found)
+        arriving, outgoing, met = self._arriving(seen.place.index_select(0, source), through, focus_seen, samples, timer)
+        ends = [0, *accumulate(map(len, found))]
+        return _View(source, viewer, through, jacobian * arriving, passing, outgoing, met, ends)
 
     def _arriving(
         self, place: Tensor, points: Tensor, focus: Tensor, samples: PathSamples, timer: PhaseTimer
-    ) -> tuple[Tensor, Tensor]:
-        """Share of the light that arrives at lens points `[2, J]`, and unit directions in which it leaves, `[3, J]`.
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Share of the light that arrives at lens points `[2, J]`; unit directions in which it leaves, `[3, J]`; and where it is that
+        of first surfaces, int64 `[K]`.
 
         It is that of the first surfaces at `place` `[J]`, or where that is -1 of what lies at infinity beyond `focus` `[3, J]`.
         """
@@ -202,21 +208,19 @@ class PathSharing:
             on_lens = self._camera.axes[:, :2] @ points.index_select(1, met) + self._camera.position
             towards, above, *ray = _ray_to(on_lens, *ends)
             put(outgoing, met, towards)
-            rises = indices(above & first.same_normals(there, towards))
-            ray = (values.index_select(-1, rises) for values in ray)
-            put(arriving, met.index_select(0, rises), self._transmittance(*ray, samples, timer))
+            rises = above & first.same_normals(there, towards)
+            put(arriving, met, self._transmittance(*ray, rises.to(torch.float32), samples, timer))
         if len(infinite) > 0:
             ray = self._camera.rays(focus.index_select(1, infinite), points.index_select(1, infinite))
             distance = torch.full_like(ray[0][0], MISS_DISTANCE)
-            put(arriving, infinite, self._transmittance(*ray, distance, samples, timer))
-        return arriving, outgoing
+            put(arriving, infinite, self._transmittance(*ray, distance, torch.ones_like(distance), samples, timer))
+        return arriving, outgoing, met
 
     def _transmittance(
-        self, origin: Tensor, direction: Tensor, distance: Tensor, samples: PathSamples, timer: PhaseTimer
+        self, origin: Tensor, direction: Tensor, distance: Tensor, worth: Tensor, samples: PathSamples, timer: PhaseTimer
     ) -> Tensor:
-        """Share of the light `[K]` that comes through along rays; they count as those of the samples."""
-        with timer.measure("tracing rays"):
-            share, traced = self._tracer.opacity.transmittance(origin, direction, distance)
+        """Share of the light `[K]` that comes through along rays that are worth something; they count as those of the samples."""
+        share, traced = self._tracer.opacity.transmittance(origin, direction, distance, worth, timer)
         samples.rays += traced
         return share
 
@@ -235,10 +239,10 @@ class PathSharing:
     def _radiance(self, view: _View, seen: _Seen, samples: PathSamples) -> Tensor:
         """Radiance `[3, J]` of the samples as the viewers see it."""
         radiance = samples.radiance.index_select(1, view.source)
-        place = seen.place.index_select(0, view.source)
-        met = indices(place >= 0)
+        met = view.met
         if len(met) > 0:
-            put(radiance, met, samples.first.radiance(place.index_select(0, met), view.outgoing.index_select(1, met)))
+            place = seen.place.index_select(0, view.source.index_select(0, met))
+            put(radiance, met, samples.first.radiance(place, view.outgoing.index_select(1, met)))
         return radiance
 
 

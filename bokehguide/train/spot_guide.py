@@ -81,8 +81,8 @@ class SpotGuide(nn.Module):
         self.register_buffer("moments", torch.zeros(2, pixels))
         """Σ β² f² p / q³ and Σ (1 - β)² f² u / q³ of the discs and the uniform part: at the β of least variance
         their roots are as β to 1 - β. Of discs small against the lens neither depends on the β that was drawn with."""
-        self.register_buffer("block", torch.tensor(1))
         self.to(device)
+        self.register_buffer("block", torch.tensor(1))  # on the host, which asks for it
         self.register_buffer("spotlights", torch.zeros(0, dtype=torch.int64, device=device))
         self.register_buffer("outlines", torch.zeros(6, 0, device=device))
         """Of the field's ellipsoids (see `DiscLensDistribution`)."""
@@ -116,7 +116,7 @@ class SpotGuide(nn.Module):
         weight = field.lens_weights(lens.focus_distance).index_select(0, spot)
         known, (sky_lamp, panel) = self._lamps.shapes, self._numbers.index_select(1, spot)
         shapes = Shapes(known.sky, sky_lamp, known.panels, panel, known.light)
-        slots = self.lamp_yield.slots(pixels, owners(start), spot)
+        slots = self.lamp_yield.slots(pixels, owners(start, len(spot)), spot)
         factor = self.lamp_yield.factor(slots)
         beta = take(self.beta, pixels)
         return DiscLensDistribution(lens, focus, beta, start, mean, outline, weight, factor, shapes), spot
@@ -135,10 +135,10 @@ class SpotGuide(nn.Module):
     def _draws(self, batch: GuidedBatch, ratio: Tensor) -> tuple[Tensor, Tensor]:
         """Slots of the lamps that were drawn, and the squares of what the draws brought over what they might have."""
         mixture = batch.distribution
-        index = indices(mixture.chosen >= 0)
-        chosen = mixture.chosen.index_select(0, index)
+        chosen = mixture.chosen.clamp(min=0)
         slots = self.lamp_yield.slots(batch.pixels, mixture.owner.index_select(0, chosen), batch.gaussian.index_select(0, chosen))
-        index, chosen, slots = (values[slots > 0] for values in (index, chosen, slots))
+        index = indices((mixture.chosen >= 0) & (slots > 0))
+        chosen, slots = chosen.index_select(0, index), slots.index_select(0, index)
         share = mixture.beta.index_select(0, index) * mixture.weight.index_select(0, chosen)
         might = mixture.bright.index_select(0, chosen) * math.pi / (mixture.lens.area * self.unit)
         brought = ratio.index_select(0, index) * share / might

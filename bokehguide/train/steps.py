@@ -28,24 +28,24 @@ class StepStats:
     outside: float
 
 
-def guide_counts(batch: GuidedBatch | None, weight: Tensor) -> Tensor:
-    """Guided pixels of a batch, draws of them outside the lens, and the sum of their β, float64 `[3]`; weight: of the samples,
-    0 outside the lens, `[N]`."""
-    if batch is None:
-        return weight.new_zeros(3, dtype=torch.float64)
+def guide_figures(batch: GuidedBatch | None, weight: Tensor, lesson: BatchLesson | None) -> Tensor:
+    """Guided pixels of a batch, draws of them outside the lens, the sum of their β, and the one-sample KL, float64 `[4]`; weight: of
+    the samples, 0 outside the lens, `[N]`."""
+    if batch is None or lesson is None:
+        return weight.new_zeros(4, dtype=torch.float64)
     guided, beta = batch.distribution.guided, batch.distribution.beta
-    return torch.stack((guided.sum().double(), ((weight == 0.0) & guided).sum().double(), beta.sum().double()))
+    return torch.stack([figure.double() for figure in (guided.sum(), ((weight == 0.0) & guided).sum(), beta.sum(), lesson.kl)])
 
 
 @dataclass
 class BatchResult:
-    """What a batch leaves behind, beside the film: counts are those of the guide (`guide_counts`), records are cells, positions
+    """What a batch leaves behind, beside the film: figures are those of the guide (`guide_figures`), records are cells, positions
     and luminance for the record buffer; lights are for the light guide."""
 
     samples: int
     rays: int
     timer: PhaseTimer
-    counts: Tensor | None = None
+    figures: Tensor | None = None
     lesson: BatchLesson | None = None
     records: tuple[Tensor, Tensor, Tensor] | None = None
     lights: LightsChosen | None = None
@@ -54,11 +54,10 @@ class BatchResult:
 def step_stats(step: int, results: list[BatchResult], seconds: float, gaussians: int, ranks: Ranks) -> StepStats:
     """The sums over a step's batches on all ranks; collective."""
     # On a GPU the host waits for these here, once, and not in each batch.
-    counted = [result.counts for result in results if result.counts is not None]
-    counts = torch.stack(counted).sum(0).tolist() if counted else [0.0, 0.0, 0.0]
-    kl = float(sum(result.lesson.kl.double() for result in results if result.lesson is not None))
+    figures = [result.figures for result in results if result.figures is not None]
+    of_guide = torch.stack(figures).sum(0).tolist() if figures else [0.0, 0.0, 0.0, 0.0]
     work = (sum(result.samples for result in results), sum(result.rays for result in results))
-    samples, rays, guided, outside, beta, kl = ranks.totals(*work, *counts, kl)
+    samples, rays, guided, outside, beta, kl = ranks.totals(*work, *of_guide)
     kl, beta, outside = (value / guided if guided else math.nan for value in (kl, beta, outside))
     return StepStats(step, int(samples), int(rays), seconds, kl, beta, gaussians, outside)
 

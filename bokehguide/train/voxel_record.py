@@ -48,14 +48,14 @@ class VoxelRecord(Raster):
     def add(self, cells: Tensor, points: Tensor, luminance: Tensor, threshold: float) -> None:
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`, and to voxels those that
         are brighter than the threshold or lie in cells that have some."""
-        index = indices(cells >= 0)
-        cells, light = cells.index_select(0, index), luminance.index_select(0, index)
+        inside, cells = cells >= 0, cells.clamp(min=0)
+        light = torch.where(inside, luminance, 0.0)
         count, radiance = self.mine
-        count.index_add_(0, cells, torch.ones_like(light))
+        count.index_add_(0, cells, inside.to(light.dtype))
         radiance.index_add_(0, cells, light)
-        lit = indices((light > threshold) | self._lit.index_select(0, cells))
+        lit = indices(inside & ((light > threshold) | self._lit.index_select(0, cells)))
         cells, light = cells.index_select(0, lit), light.index_select(0, lit).double()
-        x, y, depth = points.index_select(1, index.index_select(0, lit)).double()
+        x, y, depth = points.index_select(1, lit).double()
         number = cells * LAYERS + self._layers(depth)
         self._new.append(torch.stack((number, torch.ones_like(light), light, light * x / depth, light * y / depth, light / depth), dim=1))
         if sum(map(len, self._new)) > max(WAITING, self._fewest):
@@ -86,8 +86,9 @@ class VoxelRecord(Raster):
 
     def end_step(self) -> None:
         """Settle in the middle of a block, where more samples wait than there may be voxels; collective."""
-        [new] = self.ranks.totals(sum(float(rows[:, 1].sum()) for rows in self._new))
-        if new + float(self.waiting[:, 1].sum()) > self._most:
+        waiting, *new = torch.stack([rows[:, 1].sum() for rows in (self.waiting, *self._new)]).tolist()
+        [new] = self.ranks.totals(sum(new))
+        if new + waiting > self._most:
             self.settle()
 
     def settle(self) -> None:

@@ -143,7 +143,7 @@ def overlap(scene: Scene, loop: RenderLoop) -> tuple[int, int]:
         raise BokehguideError(f"{scene.name}: has no lamps out of focus; choose a pixel with --pixel X,Y")
     pixels = torch.arange(camera.width * camera.height)
     start, lamp = spots.candidates.batch(slice(0, len(pixels)))
-    owner = owners(start)
+    owner = owners(start, int(start[-1]))
     focus = camera.focus_points(torch.stack((pixels % camera.width, pixels // camera.width)) + 0.5)
     on_lens = project_to_lens(spots.field.mean[:, lamp], focus[:, owner])
     near = on_lens.square().sum(0) < (WELL_ON * camera.lens.radius) ** 2
