@@ -14,6 +14,8 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from bokehguide.cli import main
+from bokehguide.cli.pictures import Pictures
+from bokehguide.errors import BokehguideError
 from bokehguide.image import read_exr, read_metadata, write_exr
 from bokehguide.scene import load_scene
 from bokehguide.train import RenderLoop, RenderSettings, load_checkpoint
@@ -180,6 +182,36 @@ def test_killed_at_random_moments_it_loses_no_more_than_the_last_interval(render
     assert render("--spp", kept + 2, out="b.exr") == 0
     assert_same_pictures("a.exr", "b.exr")
     assert not list(tmp_path.glob(".*")), "what was half written has been cleared away"
+
+
+def test_there_is_a_picture_after_the_first_step_and_with_each_checkpoint(lamps_file, tmp_path):
+    shown = []
+    for every in ("0", "1e-6"):
+        process = started(tmp_path, "--checkpoint-every", every)
+        try:
+            wait_for(process, (tmp_path / "a.png").exists)
+            shown.append(read_metadata(tmp_path / "a.exr")["spp"])
+            assert every == "0" or wait_for(process, lambda: read_metadata(tmp_path / "a.exr")["spp"] > 5) is None
+        finally:
+            process.kill()
+            process.communicate()
+        (tmp_path / "a.png").unlink()
+    assert shown[0] == 1
+
+
+def test_pictures_that_cannot_be_shown_end_no_render(render, tmp_path, capsys, monkeypatch):
+    written = Pictures.write
+    failing = [BokehguideError("a.exr: cannot be written (No space left on device); choose another folder")]
+
+    def full_at_first(self, *arguments):
+        if failing:
+            raise failing.pop()
+        written(self, *arguments)
+
+    monkeypatch.setattr(Pictures, "write", full_at_first)
+    assert render("--spp", 3) == 0
+    assert capsys.readouterr().err.count("bokehguide: warning: a.exr: cannot be written") == 1
+    assert read_metadata("a.exr")["spp"] == 3
 
 
 def test_the_log_goes_on_where_the_checkpoint_was(render, tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bokehguide.train.batches import BATCH, LONGEST, SHORTEST, SMALL_BATCH, Batches
+from bokehguide.train.batches import BATCH, FIRST_BATCH, LONGEST, SHORTEST, SMALL_BATCH, Batches
 
 
 def lengths(spans: list[slice]) -> np.ndarray:
@@ -48,6 +48,14 @@ def test_where_they_cannot_cost_the_same_they_come_as_near_as_their_sizes_may():
         batches.spans(2 * BATCH)
         batches.cost([1000.0, 1.0])
     assert lengths(batches.spans(2 * BATCH)).tolist() == [BATCH // 2, 3 * BATCH // 2]
+
+
+@pytest.mark.parametrize("paths", [1, 2])
+def test_the_first_ones_are_smaller(paths):
+    batches, pixels = Batches(2, paths), 4 * BATCH
+    assert lengths(batches.spans(pixels)).tolist() == [FIRST_BATCH // paths] * (16 * paths)
+    batches.cost([1.0] * 16 * paths)
+    assert lengths(batches.spans(pixels)).tolist() == [BATCH // paths] * (4 * paths)
 
 
 def test_another_number_of_spans_begins_with_even_ones():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from pathlib import Path
 
@@ -11,25 +10,16 @@ import torch
 from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
+from bokehguide.cli.pictures import OVERRIDES, Pictures
 from bokehguide.cli.report import write_json
 from bokehguide.cli.steps import measure, take_steps
 from bokehguide.errors import BokehguideError
-from bokehguide.image import check_writable, remove_abandoned, tone_map, write_exr, write_png
+from bokehguide.image import check_writable, remove_abandoned
 from bokehguide.metrics import read_reference
 from bokehguide.render import Film as RenderFilm
 from bokehguide.scene import Film, Inset, Overrides, Scene, load_scene
-from bokehguide.train import (
-    AdaptiveLoop,
-    Ranks,
-    RenderLoop,
-    RenderSettings,
-    describe_render,
-    make_loop,
-    restarts,
-)
+from bokehguide.train import AdaptiveLoop, Ranks, RenderLoop, RenderSettings, make_loop, restarts
 from bokehguide.train.logger import run_folder
-
-OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "camera_position", "camera_target", "fov", "camera")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -48,14 +38,15 @@ def run(options: argparse.Namespace) -> int:
         loop = make_loop(scene, settings, ranks)
         checkpoints = Checkpoints(out.with_suffix(".ckpt"), options.checkpoint_every, ranks.first)
         earlier = checkpoints.begin(loop, options.resume or restarts() > 0)
-        end, report = take_steps(loop, options, reference, checkpoints, earlier)
+        pictures = Pictures(out, options)
+        end, report = take_steps(loop, options, reference, checkpoints, pictures, earlier)
         picture = loop.picture()
         summary = report.finish(loop, picture, measure(picture, reference))
         if ranks.first:
-            write_pictures(out, loop, picture, options)
+            pictures.write(loop, picture)
             if options.json:
                 write_json(options.json, summary)
-            tell(summary, loop, picture, out, checkpoints, end)
+            tell(summary, loop, picture, pictures, checkpoints, end)
     return 128 + end if isinstance(end, int) else 0
 
 
@@ -78,15 +69,6 @@ def read_window(path: Path, scene: Scene, window: tuple[int, int, int, int]) -> 
     """What a reference of the whole frame shows in the window. Raises BokehguideError as `read_reference`."""
     left, top, width, height = window
     return read_reference(path, scene.film.width, scene.film.height)[top : top + height, left : left + width]
-
-
-def write_pictures(out: Path, loop: RenderLoop | AdaptiveLoop, picture: RenderFilm, options: argparse.Namespace) -> None:
-    """The EXR with what it was made from, and the PNG beside it."""
-    facts = describe_render(loop.scene, loop.settings, loop.step_number)
-    frame = (loop.camera.width, loop.camera.height)
-    facts |= {"command": command_line(options, loop.step_number)}
-    write_exr(out, picture.layers(), facts, corner=picture.corner, frame=frame)
-    write_png(out.with_suffix(".png"), tone_map(picture.radiance(), options.exposure))
 
 
 def overrides_from(options: argparse.Namespace) -> Overrides:
@@ -118,24 +100,11 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
         check_writable(log_folder / "events")
 
 
-def command_line(options: argparse.Namespace, spp: int) -> str:
-    """The command that renders this picture again."""
-    size = {"size": "x".join(map(str, options.size))} if options.size else {}
-    names = ("mode", "reuse_radius", "seed", "device", "exposure", "crop", "target_noise", *OVERRIDES)
-    kept = {name: getattr(options, name) for name in names}
-    words = ["bokehguide", "render", options.scene]
-    for name, value in (kept | size | {"spp": spp}).items():
-        if value is not None:
-            text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-            words.append(f"--{name.replace('_', '-')}={text}")
-    return shlex.join(words + ["--allow-outside"] * options.allow_outside)
-
-
 def tell(
     summary: dict,
     loop: RenderLoop | AdaptiveLoop,
     picture: RenderFilm,
-    out: Path,
+    pictures: Pictures,
     checkpoints: Checkpoints,
     end: int | str | None,
 ) -> None:
@@ -148,7 +117,7 @@ def tell(
     print(f"{summary['spp']} SPP in {summary['seconds']:.1f} s, {rate:.2f} million samples/s{errors}")
     if isinstance(end, str):
         print(f"stopped: {end}")
-    print(f"wrote {out} and {out.with_suffix('.png')}")
+    print(f"wrote {pictures.path} and {pictures.png}")
     kept = checkpoints.holds(loop)
     if kept:
         size = checkpoints.path.stat().st_size / 2**20

@@ -1,4 +1,4 @@
-"""The steps of `bokehguide render`: a bar, a log and checkpoints while they go on, and what may end them."""
+"""The steps of `bokehguide render`: a bar, a log, pictures and checkpoints while they go on, and what may end them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import signal
 from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
+from bokehguide.cli.pictures import Pictures
 from bokehguide.cli.report import Report
 from bokehguide.interrupt import Interrupt
 from bokehguide.metrics import mape, relmse
@@ -20,10 +21,11 @@ def take_steps(
     options: argparse.Namespace,
     reference: Tensor | None,
     checkpoints: Checkpoints,
+    pictures: Pictures,
     earlier: float,
 ) -> tuple[int | str | None, Report]:
-    """Take the steps that are left, with a bar, a log and checkpoints. Returns what ended them before the SPP that
-    were asked for, a signal's number or words, and the report."""
+    """Take the steps that are left, with a bar, a log and checkpoints, and a picture after the first and with each checkpoint. Returns
+    what ended them before the SPP that were asked for, a signal's number or words, and the report."""
     done, settings, ranks = loop.step_number, loop.settings, loop.ranks
     logger = None
     if options.logdir:
@@ -49,6 +51,8 @@ def take_steps(
                 if logger:
                     logger.flush()  # or what is saved could be missing in the log
                 checkpoints.save(loop, report.seconds)
+            if (due or loop.step_number == done + 1) and loop.step_number < settings.spp:
+                pictures.refresh(loop)
             if interrupted:
                 end = interrupt.signal or signal.SIGTERM
             elif late and loop.step_number < settings.spp:

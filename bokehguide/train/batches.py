@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-BATCH, SMALL_BATCH = 524288, 28800
+BATCH, FIRST_BATCH, SMALL_BATCH = 524288, 131072, 28800
 """Pixels traced together: each thread has as many batches, about as large as memory allows, since Python costs the same for
-large ones and small ones. Below the second number it costs more than another thread brings."""
+large ones and small ones. In the first step they are smaller: memory that nobody has used yet takes the system longer to give than
+Python costs, and the first picture is waited for. Below the last number Python costs more than another thread brings."""
 SHORTEST, LONGEST = 0.5, 1.5
 """Least and most pixels in a batch, but for where it may be cut: of the mean, and of the most there should be."""
 
@@ -24,8 +25,8 @@ class Batches:
     """
 
     def __init__(self, threads: int, paths: int = 1):
-        self._threads = threads
-        self._most = BATCH // paths
+        self._threads, self._paths = threads, paths
+        self._most = FIRST_BATCH // paths
         self._cuts = np.zeros(1)
         """Where spans begin and end, as shares of the row."""
         self._longest = 1.0
@@ -54,6 +55,7 @@ class Batches:
 
     def cost(self, costs: Sequence[float]) -> None:
         """What each of the spans cost, positive."""
+        self._most = BATCH // self._paths
         if len(costs) < 2:
             return
         sums, even = np.concatenate(([0.0], np.cumsum(costs))), np.linspace(0.0, 1.0, len(costs) + 1)
