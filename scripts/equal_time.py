@@ -162,6 +162,7 @@ def draw(races: dict[str, list[Runner]], path: Path) -> None:
     """MAPE over seconds on log axes, a column for each scene and a row for each region."""
     from matplotlib.figure import Figure
 
+    from bokehguide.evaluation.curves_figure import label
     from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
 
     figure = Figure(figsize=(WIDTH, 0.55 * WIDTH), layout="constrained")
@@ -173,6 +174,8 @@ def draw(races: dict[str, list[Runner]], path: Path) -> None:
                 if line:
                     axis.loglog(*zip(*line), label=runner.name)
             axis.set_title(f"{name}, {region}", fontsize=SMALL)
+            label(axis.xaxis)
+            label(axis.yaxis)
             axis.tick_params(labelsize=SMALL, which="both")
             axis.grid(alpha=0.3, which="both")
     for axis in axes[-1]:

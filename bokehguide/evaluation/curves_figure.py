@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
@@ -58,13 +59,18 @@ def draw_curves(axes: Axes, comparison: Comparison, region: str, cost: str) -> N
     if own and own > axes.get_ylim()[0]:
         axes.axhline(own, color="#999999", linewidth=0.9, linestyle=":", label="the reference's own error")
     for axis in (axes.xaxis, axes.yaxis):
-        if cost == "seconds" or axis is axes.yaxis:
-            axis.set_major_locator(locator(*axis.get_view_interval()))
-        axis.set_minor_formatter(NullFormatter())
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        label(axis, cost == "seconds" or axis is axes.yaxis)
     axes.grid(True, color="#e5e5e5", linewidth=0.5)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=SMALL)
+
+
+def label(axis: Axis, at_round_numbers: bool = True) -> None:
+    """Plain numbers at a log axis, some four to eight of them at round numbers, or those that are there."""
+    if at_round_numbers:
+        axis.set_major_locator(locator(*axis.get_view_interval()))
+    axis.set_minor_formatter(NullFormatter())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def locator(low: float, high: float) -> Locator:
