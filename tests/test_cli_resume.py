@@ -199,6 +199,16 @@ def test_there_is_a_picture_after_the_first_step_and_with_each_checkpoint(lamps_
     assert shown[0] == 1
 
 
+def test_a_picture_of_more_samples_stays_until_there_are_as_many(render, tmp_path, monkeypatch):
+    """Where a render is started anew by mistake."""
+    seen = []
+    assert render("--spp", 3) == 0
+    refresh = Pictures.refresh
+    monkeypatch.setattr(Pictures, "refresh", lambda self, loop: (refresh(self, loop), seen.append(read_metadata("a.exr")["spp"])))
+    assert render("--spp", 6, "--checkpoint-every", "1e-6") == 0
+    assert seen == [3, 4, 5] and read_metadata("a.exr")["spp"] == 6
+
+
 def test_pictures_that_cannot_be_shown_end_no_render(render, tmp_path, capsys, monkeypatch):
     written = Pictures.write
     failing = [BokehguideError("a.exr: cannot be written (No space left on device); choose another folder")]

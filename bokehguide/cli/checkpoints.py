@@ -55,6 +55,10 @@ class Checkpoints:
                 self._note(f"warning: {error}")
         self._last = time.monotonic()
 
+    def ahead(self, loop: RenderLoop) -> bool:
+        """Whether the file has a later state of the same render than the loop is in, and pictures of it may be beside it."""
+        return self._saved_step > loop.step_number
+
     def holds(self, loop: RenderLoop) -> bool:
         """Whether the file has the state that the loop is in."""
         return 0 < self._saved_step == loop.step_number

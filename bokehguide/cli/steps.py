@@ -51,12 +51,12 @@ def take_steps(
                 if logger:
                     logger.flush()  # or what is saved could be missing in the log
                 checkpoints.save(loop, report.seconds)
-            if (due or loop.step_number == done + 1) and loop.step_number < settings.spp:
-                pictures.refresh(loop)
             if interrupted:
                 end = interrupt.signal or signal.SIGTERM
             elif late and loop.step_number < settings.spp:
                 end = f"another step would pass --time-limit {options.time_limit:g}"
+            elif (due or loop.step_number == done + 1) and loop.step_number < settings.spp and not checkpoints.ahead(loop):
+                pictures.refresh(loop)
         checkpoints.save(loop, report.seconds)
     if logger:
         logger.finish(loop, loop.step_number, loop.picture())

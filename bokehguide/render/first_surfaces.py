@@ -24,8 +24,9 @@ class FirstSurfaces:
 
     index: the rays, int64 `[K]`, ascending; hit, met: the surfaces, `[K]`; emission: what they emit towards the rays'
     origins, `[3, K]`; owner: of which of them each path is, int64 `[P]`, ascending; surface: the same surfaces once for each
-    path; parts: into how many each ray split, int64 `[K]`. Of each path, `[3, P]`: towards_light, the unit direction of its light sample, and direct, the radiance that this
-    brought along the ray; onward, the direction in which it went on, and indirect, what came from there.
+    path; parts: into how many each ray split, int64 `[K]`. Of each path, `[3, P]`: towards_light, the unit direction of its light
+    sample, and direct, the radiance that this brought along the ray; onward, the direction in which it went on, and indirect, what
+    came from there.
     """
 
     geometry: Geometry

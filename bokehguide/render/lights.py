@@ -209,7 +209,8 @@ class Lights:
         if not query.learnt:
             return self._grid.sample_cluster(query.cells, uniforms)
         if query.by_cell.device.type != "cpu":
-            return torch.where(query.by_cell, self._grid.sample_cluster(query.cells, uniforms), query.cluster.clamp(max=self._grid.clusters - 1))
+            by_cell = self._grid.sample_cluster(query.cells, uniforms)
+            return torch.where(query.by_cell, by_cell, query.cluster.clamp(max=self._grid.clusters - 1))
         index = indices(query.by_cell)
         by_cell = self._grid.sample_cluster(query.cells.index_select(0, index), uniforms.index_select(0, index))
         cluster = query.cluster.clamp(max=self._grid.clusters - 1)

@@ -3,8 +3,8 @@
 Embree knows triangles only. Rays that scatter are sent on from a sheer surface by chance,
 1 - opacity of them; shadow rays go through all of them and are dimmed.
 
-Rays are traced on the host, and sorted out there as well: which of them are traced at all, and what becomes of them. So what is
-asked for on a GPU never waits for how many they are, but once for rays and once for shadow rays.
+Rays are traced on the host, and sorted out there as well: which of them are traced at all, and what becomes of them. So where
+nothing is sheer, the host waits for a GPU once for rays and once for shadow rays, and never for how many there are of them.
 """
 
 from __future__ import annotations

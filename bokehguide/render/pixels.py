@@ -35,8 +35,8 @@ def indices_of_each(masks: Sequence[Tensor]) -> list[Tensor]:
 
 def _first_places(mask: Tensor, count: int) -> Tensor:
     """The `count` places at which a mask is true, with no wait; the others are put behind, in one place."""
-    place = torch.where(mask, mask.cumsum(0) - 1, count)
-    return torch.empty(count + 1, dtype=torch.int64, device=mask.device).scatter_(0, place, torch.arange(len(mask), device=mask.device))[:count]
+    place, number = torch.where(mask, mask.cumsum(0) - 1, count), torch.arange(len(mask), device=mask.device)
+    return torch.empty(count + 1, dtype=torch.int64, device=mask.device).scatter_(0, place, number)[:count]
 
 
 def parted(mask: Tensor) -> tuple[Tensor, Tensor]:
