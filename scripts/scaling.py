@@ -172,6 +172,7 @@ def draw(rows: list[dict], path: Path) -> None:
     """Seconds of a step and memory over each of the four, on log axes."""
     from matplotlib.figure import Figure
 
+    from bokehguide.evaluation.curves_figure import label
     from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
 
     figure = Figure(figsize=(WIDTH, 0.55 * WIDTH), layout="constrained")
@@ -183,7 +184,8 @@ def draw(rows: list[dict], path: Path) -> None:
                 axis.loglog([value(row) for row in line], [row[name] for row in line], "o-", label=mode, markersize=3)
         axes[1, column].set_xlabel(growing, fontsize=NORMAL)
     for axis in axes.flat:
-        axis.tick_params(labelsize=SMALL)
+        label(axis.yaxis)
+        axis.tick_params(labelsize=SMALL, which="both")
         axis.grid(alpha=0.3, which="both")
     axes[0, 0].set_ylabel("seconds a step", fontsize=NORMAL)
     axes[1, 0].set_ylabel("peak MiB", fontsize=NORMAL)
