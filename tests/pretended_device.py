@@ -92,7 +92,8 @@ def _run(function, args: tuple, kwargs: dict):
     asked = kwargs.get("device")
     if function in (aten._to_copy.default, aten.copy_.default):
         return _copied(function, args, kwargs)
-    if there and any(tensor.ndim > 0 for tensor in here) and function is not aten.index.Tensor:
+    joined = function in (aten.stack.default, aten.cat.default)  # else what has no dimensions may come from the CPU
+    if there and any(joined or tensor.ndim > 0 for tensor in here) and function is not aten.index.Tensor:
         raise RuntimeError(f"{function}: tensors here and there at {_place()}")
     if there and _is_waited_for(function, args, kwargs):
         _count(function)

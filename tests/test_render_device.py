@@ -65,6 +65,15 @@ def test_true_places_are_those_on_a_cpu(size, device):
     assert all(torch.equal(places.cpu(), indices(mask)) for places, mask in zip(found, masks))
 
 
+def test_samples_of_the_record_may_wait_here_and_there(device):
+    """Those that a rank of several has added up do so on the host."""
+    record = loop_of("fairy-lights", "guided", device).guide.record
+    rows = torch.ones(3, 6, dtype=torch.float64)
+    record._new = [rows, rows.to(device)]
+    record.end_step()
+    assert [len(part) for part in record._new] == [3, 3]
+
+
 OF_GUIDED = {
     "path_tracer.split": 1,  # into how many paths the rays split
     "first_surfaces.radiance": 1,  # and how many of those are seen by others

@@ -86,7 +86,9 @@ class VoxelRecord(Raster):
 
     def end_step(self) -> None:
         """Settle in the middle of a block, where more samples wait than there may be voxels; collective."""
-        waiting, *new = torch.stack([rows[:, 1].sum() for rows in (self.waiting, *self._new)]).tolist()
+        # What ranks have added up of their own is on the host already.
+        counts = [rows[:, 1].sum().to(self.sums.device) for rows in (self.waiting, *self._new)]
+        waiting, *new = torch.stack(counts).tolist()
         [new] = self.ranks.totals(sum(new))
         if new + waiting > self._most:
             self.settle()
