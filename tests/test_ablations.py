@@ -11,7 +11,7 @@ import other_fields
 import pytest
 import torch
 
-from bokehguide.models.lens_distribution import GuidedLensDistribution
+from bokehguide.models.lens_distribution import GuidedLensDistribution, _kept
 from bokehguide.models.projection import lens_density
 from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathTracer
@@ -137,7 +137,7 @@ def test_the_gradient_of_the_field_is_that_of_automatic_differentiation():
         found = other_fields.field_gradient(mixture, ratio, mixture.evaluate(points))
     found = torch.zeros(2, count, dtype=found.dtype).index_add_(1, gaussian, found)
     mixture = seen(sigma, weight)
-    shares = (weight.exp()[gaussian] * mixture._is_kept(lens)).reshape(pixels, count)
+    shares = (weight.exp()[gaussian] * _kept(mixture.mean, mixture.sigma, focus, mixture.owner, torch.tensor(lens.radius))).reshape(pixels, count)
     parts = (shares / shares.sum(1, keepdim=True).clamp(min=1e-30)).reshape(-1) * mixture.component_pdf(points)
     density = 0.7 * parts.reshape(pixels, count).sum(1) + 0.3 * lens.transmission(points) / lens.area
     (-(ratio * density.log())[mixture.guided]).sum().backward()
@@ -157,7 +157,7 @@ def test_the_gradient_of_found_highlights_is_that_of_the_loss(monkeypatch):
     numbers = pixel_numbers(pixels)
     raster = torch.stack((numbers % 64, numbers // 64)) + 0.5
     focus = camera.focus_points(raster)
-    mixture, spot = guide._mixture(pixels, focus)
+    mixture, spot, _ = guide._mixture(pixels, focus)
     ratio = torch.rand(len(numbers), generator=generator)
     at = mixture.evaluate(camera.lens.sample(torch.rand(2, len(numbers), generator=generator)))
     found = guide._gradient(GuidedBatch(pixels, raster, mixture, spot), ratio, at)

@@ -102,9 +102,9 @@ def test_mixture_pdf_is_the_sum_over_each_pixels_candidates():
     np.testing.assert_allclose(found, reference, rtol=2e-4, atol=1e-5)
     sums = torch.zeros(pixels).index_add_(0, owner, distribution.weight)
     torch.testing.assert_close(sums, distribution.guided.float(), rtol=0.0, atol=1e-5)
-    guided = distribution.guided.nonzero()[:, 0]
-    chosen = distribution.choose(guided, torch.rand(len(guided), generator=generator))
-    assert torch.equal(owner[chosen], guided)
+    guided = distribution.guided
+    chosen = distribution.choose(torch.rand(pixels, generator=generator))
+    assert torch.equal(owner[chosen[guided]], guided.nonzero()[:, 0])
 
 
 FAR_SPOTS = [

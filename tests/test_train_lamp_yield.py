@@ -101,7 +101,7 @@ def hidden_weights(loop: RenderLoop) -> torch.Tensor:
     """Mixture weights of the hidden lamp in the pixels that may see both, `[K]`."""
     pixels = loop.camera.width * loop.camera.height
     raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
-    mixture, spot = loop.guide._mixture(slice(0, pixels), loop.camera.focus_points(raster))
+    mixture, spot, _ = loop.guide._mixture(slice(0, pixels), loop.camera.focus_points(raster))
     both = torch.bincount(mixture.owner[mixture.bright > 0.0], minlength=pixels) == 2
     return mixture.weight[(spot == loop.guide.field.mean[0].argmin()) & both[mixture.owner]]
 

@@ -81,12 +81,12 @@ def test_the_probability_is_by_the_roots_of_the_moments_around():
     clusters = torch.randint(-1, 4, (count,), generator=generator)  # the last cluster is never seen
     worth = torch.rand(count, generator=generator) * (tiles > 60)
     seen = torch.rand(count, generator=generator) * (clusters != 3)
-    guide.add(tiles, clusters, worth, seen, 0.5)
+    guide.add(tiles.int(), clusters.int(), worth, seen)
     guide.update(2)
     sums = np.zeros((12, 20, 3, 5))
     for tile, cluster, value, arrived in zip(tiles.tolist(), clusters.tolist(), worth.tolist(), seen.tolist()):
         if cluster >= 0:
-            sums[tile // 20, tile % 20, :, cluster] += (value / 0.5) ** 2, 1.0, arrived
+            sums[tile // 20, tile % 20, :, cluster] += value**2, 1.0, arrived
     for row in range(12):
         for column in range(20):
             pooled = 0.0

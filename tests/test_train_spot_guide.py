@@ -77,7 +77,7 @@ def guided_alone(loop: RenderLoop) -> tuple[torch.Tensor, DiscLensDistribution]:
     pixels = WIDTH * HEIGHT
     raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
     focus = loop.camera.focus_points(raster)
-    mixture, _ = loop.guide._mixture(slice(0, pixels), focus)
+    mixture, *_ = loop.guide._mixture(slice(0, pixels), focus)
     mixture.beta = mixture.guided.float()
     return focus, mixture
 
@@ -253,12 +253,12 @@ def test_beta_is_that_of_least_variance(monkeypatch):
     raster = torch.stack((torch.arange(pixels) % WIDTH, torch.arange(pixels) // WIDTH)) + 0.5
     for block in range(3):  # nearer to it with every block
         guide.moments.zero_()
-        mixture, spot = guide._mixture(slice(0, pixels), guide.camera.focus_points(raster))
+        mixture, _, slots = guide._mixture(slice(0, pixels), guide.camera.focus_points(raster))
         for step in range(64):
             points = mixture.sample(torch.rand(3, WIDTH * HEIGHT, generator=torch.Generator().manual_seed(64 * block + step)))
             at = mixture.evaluate(points)
             light = (3.0 * at.mixture * mixture.lens.area + 1.0) * mixture.lens.contains(points)
-            guide.study(GuidedBatch(slice(0, pixels), raster, mixture, spot), light / (mixture.lens.area * at.density), at)
+            guide.study(GuidedBatch(slice(0, pixels), raster, mixture, slots=slots), light / (mixture.lens.area * at.density), at)
         guide.update(64, [], 1.0)
     beyond = (mixture.ellipses.center.square().sum(0).sqrt() + torch.maximum(mixture.ellipses.width, mixture.ellipses.height) > mixture.lens.radius).float()
     inside = mixture.guided & (torch.zeros(pixels).index_add(0, mixture.owner, beyond) == 0.0)

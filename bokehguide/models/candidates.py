@@ -74,7 +74,7 @@ def draw_candidates(
         near = (center[1] + radius > top) & (center[1] - radius < top + len(full))
         near = indices(near)
         counts, drawn = _draw(center[:, near], radius[near], top, full)
-        parts.append((counts, order[near[drawn]].int()))
+        parts.append((counts, order[near].int().index_select(0, drawn)))
     counts, gaussian = (torch.cat(part) for part in zip(*parts))
     return CandidateList(torch.cat((torch.zeros_like(counts[:1]), counts.cumsum(0))), gaussian)
 
@@ -91,15 +91,15 @@ def _draw(center: Tensor, radius: Tensor, top: int, full: Tensor) -> tuple[Tenso
     pixels, discs = [torch.zeros(0, dtype=torch.int32, device=radius.device)], [radius[:0].long()]
     for first, last in _runs(part):
         pixel, disc = _fill_discs(center[:, first:last], radius[first:last], top, full)
-        space = indices(full.view(-1)[pixel] < MAX_CANDIDATES)
-        pixels.append(pixel[space].int())
-        discs.append(disc[space] + first)
+        space = indices(full.view(-1).index_select(0, pixel) < MAX_CANDIDATES)
+        pixels.append(pixel.index_select(0, space).int())
+        discs.append(disc.index_select(0, space) + first)
         full.view(-1).add_(torch.bincount(pixels[-1], minlength=full.numel()))
     pixel, by_pixel = torch.sort(torch.cat(pixels), stable=True)  # keeps the strongest first
     counts = torch.bincount(pixel, minlength=full.numel())
-    rank = torch.arange(len(pixel), device=pixel.device) - (counts.cumsum(0) - counts)[pixel]
+    rank = torch.arange(len(pixel), device=pixel.device) - (counts.cumsum(0) - counts).index_select(0, pixel)
     kept = indices(rank < MAX_CANDIDATES)
-    return counts.clamp(max=MAX_CANDIDATES), torch.cat(discs)[by_pixel[kept]]
+    return counts.clamp(max=MAX_CANDIDATES), torch.cat(discs).index_select(0, by_pixel.index_select(0, kept))
 
 
 def _runs(values: Tensor) -> list[tuple[int, int]]:
@@ -116,15 +116,15 @@ def _fill_discs(center: Tensor, radius: Tensor, top: int, full: Tensor) -> tuple
     first = (center[1] - radius - 0.5).ceil().clamp(top, top + height).long()
     end = ((center[1] + radius - 0.5).floor() + 1.0).clamp(top, top + height).long()
     disc, row = _expand(first, end)
-    dy = row + 0.5 - center[1, disc]
-    half = (radius[disc].square() - dy.square()).clamp(min=0.0).sqrt()
-    left = (center[0, disc] - half - 0.5).ceil().clamp(0, width).long()
-    right = ((center[0, disc] + half - 0.5).floor() + 1.0).clamp(0, width).long()
+    x, y, radius = (values.index_select(0, disc) for values in (*center, radius))
+    half = (radius.square() - (row + 0.5 - y).square()).clamp(min=0.0).sqrt()
+    left = (x - half - 0.5).ceil().clamp(0, width).long()
+    right = ((x + half - 0.5).floor() + 1.0).clamp(0, width).long()
     open_before = pad((full < MAX_CANDIDATES).int().cumsum(1, dtype=torch.int32), (1, 0)).view(-1)
     line = (row - top) * (width + 1)
     right = torch.where(open_before[line + right.clamp(min=0)] > open_before[line + left], right, left)
     span, column = _expand(left, right)
-    return (row[span] - top) * width + column, disc[span]
+    return ((row - top) * width).index_select(0, span) + column, disc.index_select(0, span)
 
 
 def _expand(low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
@@ -132,4 +132,4 @@ def _expand(low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
     counts = (high - low).clamp(min=0)
     owner = torch.repeat_interleave(counts)
     first = counts.cumsum(0) - counts
-    return owner, torch.arange(len(owner), device=low.device) - first[owner] + low[owner]
+    return owner, torch.arange(len(owner), device=low.device) + (low - first).index_select(0, owner)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bokehguide.models.lens_distribution import LensMixture, owners
+from bokehguide.models.lens_distribution import LensMixture
 from bokehguide.models.panels import Panels, SeenPanels
 from bokehguide.models.projection import project_to_lens
 from bokehguide.models.sky_lamps import SeenSky, SkyLamps
@@ -69,11 +69,6 @@ class Ellipses(NamedTuple):
     height: Tensor
     band: Band
 
-    def select(self, index: Tensor) -> Ellipses:
-        """Those at `index`, int64 `[K]`."""
-        *parts, band = self
-        return Ellipses(*(part.index_select(-1, index) for part in parts), Band(*(part.index_select(-1, index) for part in band)))
-
 
 class DiscLensDistribution(LensMixture):
     """The mixture of ellipsoids projected through x_F onto the lens plane, as even ellipses, cut off where the lens ends.
@@ -99,8 +94,8 @@ class DiscLensDistribution(LensMixture):
         factor: Tensor,
         shapes: Shapes | None = None,
     ):
-        owner, radius = owners(start, len(weight)), sent(lens.radius, focus.device, torch.float32)
-        all_of_it = weight
+        super().__init__(lens, focus, start, len(weight))
+        owner, radius, all_of_it = self.owner, sent(lens.radius, focus.device, torch.float32), weight
         self.ellipses, weight = _ellipses(mean, outline, focus.index_select(1, owner), weight, radius)
         self._parts: list[SeenSky | SeenPanels] = []
         if shapes is not None and shapes.sky is not None:
@@ -119,7 +114,7 @@ class DiscLensDistribution(LensMixture):
         their root mean square."""
         self.chosen = torch.full_like(start[1:], -1)
         """Candidate that each pixel's last sample was drawn from, -1 for none, `[N]`."""
-        super().__init__(lens, focus, beta, start, weight * factor)
+        self._weigh(beta, weight * factor)
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Lens points `[2, N]` from uniform numbers `[3, N]`; they may lie outside the aperture.
@@ -130,9 +125,9 @@ class DiscLensDistribution(LensMixture):
         points = self.lens.sample(uniforms[1:3])
         index = indices(uniforms[0] < self.beta)
         numbers = uniforms[0:3].index_select(1, index)
-        chosen = self.choose(index, numbers[0] / self.beta.index_select(0, index))
+        chosen = self.choose(uniforms[0] / self.beta).index_select(0, index)
         put(self.chosen, index, chosen)
-        drawn = _drawn(self.ellipses.select(chosen), numbers[1:])
+        drawn = _drawn(self.ellipses, chosen, numbers[1:])
         for part in self._parts:
             place = torch.full_like(self.owner, -1)
             place[part.index] = torch.arange(len(part.index), device=place.device)
@@ -143,7 +138,7 @@ class DiscLensDistribution(LensMixture):
         return points
 
     def component_pdf(self, points: Tensor) -> Tensor:
-        density = _density(points.index_select(1, self.owner), self.ellipses)
+        density = _density(points, self.owner, self.ellipses)
         for part in self._parts:
             put(density, part.index, part.pdf(points))
         return density
@@ -224,9 +219,10 @@ def _within(ellipses: Ellipses, lens_radius: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @kernel
-def _drawn(ellipses: Ellipses, uniforms: Tensor) -> Tensor:
-    """Points `[2, M]`, even over what is drawn of ellipses, from uniform numbers `[2, M]`."""
-    center, width, tilt, height, band = ellipses
+def _drawn(ellipses: Ellipses, chosen: Tensor, uniforms: Tensor) -> Tensor:
+    """Points `[2, K]`, even over what is drawn of the ellipses at `chosen`, int64 `[K]`, from uniform numbers `[2, K]`."""
+    center, width, tilt, height = (part.index_select(-1, chosen) for part in ellipses[:-1])
+    band = Band(*(part.index_select(-1, chosen) for part in ellipses.band))
     radius, angle = (1.0 - 1e-6) * uniforms[0].sqrt(), 2.0 * math.pi * uniforms[1]
     along = _disc_place(band.below + uniforms[0] * band.share)
     across = (1.0 - 1e-6) * (1.0 - along * along).clamp(min=0.0).sqrt() * (2.0 * uniforms[1] - 1.0)
@@ -237,10 +233,10 @@ def _drawn(ellipses: Ellipses, uniforms: Tensor) -> Tensor:
 
 
 @kernel
-def _density(points: Tensor, ellipses: Ellipses) -> Tensor:
-    """Of what is drawn of even ellipses at points `[2, M]`, `[M]`."""
+def _density(points: Tensor, owner: Tensor, ellipses: Ellipses) -> Tensor:
+    """Of what is drawn of even ellipses at the points `[2, N]` of those that own them, `[M]`."""
     center, width, tilt, height, band = ellipses
-    x, y = points - center
+    x, y = points.index_select(1, owner) - center
     x = x / width
     y = (y - tilt * x) / height
     along = band.along[0] * x + band.along[1] * y

@@ -15,6 +15,7 @@ from bokehguide.models.blend_weight import BlendWeightMap
 from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.models.projection import log_density_gradient
+from bokehguide.render.kernels import kernel
 from bokehguide.render.pixels import indices
 
 
@@ -46,15 +47,23 @@ def offset_gradient(
     gaussian: Gaussian of each candidate `[M]`; raster: `[2, N]`; ratio: `[N]`.
     """
     contribution = guide.weight * at.components
-    strongest = torch.zeros_like(ratio).scatter_reduce(0, guide.owner, contribution, "amax")
-    learns = (contribution > 0.0) & (contribution == strongest[guide.owner]) & (ratio[guide.owner] > 0.0)
-    chosen = indices(learns)
-    pixel = guide.owner[chosen]
-    mean_gradient = log_density_gradient(
-        at.points[:, pixel], guide.focus[:, pixel], guide.mean[:, chosen], guide.sigma[chosen]
-    )
-    scale = -ratio[pixel] * guide.beta[pixel] * contribution[chosen] / at.density[pixel]
-    basis = offsets.basis(gaussian[chosen], raster[:, pixel])
-    outer = (mean_gradient * scale)[:, None] * basis[None]  # [3, 6, K]
+    counting = indices((contribution > 0.0) & (ratio > 0.0).index_select(0, guide.owner))
+    pixel, contribution = guide.owner.index_select(0, counting), contribution.index_select(0, counting)
+    strongest = torch.zeros_like(ratio).scatter_reduce_(0, pixel, contribution, "amax")
+    learns = indices(contribution == strongest.index_select(0, pixel))
+    chosen, pixel, contribution = (values.index_select(0, learns) for values in (counting, pixel, contribution))
+    gaussian = gaussian.index_select(0, chosen)
+    points, focus, mean = (values.index_select(1, of) for values, of in ((at.points, pixel), (guide.focus, pixel), (guide.mean, chosen)))
+    weight, beta, density = (values.index_select(0, pixel) for values in (ratio, guide.beta, at.density))
+    scale = -weight * beta * contribution / density
+    basis = offsets.basis(gaussian, raster.index_select(1, pixel))
+    slopes = _slopes(points, focus, mean, guide.sigma.index_select(0, chosen), scale, basis)
     gradient = torch.zeros_like(offsets.coefficients, dtype=torch.float64)
-    return gradient.index_add_(2, gaussian[chosen], outer.double())
+    return gradient.index_add_(2, gaussian, slopes.view(3, 6, -1))
+
+
+@kernel
+def _slopes(points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor, scale: Tensor, basis: Tensor) -> Tensor:
+    """What samples add to the gradient, float64 `[18, K]`: `scale` times ∂ log p / ∂μ, by each row of the basis `[6, K]`."""
+    of_mean = scale * log_density_gradient(points, focus, mean, sigma)
+    return torch.stack([(slope * row).double() for slope in of_mean for row in basis])

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from bokehguide.models.projection import lens_density, project_to_lens
+from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
-from bokehguide.render.pixels import indices
+from bokehguide.render.pixels import indices, put
+from bokehguide.render.transfers import sent
 
 WHOLE = 2.0**40
 """Of which a candidate's share is a whole part when it is drawn."""
@@ -64,28 +65,29 @@ class LensMixture:
     weight: of the candidates, any scale, 0 for one that is left out, `[M]`.
     """
 
-    def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, weight: Tensor):
-        self.lens, self.focus = lens, focus
-        self.owner = owners(start, len(weight))
+    def __init__(self, lens: Lens, focus: Tensor, start: Tensor, count: int):
+        self.lens, self.focus, self._start = lens, focus, start
+        self.owner = owners(start, count)
         """Pixel `[M]` that each candidate belongs to."""
-        kept = weight.double()
-        total = torch.zeros(focus.shape[1], dtype=torch.float64, device=kept.device).index_add_(0, self.owner, kept)
-        share = kept / total.clamp(min=1e-300).index_select(0, self.owner)
+
+    def _weigh(self, beta: Tensor, weight: Tensor) -> None:
+        """Set β `[N]` and the mixture's weights, from weights `[M]` that need not sum to 1."""
+        total = torch.zeros(self.focus.shape[1], dtype=torch.float64, device=weight.device)
+        total.index_add_(0, self.owner, weight.double())
         self.guided = total > 0.0
         """Pixels that have anything to be guided by, bool `[N]`."""
         self.beta = beta * self.guided
-        self.weight = share.float()
+        self.weight, whole = _shares(weight, total, self.owner)
         """Mixture weights `[M]`, which sum to 1 over the candidates of a guided pixel."""
         # Whole numbers add up the same wherever a batch begins.
-        self._cumulative = pad((share * WHOLE).long().cumsum(0), (1, 0))
-        self._low, self._high = self._cumulative[start[:-1]], self._cumulative[start[1:]]
+        cumulative = torch.zeros(len(whole) + 1, dtype=torch.int64, device=weight.device)
+        torch.cumsum(whole, 0, out=cumulative[1:])
+        self._ends, self._low, self._high = cumulative[1:], *(cumulative.index_select(0, of) for of in (self._start[:-1], self._start[1:]))
 
-    def choose(self, index: Tensor, uniforms: Tensor) -> Tensor:
-        """Candidates `[K]` of the pixels at `index` `[K]`, drawn by weight."""
-        low, high = self._low.index_select(0, index), self._high.index_select(0, index)
-        target = low + ((high - low) * uniforms.double()).long()
-        found = torch.searchsorted(self._cumulative, target, right=True) - 1
-        return found.clamp(max=len(self.weight) - 1)
+    def choose(self, uniforms: Tensor) -> Tensor:
+        """A candidate of each pixel, int64 `[N]`, drawn by weight with uniform numbers `[N]`; of pixels that have none, anyone's."""
+        passed = _passed(self._ends, self._low, self._high, uniforms, self.owner)
+        return self._start[:-1].clone().index_add_(0, self.owner, passed).clamp_(max=len(self.owner) - 1)
 
     def component_pdf(self, points: Tensor) -> Tensor:
         """p_i at each pixel's lens point, for all of its candidates, `[M]`."""
@@ -115,6 +117,23 @@ class LensMixture:
         return self.pdf(points).log()
 
 
+@kernel
+def _shares(weight: Tensor, total: Tensor, owner: Tensor) -> tuple[Tensor, Tensor]:
+    """Weights `[M]` over the totals `[N]` of those that own them; and the same in whole parts, int64."""
+    share = weight.double() / total.clamp(min=1e-300).index_select(0, owner)
+    return share.float(), (share * WHOLE).long()
+
+
+@kernel
+def _passed(ends: Tensor, low: Tensor, high: Tensor, uniforms: Tensor, owner: Tensor) -> Tensor:
+    """1 for the candidates that stand before the one that each pixel draws, 0 for the others, int64 `[M]`.
+
+    ends: sums of whole parts up to each candidate, `[M]`; low, high: what they are before and after each pixel's, `[N]`.
+    """
+    target = low + ((high - low) * uniforms.double()).long()
+    return (ends <= target.index_select(0, owner)).long()
+
+
 def owners(start: Tensor, count: int) -> Tensor:
     """Pixel int64 `[M]` that each candidate of a packed list belongs to; start: int64 `[N + 1]`; count: M."""
     return torch.repeat_interleave(start[1:] - start[:-1], output_size=count)
@@ -128,16 +147,10 @@ class GuidedLensDistribution(LensMixture):
     """
 
     def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, mean: Tensor, sigma: Tensor, weight: Tensor):
+        super().__init__(lens, focus, start, len(weight))
         self.mean, self.sigma = mean, sigma
-        self._focus = focus.index_select(1, owners(start, len(weight)))
-        super().__init__(lens, focus, beta, start, weight * self._is_kept(lens))
-
-    def _is_kept(self, lens: Lens) -> Tensor:
-        """C_G of Eq. 22: the projected mean lies within r + |k|σ of the lens centre; float32 `[M]`."""
-        k = self._focus[2] / (self._focus[2] - self.mean[2])
-        x, y = project_to_lens(self.mean, self._focus).unbind(0)
-        reach = lens.radius + k.abs() * self.sigma
-        return (x * x + y * y < reach * reach).to(torch.float32)
+        radius = sent(lens.radius, focus.device, torch.float32)
+        self._weigh(beta, weight * _kept(mean, sigma, focus, self.owner, radius))
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Lens points `[2, N]` from uniform numbers `[5, N]`; they may lie outside the aperture.
@@ -146,11 +159,27 @@ class GuidedLensDistribution(LensMixture):
         """
         points = self.lens.sample(uniforms[2:4])
         index = indices(uniforms[0] < self.beta)
-        chosen = self.choose(index, uniforms[1, index])
-        normals = math.sqrt(2.0) * torch.erfinv(2.0 * uniforms[2:5, index] - 1.0)
-        spot = self.mean[:, chosen] + self.sigma[chosen] * normals
-        points[:, index] = project_to_lens(spot, self.focus[:, index]).nan_to_num(1e30, 1e30, -1e30).clamp(-1e15, 1e15)
+        chosen = self.choose(uniforms[1]).index_select(0, index)
+        normals = math.sqrt(2.0) * torch.erfinv(2.0 * uniforms[2:5].index_select(1, index) - 1.0)
+        spot = self.mean.index_select(1, chosen) + self.sigma.index_select(0, chosen) * normals
+        drawn = project_to_lens(spot, self.focus.index_select(1, index))
+        put(points, index, drawn.nan_to_num(1e30, 1e30, -1e30).clamp(-1e15, 1e15))
         return points
 
     def component_pdf(self, points: Tensor) -> Tensor:
-        return lens_density(points.index_select(1, self.owner), self._focus, self.mean, self.sigma)
+        return _density(points, self.focus, self.owner, self.mean, self.sigma)
+
+
+@kernel
+def _kept(mean: Tensor, sigma: Tensor, focus: Tensor, owner: Tensor, lens_radius: Tensor) -> Tensor:
+    """C_G of Eq. 22: the projected mean lies within r + |k|σ of the lens centre; float32 `[M]`."""
+    focus = focus.index_select(1, owner)
+    x, y = project_to_lens(mean, focus)
+    reach = lens_radius + (focus[2] / (focus[2] - mean[2])).abs() * sigma
+    return (x * x + y * y < reach * reach).to(torch.float32)
+
+
+@kernel
+def _density(points: Tensor, focus: Tensor, owner: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
+    """Of the candidates at the lens points of those that own them, `[M]`."""
+    return lens_density(points.index_select(1, owner), focus.index_select(1, owner), mean, sigma)

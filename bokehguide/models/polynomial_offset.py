@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.kernels import kernel
 
 DEGREE = 2
 EXPONENTS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
@@ -40,12 +41,23 @@ class PolynomialOffset(nn.Module):
 
     def basis(self, gaussian: Tensor, raster: Tensor) -> Tensor:
         """R_b times the monomials `[6, N]`: ∂D / ∂a of Eq. 29, for Gaussians `[N]` at raster positions `[2, N]`."""
-        position = (raster - self.center.index_select(1, gaussian)) * self.inverse_radius.index_select(0, gaussian)
-        return monomials(position.clamp(-2.0, 2.0)) * self.unit.index_select(0, gaussian)
+        return _basis(self.center, self.inverse_radius, self.unit, gaussian, raster)
 
     def forward(self, gaussian: Tensor, raster: Tensor) -> Tensor:
         """Offsets in metres `[3, N]` of Gaussians int `[N]` seen from raster positions `[2, N]`."""
-        rows = self.coefficients.reshape(-1, self.coefficients.shape[-1]).index_select(1, gaussian)
-        basis = self.basis(gaussian, raster)
-        # Term by term: `sum` of more than four rows rounds the last elements of an array otherwise.
-        return torch.stack([sum(a * monomial for a, monomial in zip(component, basis)) for component in rows.chunk(3)])
+        rows = self.coefficients.reshape(-1, self.coefficients.shape[-1])
+        return _offset(rows, gaussian, self.basis(gaussian, raster))
+
+
+@kernel
+def _basis(center: Tensor, inverse_radius: Tensor, unit: Tensor, gaussian: Tensor, raster: Tensor) -> Tensor:
+    center, inverse_radius, unit = (of_field.index_select(-1, gaussian) for of_field in (center, inverse_radius, unit))
+    return monomials(((raster - center) * inverse_radius).clamp(-2.0, 2.0)) * unit
+
+
+@kernel
+def _offset(rows: Tensor, gaussian: Tensor, basis: Tensor) -> Tensor:
+    """Sums `[3, N]` of the basis `[6, N]` times the coefficients `[18, G]` of Gaussians `[N]`."""
+    rows = rows.index_select(1, gaussian)
+    # Term by term: `sum` of more than four rows rounds the last elements of an array otherwise.
+    return torch.stack([sum(a * monomial for a, monomial in zip(component, basis)) for component in rows.chunk(3)])

@@ -194,9 +194,8 @@ class Film:
 
     def light(self, pixels: Pixels = slice(None)) -> tuple[float, float]:
         """Luminance of all samples of some pixels, and their number."""
-        seen = torch.stack((luminance(take(self._radiance, pixels)), take(self._count, pixels)))
-        total, count = seen.cpu().numpy().sum(1)  # in an order that no thread count changes
-        return float(total), float(count)
+        *color, count = torch.cat((_summed(take(self._radiance, pixels)), _summed(take(self._count, pixels)[None]))).tolist()
+        return float(luminance(torch.tensor(color, dtype=torch.float64)[:, None])), count
 
     def mean_luminance(self) -> float:
         """Mean luminance of the frame so far."""
@@ -246,6 +245,13 @@ class Film:
             "sample_count": self._count.reshape(shape),
         }
         return {name: np.ascontiguousarray(layer.cpu().numpy(), np.float32) for name, layer in layers.items()}
+
+
+def _summed(rows: Tensor) -> Tensor:
+    """Sums float64 `[R]` of rows `[R, N]`, in an order that no thread count changes."""
+    if rows.device.type == "cpu":
+        return torch.from_numpy(rows.numpy().sum(1, dtype=np.float64))
+    return rows.sum(1, dtype=torch.float64)
 
 
 def earliest(samples: list[BadSample]) -> list[BadSample]:

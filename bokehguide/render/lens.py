@@ -10,6 +10,8 @@ from torch import Tensor
 
 from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.aperture import Iris, Mask
+from bokehguide.render.kernels import kernel
+from bokehguide.render.transfers import sent
 from bokehguide.scene import types
 
 
@@ -50,7 +52,7 @@ class Lens:
 
     def transmission(self, points: Tensor) -> Tensor:
         """W of Eq. 6 on the axis, of mean 1 over the aperture, `[N]`: W / A is the density of `sample`."""
-        return self.contains(points).to(torch.float32)
+        return _within(points, sent(self.radius**2, points.device, points.dtype))
 
     def unblocked(self, points: Tensor, focus: Tensor) -> Tensor:
         """The share of W that is left off the axis, at lens points `[2, N]` towards focus points `[3, N]`, `[N]`."""
@@ -121,6 +123,13 @@ def make_lens(camera: types.Camera, corner: float, device: torch.device | str) -
     turn = math.radians(shape.rotation)
     unit = camera.aperture_radius
     return ShapedLens(radius, focus_distance, pupil, unit, turn, shape.ratio, shape.cat_eye, corner)
+
+
+@kernel
+def _within(points: Tensor, squared: Tensor) -> Tensor:
+    """1 for points `[2, N]` within the circle of this squared radius, 0 for others, float32 `[N]`."""
+    x, y = points
+    return (x * x + y * y <= squared).to(torch.float32)
 
 
 def _turned(points: Tensor, angle: float) -> Tensor:

@@ -45,13 +45,14 @@ def starts_block(step: int) -> bool:
 class GuidedBatch:
     """The lens distribution of a batch of pixels, and what it was made of.
 
-    gaussian: of each candidate, where somebody asks.
+    gaussian: of each candidate, `[M]`, where somebody asks; slots: where its draws are learnt about (see `LampYield`), `[M]`.
     """
 
     pixels: Pixels
     raster: Tensor
     distribution: LensMixture
     gaussian: Tensor | None = None
+    slots: Tensor | None = None
 
 
 @dataclass

@@ -10,7 +10,9 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.kernels import kernel
 from bokehguide.render.pixels import Pixels, pixel_numbers
+from bokehguide.render.random import hash_tensor
 from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import Ranks
 
@@ -34,19 +36,18 @@ class LampYield(RankSums):
     """
 
     def __init__(self, camera: ThinLensCamera, lamps: int, ranks: Ranks | None = None):
-        slots = 1 << max(int(SLOTS_PER_PIXEL * camera.width * camera.height) - 1, 1).bit_length()
-        super().__init__(torch.zeros(2, slots, dtype=torch.float64, device=camera.position.device), ranks)
-        self._width, self._lamps = camera.width, lamps
-        self.register_buffer("learnt", torch.ones(slots, device=camera.position.device))
+        slots, device = 1 << max(int(SLOTS_PER_PIXEL * camera.width * camera.height) - 1, 1).bit_length(), camera.position.device
+        super().__init__(torch.zeros(2, slots, dtype=torch.float64, device=device), ranks)
+        self._width, self._bounds = camera.width, torch.tensor([[lamps], [slots - 1]], dtype=torch.int32, device=device)
+        self.register_buffer("learnt", torch.ones(slots, device=device))
         """What the block goes by, of each slot: part of the state, as draws of the block are in the sums already."""
 
     def slots(self, pixels: Pixels, owner: Tensor, lamp: Tensor) -> Tensor:
-        """Slots int64 `[M]` of lamps `[M]` of the field as pixels see them; owner `[M]`: whose they are of `pixels`."""
-        numbers = pixel_numbers(pixels, lamp.device).long()
-        tile = numbers // self._width // TILE * (-(-self._width // TILE)) + numbers % self._width // TILE
-        mixed = tile.index_select(0, owner) * 0x9E3779B1 + lamp * 0x85EBCA77
-        mixed ^= mixed >> 17
-        return torch.where(lamp < self._lamps, 1 + mixed % (self.sums.shape[1] - 1), 0)
+        """Slots int32 `[M]` of lamps `[M]` of the field as pixels see them; owner `[M]`: whose they are of `pixels`."""
+        numbers = pixel_numbers(pixels, lamp.device).int()
+        row = numbers // self._width
+        tile = row // TILE * (-(-self._width // TILE)) + (numbers - row * self._width) // TILE
+        return _slots(tile, owner, lamp, self._bounds)
 
     def add(self, slots: Tensor, squared: Tensor) -> None:
         """Add draws `[K]`, and the squares of what they brought in units of what they might have."""
@@ -65,3 +66,10 @@ class LampYield(RankSums):
     def factor(self, slots: Tensor) -> Tensor:
         """What weights of candidates in `slots` `[M]` are to be multiplied by."""
         return self.learnt.index_select(0, slots)
+
+
+@kernel
+def _slots(tile: Tensor, owner: Tensor, lamp: Tensor, bounds: Tensor) -> Tensor:
+    """`LampYield.slots` of pixels in tiles int32 `[N]`; bounds: number of lamps, and the last slot, int32 `[2, 1]`."""
+    slot = hash_tensor(tile.index_select(0, owner) * 0x165667B1 + lamp.int() * 0x27D4EB2F) & bounds[1]
+    return torch.where(lamp < bounds[0], slot.clamp(min=1), 0)

@@ -8,15 +8,17 @@ of what each cluster of lights brought do: a choice by their roots has the least
 
 from __future__ import annotations
 
+from threading import Lock
+
 import torch
 from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.clusters import ClusterTable
+from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import Ranks
-from bokehguide.train.spot_guide import BRIGHTEST
 
 TILES, SMALLEST = 80, 4
 """Tiles along the longer side of the frame, and pixels along the side of a tile: in a smaller one there is too little to learn from."""
@@ -26,13 +28,15 @@ SEEN_BEFORE = 0.2
 """Samples of each cluster in each tile that are taken to have arrived already."""
 DARKEST = 0.05
 """Least share of a cluster's light that is expected to arrive."""
+BRIGHTEST = 1e30
+"""What is worth more, and what is infinite, counts as this much."""
 
 
 class LightGuide(RankSums):
     """Learns which clusters of lights to sample where a pixel's rays first land.
 
-    clusters: how many there are. `add` takes what steps have seen; `update` ends a block.
-    sums: `[3, tiles, clusters]`, of squared worth (see `PathSamples`) in units of the frame's mean, of samples, and of
+    clusters: how many there are. `add` takes what steps have seen, of threads side by side; `update` ends a block.
+    sums: `[3, tiles, clusters]`, of squared worth (see `LightsChosen`), of samples, and of
     the share of their light that arrived; probability, seen: what the present block chooses by, `[tiles, clusters]`, all
     0 in the first.
     """
@@ -46,7 +50,9 @@ class LightGuide(RankSums):
         self.register_buffer("probability", torch.zeros(shape, device=device))
         self.register_buffer("seen", torch.zeros(shape, device=device))
         self.register_buffer("block", torch.tensor(1))
+        self._count = torch.tensor([clusters], dtype=torch.int32, device=device)
         self._table: ClusterTable | None = None
+        self._adding = Lock()
 
     def tiles(self, points: Tensor) -> Tensor:
         """Tile in which the middle of the lens sees each world point `[3, N]`, int32 `[N]`; the nearest for one that it does not see."""
@@ -59,19 +65,19 @@ class LightGuide(RankSums):
         """How paths choose in this block at world points `[3, N]`."""
         return LightChoice(self.tiles(points), self._table, int(self.block), None if self._table is None else self.seen)
 
-    def add(self, tiles: Tensor, clusters: Tensor, worth: Tensor, seen: Tensor, unit: float) -> None:
-        """Add light samples, `[N]` each; clusters: -1 for none; unit: the frame's mean luminance."""
-        counted = (clusters >= 0).double()
-        place = tiles * self.probability.shape[1] + clusters.clamp(min=0)
-        squared = (worth / unit).nan_to_num(0.0, BRIGHTEST).clamp(max=BRIGHTEST).square()
-        for total, values in zip(self.mine.view(3, -1), (squared, torch.ones_like(squared), seen)):
-            total.index_add_(0, place, values * counted)  # double, or sums, and choices by them, would depend on who adds first
+    def add(self, tiles: Tensor, clusters: Tensor, worth: Tensor, seen: Tensor) -> None:
+        """Add light samples, `[N]` each; tiles, clusters: int32, of the latter -1 for none."""
+        place, *rows = _rows(tiles, clusters, worth, seen, self._count)
+        with self._adding:
+            for total, values in zip(self.mine.view(3, -1), rows):
+                total.index_add_(0, place, values)  # double, or sums, and choices by them, would depend on who adds first
 
     def update(self, step: int) -> None:
         """Begin a block of steps with `step`: choose by all that was seen before it; collective."""
         self.merge()
         self.block.fill_(step)
-        moments, tried, arrived = (self._pooled(total.float()) for total in self.sums)
+        brightest = self.sums[0].max().clamp(min=1e-300)
+        moments, tried, arrived = (self._pooled(total.float()) for total in (self.sums[0] / brightest, *self.sums[1:]))
         roots = moments.sqrt()
         whole = roots.sum(1, keepdim=True)
         self.probability.copy_(torch.where(whole > 0.0, roots / whole.clamp(min=1e-30), 1.0 / roots.shape[1]))
@@ -97,6 +103,14 @@ class LightGuide(RankSums):
             raise ValueError("what was learnt of lights is no choice among them")
         self._table = ClusterTable(self.probability.double()) if learnt else None
         return result
+
+
+@kernel
+def _rows(tiles: Tensor, clusters: Tensor, worth: Tensor, seen: Tensor, count: Tensor) -> tuple[Tensor, ...]:
+    """Where samples `[N]` are to be added in a table with `count` clusters in a row, int32 `[N]`, and what, float64 `[N]` each."""
+    counted = (clusters >= 0).double()
+    worth = worth.double().nan_to_num(0.0, BRIGHTEST).clamp(max=BRIGHTEST)
+    return tiles * count + clusters.clamp(min=0), worth * worth * counted, counted, seen * counted
 
 
 def _means(count: int, width: int) -> Tensor:

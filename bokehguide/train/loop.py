@@ -18,13 +18,13 @@ from bokehguide.errors import BokehguideError
 from bokehguide.models.lens_distribution import LensDensity
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import Film, FilmSamples, earliest
-from bokehguide.render.kernels import compile_kernels
+from bokehguide.render.kernels import compile_kernels, kernel
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.pixels import Pixels, box_pixels, indices, pixel_numbers
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
-from bokehguide.render.transfers import own_stream
+from bokehguide.render.transfers import own_stream, sent
 from bokehguide.render.vector import luminance
 from bokehguide.restir import SpatialReuse
 from bokehguide.scene.types import Scene
@@ -202,8 +202,8 @@ class RenderLoop:
             recorded = finite(self.guide.recorded(samples), good)
             result.records = self._records(points, directions, self.guide.apparent_distance(samples), weight, recorded)
             result.figures = guide_figures(batch, weight, result.lesson)
-            if self.light_guide is not None:
-                result.lights = samples.lights
+            if samples.lights is not None:
+                self.light_guide.add(*samples.lights)
         return result
 
     def _shared(
@@ -271,19 +271,16 @@ class RenderLoop:
 
     def _records(self, points: Tensor, directions: Tensor, distance: Tensor, weight: Tensor, light: Tensor):
         """Cells, camera-frame positions and luminance of the samples inside the lens, for the record buffer."""
-        away = self.camera.axes.T @ directions
-        hit = distance < MISS_DISTANCE
-        origin = torch.cat((points, torch.zeros_like(points[:1]))) * hit
-        reach = torch.where(hit, distance, FAR * self.camera.lens.focus_distance)
-        position = origin + away * reach
+        far = sent(FAR * self.camera.lens.focus_distance, distance.device, torch.float32)
+        position = _positions(points, self.camera.axes.T @ directions, distance, far)
         cells = self.guide.record.cells(self.camera, position)
         return torch.where(weight > 0.0, cells, -1), position, light
 
     def _learn(self, results: list[BatchResult]) -> None:
         light, count = self.ranks.totals(*self._seen())
         self._mean_luminance = light / max(count, 1.0)
-        for added in [self._pool.submit(add, results) for add in (self._add_records, self._add_lights)]:
-            added.result()
+        for result in results:
+            self.guide.remember(*result.records, self._mean_luminance)
         lessons = [result.lesson for result in results if result.lesson is not None]
         self.guide.update(self.step_number, lessons, self._mean_luminance)
         if starts_block(self.step_number + 1):
@@ -291,15 +288,6 @@ class RenderLoop:
                 self.light_guide.update(self.step_number + 1)
             if self.control is not None:
                 self.control.update(self._so_far() * self._mine_of_film().to(self.settings.device))
-
-    def _add_records(self, results: list[BatchResult]) -> None:
-        for result in results:
-            self.guide.remember(*result.records, self._mean_luminance)
-
-    def _add_lights(self, results: list[BatchResult]) -> None:
-        if self.light_guide is not None and self._mean_luminance > 0.0:
-            for lights in (result.lights for result in results if result.lights is not None):
-                self.light_guide.add(*lights, self._mean_luminance)
 
     def picture(self) -> Film:
         """The film with the pixels of all ranks; collective."""
@@ -388,3 +376,12 @@ class RenderLoop:
             return {}
         beta = self.ranks.merged({"beta": self.guide.blend_weights()}, self._mine())["beta"]
         return guide_images(self.camera, self.guide.record, self.guide.spotlights, beta, self.guide.candidates)
+
+
+@kernel
+def _positions(points: Tensor, directions: Tensor, distance: Tensor, far: Tensor) -> Tensor:
+    """Where rays from lens points `[2, N]` in directions `[3, N]` met something at `distance` `[N]`, camera frame `[3, N]`; of those
+    that met nothing, that from the middle of the lens, and `far`."""
+    hit = distance < MISS_DISTANCE
+    origin = torch.stack((points[0] * hit, points[1] * hit, torch.zeros_like(distance)))
+    return origin + directions * torch.where(hit, distance, far)

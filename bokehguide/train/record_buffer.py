@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.kernels import kernel
 from bokehguide.render.pixels import indices
 from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import Ranks
@@ -31,16 +32,24 @@ class Raster(RankSums):
         width, height = camera.width + 2 * border, camera.height + 2 * border
         super().__init__(torch.zeros(planes, width * height), ranks)
         self.border, self.width, self.height = border, width, height
+        self.register_buffer("_size", torch.tensor([[border], [width], [height]]), persistent=False)
 
     def cells(self, camera: ThinLensCamera, points: Tensor) -> Tensor:
         """Cell of each camera-frame point `[3, N]`, int64 `[N]`; -1 outside or behind the lens."""
-        column, row = (camera.raster(points) + self.border).floor().nan_to_num(-1.0).clamp(-1.0, 1e6).unbind(0)
-        inside = (points[2] > 0.0) & (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
-        return torch.where(inside, row.long() * self.width + column.long(), -1)
+        return _cells(camera.raster(points), points[2], self._size)
 
     def radiance(self) -> Tensor:
         """Mean luminance of each cell, `[height, width]`."""
         return (self.sums[1] / self.sums[0].clamp(min=1.0)).reshape(self.height, self.width)
+
+
+@kernel
+def _cells(raster: Tensor, depth: Tensor, size: Tensor) -> Tensor:
+    """`Raster.cells` of raster positions `[2, N]` and depths `[N]`; size: the border, width and height, int64 `[3, 1]`."""
+    border, width, height = size
+    column, row = (raster + border).floor().nan_to_num(-1.0).clamp(-1.0, 1e6)
+    inside = (depth > 0.0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    return torch.where(inside, row.long() * width + column.long(), -1)
 
 
 class RecordBuffer(Raster):

@@ -33,6 +33,7 @@ from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.kl import one_sample_kl
 from bokehguide.models.lens_distribution import LensDensity, owners
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.kernels import kernel
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.pixels import Pixels, increase, indices, take
 from bokehguide.render.random import PixelRandom
@@ -104,8 +105,8 @@ class SpotGuide(nn.Module):
             return uniform_draw(lens, focus, uniforms[1:3])
         return guided_draw(lens, focus, GuidedBatch(pixels, raster, *mixture), uniforms)
 
-    def _mixture(self, pixels: Pixels, focus: Tensor) -> tuple[DiscLensDistribution, Tensor] | None:
-        """The mixture of each pixel, and what of the field its candidates are; None where none has any."""
+    def _mixture(self, pixels: Pixels, focus: Tensor) -> tuple[DiscLensDistribution, Tensor, Tensor] | None:
+        """The mixture of each pixel, what of the field its candidates are, and their slots; None where none has any."""
         if self.candidates is None:
             return None
         start, spot = self.candidates.batch(pixels)
@@ -114,21 +115,20 @@ class SpotGuide(nn.Module):
         field, lens = self.field, self.camera.lens
         mean, outline = field.mean.index_select(1, spot), self.outlines.index_select(1, spot)
         weight = field.lens_weights(lens.focus_distance).index_select(0, spot)
-        known, (sky_lamp, panel) = self._lamps.shapes, self._numbers.index_select(1, spot)
-        shapes = Shapes(known.sky, sky_lamp, known.panels, panel, known.light)
+        known, shapes = self._lamps.shapes, None
+        if known.sky is not None or known.panels is not None:
+            sky_lamp, panel = self._numbers.index_select(1, spot)
+            shapes = Shapes(known.sky, sky_lamp, known.panels, panel, known.light)
         slots = self.lamp_yield.slots(pixels, owners(start, len(spot)), spot)
         factor = self.lamp_yield.factor(slots)
         beta = take(self.beta, pixels)
-        return DiscLensDistribution(lens, focus, beta, start, mean, outline, weight, factor, shapes), spot
+        return DiscLensDistribution(lens, focus, beta, start, mean, outline, weight, factor, shapes), spot, slots
 
     @torch.no_grad()
     def study(self, batch: GuidedBatch, ratio: Tensor, at: LensDensity) -> BatchLesson:
         """Add to the moments of the batch's pixels; ratio: L / (A q) `[N]`, 0 outside the aperture."""
         mixture, pixels = batch.distribution, batch.pixels
-        of_discs = mixture.beta * at.mixture / at.density.clamp(min=1e-37)
-        squared = ratio.clamp(max=BRIGHTEST).square() * mixture.guided  # the others have no β to tell of
-        increase(self.moments[0], pixels, squared * of_discs * mixture.beta)
-        increase(self.moments[1], pixels, squared * (1.0 - of_discs) * (1.0 - mixture.beta))
+        increase(self.moments, pixels, _moments(mixture.beta, at.mixture, at.density, ratio))
         draws = self._draws(batch, ratio)
         return BatchLesson(one_sample_kl(ratio, at.density, mixture.lens.area), pixels, draws=draws)
 
@@ -136,7 +136,7 @@ class SpotGuide(nn.Module):
         """Slots of the lamps that were drawn, and the squares of what the draws brought over what they might have."""
         mixture = batch.distribution
         chosen = mixture.chosen.clamp(min=0)
-        slots = self.lamp_yield.slots(batch.pixels, mixture.owner.index_select(0, chosen), batch.gaussian.index_select(0, chosen))
+        slots = batch.slots.index_select(0, chosen)
         index = indices((mixture.chosen >= 0) & (slots > 0))
         chosen, slots = chosen.index_select(0, index), slots.index_select(0, index)
         share = mixture.beta.index_select(0, index) * mixture.weight.index_select(0, chosen)
@@ -156,7 +156,7 @@ class SpotGuide(nn.Module):
         """Luminance `[N]` for the record buffer: all but what the field's lamps send straight into the lens."""
         hit = samples.triangle >= 0
         known = self._lamps.triangles[samples.triangle.clamp(min=0).long()] & hit
-        light = luminance(samples.radiance - samples.emission * known)
+        light = _luminance_beside(samples.radiance, samples.emission, known)
         return light * hit if self._lamps.whole_sky else light
 
     def apparent_distance(self, samples: PathSamples) -> Tensor:
@@ -224,3 +224,17 @@ class SpotGuide(nn.Module):
             raise ValueError("what was learnt of draws is none")
         self.set_candidates()
         return result
+
+
+@kernel
+def _luminance_beside(radiance: Tensor, emission: Tensor, known: Tensor) -> Tensor:
+    """Luminance `[N]` of radiance `[3, N]` without the emission that is `known`, bool `[N]`."""
+    return luminance(radiance - emission * known)
+
+
+@kernel
+def _moments(beta: Tensor, of_discs: Tensor, density: Tensor, ratio: Tensor) -> Tensor:
+    """What samples add to `SpotGuide.moments`, `[2, N]`; of_discs, density: of the lens points, by the discs and in all."""
+    share = beta * of_discs / density.clamp(min=1e-37)
+    squared = ratio.clamp(max=BRIGHTEST) * ratio.clamp(max=BRIGHTEST) * (beta > 0.0)  # the others have no β to tell of
+    return torch.stack((squared * share * beta, squared * (1.0 - share) * (1.0 - beta)))

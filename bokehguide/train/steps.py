@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from bokehguide.render.path_tracer import LightsChosen
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.train.guide import BatchLesson, GuidedBatch
 from bokehguide.train.ranks import Ranks
@@ -40,7 +39,7 @@ def guide_figures(batch: GuidedBatch | None, weight: Tensor, lesson: BatchLesson
 @dataclass
 class BatchResult:
     """What a batch leaves behind, beside the film: figures are those of the guide (`guide_figures`), records are cells, positions
-    and luminance for the record buffer; lights are for the light guide."""
+    and luminance for the record buffer."""
 
     samples: int
     rays: int
@@ -48,7 +47,6 @@ class BatchResult:
     figures: Tensor | None = None
     lesson: BatchLesson | None = None
     records: tuple[Tensor, Tensor, Tensor] | None = None
-    lights: LightsChosen | None = None
 
 
 def step_stats(step: int, results: list[BatchResult], seconds: float, gaussians: int, ranks: Ranks) -> StepStats:

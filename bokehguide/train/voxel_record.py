@@ -6,7 +6,9 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.kernels import kernel
 from bokehguide.render.pixels import indices
+from bokehguide.render.transfers import sent
 from bokehguide.train.ranks import Ranks
 from bokehguide.train.record_buffer import Raster
 
@@ -48,12 +50,11 @@ class VoxelRecord(Raster):
     def add(self, cells: Tensor, points: Tensor, luminance: Tensor, threshold: float) -> None:
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`, and to voxels those that
         are brighter than the threshold or lie in cells that have some."""
-        inside, cells = cells >= 0, cells.clamp(min=0)
-        light = torch.where(inside, luminance, 0.0)
+        cells, inside, light, bright = _sorted_out(cells, luminance, self._lit, sent(threshold, cells.device, torch.float32))
         count, radiance = self.mine
-        count.index_add_(0, cells, inside.to(light.dtype))
+        count.index_add_(0, cells, inside)
         radiance.index_add_(0, cells, light)
-        lit = indices(inside & ((light > threshold) | self._lit.index_select(0, cells)))
+        lit = indices(bright > 0.0)
         cells, light = cells.index_select(0, lit), light.index_select(0, lit).double()
         x, y, depth = points.index_select(1, lit).double()
         number = cells * LAYERS + self._layers(depth)
@@ -140,6 +141,16 @@ class VoxelRecord(Raster):
         inside = bool((number >= 0.0).all() and (number < self.sums.shape[1] * LAYERS).all())
         if not inside or not bool((number == number.floor()).all() and (number.diff() > 0.0).all()):
             raise ValueError("voxels outside the record buffer")
+
+
+@kernel
+def _sorted_out(cells: Tensor, luminance: Tensor, lit: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
+    """Cells of samples, 0 for those outside; 1 for samples inside, 0 for the others; the luminance that counts; and 1 for those
+    that are for voxels; `[N]` each."""
+    inside, cells = cells >= 0, cells.clamp(min=0)
+    light = torch.where(inside, luminance, 0.0)
+    bright = inside & ((light > threshold) | lit.index_select(0, cells))
+    return cells, inside.to(light.dtype), light, bright.to(light.dtype)
 
 
 def _added_up(parts: list[Tensor]) -> Tensor:
