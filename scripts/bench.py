@@ -1,7 +1,8 @@
-"""Speed of uniform and guided sampling: samples and rays a second, and where the time goes.
+"""Speed of uniform and guided sampling: samples and rays a second, where the time goes, and what the guide costs.
 
     python scripts/bench.py --json bench.json
     python scripts/bench.py --peers
+    python scripts/bench.py --aperture-radius 0.065
 
 The modes take turns, step by step, so that a busy moment of the machine strikes all alike.
 Peak memory is of a process in which a mode renders alone, as a mode's share of a common one
@@ -36,6 +37,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default="fairy-lights")
     parser.add_argument("--size", type=size, default="1280x720", metavar="WxH", help="default 1280x720")
+    help = "metres, in place of the scene's: pixels of a wider lens have more candidates"
+    parser.add_argument("--aperture-radius", type=float, metavar="M", help=help)
     parser.add_argument("--spp", type=positive, default=16, help="measured steps of each mode, default 16")
     parser.add_argument("--warm-up", type=natural, default=8, help="steps before them, default 8: those of the global fit")
     parser.add_argument("--threads", type=threads, help="default: one per core")
@@ -56,13 +59,16 @@ def main() -> None:
 
 def tell(results: dict[str, dict[str, float]], args: argparse.Namespace) -> None:
     """Print the table."""
-    print(f"{args.scene} {'x'.join(map(str, args.size))}, {args.spp} SPP after {args.warm_up}")
-    print(f"{'':9}{'M samples/s':>12}{'M rays/s':>10}{'in Embree':>11}{'in guide':>10}{'MiB':>8}")
+    lens = "" if args.aperture_radius is None else f", aperture radius {args.aperture_radius:g} m,"
+    print(f"{args.scene}{lens} {'x'.join(map(str, args.size))}, {args.spp} SPP after {args.warm_up}")
+    print(f"{'':9}{'M samples/s':>12}{'M rays/s':>10}{'in Embree':>11}{'in guide':>10}{'candidates':>12}{'a step':>8}{'guide':>7}{'MiB':>8}")
     for mode in MODES:
         row = results[mode]
         rates = f"{row['samples_per_second'] / 1e6:>12.3f}{row['rays_per_second'] / 1e6:>10.3f}"
-        shares = f"{row['embree_share']:>11.1%}{row['guide_share']:>10.1%}"
-        print(f"{mode:<9}{rates}{shares}{row['peak_memory_mb']:>8.0f}")
+        shares = f"{row['embree_share']:>11.1%}{row['guide_share']:>10.1%}{row['candidates']:>12.2f}"
+        costs = f"{row['step_cost']:>8.2f}{row['guide_cost']:>7.2f}"
+        print(f"{mode:<9}{rates}{shares}{costs}{row['peak_memory_mb']:>8.0f}")
+    print("candidates: of a pixel, on average; a step, guide: in steps of uniform sampling")
     if PEER in results:
         rate = results[PEER]["samples_per_second"]
         ratios = ", ".join(f"{mode} {results[mode]['samples_per_second'] / rate:.2f}" for mode in MODES)
@@ -77,14 +83,15 @@ def measure_speed(args: argparse.Namespace) -> dict[str, dict[str, float]]:
         for _ in range(args.warm_up):
             loop.step()
     before = {mode: dict(loop.phases) for mode, loop in loops.items()}
-    steps = {mode: [] for mode in MODES}
+    steps, candidates = {mode: [] for mode in MODES}, dict.fromkeys(MODES, 0.0)
     peer_seconds = 0.0
     for turn in range(args.spp):
         for mode, loop in loops.items():
+            candidates[mode] += mean_candidates(loop) / args.spp
             steps[mode].append(loop.step())
         if peer is not None:
             peer_seconds += peer(turn)
-    results = {}
+    results, uniform = {}, sum(stats.seconds for stats in steps["uniform"])
     if peer is not None:
         samples = args.spp * PEER_SPP * args.size[0] * args.size[1]
         results[PEER] = {"samples_per_second": samples / peer_seconds}
@@ -96,8 +103,18 @@ def measure_speed(args: argparse.Namespace) -> dict[str, dict[str, float]]:
             "rays_per_second": sum(stats.rays for stats in steps[mode]) / seconds,
             "embree_share": phases["tracing rays"] / seconds,
             "guide_share": sum(phases[name] for name in GUIDE_PHASES) / seconds,
+            "step_cost": seconds / uniform,
+            "guide_cost": sum(phases[name] for name in GUIDE_PHASES) / uniform,
+            "candidates": candidates[mode],
         }
     return results
+
+
+def mean_candidates(loop: RenderLoop) -> float:
+    """Of a pixel in the next step, on average."""
+    if loop.guide is None or loop.guide.candidates is None:
+        return 0.0
+    return float(loop.guide.candidates.counts().double().mean())
 
 
 def measure_memory(mode: str, args: argparse.Namespace) -> float:
@@ -120,7 +137,7 @@ def start(mode: str, args: argparse.Namespace) -> RenderLoop:
 
 def measured_scene(args: argparse.Namespace) -> Scene:
     width, height = args.size
-    scene = load_scene(args.scene, Overrides(width=width, height=height))
+    scene = load_scene(args.scene, Overrides(width=width, height=height, aperture_radius=args.aperture_radius))
     if not args.peers:
         return scene
     from mitsuba_scene import comparable

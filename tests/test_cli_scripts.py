@@ -65,6 +65,9 @@ def test_bench_measures_each_mode_and_the_peer(script, tmp_path):
     rows = json.loads((tmp_path / "bench.json").read_text())
     assert list(rows) == (["Mitsuba"] if peers else []) + ["uniform", "lis-o", "guided"]
     assert all(row["samples_per_second"] > 0.0 for row in rows.values())
+    uniform, learning = rows["uniform"], rows["lis-o"]
+    assert (uniform["step_cost"], uniform["candidates"]) == (1.0, 0.0)
+    assert 0.0 < learning["guide_cost"] < learning["step_cost"]
     assert ("ratios to it" in finished.stdout) == peers
 
 

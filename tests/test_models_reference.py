@@ -102,9 +102,13 @@ def test_mixture_pdf_is_the_sum_over_each_pixels_candidates():
     np.testing.assert_allclose(found, reference, rtol=2e-4, atol=1e-5)
     sums = torch.zeros(pixels).index_add_(0, owner, distribution.weight)
     torch.testing.assert_close(sums, distribution.guided.float(), rtol=0.0, atol=1e-5)
-    guided = distribution.guided
-    chosen = distribution.choose(torch.rand(pixels, generator=generator))
-    assert torch.equal(owner[chosen[guided]], guided.nonzero()[:, 0])
+    uniforms = torch.rand(pixels, generator=generator)
+    chosen = distribution.choose(uniforms)
+    for pixel in distribution.guided.nonzero()[:, 0].tolist():
+        low, high = start[pixel : pixel + 2].tolist()
+        below = distribution.weight[low:high].double().cumsum(0).numpy()
+        expected = low + int(np.searchsorted(below, float(uniforms[pixel]), side="right"))
+        assert int(chosen[pixel]) == expected and distribution.weight[expected] > 0.0
 
 
 FAR_SPOTS = [

@@ -10,7 +10,8 @@ import pytest
 import torch
 from pretended_device import pretended_device as device_there
 
-from bokehguide.render.pixels import indices, indices_of_each
+from bokehguide.render.film import Film, FilmSamples
+from bokehguide.render.pixels import indices, indices_of_each, worthwhile
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings, settings
 
@@ -65,32 +66,50 @@ def test_true_places_are_those_on_a_cpu(size, device):
     assert all(torch.equal(places.cpu(), indices(mask)) for places, mask in zip(found, masks))
 
 
+def test_on_a_device_work_in_vain_is_no_reason_to_wait(device):
+    mask = torch.tensor([False, True, False, True])
+    assert worthwhile(mask).tolist() == [1, 3]
+    there = mask.to(device)
+    pretended_device.waits.clear()
+    found = worthwhile(there)
+    assert not pretended_device.waits and found.tolist() == [0, 1, 2, 3]
+
+
+def test_samples_that_are_not_finite_are_told_apart_later(device):
+    """On a device, when somebody asks or a step ends; the film has none of them at once."""
+    here, there = Film(4, 3, seed=5), Film(4, 3, seed=5, device=device)
+    for film in (here, there):
+        for pixels in (slice(0, 6), slice(6, 12)):
+            numbers = torch.arange(pixels.start, pixels.stop)
+            value = torch.where((numbers == 3) | (numbers == 10), torch.nan, 1.0).expand(3, -1)
+            place, zero = str(film.radiance().device), torch.zeros(3, 6)
+            parts = (torch.ones(6), value, torch.ones(6), torch.ones(6), zero, zero, zero)
+            film.add(pixels, FilmSamples(*(part.to(place) for part in parts)), step=2)
+    assert torch.equal(here.radiance(), there.radiance().cpu())
+    assert there.bad_count == here.bad_count == 2 and there.bad_samples == here.bad_samples
+    assert [(bad.x, bad.y, bad.step, bad.seed) for bad in there.bad_samples] == [(3, 0, 2, 5), (2, 2, 2, 5)]
+
+
 def test_samples_of_the_record_may_wait_here_and_there(device):
     """Those that a rank of several has added up do so on the host."""
     record = loop_of("fairy-lights", "guided", device).guide.record
     rows = torch.ones(3, 6, dtype=torch.float64)
     record._new = [rows, rows.to(device)]
-    record.end_step()
-    assert [len(part) for part in record._new] == [3, 3]
+    record.merge()
+    assert record.waiting.tolist() == [[1.0] + [6.0] * 5]
 
 
+OF_UNIFORM = {"pixels.indices_of_each": 1}  # which samples are not finite, for all batches at once
 OF_GUIDED = {
-    "path_tracer.split": 1,  # into how many paths the rays split
-    "first_surfaces.radiance": 1,  # and how many of those are seen by others
-    "pixels.indices_of_each": 4,  # who sees whose samples, and what of them at infinity; and what mirrors show
-    "geometry.corners": 1,  # where what mirrors show is bent
-    "candidates.batch": 1,
-    "disc_distribution.sample": 1,
-    "spot_guide._draws": 1,
+    "pixels.indices_of_each": 3,  # that, and which samples are for the record; in each batch what mirrors show
+    "geometry.corners": 1,  # in each batch, where what mirrors show is bent
     "film.light": 1,
-    "voxel_record.add": 1,
-    "voxel_record.end_step": 1,
     "steps.step_stats": 1,
 }
-"""How often the host waits in a step of one batch in which pixels share their samples, once with each other, beside `WAITS`."""
+"""How often the host waits in a step of one batch in which pixels share their samples, once with each other, but for rays."""
 
 
-@pytest.mark.parametrize("mode, others", [("uniform", {}), ("guided", OF_GUIDED)])
+@pytest.mark.parametrize("mode, others", [("uniform", OF_UNIFORM), ("guided", OF_GUIDED)])
 def test_the_host_waits_for_rays_and_for_little_else(mode, others, device):
     loop = loop_of("fairy-lights", mode, device)
     for _ in range(5):  # the next one is within a block
@@ -101,7 +120,6 @@ def test_the_host_waits_for_rays_and_for_little_else(mode, others, device):
     for place, count in pretended_device.waits.items():
         waits[place.rsplit(":", 1)[0]] += count
     segments = loop.tracer.max_depth
-    assert 0 < waits.pop("transfers.fetched") <= 2 * segments + (mode == "guided")  # the last segment samples no lights
-    assert waits.pop("film.add") == 1  # whether all samples are finite
+    assert 0 < waits.pop("transfers.fetched") <= 2 * segments - (mode == "uniform")  # the last segment samples no lights
     assert all(0 < waits.pop(place) <= most for place, most in others.items())
     assert not waits

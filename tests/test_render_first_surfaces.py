@@ -69,14 +69,14 @@ def towards(first: FirstSurfaces, place: np.ndarray) -> Tensor:
 
 def from_elsewhere(tracer: PathTracer, seed: int = 0) -> np.ndarray:
     first = traced(tracer, HERE, seed).first
-    return first.radiance(torch.arange(COUNT), towards(first, ELSEWHERE)).double().numpy()
+    return first.radiance(torch.arange(COUNT), towards(first, ELSEWHERE), len(first.owner)).double().numpy()
 
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_towards_where_the_ray_came_from_it_is_what_was_found(name):
     parts = torch.randint(1, 5, (COUNT,), generator=torch.Generator().manual_seed(1))
     samples = traced(PathTracer(lit(MATERIALS[name])), HERE, 0, parts)
-    found = samples.first.radiance(torch.arange(COUNT), towards(samples.first, HERE))
+    found = samples.first.radiance(torch.arange(COUNT), towards(samples.first, HERE), len(samples.first.owner))
     torch.testing.assert_close(found, samples.radiance, rtol=1e-4, atol=1e-5)
     assert float(samples.radiance.std()) > 0.01
 
@@ -103,7 +103,7 @@ def test_without_light_samples_it_has_the_same_mean(monkeypatch):
     bsdf_sampling_only(monkeypatch)
     samples = traced(tracer, HERE, 0)
     assert not samples.first.direct.any() and bool(samples.first.indirect.any())
-    found = samples.first.radiance(torch.arange(COUNT), towards(samples.first, HERE))
+    found = samples.first.radiance(torch.arange(COUNT), towards(samples.first, HERE), len(samples.first.owner))
     torch.testing.assert_close(found, samples.radiance, rtol=1e-4, atol=1e-5)
     assert agreement(from_elsewhere(tracer), expected) > SIGNIFICANCE
 
@@ -111,7 +111,7 @@ def test_without_light_samples_it_has_the_same_mean(monkeypatch):
 def test_in_the_dark_it_is_black():
     samples = traced(PathTracer(scene([PLATE], [matte(), MATERIALS["coated"]], max_depth=4)), HERE, 0)
     assert samples.first is not None
-    assert not samples.first.radiance(torch.arange(COUNT), towards(samples.first, ELSEWHERE)).any()
+    assert not samples.first.radiance(torch.arange(COUNT), towards(samples.first, ELSEWHERE), len(samples.first.owner)).any()
 
 
 def scattered(material: Material, count: int = 900) -> PathSamples:
@@ -131,13 +131,13 @@ def test_it_is_of_those_asked_for_alone(name):
     first = samples.first
     number = len(first.index)
     assert 200 < number < 399
-    back = first.radiance(torch.arange(number), first.met.outgoing)
+    back = first.radiance(torch.arange(number), first.met.outgoing, len(first.owner))
     torch.testing.assert_close(back, samples.radiance[:, first.index], rtol=1e-4, atol=1e-5)
     outgoing = torch.nn.functional.normalize(first.met.outgoing + 0.5 * first.met.geometric_normal, dim=0)
-    whole = first.radiance(torch.arange(number), outgoing)
+    whole = first.radiance(torch.arange(number), outgoing, len(first.owner))
     shuffled = torch.randperm(number, generator=torch.Generator().manual_seed(3))
     for chosen in (torch.arange(0, number, 3), torch.tensor([17]), torch.tensor([], dtype=torch.int64), shuffled, shuffled[:50]):
-        found = first.radiance(chosen, outgoing[:, chosen])
+        found = first.radiance(chosen, outgoing[:, chosen], int(first.parts[chosen].sum()))
         torch.testing.assert_close(found, whole[:, chosen], rtol=1e-5, atol=1e-6)
     assert float((whole - samples.radiance[:, first.index]).abs().max()) > 0.02
 

@@ -84,7 +84,8 @@ def test_rays_are_sorted_by_what_becomes_of_them(sheer, ended):
     alive = torch.ones(4000)
     alive[torch.randperm(4000, generator=torch.Generator().manual_seed(3))[:ended]] = 0.0
     opacity, random = Opacity(Geometry(scene(meshes, materials)), tuple(meshes)), PixelRandom(0, 0, torch.arange(4000))
-    found, traced = opacity.nearest(origins, directions, random, 1000, PhaseTimer(), alive)
+    parts = (torch.arange(4000) % 5 + 1).float()
+    found, traced = opacity.nearest(origins, directions, random, 1000, PhaseTimer(), alive, parts)
     every = stops(opacity, origins, directions, random)
     met = torch.arange(4000) if found.met is None else found.met
     assert torch.equal(found.ended, (alive == 0.0).nonzero()[:, 0])
@@ -92,6 +93,7 @@ def test_rays_are_sorted_by_what_becomes_of_them(sheer, ended):
     assert torch.equal(met, ((alive > 0.0) & (every.triangle >= 0)).nonzero()[:, 0])
     assert all(torch.equal(values, whole[met]) for values, whole in zip(found.hit, every))
     assert torch.equal(found.lamps, (found.hit.triangle // 16 == 2).nonzero()[:, 0])
+    assert found.onward == int(parts[met].sum())
     assert traced >= 4000 - ended if sheer else traced == 4000 - ended
 
 
@@ -107,6 +109,21 @@ def test_shadow_rays_that_are_worth_nothing_are_not_traced(sheer):
     assert traced < 0.7 * most if sheer else (traced, most) == (2666, 4000)
     nothing, none = opacity.transmittance(origins, directions, limit, torch.zeros(4000), PhaseTimer())
     assert not nothing.any() and none == 0
+
+
+@pytest.mark.parametrize("sheer", [False, True])
+def test_what_arrives_is_what_comes_through(sheer):
+    """The host knows along which rays."""
+    meshes, materials = soup()
+    materials = materials if sheer else [matte()] * 4
+    opacity = Opacity(Geometry(scene(meshes, materials)), tuple(meshes))
+    origins, directions = rays(4000)
+    limit, worth = torch.full((4000,), 1.7), torch.randint(0, 4, (4000,)).float()
+    share, traced = opacity.transmittance(origins, directions, limit, worth, PhaseTimer())
+    found, as_many = opacity.arriving(origins, directions, limit, worth, PhaseTimer())
+    assert 0 < len(found.index) < int((worth > 0.0).sum()) < traced == as_many if sheer else traced == as_many
+    assert torch.equal(torch.zeros(4000).scatter(0, found.index, found.share), share)
+    assert torch.equal(found.worth, worth[found.index]) and torch.equal(found.distance, limit[found.index])
 
 
 def test_transmittance_is_the_product_over_all_crossings():

@@ -119,7 +119,8 @@ class Reference:
             return self.step.samples.radiance[:, source].double().numpy()
         way = self.axes @ (np.append(point, 0.0) - surface[0])
         outgoing = torch.from_numpy(way / np.linalg.norm(way)).float()[:, None]
-        return self.step.samples.first.radiance(torch.tensor([self.first[source]]), outgoing)[:, 0].double().numpy()
+        first, chosen = self.step.samples.first, torch.tensor([self.first[source]])
+        return first.radiance(chosen, outgoing, int(first.parts[chosen]))[:, 0].double().numpy()
 
     def shared(self) -> tuple[np.ndarray, np.ndarray, int]:
         """Radiance `[3, N]` and weights `[N]`, and how many samples others saw."""

@@ -48,7 +48,7 @@ def test_it_is_a_dictionary_of_bright_samples():
         points, light = samples(3000, seed=block)
         cells = record.cells(lens, points)
         for part in (slice(0, 1000), slice(1000, 3000)):
-            record.add(cells[part], points[:, part], light[part], THRESHOLD)
+            record.add([(cells[part], points[:, part], light[part])], THRESHOLD)
         record.settle()
         for cell, (x, y, z), value in zip(cells.tolist(), points.T.double().tolist(), light.double().tolist()):
             per_cell[cell] += 1
@@ -75,7 +75,7 @@ def test_highlights_behind_one_another_stay_two():
     record, lens = VoxelRecord(camera()), camera()
     depth = torch.tensor([0.8] * 30 + [6.0] * 10)
     points = torch.stack((0.01 * depth, 0.02 * depth, depth))
-    record.add(record.cells(lens, points), points, torch.tensor([20.0] * 30 + [40.0] * 10), THRESHOLD)
+    record.add([(record.cells(lens, points), points, torch.tensor([20.0] * 30 + [40.0] * 10))], THRESHOLD)
     record.settle()
     cells, points, radiance = record.bright(THRESHOLD)
     assert len(cells.unique()) == 1 and radiance.tolist() == [15.0, 40.0]
@@ -85,10 +85,10 @@ def test_highlights_behind_one_another_stay_two():
 def test_there_are_no_more_voxels_than_a_share_of_the_cells():
     record, lens = VoxelRecord(camera()), camera()
     points, light = samples(40_000, seed=5)
-    record.add(record.cells(lens, points), points, light, 0.0)
+    record.add([(record.cells(lens, points), points, light)], 0.0)
     everything = VoxelRecord(camera())
     everything._most = 10**9
-    everything.add(everything.cells(lens, points), points, light, 0.0)
+    everything.add([(everything.cells(lens, points), points, light)], 0.0)
     record.settle()
     everything.settle()
     most = record.sums.shape[1] // TEXELS
@@ -105,7 +105,7 @@ def test_few_samples_wait():
     for step in range(40):
         points, light = samples(100, seed=step)
         for record in (told, quiet):
-            record.add(record.cells(lens, points), points, light, 0.0)
+            record.add([(record.cells(lens, points), points, light)], 0.0)
             if record is told and step % 3 == 0:
                 record.merge()
             record.end_step()
@@ -124,11 +124,11 @@ def test_what_is_saved_goes_on():
     for part in range(4):
         points, light = samples(500, seed=part)
         for one in (record, other) if part > 1 else (record,):
-            one.add(one.cells(lens, points), points, light, THRESHOLD)
+            one.add([(one.cells(lens, points), points, light)], THRESHOLD)
         if part == 0:
             record.settle()
         if part == 1:
-            other.add(other.cells(lens, points), points, light, THRESHOLD)  # forgotten
+            other.add([(other.cells(lens, points), points, light)], THRESHOLD)  # forgotten
             record.merge()
             other.load_state_dict(record.state_dict())
     record.settle()
@@ -143,7 +143,7 @@ def test_telling_other_ranks_changes_nothing():
     for part in range(6):
         points, light = samples(500, seed=part)
         for record in (told, quiet):
-            record.add(record.cells(lens, points), points, light, THRESHOLD)
+            record.add([(record.cells(lens, points), points, light)], THRESHOLD)
         told.merge()
         if part == 1:
             told.settle()

@@ -7,7 +7,9 @@ covered and never with pixels × Gaussians.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
@@ -37,15 +39,19 @@ class CandidateList:
     def batch(self, pixels: Pixels) -> tuple[Tensor, Tensor]:
         """Starts `[N + 1]` from 0 and Gaussians int64 of N pixels."""
         if isinstance(pixels, slice):
-            start = self.start[pixels.start : pixels.stop + 1]
-            low, high = torch.stack((start[0], start[-1])).tolist()
-            return start - low, self.gaussian[low:high].long()
+            low, high = self._on_host[[pixels.start, pixels.stop]].tolist()
+            return self.start[pixels.start : pixels.stop + 1] - low, self.gaussian[low:high].long()
         first = take(self.start[:-1], pixels)
         counts = take(self.start[1:], pixels) - first
         start = torch.cat((torch.zeros_like(counts[:1]), counts.cumsum(0)))
         owner = torch.repeat_interleave(counts)
         place = torch.arange(len(owner), device=owner.device) + (first - start[:-1]).index_select(0, owner)
         return start, self.gaussian.index_select(0, place).long()
+
+    @cached_property
+    def _on_host(self) -> np.ndarray:
+        """`start`, for which no batch is to wait."""
+        return self.start.cpu().numpy()
 
     def counts(self) -> Tensor:
         """Number of candidates of each pixel, int64 `[pixels]`."""

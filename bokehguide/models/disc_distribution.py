@@ -19,7 +19,7 @@ from bokehguide.models.projection import project_to_lens
 from bokehguide.models.sky_lamps import SeenSky, SkyLamps
 from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
-from bokehguide.render.pixels import indices, put
+from bokehguide.render.pixels import indices, put, worthwhile
 from bokehguide.render.transfers import sent
 
 FLATTEST = 1e-4
@@ -113,7 +113,7 @@ class DiscLensDistribution(LensMixture):
         """Luminance times area on the lens over π, `[M]`, times those shares or their root: what draws of each might bring, as
         their root mean square."""
         self.chosen = torch.full_like(start[1:], -1)
-        """Candidate that each pixel's last sample was drawn from, -1 for none, `[N]`."""
+        """Candidate that each pixel's last sample was drawn from, -1 for none, int64 `[N]`."""
         self._weigh(beta, weight * factor)
 
     def sample(self, uniforms: Tensor) -> Tensor:
@@ -122,19 +122,19 @@ class DiscLensDistribution(LensMixture):
         The first number chooses, the others are the place: evenly spread numbers give
         evenly spread lens points, of every ellipse and of the aperture.
         """
-        points = self.lens.sample(uniforms[1:3])
-        index = indices(uniforms[0] < self.beta)
-        numbers = uniforms[0:3].index_select(1, index)
-        chosen = self.choose(uniforms[0] / self.beta).index_select(0, index)
-        put(self.chosen, index, chosen)
-        drawn = _drawn(self.ellipses, chosen, numbers[1:])
+        points, of_discs = self.lens.sample(uniforms[1:3]), uniforms[0] < self.beta
+        chosen = self.choose(uniforms[0] / self.beta)
+        self.chosen = torch.where(of_discs, chosen, -1)
+        index = worthwhile(of_discs)
+        chosen, numbers = chosen.index_select(0, index), uniforms[1:3].index_select(1, index)
+        drawn = _drawn(self.ellipses, chosen, numbers)
         for part in self._parts:
             place = torch.full_like(self.owner, -1)
             place[part.index] = torch.arange(len(part.index), device=place.device)
             place = place.index_select(0, chosen)
             own = indices(place >= 0)
-            put(drawn, own, part.sample(place.index_select(0, own), numbers[1:].index_select(1, own)))
-        put(points, index, drawn)
+            put(drawn, own, part.sample(place.index_select(0, own), numbers.index_select(1, own)))
+        put(points, index, torch.where(of_discs.index_select(0, index), drawn, points.index_select(1, index)))
         return points
 
     def component_pdf(self, points: Tensor) -> Tensor:

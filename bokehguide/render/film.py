@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.render.pixels import Pixels, increase, put, take
+from bokehguide.render.pixels import Pixels, increase, indices_of_each, put, take
 from bokehguide.render.vector import luminance
 
 NO_DEPTH = 1e10
@@ -99,8 +99,10 @@ class Film:
         self._passed = torch.zeros(pixels, dtype=torch.float64, device=device) if vignetted else None  # w
         self._nearest = torch.full((pixels,), NO_DEPTH, device=device)
         self._farthest = torch.zeros(pixels, device=device)
-        self.bad_count = 0
+        self._bad_count = 0
         self._bad_samples: list[BadSample] = []
+        self._suspects: list[tuple[Pixels, Tensor, int]] = []
+        """Samples that may not be finite: pixels, whether they are, bool `[N]`, and the step."""
         self._lock = threading.Lock()
 
     def _sums(self) -> dict[str, Tensor]:
@@ -110,7 +112,7 @@ class Film:
 
     def state_dict(self) -> dict[str, object]:
         """All sums, and the samples that were left out; the tensors are the film's own."""
-        return {**self._sums(), "bad_count": self.bad_count, "bad_samples": [tuple(bad) for bad in self._bad_samples]}
+        return {**self._sums(), "bad_count": self.bad_count, "bad_samples": [tuple(bad) for bad in self.bad_samples]}
 
     def load_state_dict(self, state: Mapping[str, object]) -> None:
         """Go on from the state of a film of the same size. Raises KeyError or ValueError where it is of another one."""
@@ -118,7 +120,7 @@ class Film:
             if state[name].shape != tensor.shape:
                 raise ValueError(f"{name} has the shape {tuple(state[name].shape)}, not {tuple(tensor.shape)}")
             tensor.copy_(state[name])
-        self.bad_count = state["bad_count"]
+        self._bad_count, self._suspects = state["bad_count"], []
         self._bad_samples = [BadSample(*bad) for bad in state["bad_samples"]]
 
     def add(
@@ -132,8 +134,8 @@ class Film:
         weight, emission = samples.weight, samples.emission
         value, features = samples.value(), samples.features()
         good = value.sum(0).isfinite()
-        if not bool(good.all()):
-            self._report_bad(torch.arange(self.width * self.height, device=good.device)[pixels][~good], step)
+        if good.device.type != "cpu" or not bool(good.all()):  # from a GPU, one answer for all batches comes sooner
+            self._suspects.append((pixels, good, step))
             every = (weight, value, emission, features)
             weight, value, emission, features = (x.nan_to_num(0.0, 0.0, 0.0) for x in every)
         kept = (good if counted is None else good & counted).to(torch.float32)
@@ -175,16 +177,30 @@ class Film:
         increase(self._control[0], pixels, square)
         increase(self._control[1:], pixels, features * square)
 
+    def find_bad(self) -> None:
+        """Count samples that were not finite, of all that were added so far."""
+        with self._lock:
+            suspects, self._suspects = self._suspects, []
+            for (pixels, good, step), places in zip(suspects, indices_of_each([~good for _, good, _ in suspects])):
+                if len(places) > 0:
+                    self._report_bad(torch.arange(self.width * self.height, device=good.device)[pixels][places], step)
+
     def _report_bad(self, pixels: Tensor, step: int) -> None:
         left, top = self.corner
         found = [BadSample(left + p % self.width, top + p // self.width, step, self.seed) for p in pixels.tolist()]
-        with self._lock:
-            self.bad_count += len(found)
-            self._bad_samples = earliest(self._bad_samples + found)
+        self._bad_count += len(found)
+        self._bad_samples = earliest(self._bad_samples + found)
+
+    @property
+    def bad_count(self) -> int:
+        """How many samples were not finite."""
+        self.find_bad()
+        return self._bad_count
 
     @property
     def bad_samples(self) -> list[BadSample]:
         """The first samples that were not finite, in the order of steps and pixels."""
+        self.find_bad()
         return list(self._bad_samples)
 
     def radiance(self) -> Tensor:

@@ -58,8 +58,8 @@ class FirstSurfaces:
         facing = [dot(normal.index_select(1, chosen), outgoing) > MIN_FACING for normal in self._normals]
         return torch.stack(facing).all(0)
 
-    def radiance(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
-        """Radiance `[3, J]` of the surfaces at `chosen`, int64 `[J]`, towards unit directions `[3, J]`.
+    def radiance(self, chosen: Tensor, outgoing: Tensor, count: int) -> Tensor:
+        """Radiance `[3, J]` of the surfaces at `chosen`, int64 `[J]`, towards unit directions `[3, J]`; count: of all their paths.
 
         It is an unbiased estimate for any direction above the surface, from the same incident light; the smoother the surface,
         the noisier. Of partly transmissive surfaces it is none. Shading normals are those of the rays' own view (`same_normals`).
@@ -68,7 +68,7 @@ class FirstSurfaces:
             ways = (self.towards_light, self.onward)
             self._incident = _incident(self.surface, self.surface.outgoing, ways, (self.direct, self.indirect))
         counts = self.parts.index_select(0, chosen)
-        asked = torch.repeat_interleave(counts)
+        asked = torch.repeat_interleave(counts, output_size=count)
         first = (self.parts.cumsum(0) - self.parts).index_select(0, chosen) - (counts.cumsum(0) - counts)
         paths = torch.arange(len(asked), device=asked.device) + first.index_select(0, asked)
         surface = self.surface.select(paths)

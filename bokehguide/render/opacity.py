@@ -32,13 +32,24 @@ SHORT = 1.0 / 16.0
 
 class Arrivals(NamedTuple):
     """What became of N rays: places, int64, of those that had ended before, of those that left the scene and of those that met a
-    surface, None where all did; where they met it, as many; and which of those, int64, met lamps."""
+    surface, None where all did; where they met it, as many; which of those, int64, met lamps; and how many paths go on."""
 
     ended: Tensor
     missed: Tensor
     met: Tensor | None
     hit: Hit
     lamps: Tensor
+    onward: int
+
+
+class Arriving(NamedTuple):
+    """Rays along which light comes through, of those that were asked for: their places, int64 `[K]`; the share of it, distances and
+    what the rays were worth, `[K]` each. All but the share is on the host."""
+
+    index: Tensor
+    share: Tensor
+    distance: Tensor
+    worth: Tensor
 
 
 class Opacity:
@@ -66,14 +77,17 @@ class Opacity:
         dimension: int,
         timer: PhaseTimer,
         alive: Tensor | None = None,
+        parts: Tensor | None = None,
     ) -> tuple[Arrivals, int]:
         """What surfaces rays `[3, N]` stop at, and the number of rays traced.
 
-        alive: positive, `[N]`, for those that have not ended before, where some may have. Surface by surface the rays use up one
+        alive: positive, `[N]`, for those that have not ended before, where some may have; parts: into how many paths they split
+        there, float32 `[N]`, if not one. Surface by surface the rays use up one
         random dimension from `dimension` on. Distances are from the origins.
         """
-        origin, direction, *going = fetched(origins, directions, *(() if alive is None else (alive,)))
-        going, ended = parted(going[0] > 0.0) if going else (None, torch.zeros(0, dtype=torch.int64))
+        numbers = [values for values in (alive, parts) if values is not None]
+        origin, direction, *numbers = fetched(origins, directions, *numbers)
+        going, ended = (None, torch.zeros(0, dtype=torch.int64)) if alive is None else parted(numbers[0] > 0.0)
         if len(ended) > 0:
             origin, direction = origin.index_select(1, going), direction.index_select(1, going)
         with timer.measure("tracing rays"):
@@ -91,9 +105,10 @@ class Opacity:
         lamps = indices(self._emits.index_select(0, hit.triangle))
         if len(ended) > 0:
             missed, met = going.index_select(0, missed), going.index_select(0, met)
+        onward = len(met) if parts is None else int(numbers[-1].index_select(0, met).sum(dtype=torch.float64))
         met = sent(met, device) if len(ended) + len(missed) > 0 else None
         ended, missed, lamps, *hit = (sent(values, device) for values in (ended, missed, lamps, *hit))
-        return Arrivals(ended, missed, met, Hit(*hit), lamps), traced
+        return Arrivals(ended, missed, met, Hit(*hit), lamps, onward), traced
 
     def _beyond_sheer(
         self, origins: Tensor, directions: Tensor, hit: Hit, random: PixelRandom, dimension: int, timer: PhaseTimer
@@ -131,20 +146,41 @@ class Opacity:
 
         worth: positive, `[N]`, for the rays that are asked for; 0 comes through along the others.
         """
-        device = origins.device
-        *rays, worth = fetched(origins, directions, distances, worth)
-        index = indices(worth > 0.0)
-        some = len(index) < len(worth)
-        rays = [values.index_select(-1, index) for values in rays] if some else rays
-        traced, share = len(index), torch.ones(len(index))
-        if self._opaque is not None:
-            with timer.measure("tracing rays"):
-                share = self._opaque.visible(*rays)
-        share = torch.zeros(len(worth)).scatter_(0, index, share) if some else share
-        share = sent(share, device)
+        index, share, *_ = self._unblocked(origins, directions, distances, worth, timer)
+        traced = len(index)
+        share = torch.zeros(len(worth)).scatter_(0, index, share) if traced < len(worth) else share
+        share = sent(share, origins.device)
         if self._sheer is None:
             return share, traced
         return share, traced + self._dim(share, origins, directions, distances, timer)
+
+    def arriving(
+        self, origins: Tensor, directions: Tensor, distances: Tensor, worth: Tensor, timer: PhaseTimer
+    ) -> tuple[Arriving, int]:
+        """As `transmittance`, but of the rays alone along which anything may come through; the host knows how many they are."""
+        index, share, length, asked = self._unblocked(origins, directions, distances, worth, timer)
+        traced, through = len(index), indices(share > 0.0)
+        index, share, length, asked = (values.index_select(0, through) for values in (index, share, length, asked))
+        share = sent(share, origins.device)
+        if self._sheer is not None:
+            there = sent(index, origins.device)
+            traced += self._dim(share, *(values.index_select(-1, there) for values in (origins, directions, distances)), timer)
+        return Arriving(index, share, length, asked), traced
+
+    def _unblocked(
+        self, origins: Tensor, directions: Tensor, distances: Tensor, worth: Tensor, timer: PhaseTimer
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Places of the rays that are asked for, int64 `[K]`, what opaque surfaces let through along them, how long they are, and what
+        they are worth, `[K]` each, on the host."""
+        *rays, worth = fetched(origins, directions, distances, worth)
+        index = indices(worth > 0.0)
+        if len(index) < len(worth):
+            *rays, worth = (values.index_select(-1, index) for values in (*rays, worth))
+        share = torch.ones(len(index))
+        if self._opaque is not None:
+            with timer.measure("tracing rays"):
+                share = self._opaque.visible(*rays)
+        return index, share, rays[2], worth
 
     def _dim(self, share: Tensor, origins: Tensor, directions: Tensor, distances: Tensor, timer: PhaseTimer) -> int:
         """Take from the share of the light that comes through what sheer surfaces stop; returns the number of rays traced."""

@@ -126,11 +126,11 @@ class _Paths:
         values = (values.index_select(-1, index) for values in (self.index, self.throughput, self.radiance))
         return _Paths(self.brought, *values, self.random.select(index), self.choice and self.choice.select(index))
 
-    def split(self, parts: Tensor) -> tuple[_Paths, Tensor]:
-        """Each ends, and becomes `parts`, int64 `[N]`, of equal shares of the throughput, next to one another, which bring what
-        they find to places of their own; and which each was, int64 `[M]`. The first of them keeps the random numbers."""
+    def split(self, parts: Tensor, count: int) -> tuple[_Paths, Tensor]:
+        """Each ends, and becomes `parts`, int64 `[N]`, of equal shares of the throughput, next to one another, `count` in all, which
+        bring what they find to places of their own; and which each was, int64 `[M]`. The first of them keeps the random numbers."""
         self.finish()
-        owner = torch.repeat_interleave(parts)
+        owner = torch.repeat_interleave(parts, output_size=count)
         place = torch.arange(len(owner), device=owner.device)
         number = place - (parts.cumsum(0) - parts).index_select(0, owner)
         paths = self.select(owner)
@@ -178,7 +178,7 @@ class PathTracer:
 
         choose: how lights are chosen at first surfaces, by their positions `[3, N]`. alive: positive, `[N]`, for the rays to be
         traced, if not all are; the others meet nothing. parts: into how many paths each splits at its first surface (Arvo and
-        Kirk 1990), int64 `[N]`, at least 1. bright: luminance from which on it matters where light appears to come from.
+        Kirk 1990), whole numbers `[N]`, at least 1. bright: luminance from which on it matters where light appears to come from.
         """
         result = PathSamples.empty(origin.shape[1], origin.device)
         images = None if choose is None else Images(self.geometry, origin.shape[1])
@@ -212,7 +212,7 @@ class PathTracer:
     ) -> tuple[_Paths, _Rays | None]:
         """Trace the paths to their next surface, gather light there, and choose how they go on; None where none does."""
         crossing = FIRST_CROSSING + MAX_CROSSINGS * depth
-        found, traced = self.opacity.nearest(rays.origin, rays.direction, paths.random, crossing, timer, rays.alive)
+        found, traced = self.opacity.nearest(rays.origin, rays.direction, paths.random, crossing, timer, rays.alive, parts)
         result.rays += traced
         beyond, hit, met = images if depth > 1 else None, found.hit, found.met
         if len(found.ended) > 0:
@@ -244,7 +244,8 @@ class PathTracer:
             return paths, None
         owner = None
         if parts is not None:
-            paths, surface, owner = self._split(paths, parts, hit, surface, images, result)
+            parts = parts.index_select(0, paths.index).long()
+            paths, surface, owner = self._split(paths, parts, found, surface, images, result)
         if images is not None:
             images.arrive(paths.index, hit, surface, owner)
         dimension = FIRST_DIMENSION + DIMENSIONS * (depth - 1)
@@ -259,13 +260,13 @@ class PathTracer:
         return paths, self._scatter(paths, surface, scattering, uniforms, depth, images, result)
 
     def _split(
-        self, paths: _Paths, parts: Tensor, hit: Hit, met: Surface, images: Images | None, result: PathSamples
+        self, paths: _Paths, parts: Tensor, found: Arrivals, met: Surface, images: Images | None, result: PathSamples
     ) -> tuple[_Paths, Surface, Tensor]:
         """Split the paths at their first surfaces, and note what is there; returns the surfaces of all of them too, and which each was."""
-        index, emission, parts = paths.index, paths.radiance, parts.index_select(0, paths.index)
-        paths, owner = paths.split(parts)
+        index, emission = paths.index, paths.radiance
+        paths, owner = paths.split(parts, found.onward)
         surface = met.select(owner)
-        result.first = FirstSurfaces(self.geometry, index, hit, met, emission, owner, surface, parts, indirect=paths.brought)
+        result.first = FirstSurfaces(self.geometry, index, found.hit, met, emission, owner, surface, parts, indirect=paths.brought)
         if images is not None:
             images.split(result.first.rays)
         return paths, surface, owner

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.kernels import kernel
-from bokehguide.render.pixels import increase, indices_of_each
+from bokehguide.render.pixels import increase, indices_of_each, worthwhile
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.transfers import sent
 from bokehguide.render.vector import cross, dot, length, luminance, normalize
@@ -154,10 +154,12 @@ class Images:
         """What bright rays, bool `[N]`, see of each event through mirrors and glass alone: which rays, int64 `[K]`, how far off, and
         how much light it brings them, `[K]`. Where no image is to be trusted the ray is N."""
         events, rays = self._events, [self._ray_of(event.index) for event in self._events]
-        shown = indices_of_each([bright.index_select(0, of) & (event.radiance.amax(0) > 0.0) for event, of in zip(events, rays)])
+        brings = [bright.index_select(0, of) & (event.radiance.amax(0) > 0.0) for event, of in zip(events, rays)]
+        shown = [worthwhile(mask) for mask in brings]
         paths = [event.index.index_select(0, index) for event, index in zip(events, shown)]
         places = [[vertex.place.index_select(0, of) for vertex in event.vertices] for event, of in zip(events, paths)]
-        narrow = indices_of_each([_least_density(event, at) > NARROW for event, at in zip(events, places)])
+        narrow = [_least_density(event, at) > NARROW for event, at in zip(events, places)]
+        narrow = indices_of_each([mask & of.index_select(0, index) for mask, of, index in zip(narrow, brings, shown)])
         views = [
             _View(event, of.index_select(0, index), index, at).select(which)
             for event, of, index, at, which in zip(events, rays, shown, places, narrow)

@@ -25,6 +25,12 @@ def indices(mask: Tensor) -> Tensor:
     return mask.nonzero()[:, 0]
 
 
+def worthwhile(mask: Tensor) -> Tensor:
+    """Places, int64 `[K]`, at which to work on what counts where `mask` `[N]` is true alone: those on a CPU. On other devices all places,
+    as work in vain costs less there than the host's wait for how many there are."""
+    return indices(mask) if mask.device.type == "cpu" else torch.arange(len(mask), device=mask.device)
+
+
 def indices_of_each(masks: Sequence[Tensor]) -> list[Tensor]:
     """`indices` of some masks, of any sizes; the host waits once for all of them."""
     if not masks or masks[0].device.type == "cpu":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,7 +23,7 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.train.fitting import fit_gaussians
 from bokehguide.train.ranks import Ranks
-from bokehguide.train.record_buffer import Raster, RecordBuffer
+from bokehguide.train.record_buffer import Raster, RecordBuffer, Records
 from bokehguide.train.settings import RenderSettings
 
 FITS = 8
@@ -184,9 +185,10 @@ class LensGuide(nn.Module):
         """At which distances `[N]` the record buffer takes them to lie: where the first surface is."""
         return samples.distance
 
-    def remember(self, cells: Tensor, points: Tensor, luminance: Tensor, mean_luminance: float) -> None:
-        """Add samples to the record buffer (see `RecordBuffer.add`)."""
-        self.record.add(cells, points, luminance)
+    def remember(self, records: Sequence[Records], mean_luminance: float) -> None:
+        """Add batches of samples to the record buffer."""
+        for batch in records:
+            self.record.add(*batch)
 
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:
         """End a step: one Adam step, then, while fitting goes on, the next set of Gaussians; collective."""

@@ -8,8 +8,6 @@ of what each cluster of lights brought do: a choice by their roots has the least
 
 from __future__ import annotations
 
-from threading import Lock
-
 import torch
 from torch import Tensor
 
@@ -35,7 +33,7 @@ BRIGHTEST = 1e30
 class LightGuide(RankSums):
     """Learns which clusters of lights to sample where a pixel's rays first land.
 
-    clusters: how many there are. `add` takes what steps have seen, of threads side by side; `update` ends a block.
+    clusters: how many there are. `add` takes what steps have seen; `update` ends a block.
     sums: `[3, tiles, clusters]`, of squared worth (see `LightsChosen`), of samples, and of
     the share of their light that arrived; probability, seen: what the present block chooses by, `[tiles, clusters]`, all
     0 in the first.
@@ -52,7 +50,6 @@ class LightGuide(RankSums):
         self.register_buffer("block", torch.tensor(1))
         self._count = torch.tensor([clusters], dtype=torch.int32, device=device)
         self._table: ClusterTable | None = None
-        self._adding = Lock()
 
     def tiles(self, points: Tensor) -> Tensor:
         """Tile in which the middle of the lens sees each world point `[3, N]`, int32 `[N]`; the nearest for one that it does not see."""
@@ -68,9 +65,8 @@ class LightGuide(RankSums):
     def add(self, tiles: Tensor, clusters: Tensor, worth: Tensor, seen: Tensor) -> None:
         """Add light samples, `[N]` each; tiles, clusters: int32, of the latter -1 for none."""
         place, *rows = _rows(tiles, clusters, worth, seen, self._count)
-        with self._adding:
-            for total, values in zip(self.mine.view(3, -1), rows):
-                total.index_add_(0, place, values)  # double, or sums, and choices by them, would depend on who adds first
+        for total, values in zip(self.mine.view(3, -1), rows):
+            total.index_add_(0, place, values)  # double, or sums, and choices by them, would depend on which rank adds first
 
     def update(self, step: int) -> None:
         """Begin a block of steps with `step`: choose by all that was seen before it; collective."""

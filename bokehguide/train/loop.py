@@ -37,7 +37,7 @@ from bokehguide.train.memory import keep_freed_memory
 from bokehguide.train.radiance_control import RadianceControl
 from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import BAND, Ranks, available_cores
-from bokehguide.train.record_buffer import FAR
+from bokehguide.train.record_buffer import FAR, Records
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.sharing import PathSharing
 from bokehguide.train.spot_guide import PARTS, SpotGuide
@@ -136,6 +136,7 @@ class RenderLoop:
             with timer.measure("learning"):
                 self._learn(results)
         self._phases += timer.seconds
+        self.film.find_bad()
         gaussians = len(self.guide.field) if self.guide else 0
         return step_stats(self.step_number, results + reused, time.perf_counter() - start, gaussians, self.ranks)
 
@@ -202,8 +203,7 @@ class RenderLoop:
             recorded = finite(self.guide.recorded(samples), good)
             result.records = self._records(points, directions, self.guide.apparent_distance(samples), weight, recorded)
             result.figures = guide_figures(batch, weight, result.lesson)
-            if samples.lights is not None:
-                self.light_guide.add(*samples.lights)
+            result.lights = samples.lights
         return result
 
     def _shared(
@@ -269,18 +269,22 @@ class RenderLoop:
         unit = self._mean_luminance or math.inf
         return self.guide.study(batch, light * weight / unit, at)
 
-    def _records(self, points: Tensor, directions: Tensor, distance: Tensor, weight: Tensor, light: Tensor):
-        """Cells, camera-frame positions and luminance of the samples inside the lens, for the record buffer."""
+    def _records(self, points: Tensor, directions: Tensor, distance: Tensor, weight: Tensor, light: Tensor) -> Records:
+        """What the record buffer is told of the samples inside the lens."""
         far = sent(FAR * self.camera.lens.focus_distance, distance.device, torch.float32)
         position = _positions(points, self.camera.axes.T @ directions, distance, far)
         cells = self.guide.record.cells(self.camera, position)
-        return torch.where(weight > 0.0, cells, -1), position, light
+        return Records(torch.where(weight > 0.0, cells, -1), position, light)
 
     def _learn(self, results: list[BatchResult]) -> None:
         light, count = self.ranks.totals(*self._seen())
         self._mean_luminance = light / max(count, 1.0)
-        for result in results:
-            self.guide.remember(*result.records, self._mean_luminance)
+        records = [result.records for result in results]
+        lights = [result.lights for result in results if result.lights is not None]
+        remembered = self._pool.submit(self.guide.remember, records, self._mean_luminance)
+        for each in lights:  # in the pixels' order, whatever the threads
+            self.light_guide.add(*each)
+        remembered.result()
         lessons = [result.lesson for result in results if result.lesson is not None]
         self.guide.update(self.step_number, lessons, self._mean_luminance)
         if starts_block(self.step_number + 1):

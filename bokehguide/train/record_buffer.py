@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -19,6 +20,14 @@ frame send their circles of confusion into it."""
 
 FAR = 1000.0
 """The environment is recorded at this many focus distances."""
+
+
+class Records(NamedTuple):
+    """Samples for a record: their cells, int64 `[N]`, camera-frame positions `[3, N]` and luminance `[N]`."""
+
+    cells: Tensor
+    points: Tensor
+    luminance: Tensor
 
 
 class Raster(RankSums):

@@ -15,7 +15,6 @@ pixels of a group is correlated.
 
 from __future__ import annotations
 
-from itertools import accumulate
 from typing import NamedTuple
 
 import torch
@@ -27,10 +26,11 @@ from bokehguide.render.first_surfaces import FirstSurfaces
 from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathSamples, PathTracer
-from bokehguide.render.pixels import Pixels, indices, indices_of_each, parted, pixel_numbers, put
+from bokehguide.render.pixels import Pixels, indices, pixel_numbers, put, worthwhile
 from bokehguide.render.random import hash_int
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.render.transfers import sent
 from bokehguide.render.vector import dot, length
 from bokehguide.restir.shifts import reconnect, reconnection_jacobian
 from bokehguide.train.guide import LensDraw
@@ -70,9 +70,9 @@ class _Seen(NamedTuple):
 
 class _View(NamedTuple):
     """How J pixels see samples of others: whose they are and who sees them, int64 `[J]`; through which lens points `[2, J]`;
-    |∂l' / ∂l| times the share of the light that arrives, and W / A there, `[J]`; the unit directions to them, `[3, J]`, and which
-    of them are first surfaces, int64 `[K]`; and where those of each row of viewers end, the first at 0. In a row, nobody sees or
-    is seen twice."""
+    |∂l' / ∂l| times the share of the light that arrives, and W / A there, `[J]`; the unit directions to them, `[3, J]`; which
+    of them are first surfaces, int64 `[K]`, and of how many paths in all; and where those of each row of viewers end, the first
+    at 0. In a row, nobody sees or is seen twice."""
 
     source: Tensor
     viewer: Tensor
@@ -81,7 +81,19 @@ class _View(NamedTuple):
     passing: Tensor
     outgoing: Tensor
     met: Tensor
+    paths: int
     ends: list[int]
+
+
+class _Ways(NamedTuple):
+    """Rays to lens points from what is seen there: unit directions in which light leaves, world origins and directions `[3, J]`, and
+    lengths `[J]`, MISS_DISTANCE from what lies at infinity; and how many paths brought the light, 0 where it cannot leave so, `[J]`."""
+
+    outgoing: Tensor
+    origin: Tensor
+    direction: Tensor
+    distance: Tensor
+    paths: Tensor
 
 
 class PathSharing:
@@ -165,12 +177,12 @@ class PathSharing:
         self, seen: _Seen, points: Tensor, focus: Tensor, samples: PathSamples, timer: PhaseTimer
     ) -> Tensor:
         """How likely rays pass all sheer surfaces before what they met, as `_view` has it for the others, `[N]`."""
-        share = torch.ones_like(seen.depth)
-        if self._tracer.geometry.materials.has_sheer:
-            index = indices(seen.shareable)
-            own = (points.index_select(1, index), focus.index_select(1, index))
-            share[index], *_ = self._arriving(seen.place.index_select(0, index), *own, samples, timer)
-        return share
+        if not self._tracer.geometry.materials.has_sheer:
+            return torch.ones_like(seen.depth)
+        outgoing, *ray, paths = self._ways(seen.place, points, focus, samples)
+        share, traced = self._tracer.opacity.transmittance(*ray, paths * seen.shareable, timer)
+        samples.rays += traced
+        return torch.where(seen.shareable, share, 1.0)
 
     def _view(
         self, viewers: Tensor, focus: Tensor, points: Tensor, seen: _Seen, samples: PathSamples, timer: PhaseTimer
@@ -183,46 +195,45 @@ class PathSharing:
         points, focus, depth, plane, shareable = (_repeated(values, rows) for values in mine)
         through, jacobian = _reconnected(points, focus, focus_seen, depth, plane)
         passing = _passing(self._camera.lens, through, focus_seen) * shareable * (viewer >= 0)
-        found = indices_of_each((passing > 0.0).view(rows, count).unbind())
-        index = torch.cat([among + row * count for row, among in enumerate(found)])
-        every = (viewer, through, jacobian, passing, focus_seen)
-        viewer, through, jacobian, passing, focus_seen = (values.index_select(-1, index) for values in every)
-        source = torch.cat(found)
-        arriving, outgoing, met = self._arriving(seen.place.index_select(0, source), through, focus_seen, samples, timer)
-        ends = [0, *accumulate(map(len, found))]
-        return _View(source, viewer, through, jacobian * arriving, passing, outgoing, met, ends)
-
-    def _arriving(
-        self, place: Tensor, points: Tensor, focus: Tensor, samples: PathSamples, timer: PhaseTimer
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Share of the light that arrives at lens points `[2, J]`; unit directions in which it leaves, `[3, J]`; and where it is that
-        of first surfaces, int64 `[K]`.
-
-        It is that of the first surfaces at `place` `[J]`, or where that is -1 of what lies at infinity beyond `focus` `[3, J]`.
-        """
-        arriving, outgoing = torch.zeros_like(points[0]), torch.zeros_like(focus)
-        met, infinite = parted(place >= 0)
-        if len(met) > 0:
-            first, there = samples.first, place.index_select(0, met)
-            ends = (values.index_select(-1, there) for values in (first.met.position, first.met.geometric_normal, first.met.offset))
-            on_lens = self._camera.axes[:, :2] @ points.index_select(1, met) + self._camera.position
-            towards, above, *ray = _ray_to(on_lens, *ends)
-            put(outgoing, met, towards)
-            rises = above & first.same_normals(there, towards)
-            put(arriving, met, self._transmittance(*ray, rises.to(torch.float32), samples, timer))
-        if len(infinite) > 0:
-            ray = self._camera.rays(focus.index_select(1, infinite), points.index_select(1, infinite))
-            distance = torch.full_like(ray[0][0], MISS_DISTANCE)
-            put(arriving, infinite, self._transmittance(*ray, distance, torch.ones_like(distance), samples, timer))
-        return arriving, outgoing, met
-
-    def _transmittance(
-        self, origin: Tensor, direction: Tensor, distance: Tensor, worth: Tensor, samples: PathSamples, timer: PhaseTimer
-    ) -> Tensor:
-        """Share of the light `[K]` that comes through along rays that are worth something; they count as those of the samples."""
-        share, traced = self._tracer.opacity.transmittance(origin, direction, distance, worth, timer)
+        index = worthwhile(passing > 0.0)
+        source = torch.arange(count, device=index.device).repeat(rows)
+        among = (seen.place.index_select(0, source.index_select(0, index)), *(values.index_select(1, index) for values in (through, focus_seen)))
+        outgoing, *ray, paths = self._ways(*among, samples)
+        arriving, traced = self._tracer.opacity.arriving(*ray, paths * (passing.index_select(0, index) > 0.0), timer)
         samples.rays += traced
-        return share
+        # The host knows what arrives, and so how many there are of all that follows.
+        begins = torch.arange(rows + 1) * count
+        ends = torch.searchsorted(arriving.index, begins if index.device.type != "cpu" else torch.searchsorted(index, begins))
+        met = indices(arriving.distance < MISS_DISTANCE)
+        paths = int(arriving.worth.index_select(0, met).sum(dtype=torch.float64))
+        left = sent(arriving.index, index.device)
+        index, outgoing = index.index_select(0, left), outgoing.index_select(1, left)
+        every = (source, viewer, through, jacobian, passing)
+        source, viewer, through, jacobian, passing = (values.index_select(-1, index) for values in every)
+        met = sent(met, index.device)
+        return _View(source, viewer, through, jacobian * arriving.share, passing, outgoing, met, paths, ends.tolist())
+
+    def _ways(self, place: Tensor, points: Tensor, focus: Tensor, samples: PathSamples) -> _Ways:
+        """Ways to lens points `[2, J]` from the first surfaces at `place` `[J]`, or where that is -1 from what lies at infinity
+        beyond `focus` `[3, J]`."""
+        first, far = samples.first, place < 0
+        if first is None:
+            ray = self._camera.rays(focus, points)
+            distance = torch.full_like(points[0], MISS_DISTANCE)
+            return _Ways(torch.zeros_like(focus), *ray, distance, torch.ones_like(distance))
+        there = place.clamp(min=0)
+        ends = (values.index_select(-1, there) for values in (first.met.position, first.met.geometric_normal, first.met.offset))
+        on_lens = self._camera.axes[:, :2] @ points + self._camera.position
+        outgoing, above, origin, direction, distance = _ray_to(on_lens, *ends)
+        rises = above & first.same_normals(there, outgoing)
+        paths = first.parts.index_select(0, there) * rises.to(torch.float32)
+        index = worthwhile(far)
+        if len(index) > 0:
+            ray = self._camera.rays(focus.index_select(1, index), points.index_select(1, index))
+            far = far.index_select(0, index)
+            for values, new in ((origin, ray[0]), (direction, ray[1]), (distance, MISS_DISTANCE), (paths, 1.0)):
+                put(values, index, torch.where(far, new, values.index_select(-1, index)))
+        return _Ways(outgoing, origin, direction, distance, paths)
 
     def _density(self, mixture: LensMixture | None, view: _View, count: int) -> Tensor:
         """q of the viewers, of `count` pixels, at the lens points through which they see, `[J]`."""
@@ -242,7 +253,7 @@ class PathSharing:
         met = view.met
         if len(met) > 0:
             place = seen.place.index_select(0, view.source.index_select(0, met))
-            put(radiance, met, samples.first.radiance(place, view.outgoing.index_select(1, met)))
+            put(radiance, met, samples.first.radiance(place, view.outgoing.index_select(1, met), view.paths))
         return radiance
 
 

@@ -22,6 +22,7 @@ It differs from the paper's (`guide.py`) in what is measured to pay:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -35,7 +36,7 @@ from bokehguide.models.lens_distribution import LensDensity, owners
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.kernels import kernel
 from bokehguide.render.path_tracer import PathSamples
-from bokehguide.render.pixels import Pixels, increase, indices, take
+from bokehguide.render.pixels import Pixels, increase, take, worthwhile
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
@@ -44,6 +45,7 @@ from bokehguide.train.guide import LENS_DIMENSION, BatchLesson, GuidedBatch, Len
 from bokehguide.train.known_lamps import known_lamps
 from bokehguide.train.lamp_yield import LampYield
 from bokehguide.train.ranks import Ranks
+from bokehguide.train.record_buffer import Records
 from bokehguide.train.voxel_record import VoxelRecord
 
 FIRST_BLEND = 0.65
@@ -135,10 +137,10 @@ class SpotGuide(nn.Module):
     def _draws(self, batch: GuidedBatch, ratio: Tensor) -> tuple[Tensor, Tensor]:
         """Slots of the lamps that were drawn, and the squares of what the draws brought over what they might have."""
         mixture = batch.distribution
-        chosen = mixture.chosen.clamp(min=0)
-        slots = batch.slots.index_select(0, chosen)
-        index = indices((mixture.chosen >= 0) & (slots > 0))
-        chosen, slots = chosen.index_select(0, index), slots.index_select(0, index)
+        drawn = mixture.chosen >= 0
+        index = worthwhile(drawn)
+        chosen = mixture.chosen.index_select(0, index).clamp(min=0)
+        slots = torch.where(drawn.index_select(0, index), batch.slots.index_select(0, chosen), 0)
         share = mixture.beta.index_select(0, index) * mixture.weight.index_select(0, chosen)
         might = mixture.bright.index_select(0, chosen) * math.pi / (mixture.lens.area * self.unit)
         brought = ratio.index_select(0, index) * share / might
@@ -149,8 +151,8 @@ class SpotGuide(nn.Module):
         return step == int(self.block)
 
     def parts(self, weight: Tensor) -> Tensor:
-        """Into how many paths rays of these weights `[N]` split at their first surfaces, int64 (Vorba and Křivánek 2016)."""
-        return (PARTS * weight).round().clamp(1, MOST_PARTS).long()
+        """Into how many paths rays of these weights `[N]` split at their first surfaces, whole numbers (Vorba and Křivánek 2016)."""
+        return (PARTS * weight).round().clamp(1, MOST_PARTS)
 
     def recorded(self, samples: PathSamples) -> Tensor:
         """Luminance `[N]` for the record buffer: all but what the field's lamps send straight into the lens."""
@@ -163,9 +165,9 @@ class SpotGuide(nn.Module):
         """At which distances `[N]` the record buffer takes them to lie: lamps in mirrors and glass where their images are."""
         return samples.distance if samples.image is None else samples.image
 
-    def remember(self, cells: Tensor, points: Tensor, luminance: Tensor, mean_luminance: float) -> None:
-        """Add samples to the record buffer (see `VoxelRecord.add`)."""
-        self.record.add(cells, points, luminance, RADIANCE_THRESHOLD * mean_luminance)
+    def remember(self, records: Sequence[Records], mean_luminance: float) -> None:
+        """Add batches of samples to the record buffer."""
+        self.record.add(records, RADIANCE_THRESHOLD * mean_luminance)
 
     @torch.no_grad()
     def update(self, step: int, lessons: list[BatchLesson], mean_luminance: float) -> None:

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from bokehguide.render.path_tracer import LightsChosen
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.train.guide import BatchLesson, GuidedBatch
 from bokehguide.train.ranks import Ranks
+from bokehguide.train.record_buffer import Records
 
 
 @dataclass
@@ -38,15 +40,16 @@ def guide_figures(batch: GuidedBatch | None, weight: Tensor, lesson: BatchLesson
 
 @dataclass
 class BatchResult:
-    """What a batch leaves behind, beside the film: figures are those of the guide (`guide_figures`), records are cells, positions
-    and luminance for the record buffer."""
+    """What a batch leaves behind, beside the film: figures are those of the guide (`guide_figures`), records are for its
+    record buffer, lights for the light guide."""
 
     samples: int
     rays: int
     timer: PhaseTimer
     figures: Tensor | None = None
     lesson: BatchLesson | None = None
-    records: tuple[Tensor, Tensor, Tensor] | None = None
+    records: Records | None = None
+    lights: LightsChosen | None = None
 
 
 def step_stats(step: int, results: list[BatchResult], seconds: float, gaussians: int, ranks: Ranks) -> StepStats:

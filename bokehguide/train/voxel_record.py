@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.kernels import kernel
-from bokehguide.render.pixels import indices
+from bokehguide.render.pixels import indices, indices_of_each
 from bokehguide.render.transfers import sent
 from bokehguide.train.ranks import Ranks
-from bokehguide.train.record_buffer import Raster
+from bokehguide.train.record_buffer import Raster, Records
 
 OCTAVES, PER_OCTAVE = 8, 4
 """Layers of depth on either side of the focal plane, by defocus |1 - focus distance / Z|, which is what the width of a
@@ -43,22 +45,29 @@ class VoxelRecord(Raster):
         """Cells that have voxels."""
         self._new: list[Tensor] = []
         """Rows of this rank's samples since the last `merge`."""
+        self._arrived, self._waiting = 0, 0.0
+        """How many samples those are, and how many are in `waiting`: numbers that the host knows."""
         self._most = self.sums.shape[1] // TEXELS
         self._fewest = 0
         """New rows that are worth adding up, at least, so that it costs no more than in proportion to the samples."""
 
-    def add(self, cells: Tensor, points: Tensor, luminance: Tensor, threshold: float) -> None:
-        """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`, and to voxels those that
-        are brighter than the threshold or lie in cells that have some."""
-        cells, inside, light, bright = _sorted_out(cells, luminance, self._lit, sent(threshold, cells.device, torch.float32))
+    def add(self, batches: Sequence[Records], threshold: float) -> None:
+        """Add samples to their cells, and to voxels those that are brighter than the threshold or lie in cells that have some."""
         count, radiance = self.mine
-        count.index_add_(0, cells, inside)
-        radiance.index_add_(0, cells, light)
-        lit = indices(bright > 0.0)
-        cells, light = cells.index_select(0, lit), light.index_select(0, lit).double()
-        x, y, depth = points.index_select(1, lit).double()
+        threshold, parts = sent(threshold, count.device, torch.float32), []
+        for cells, points, luminance in batches:
+            cells, inside, light, bright = _sorted_out(cells, luminance, self._lit, threshold)
+            count.index_add_(0, cells, inside)
+            radiance.index_add_(0, cells, light)
+            parts.append((cells, points, light, bright > 0.0))
+        for (cells, points, light, _), lit in zip(parts, indices_of_each([bright for *_, bright in parts])):
+            self._add_lit(cells.index_select(0, lit), points.index_select(1, lit).double(), light.index_select(0, lit).double())
+
+    def _add_lit(self, cells: Tensor, points: Tensor, light: Tensor) -> None:
+        x, y, depth = points
         number = cells * LAYERS + self._layers(depth)
         self._new.append(torch.stack((number, torch.ones_like(light), light, light * x / depth, light * y / depth, light / depth), dim=1))
+        self._arrived += len(light)
         if sum(map(len, self._new)) > max(WAITING, self._fewest):
             self._add_up()
 
@@ -71,7 +80,7 @@ class VoxelRecord(Raster):
     def _add_up(self) -> None:
         """Make what is new one list: of one rank alone, with what waits, in the samples' order, whenever it is done."""
         if self.ranks.alone:
-            self.waiting, self._new = _added_up([self.waiting, *self._new]).to(self.sums.device), []
+            self._let_wait(_added_up([self.waiting, *self._new]))
             self._fewest = len(self.waiting)
         else:
             self._new = [_added_up(self._new)]
@@ -82,16 +91,18 @@ class VoxelRecord(Raster):
         super().merge()
         self._add_up()
         if not self.ranks.alone:
-            self.waiting = _added_up([self.waiting, *self.ranks.gathered(self._new[0])]).to(self.sums.device)
-            self._new, self._fewest = [], 0
+            self._let_wait(_added_up([self.waiting, *self.ranks.gathered(self._new[0])]))
+            self._fewest = 0
+
+    def _let_wait(self, rows: Tensor) -> None:
+        """From now on these rows, on the host, wait, and no others do."""
+        self.waiting, self._waiting = rows.to(self.sums.device), float(rows[:, 1].sum())
+        self._new, self._arrived = [], 0
 
     def end_step(self) -> None:
         """Settle in the middle of a block, where more samples wait than there may be voxels; collective."""
-        # What ranks have added up of their own is on the host already.
-        counts = [rows[:, 1].sum().to(self.sums.device) for rows in (self.waiting, *self._new)]
-        waiting, *new = torch.stack(counts).tolist()
-        [new] = self.ranks.totals(sum(new))
-        if new + waiting > self._most:
+        [new] = self.ranks.totals(self._arrived)
+        if new + self._waiting > self._most:
             self.settle()
 
     def settle(self) -> None:
@@ -100,7 +111,8 @@ class VoxelRecord(Raster):
         voxels = _added_up([self.voxels, self.waiting])
         if len(voxels) > self._most:
             voxels = voxels[voxels[:, 2].topk(self._most).indices.sort().values]
-        self.voxels, self.waiting = voxels.to(self.sums.device), self.waiting[:0]
+        self.voxels = voxels.to(self.sums.device)
+        self._let_wait(torch.zeros(0, 6, dtype=torch.float64))
         self._fewest = 0
         self._light_up()
 
@@ -129,7 +141,8 @@ class VoxelRecord(Raster):
             self._require_rows(rows)
             setattr(self, name, torch.empty_like(rows, device=self.sums.device))
         super()._load_from_state_dict(state_dict, prefix, *args)
-        self._new, self._fewest = [], 0
+        self._let_wait(self.waiting.cpu())
+        self._fewest = 0
         self._light_up()
 
     def _require_rows(self, rows: Tensor) -> None:
