@@ -102,7 +102,6 @@ def test_samples_of_the_record_may_wait_here_and_there(device):
 OF_UNIFORM = {"pixels.indices_of_each": 1}  # which samples are not finite, for all batches at once
 OF_GUIDED = {
     "pixels.indices_of_each": 3,  # that, and which samples are for the record; in each batch what mirrors show
-    "geometry.corners": 1,  # in each batch, where what mirrors show is bent
     "film.light": 1,
     "steps.step_stats": 1,
 }

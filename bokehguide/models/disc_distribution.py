@@ -19,7 +19,7 @@ from bokehguide.models.projection import project_to_lens
 from bokehguide.models.sky_lamps import SeenSky, SkyLamps
 from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
-from bokehguide.render.pixels import indices, put, worthwhile
+from bokehguide.render.pixels import put_where, worthwhile
 from bokehguide.render.transfers import sent
 
 FLATTEST = 1e-4
@@ -102,12 +102,12 @@ class DiscLensDistribution(LensMixture):
             share, whole = _within(self.ellipses, radius)
             sky = SeenSky(shapes.sky, shapes.sky_lamp, owner, focus, whole > 0.0)
             share = torch.minimum(share.index_select(0, sky.index), sky.share)
-            put(weight, sky.index, all_of_it.index_select(0, sky.index) * share)
+            put_where(sky.real, weight, sky.index, all_of_it.index_select(0, sky.index) * share)
             self._parts.append(sky)
         if shapes is not None and shapes.panels is not None:
             seen = SeenPanels(shapes.panels, shapes.panel, owner, focus, radius)
-            light = shapes.light.index_select(0, shapes.panel.index_select(0, seen.index))
-            put(weight, seen.index, light * seen.size / math.pi)
+            light = shapes.light.index_select(0, shapes.panel.index_select(0, seen.index).clamp(min=0))
+            put_where(seen.real, weight, seen.index, light * seen.size / math.pi)
             self._parts.append(seen)
         self.bright = weight
         """Luminance times area on the lens over π, `[M]`, times those shares or their root: what draws of each might bring, as
@@ -130,17 +130,18 @@ class DiscLensDistribution(LensMixture):
         drawn = _drawn(self.ellipses, chosen, numbers)
         for part in self._parts:
             place = torch.full_like(self.owner, -1)
-            place[part.index] = torch.arange(len(part.index), device=place.device)
+            put_where(part.real, place, part.index, torch.arange(len(part.index), device=place.device))
             place = place.index_select(0, chosen)
-            own = indices(place >= 0)
-            put(drawn, own, part.sample(place.index_select(0, own), numbers.index_select(1, own)))
-        put(points, index, torch.where(of_discs.index_select(0, index), drawn, points.index_select(1, index)))
+            own = worthwhile(place >= 0)
+            place, others = place.index_select(0, own), numbers.index_select(1, own)
+            put_where(place >= 0, drawn, own, part.sample(place.clamp(min=0), others))
+        put_where(of_discs.index_select(0, index), points, index, drawn)
         return points
 
     def component_pdf(self, points: Tensor) -> Tensor:
         density = _density(points, self.owner, self.ellipses)
         for part in self._parts:
-            put(density, part.index, part.pdf(points))
+            put_where(part.real, density, part.index, part.pdf(points))
         return density
 
 

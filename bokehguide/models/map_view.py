@@ -15,6 +15,7 @@ from torch import Tensor
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.equirectangular import Equirectangular
 from bokehguide.render.kernels import kernel
+from bokehguide.render.transfers import sent
 from bokehguide.render.vector import dot, normalize, polar_angle, to_world
 
 BEYOND, ROUNDING = 1.001, 1e-6
@@ -49,7 +50,7 @@ class View(NamedTuple):
 def lens_view(layout: Equirectangular, camera: ThinLensCamera, focus: Tensor) -> View:
     """What the lens sees of a map through x_F `[3, N]`."""
     focus, axes = focus.double(), camera.axes.double()
-    radius = BEYOND * torch.tensor(camera.lens.radius, dtype=torch.float64, device=focus.device)
+    radius = sent(BEYOND * camera.lens.radius, focus.device, torch.float64)
     return View(focus, *_circle(layout, focus, axes, radius), axes, radius)
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bokehguide.models.projection import FAR_OUTSIDE, project_to_lens
 from bokehguide.render.kernels import kernel, record
-from bokehguide.render.pixels import indices
+from bokehguide.render.pixels import worthwhile
 from bokehguide.render.vector import cross, dot
 
 ROUNDING = 1e-6
@@ -164,14 +164,16 @@ class Panels:
 class SeenPanels:
     """Those of M candidates that are panels, seen through x_F `[3, N]` of the pixels that own them.
 
-    number: which of `panels` each candidate is, -1 for the others, int64 `[M]`; owner: int64 `[M]`. index: of the K
-    candidates that are panels; size: area of the lens plane that shows what of them the lens can see, about, `[K]`.
+    number: which of `panels` each candidate is, -1 for the others, int64 `[M]`; owner: int64 `[M]`. index: of K candidates, of
+    which those at `real` are panels (see `worthwhile`); size: area of the lens plane that shows what of them the lens can see,
+    about, `[K]`.
     """
 
     def __init__(self, panels: Panels, number: Tensor, owner: Tensor, focus: Tensor, radius: Tensor):
-        self.index = indices(number >= 0)
-        self._owner = owner.index_select(0, self.index)
-        self._panels, self._focus = panels.select(number.index_select(0, self.index)), focus.index_select(1, self._owner)
+        self.index = worthwhile(number >= 0)
+        number, self._owner = (values.index_select(0, self.index) for values in (number, owner))
+        self.real = number >= 0
+        self._panels, self._focus = panels.select(number.clamp(min=0)), focus.index_select(1, self._owner)
         self._radius = radius
         self._window, self.size = _seen(self._panels, self._focus, radius)
 

@@ -21,7 +21,7 @@ from bokehguide.models.projection import FAR_OUTSIDE
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.equirectangular import Equirectangular
 from bokehguide.render.kernels import kernel
-from bokehguide.render.pixels import indices, put
+from bokehguide.render.pixels import put, put_where, worthwhile
 from bokehguide.render.vector import dot, normalize, to_world
 from bokehguide.scene.lamps import LUMINANCE
 from bokehguide.scene.types import Environment
@@ -180,26 +180,28 @@ class SeenSky:
     """Those of M candidates that are lamps of the map, seen through x_F `[3, N]` of the pixels that own them.
 
     number: which of `lamps` each candidate is, -1 for the others, int64 `[M]`; owner: int64 `[M]`; whole: of which nothing is cut
-    off by the lens, bool `[M]`. index: of the K candidates that are lamps of the map; share: of their light, what is in the rows
-    that the lens sees anything of, at least what passes it, `[K]`.
+    off by the lens, bool `[M]`. index: of K candidates, of which those at `real` are lamps of the map (see `worthwhile`); share: of
+    their light, what is in the rows that the lens sees anything of, at least what passes it, `[K]`.
     """
 
     def __init__(self, lamps: SkyLamps, number: Tensor, owner: Tensor, focus: Tensor, whole: Tensor):
-        self.index = indices(number >= 0)
-        self._lamps, self._number = lamps, number.index_select(0, self.index)
-        owner = owner.index_select(0, self.index)
+        self.index = worthwhile(number >= 0)
+        number, owner = (values.index_select(0, self.index) for values in (number, owner))
+        self.real, self._lamps, self._number = number >= 0, lamps, number.clamp(min=0)
         looks = torch.zeros(focus.shape[1], dtype=torch.bool, device=focus.device)
         looks[owner] = True
-        self._pixels = indices(looks)
+        self._pixels = worthwhile(looks)
         """Those that own any."""
-        self._owner = (looks.cumsum(0) - 1).index_select(0, owner)
+        place = torch.zeros(len(looks), dtype=torch.int64, device=focus.device)
+        put(place, self._pixels, torch.arange(len(self._pixels), device=focus.device))
+        self._owner = place.index_select(0, owner)
         """Of each of the K, among these."""
         self._focus = focus.index_select(1, self._pixels)
         self._view, self._cut = lamps.view(self._focus), ~whole.index_select(0, self.index)
-        cut = indices(self._cut)
+        cut = worthwhile(self._cut)
         self._rows = lamps.whole.index_select(1, self._number)
         view = self._view.select(self._owner.index_select(0, cut))
-        put(self._rows, cut, lamps.rows(self._number.index_select(0, cut), view))
+        put_where(self._cut.index_select(0, cut), self._rows, cut, lamps.rows(self._number.index_select(0, cut), view))
         self.share = (self._rows[1] - self._rows[0]).float()
 
     def sample(self, place: Tensor, uniforms: Tensor) -> Tensor:
@@ -213,8 +215,9 @@ class SeenSky:
         lamp, place, density = self._lamps.evaluate(points.index_select(1, self._pixels), self._focus)
         seen = lamp.index_select(0, self._owner) == self._number
         result = density.index_select(0, self._owner) * seen
-        seen = indices(seen & self._cut)
-        owner, number = self._owner.index_select(0, seen), self._number.index_select(0, seen)
-        times = self._lamps.enlarged(number, self._view.select(owner), self._rows.index_select(1, seen), place.index_select(1, owner))
-        put(result, seen, result.index_select(0, seen) * times.float())
+        cut = seen & self._cut
+        index = worthwhile(cut)
+        owner, number = self._owner.index_select(0, index), self._number.index_select(0, index)
+        times = self._lamps.enlarged(number, self._view.select(owner), self._rows.index_select(1, index), place.index_select(1, owner))
+        put_where(cut.index_select(0, index), result, index, result.index_select(0, index) * times.float())
         return result

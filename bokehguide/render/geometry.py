@@ -13,7 +13,6 @@ from bokehguide.render.kernels import kernel, record
 from bokehguide.render.materials import CLEARCOAT_F0, Materials
 from bokehguide.render.pixels import indices, put
 from bokehguide.render.tracer import Hit, Tracer
-from bokehguide.render.transfers import sent
 from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
 from bokehguide.scene.types import Scene
 
@@ -88,8 +87,9 @@ class Geometry:
     def __init__(self, scene: Scene, device: torch.device | str = "cpu"):
         self.device = torch.device(device)
         meshes = scene.meshes
-        self._vertices, self._triangles = triangles.joined(meshes)
-        self.tracer = Tracer(self._vertices, self._triangles)
+        vertices, corners = triangles.joined(meshes)
+        self.tracer = Tracer(vertices, corners)
+        self._vertices, self._corners = self._rows(vertices), self._rows(corners)
         self.materials = Materials(scene.materials, meshes, self.device)
         counts = torch.tensor([len(mesh.triangles) for mesh in meshes])
         numbers = torch.tensor([mesh.material for mesh in meshes], dtype=torch.int32)
@@ -112,8 +112,8 @@ class Geometry:
 
     def corners(self, triangle: Tensor) -> Tensor:
         """Vertex positions `[corner, component, N]` of triangles `[N]`."""
-        corners = self._vertices[self._triangles[triangle.cpu().numpy()]]
-        return sent(torch.from_numpy(corners).permute(1, 2, 0).contiguous(), self.device)
+        corners = self._corners.index_select(0, triangle)
+        return self._vertices.index_select(0, corners.flatten()).view(-1, 3, 3).permute(1, 2, 0).contiguous()
 
     def corner_normals(self, triangle: Tensor) -> Tensor:
         """Shading normals `[corner, component, N]` at the corners of triangles `[N]`."""

@@ -64,6 +64,11 @@ def put(values: Tensor, pixels: Pixels, new: Tensor) -> None:
         values.scatter_(-1, pixels.expand(*values.shape[:-1], new.shape[-1]), new)
 
 
+def put_where(mask: Tensor, values: Tensor, places: Tensor, new: Tensor | float) -> None:
+    """`put` where `mask` `[N]` is true alone (see `worthwhile`)."""
+    put(values, places, torch.where(mask, new, values.index_select(-1, places)))
+
+
 def increase(values: Tensor, pixels: Pixels, by: Tensor) -> None:
     """Add `by` `[.., N]` to entries of `values` `[.., P]`; `+=` would take twice as long, for pixels that are no slice four times."""
     if isinstance(pixels, slice):

@@ -26,7 +26,7 @@ from bokehguide.render.first_surfaces import FirstSurfaces
 from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathSamples, PathTracer
-from bokehguide.render.pixels import Pixels, indices, pixel_numbers, put, worthwhile
+from bokehguide.render.pixels import Pixels, indices, pixel_numbers, put, put_where, worthwhile
 from bokehguide.render.random import hash_int
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.render.tracer import MISS_DISTANCE
@@ -232,7 +232,7 @@ class PathSharing:
             ray = self._camera.rays(focus.index_select(1, index), points.index_select(1, index))
             far = far.index_select(0, index)
             for values, new in ((origin, ray[0]), (direction, ray[1]), (distance, MISS_DISTANCE), (paths, 1.0)):
-                put(values, index, torch.where(far, new, values.index_select(-1, index)))
+                put_where(far, values, index, new)
         return _Ways(outgoing, origin, direction, distance, paths)
 
     def _density(self, mixture: LensMixture | None, view: _View, count: int) -> Tensor:
