@@ -11,7 +11,7 @@ from torch import Tensor
 from bokehguide.render import triangles
 from bokehguide.render.kernels import kernel, record
 from bokehguide.render.materials import CLEARCOAT_F0, Materials
-from bokehguide.render.pixels import indices, put
+from bokehguide.render.pixels import put, put_where, worthwhile
 from bokehguide.render.tracer import Hit, Tracer
 from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
 from bokehguide.scene.types import Scene
@@ -157,19 +157,22 @@ class Geometry:
         if self._colors is not None:
             surface.base_color *= self._color(hit)[0:3]
         for slot, targets in self._targets:
-            index, texel = self._texels(slot, hit, material)
+            index, texel, _ = self._texels(slot, hit, material)
             for field, channels, squared in targets if len(index) > 0 else ():
                 factor = texel[channels].square() if squared else texel[channels]
                 values = getattr(surface, field)
                 put(values, index, values.index_select(-1, index) * factor)
         for slot, scales in self.materials.normal_scales.items():
-            index, texel = self._texels(slot, hit, material)
+            index, texel, mapped = self._texels(slot, hit, material)
             if len(index) > 0:
                 texel[0:2] *= scales.index_select(1, material.index_select(0, index))
-                put(getattr(surface, slot), index, self._bent_normals(slot, surface, hit, index, texel))
+                self._bend_normals(slot, surface, hit, index, texel, mapped)
 
-    def _bent_normals(self, slot: str, surface: Surface, hit: Hit, index: Tensor, tangent_space: Tensor) -> Tensor:
-        """Shading normals `[3, K]` of the hits at `index`, given in the tangent space `[.., K]` of the slot's maps."""
+    def _bend_normals(
+        self, slot: str, surface: Surface, hit: Hit, index: Tensor, tangent_space: Tensor, mapped: Tensor
+    ) -> None:
+        """Bend the shading normals of the hits at `index` that are `mapped`, bool `[K]`, to what the slot's maps give in tangent space
+        `[.., K]`."""
         rows = self._tangents[slot].index_select(1, hit.triangle.index_select(0, index))
         normal = getattr(surface, slot).index_select(1, index)
         tangent = _interpolate(rows[0:9], hit.u.index_select(0, index), hit.v.index_select(0, index))
@@ -179,8 +182,8 @@ class Geometry:
         x, y, z = tangent_space[0] * side, tangent_space[1] * rows[9], tangent_space[2]
         bent = normalize(x * tangent + y * cross(normal, tangent) + z * normal)
         facing = (dot(bent, surface.outgoing.index_select(1, index)) > MIN_FACING).to(torch.float32)
-        put(surface.facing, index, surface.facing.index_select(0, index) * facing)
-        return bent * facing + normal * (1.0 - facing)
+        put_where(mapped, surface.facing, index, surface.facing.index_select(0, index) * facing)
+        put_where(mapped, getattr(surface, slot), index, bent * facing + normal * (1.0 - facing))
 
     def own_normals(self, surface: Surface, hit: Hit) -> list[Tensor]:
         """All shading normals `[3, N]` of surfaces at hits that give way where they face away, as they are where none has."""
@@ -196,16 +199,18 @@ class Geometry:
         """Vertex colours `[4, N]`."""
         return _interpolate(self._colors.index_select(1, hit.triangle), hit.u, hit.v)
 
-    def _texels(self, slot: str, hit: Hit, material: Tensor) -> tuple[Tensor, Tensor]:
-        """Which hits on `material` `[N]` have a texture in the slot, int64 `[K]`, and its RGBA `[4, K]` there."""
+    def _texels(self, slot: str, hit: Hit, material: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Where hits on `material` `[N]` may have a texture in the slot (see `worthwhile`), int64 `[K]`; its RGBA there `[4, K]`, 1 where
+        there is none; and whether there is one, bool `[K]`."""
         index, number = self.materials.textured(slot, material)
+        mapped, number = number >= 0, number.clamp(min=0)
         if len(index) == 0:
-            return index, torch.empty(4, 0, device=self.device)
+            return index, torch.empty(4, 0, device=self.device), mapped
         triangle = hit.triangle.index_select(0, index)
         if len(self.materials.atlas.uv_sets) > 1:
             triangle = triangle + len(self.material) * self.materials.atlas.uv_set.index_select(0, number)
         uv = _interpolate(self._uvs.index_select(1, triangle), hit.u.index_select(0, index), hit.v.index_select(0, index))
-        return index, self.materials.atlas.lookup(number, uv)
+        return index, torch.where(mapped, self.materials.atlas.lookup(number, uv), 1.0), mapped
 
     def emission(self, hit: Hit, front: Tensor, direction: Tensor | None) -> Tensor:
         """Radiance `[3, N]` that hits emit towards unit `direction` `[3, N]`, the viewer.
@@ -226,13 +231,15 @@ class Geometry:
         direction: as in `emission`."""
         material = self.material.index_select(0, hit.triangle)
         share = self.materials.cone(material, direction).expand(3, -1).clone()
-        index, texel = self._texels("emission", hit, material)
+        index, texel, _ = self._texels("emission", hit, material)
         if len(index) > 0:
             share[:, index] *= texel[0:3]
         if self._colors is not None:
-            index = indices(self.materials.tinted.index_select(0, material))
+            tinted = self.materials.tinted.index_select(0, material)
+            index = worthwhile(tinted)
             if len(index) > 0:
-                share[:, index] *= self._color(Hit(*(field[index] for field in hit)))[0:3]
+                color = self._color(Hit(*(field.index_select(0, index) for field in hit)))[0:3]
+                put_where(tinted.index_select(0, index), share, index, share.index_select(1, index) * color)
         if self.materials.clearcoat is not None and direction is not None:
             share *= self._through_clearcoat(hit, material, direction)
         return share
@@ -240,7 +247,7 @@ class Geometry:
     def _through_clearcoat(self, hit: Hit, material: Tensor, direction: Tensor) -> Tensor:
         """Share `[N]` of the emission that passes the clear coat, 1 where there is none (KHR_materials_clearcoat)."""
         weight = self.materials.clearcoat[0].index_select(0, material)
-        index, texel = self._texels("clearcoat", hit, material)
+        index, texel, _ = self._texels("clearcoat", hit, material)
         if len(index) > 0:
             weight[index] *= texel[0]
         normal = normalize(_interpolate(self._normals[3:12].index_select(1, hit.triangle), hit.u, hit.v))
@@ -255,7 +262,7 @@ class Geometry:
         """Share of the light that surfaces stop at hits `[N]`, 1 on opaque materials."""
         material = self.material.index_select(0, hit.triangle)
         coverage = torch.ones_like(hit.u) if self._colors is None else self._color(hit)[3]
-        index, texel = self._texels("base_color", hit, material)
+        index, texel, _ = self._texels("base_color", hit, material)
         if len(index) > 0:
             coverage[index] *= texel[3]
         return self.materials.opacity(material, coverage)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.render.pixels import indices
+from bokehguide.render.pixels import worthwhile
 from bokehguide.render.textures import TextureAtlas
 from bokehguide.render.vector import dot
 from bokehguide.scene.types import Cone, Material, Mesh, Texture
@@ -87,11 +87,11 @@ class Materials:
         self._absorption = optional(absorption, self.absorbs)
 
     def textured(self, slot: str, material: Tensor) -> tuple[Tensor, Tensor]:
-        """Which of `material` `[N]` have a texture in the slot, and its numbers: int64 `[K]` both."""
+        """Where `material` `[N]` may have a texture in the slot (see `worthwhile`), and which, -1 for none: int64 `[K]` both."""
         if slot not in self._numbers:
             return material[:0], material[:0]
         number = self._numbers[slot].index_select(0, material)
-        index = indices(number >= 0)
+        index = worthwhile(number >= 0)
         return index, number.index_select(0, index)
 
     def cone(self, material: Tensor, direction: Tensor | None) -> Tensor:

@@ -9,7 +9,7 @@ from bokehguide.render.bsdf import OpaqueBSDF
 from bokehguide.render.dielectric import DielectricBSDF
 from bokehguide.render.geometry import Surface
 from bokehguide.render.kernels import kernel
-from bokehguide.render.pixels import indices
+from bokehguide.render.pixels import put_where, worthwhile
 from bokehguide.render.vector import dot, tangent_frame, to_local, to_world
 
 
@@ -26,9 +26,10 @@ class Scattering:
         self._opaque.surface = surface
         self._glass = None
         if choice is not None:
-            index = indices(choice < surface.transmission * (1.0 - surface.metallic))
+            glass = choice < surface.transmission * (1.0 - surface.metallic)
+            index = worthwhile(glass)
             if len(index) > 0:
-                self._glass_index = index
+                self._glass_index, self._is_glass = index, glass.index_select(0, index)
                 self._glass_surface = surface.select(index)
                 self._glass_frame = tuple(axis.index_select(1, index) for axis in self._frame)
                 self._glass = DielectricBSDF(to_local(self._glass_surface.outgoing, *self._glass_frame), self._glass_surface)
@@ -40,8 +41,9 @@ class Scattering:
             index = self._glass_index
             towards = direction.index_select(1, index)
             local = to_local(towards, *self._glass_frame)
-            of_glass, pdf[index] = self._glass.evaluate(local)
-            value[:, index] = of_glass * _agree(self._glass_surface, towards, local[2])
+            of_glass, density = self._glass.evaluate(local)
+            put_where(self._is_glass, pdf, index, density)
+            put_where(self._is_glass, value, index, of_glass * _agree(self._glass_surface, towards, local[2]))
         return value, pdf
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -49,10 +51,11 @@ class Scattering:
         direction, weight, pdf = _sampled(self._frame, self._opaque, uniforms)
         if self._glass is not None:
             index = self._glass_index
-            local, of_glass, pdf[index] = self._glass.sample(uniforms.index_select(1, index))
+            local, of_glass, density = self._glass.sample(uniforms.index_select(1, index))
             towards = to_world(local, *self._glass_frame)
-            direction[:, index] = towards
-            weight[:, index] = of_glass * _agree(self._glass_surface, towards, local[2])
+            put_where(self._is_glass, pdf, index, density)
+            put_where(self._is_glass, direction, index, towards)
+            put_where(self._is_glass, weight, index, of_glass * _agree(self._glass_surface, towards, local[2]))
         return direction, weight, pdf
 
 
