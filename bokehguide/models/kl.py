@@ -16,7 +16,7 @@ from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDens
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.models.projection import log_density_gradient
 from bokehguide.render.kernels import kernel
-from bokehguide.render.pixels import indices
+from bokehguide.render.pixels import worthwhile
 
 
 def one_sample_kl(ratio: Tensor, density: Tensor, area: float) -> Tensor:
@@ -47,17 +47,20 @@ def offset_gradient(
     gaussian: Gaussian of each candidate `[M]`; raster: `[2, N]`; ratio: `[N]`.
     """
     contribution = guide.weight * at.components
-    counting = indices((contribution > 0.0) & (ratio > 0.0).index_select(0, guide.owner))
-    pixel, contribution = guide.owner.index_select(0, counting), contribution.index_select(0, counting)
+    counts = (contribution > 0.0) & (ratio > 0.0).index_select(0, guide.owner)
+    chosen = worthwhile(counts)
+    pixel, contribution, counts = (values.index_select(0, chosen) for values in (guide.owner, contribution, counts))
     strongest = torch.zeros_like(ratio).scatter_reduce_(0, pixel, contribution, "amax")
-    learns = indices(contribution == strongest.index_select(0, pixel))
-    chosen, pixel, contribution = (values.index_select(0, learns) for values in (counting, pixel, contribution))
+    learns = counts & (contribution == strongest.index_select(0, pixel))
+    index = worthwhile(learns)
+    chosen, pixel, contribution, learns = (values.index_select(0, index) for values in (chosen, pixel, contribution, learns))
     gaussian = gaussian.index_select(0, chosen)
     points, focus, mean = (values.index_select(1, of) for values, of in ((at.points, pixel), (guide.focus, pixel), (guide.mean, chosen)))
     weight, beta, density = (values.index_select(0, pixel) for values in (ratio, guide.beta, at.density))
     scale = -weight * beta * contribution / density
     basis = offsets.basis(gaussian, raster.index_select(1, pixel))
     slopes = _slopes(points, focus, mean, guide.sigma.index_select(0, chosen), scale, basis)
+    slopes = torch.where(learns, slopes, 0.0)
     gradient = torch.zeros_like(offsets.coefficients, dtype=torch.float64)
     return gradient.index_add_(2, gaussian, slopes.view(3, 6, -1))
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from bokehguide.models.projection import lens_density, project_to_lens
 from bokehguide.render.kernels import kernel
 from bokehguide.render.lens import Lens
-from bokehguide.render.pixels import indices, put
+from bokehguide.render.pixels import put_where, worthwhile
 from bokehguide.render.transfers import sent
 
 WHOLE = 2.0**40
@@ -158,12 +158,14 @@ class GuidedLensDistribution(LensMixture):
         A guided draw is a point of the 3D Gaussian, projected through x_F (section 4.1.3).
         """
         points = self.lens.sample(uniforms[2:4])
-        index = indices(uniforms[0] < self.beta)
+        guided = uniforms[0] < self.beta
+        index = worthwhile(guided)
         chosen = self.choose(uniforms[1]).index_select(0, index)
         normals = math.sqrt(2.0) * torch.erfinv(2.0 * uniforms[2:5].index_select(1, index) - 1.0)
         spot = self.mean.index_select(1, chosen) + self.sigma.index_select(0, chosen) * normals
         drawn = project_to_lens(spot, self.focus.index_select(1, index))
-        put(points, index, drawn.nan_to_num(1e30, 1e30, -1e30).clamp(-1e15, 1e15))
+        drawn = drawn.nan_to_num(1e30, 1e30, -1e30).clamp(-1e15, 1e15)
+        put_where(guided.index_select(0, index), points, index, drawn)
         return points
 
     def component_pdf(self, points: Tensor) -> Tensor:

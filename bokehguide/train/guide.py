@@ -18,7 +18,7 @@ from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathSamples
-from bokehguide.render.pixels import Pixels, indices, put, take
+from bokehguide.render.pixels import Pixels, put, put_where, take, worthwhile
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.train.fitting import fit_gaussians
@@ -119,7 +119,7 @@ class LensGuide(nn.Module):
         self.to(settings.device)
         self.register_buffer("held", torch.zeros(camera.width * camera.height, dtype=torch.bool, device=settings.device))
         """Pixels that stay uniform until their block of steps ends, whatever is found meanwhile, bool `[pixels]`."""
-        self.register_buffer("block", torch.tensor(1))
+        self.register_buffer("block", torch.tensor(1))  # on the host, which asks for it
         """First step of that block."""
         self.register_buffer("spotlights", torch.zeros(0, dtype=torch.int64, device=settings.device))
         self.candidates: CandidateList | None = None
@@ -222,9 +222,11 @@ class LensGuide(nn.Module):
 
     def stratify(self, pixels: Pixels, random: PixelRandom, uniforms: Tensor) -> None:
         """Replace, in numbers `[5, N]` for N pixels, those of the held pixels' lens points."""
-        held = indices(take(self.held, pixels))
-        if len(held) > 0:
-            uniforms[2:4, held] = random.select(held).stratified(LENS_DIMENSION, 2, int(self.block))
+        held = take(self.held, pixels)
+        index = worthwhile(held)
+        if len(index) > 0:
+            stratified = random.select(index).stratified(LENS_DIMENSION, 2, int(self.block))
+            put_where(held.index_select(0, index), uniforms[2:4], index, stratified)
 
     @torch.no_grad()
     def refit(self, mean_luminance: float) -> None:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.kernels import kernel
-from bokehguide.render.pixels import indices
+from bokehguide.render.pixels import indices, worthwhile
 from bokehguide.train.rank_sums import RankSums
 from bokehguide.train.ranks import Ranks
 
@@ -75,14 +75,13 @@ class RecordBuffer(Raster):
 
     def add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
-        index = indices(cells >= 0)
-        cells, light = cells.index_select(0, index), luminance.index_select(0, index)
-        count, radiance, *places = self.mine
-        count.index_add_(0, cells, torch.ones_like(light))
-        radiance.index_add_(0, cells, light)
-        x, y, depth = points.index_select(1, index).unbind(0)
-        for total, value in zip(places, (x / depth, y / depth, 1.0 / depth)):
-            total.index_add_(0, cells, light * value)
+        inside = cells >= 0
+        index = worthwhile(inside)
+        cells, light, inside = (values.index_select(0, index) for values in (cells, luminance, inside))
+        x, y, depth = points.index_select(1, index)
+        cells, values = cells.clamp(min=0), (torch.ones_like(light), light, light * (x / depth), light * (y / depth), light * (1.0 / depth))
+        for total, value in zip(self.mine, values):
+            total.index_add_(0, cells, torch.where(inside, value, 0.0))
 
     def bright(self, threshold: float) -> tuple[Tensor, Tensor, Tensor]:
         """Cells int64 `[K]` whose mean luminance is above the threshold, their positions `[3, K]` and mean luminance `[K]`."""
