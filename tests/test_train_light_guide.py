@@ -102,6 +102,25 @@ def test_the_probability_is_by_the_roots_of_the_moments_around():
     assert bool((guide.seen[:, 4] == 1.0).all()) and 0.0 < float(guide.seen[:, 3].max()) < 1.0
 
 
+def test_one_infinite_sample_leaves_the_rest_of_the_frame_as_it_is():
+    size = (20 * SMALLEST, 12 * SMALLEST)
+    generator = torch.Generator().manual_seed(3)
+    count = 3000
+    tiles, clusters = (torch.randint(end, (count,), generator=generator).int() for end in (240, 5))
+    worth, seen = torch.rand(2, count, generator=generator)
+    spoilt, whole = guide_of(*size), guide_of(*size)
+    for guide in (spoilt, whole):
+        guide.add(tiles, clusters, worth, seen)
+    spoilt.add(*(torch.zeros(500, dtype=torch.int32),) * 2, torch.full((500,), torch.inf), torch.ones(500))
+    for guide in (spoilt, whole):
+        guide.update(2)
+    reach = POOLS[-1][0] // 2
+    beyond = torch.ones(12, 20, dtype=torch.bool)
+    beyond[: reach + 1, : reach + 1] = False
+    assert torch.equal(spoilt.probability[beyond.flatten()], whole.probability[beyond.flatten()])
+    assert bool(spoilt.probability.isfinite().all()) and float(spoilt.probability[0, 0]) == 1.0
+
+
 def test_a_lamp_behind_the_wall_is_hardly_asked_for():
     loop = rendered(parted(), 16)
     lamps = loop.tracer.lights

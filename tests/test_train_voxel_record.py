@@ -131,6 +131,7 @@ def test_what_is_saved_goes_on():
             other.add([(other.cells(lens, points), points, light)], THRESHOLD)  # forgotten
             record.merge()
             other.load_state_dict(record.state_dict())
+            assert other._arrived == 0 and other._waiting == float(other.waiting[:, 1].sum()) > 0.0
     record.settle()
     other.settle()
     assert torch.equal(record.voxels, other.voxels) and torch.equal(record.sums, other.sums)

@@ -79,7 +79,7 @@ class DiscLensDistribution(LensMixture):
 
     mean `[3, M]` (metres, camera frame) and outline `[6, M]`: centres and `packed` squared half axes of the candidates'
     ellipsoids, none of them in focus; factor: what is known of their weights beside how bright they look, `[M]`; shapes:
-    which of them are something else; all else is as in LensMixture.
+    which of them are something else; all else is as in GuidedLensDistribution.
     """
 
     def __init__(

@@ -59,10 +59,9 @@ class LensMixture:
     Candidates are packed: those of pixel i stand at `start[i] : start[i + 1]`. A pixel
     without one falls back to the uniform distribution. The p_i may reach beyond the
     aperture: draws outside are samples of value 0. A kind of mixture adds `component_pdf` and
-    `sample`.
+    `sample`, and gives β and weights to `_weigh` when it is made.
 
-    lens: the aperture. focus: x_F `[3, N]`. beta: β `[N]`. start: int64 `[N + 1]`.
-    weight: of the candidates, any scale, 0 for one that is left out, `[M]`.
+    lens: the aperture. focus: x_F `[3, N]`. start: int64 `[N + 1]`. count: M, of candidates.
     """
 
     def __init__(self, lens: Lens, focus: Tensor, start: Tensor, count: int):
@@ -71,7 +70,7 @@ class LensMixture:
         """Pixel `[M]` that each candidate belongs to."""
 
     def _weigh(self, beta: Tensor, weight: Tensor) -> None:
-        """Set β `[N]` and the mixture's weights, from weights `[M]` that need not sum to 1."""
+        """Set β `[N]` and the mixture's weights, from weights `[M]` of any scale, 0 for a candidate that is left out."""
         total = torch.zeros(self.focus.shape[1], dtype=torch.float64, device=weight.device)
         total.index_add_(0, self.owner, weight.double())
         self.guided = total > 0.0
@@ -85,7 +84,8 @@ class LensMixture:
         self._ends, self._low, self._high = cumulative[1:], *(cumulative.index_select(0, of) for of in (self._start[:-1], self._start[1:]))
 
     def choose(self, uniforms: Tensor) -> Tensor:
-        """A candidate of each pixel, int64 `[N]`, drawn by weight with uniform numbers `[N]`; of pixels that have none, anyone's."""
+        """A candidate of each pixel, int64 `[N]`, drawn by weight with uniform numbers `[N]`; for pixels that have none, and numbers
+        that are not from 0 to 1, anyone's."""
         passed = _passed(self._ends, self._low, self._high, uniforms, self.owner)
         return self._start[:-1].clone().index_add_(0, self.owner, passed).clamp_(max=len(self.owner) - 1)
 
@@ -143,7 +143,7 @@ class GuidedLensDistribution(LensMixture):
     """The mixture of 3D Gaussians projected by bipolar cones (Eq. 18-22).
 
     Candidates that Eq. 22 culls are left out. mean `[3, M]` and sigma `[M]` (metres, camera
-    frame): the candidates' Gaussians; all else is as in LensMixture.
+    frame): the candidates' Gaussians; beta: β `[N]`; weight: of the candidates, of any scale, `[M]`; all else is as in LensMixture.
     """
 
     def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, mean: Tensor, sigma: Tensor, weight: Tensor):

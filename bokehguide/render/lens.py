@@ -41,8 +41,7 @@ class Lens:
 
     def contains(self, points: Tensor) -> Tensor:
         """Whether lens points `[2, N]` lie in the aperture as it is seen from the axis, bool `[N]`."""
-        x, y = points.unbind(0)
-        return x * x + y * y <= self.radius**2
+        return self.transmission(points) > 0.0
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Points `[2, N]` with density 1/A from uniform numbers `[2, N]`; rounding never leaves the rim."""
@@ -84,9 +83,6 @@ class ShapedLens(Lens):
     @property
     def area(self) -> float:
         return self.pupil.area * self.scale**2 / self.ratio
-
-    def contains(self, points: Tensor) -> Tensor:
-        return self.transmission(points) > 0.0
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Points `[2, N]` with density W / A from uniform numbers `[2, N]`."""

@@ -72,18 +72,17 @@ class LightGuide(RankSums):
         """Begin a block of steps with `step`: choose by all that was seen before it; collective."""
         self.merge()
         self.block.fill_(step)
-        brightest = self.sums[0].max().clamp(min=1e-300)
-        moments, tried, arrived = (self._pooled(total.float()) for total in (self.sums[0] / brightest, *self.sums[1:]))
+        moments, tried, arrived = (self._pooled(total) for total in self.sums)
         roots = moments.sqrt()
         whole = roots.sum(1, keepdim=True)
-        self.probability.copy_(torch.where(whole > 0.0, roots / whole.clamp(min=1e-30), 1.0 / roots.shape[1]))
+        self.probability.copy_(torch.where(whole > 0.0, roots / whole.clamp(min=1e-300), 1.0 / roots.shape[1]))
         self.seen.copy_(((arrived + SEEN_BEFORE) / (tried + SEEN_BEFORE)).clamp(min=DARKEST))
         self._table = ClusterTable(self.probability.double())
 
     def _pooled(self, total: Tensor) -> Tensor:
         """A sum `[tiles, clusters]` as tiles share it with those around."""
         clusters = total.shape[1]
-        pooled = torch.zeros(self._down, self._across, clusters, device=total.device)
+        pooled = torch.zeros(self._down, self._across, clusters, dtype=total.dtype, device=total.device)
         for width, share in POOLS:
             of_rows, of_columns = (_means(count, width).to(total.device) for count in (self._down, self._across))
             rows = (of_rows @ total.view(self._down, -1)).view(pooled.shape)
@@ -110,7 +109,7 @@ def _rows(tiles: Tensor, clusters: Tensor, worth: Tensor, seen: Tensor, count: T
 
 
 def _means(count: int, width: int) -> Tensor:
-    """The matrix `[count, count]` that takes the mean of the `width` tiles about each in a row, of fewer at its ends."""
+    """The matrix float64 `[count, count]` that takes the mean of the `width` tiles about each in a row, of fewer at its ends."""
     place = torch.arange(count)
-    near = ((place - place[:, None]).abs() <= width // 2).float()
+    near = ((place - place[:, None]).abs() <= width // 2).double()
     return near / near.sum(1, keepdim=True)
