@@ -12,11 +12,14 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 import torch
 from torch.utils import _pytree as pytree
 from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
 from torch.utils._python_dispatch import TorchDispatchMode
+
+from bokehguide.render import pixels, transfers
 
 aten = torch.ops.aten
 NAME = "pretended"
@@ -31,6 +34,8 @@ WAITED_FOR = {
 """Operations whose results the host needs, or the size of their results."""
 waits: Counter[str] = Counter()
 """How often the host would have waited, by the function that made it wait."""
+_waited: Counter[int] = Counter()
+"""How often in each thread, since the beginning."""
 _lock = threading.Lock()
 _registered: set[str] = set()
 
@@ -73,10 +78,23 @@ def pretended_device() -> Iterator[str]:
     waits.clear()
     torch._C._set_only_lift_cpu_tensors(True)  # what `torch.tensor` makes is copied to the device like all else
     try:
-        with _Mode():
+        with _Mode(), patch.object(transfers, "Coming", _Coming), patch.object(pixels, "Coming", _Coming):
             yield NAME
     finally:
         torch._C._set_only_lift_cpu_tensors(False)
+
+
+class _Coming(transfers.Coming):
+    """Who asks for it before the host has waited for anything else waits for it."""
+
+    def __init__(self, values: torch.Tensor):
+        super().__init__(values)
+        self._waited = _waited.copy()
+
+    def get(self) -> torch.Tensor:
+        if self._waited == _waited:
+            _count(None)
+        return super().get()
 
 
 def enter() -> None:
@@ -125,7 +143,8 @@ def _on_host(function, args: tuple, kwargs: dict):
 def _copied(function, args: tuple, kwargs: dict):
     """Between devices: the host waits for what it gets, unless it says that it does not."""
     if function is aten.copy_.default:
-        if isinstance(args[1], OnDevice) and not isinstance(args[0], OnDevice):
+        later = kwargs.get("non_blocking", args[2] if len(args) > 2 else False)
+        if isinstance(args[1], OnDevice) and not isinstance(args[0], OnDevice) and not later:
             _count(function)
         _on_host(function, args, kwargs)
         return args[0]
@@ -141,6 +160,7 @@ def _copied(function, args: tuple, kwargs: dict):
 def _count(function) -> None:
     with _lock:
         waits[_place()] += 1
+        _waited[threading.get_ident()] += 1
 
 
 def _place() -> str:

@@ -16,7 +16,7 @@ from pretended_device import pretended_device as device_there
 from tracing import rectangle
 
 from bokehguide.render.film import Film, FilmSamples
-from bokehguide.render.pixels import indices, indices_of_each, worthwhile
+from bokehguide.render.pixels import PlacesOfEach, indices, indices_of_each, worthwhile
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.types import Material, Scene, Texture
 from bokehguide.train import RenderLoop, RenderSettings, settings
@@ -97,6 +97,19 @@ def test_on_a_device_work_in_vain_is_no_reason_to_wait(device):
     assert not pretended_device.waits and found.tolist() == [0, 1, 2, 3]
 
 
+def test_what_comes_while_the_host_does_other_things_is_not_waited_for(device):
+    masks = [torch.rand(1000) < share for share in (0.2, 0.8)]
+    there = [mask.to(device) for mask in masks]
+    for does_other_things in (True, False):
+        places = PlacesOfEach(there)
+        if does_other_things:
+            there[0].sum().item()
+        pretended_device.waits.clear()
+        found = places.get()
+        assert pretended_device.waits.total() == (not does_other_things)
+        assert all(torch.equal(one.cpu(), indices(mask)) for one, mask in zip(found, masks))
+
+
 def test_samples_that_are_not_finite_are_told_apart_later(device):
     """On a device, when somebody asks or a step ends; the film has none of them at once."""
     here, there = Film(4, 3, seed=5), Film(4, 3, seed=5, device=device)
@@ -121,16 +134,16 @@ def test_samples_of_the_record_may_wait_here_and_there(device):
     assert record.waiting.tolist() == [[1.0] + [6.0] * 5]
 
 
-OF_UNIFORM = {"pixels.indices_of_each": 1}  # which samples are not finite, for all batches at once
+OF_UNIFORM = {"pixels.get": 1}  # which samples are not finite, for all batches at once
 OF_GUIDED = {
-    "pixels.indices_of_each": 3,  # that, and which samples are for the record; in each batch what mirrors show
+    "pixels.get": 2,  # that, and which samples are for the record
     "film.light": 1,
     "steps.step_stats": 1,
 }
 """How often the host waits in a step of one batch in which pixels share their samples, once with each other, but for rays."""
 
 
-OF_LEARNING = {"pixels.indices_of_each": 1, "film.light": 1, "steps.step_stats": 1}
+OF_LEARNING = {"pixels.get": 1, "film.light": 1, "steps.step_stats": 1}
 """Those of a step in which the paper's guide learns, with Gaussians that no longer change."""
 WAITS = [(scene, *each) for scene in ("fairy-lights", "night-street", "painted") for each in (("uniform", OF_UNIFORM), ("guided", OF_GUIDED))]
 

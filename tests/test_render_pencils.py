@@ -556,9 +556,8 @@ def test_some_of_the_rays_bring_what_they_bring_among_all(choose):
     """To the bit; the others met nothing, as if they had been sent into the void."""
     index = torch.arange(100) * 3 + 1
     alive = torch.zeros(300).index_fill(0, index, 0.3)
-    all_of_them, some, none = (
-        vars(traced(flat_mirror(), image_in_mirror(LAMP_PLACE), choose, 300, rays)) for rays in (None, alive, 0.0 * alive)
-    )
+    traces = (traced(flat_mirror(), image_in_mirror(LAMP_PLACE), choose, 300, rays) for rays in (None, alive, 0.0 * alive))
+    all_of_them, some, none = ({**vars(samples), "shown": samples.image} for samples in traces)
     others = torch.ones(300, dtype=torch.bool).index_fill(0, index, False)
     assert some.pop("rays") < all_of_them.pop("rays") and none.pop("rays") == 0
     of_some, of_all, of_none = (samples.pop("lights") for samples in (some, all_of_them, none))

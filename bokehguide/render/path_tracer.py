@@ -23,7 +23,7 @@ from bokehguide.render.kernels import kernel
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.lights import Lights
 from bokehguide.render.opacity import MAX_CROSSINGS, Arrivals, Opacity
-from bokehguide.render.pencils import Images
+from bokehguide.render.pencils import Images, Shown
 from bokehguide.render.pixels import increase, put
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.scattering import Scattering
@@ -65,8 +65,7 @@ class PathSamples:
     MISS_DISTANCE where there is none; alpha: 1 where the camera sees a surface or what lies
     at infinity, else 0; triangle: that of the first surface, int32, -1 where there is none;
     rays: number of rays traced; first: the first surfaces, where paths split there, None where no ray met one. Under a
-    `LightChoice`, also the lights it chose, None where no ray met a surface; and image, the distance at which most of the
-    radiance appears to come from: that of the first surface, or of what it mirrors or lets through.
+    `LightChoice`, also the lights it chose, None where no ray met a surface; and what is shown in mirrors and glass.
     """
 
     radiance: Tensor
@@ -79,7 +78,13 @@ class PathSamples:
     rays: int = 0
     first: FirstSurfaces | None = None
     lights: LightsChosen | None = None
-    image: Tensor | None = None
+    shown: Shown | None = None
+
+    @property
+    def image(self) -> Tensor | None:
+        """Under a `LightChoice`, the distance at which most of the radiance appears to come from: that of the first surface, or of
+        what it mirrors or lets through."""
+        return None if self.shown is None else self.shown.distances()
 
     @classmethod
     def empty(cls, count: int, device: torch.device) -> PathSamples:
@@ -195,7 +200,7 @@ class PathTracer:
         if result.first is not None:
             increase(result.radiance, result.first.rays, result.first.direct + result.first.indirect)
         if images is not None:
-            result.image = images.distances(result.radiance, result.distance, bright)
+            result.shown = Shown(images, result.radiance, result.distance, bright)
         return result
 
     def _segment(

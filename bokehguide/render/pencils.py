@@ -8,7 +8,6 @@ that has met mirrors and glass alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -16,7 +15,7 @@ from torch import Tensor
 
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.kernels import kernel
-from bokehguide.render.pixels import increase, indices_of_each, worthwhile
+from bokehguide.render.pixels import PlacesOfEach, increase, worthwhile
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.transfers import sent
 from bokehguide.render.vector import cross, dot, length, luminance, normalize
@@ -92,11 +91,11 @@ class Images:
     """
 
     def __init__(self, geometry: Geometry, count: int):
-        self._geometry, self._paths = geometry, count
+        self.geometry, self._paths = geometry, count
         self._rays: Tensor | None = None
-        self._vertices: list[_Vertex] = []
-        self._events: list[_Event] = []
-        self._starts = torch.zeros(0, dtype=torch.int64)
+        self.vertices: list[_Vertex] = []
+        self.events: list[_Event] = []
+        self.starts = torch.zeros(0, dtype=torch.int64)
 
     def split(self, rays: Tensor) -> None:
         """From now on indices are those of paths, each of which belongs to one of `rays`, int64 `[P]`."""
@@ -106,88 +105,98 @@ class Images:
         """Some paths, int64 `[K]`, have come to these surfaces; owner: which of the hits each has, where not its own."""
         place = torch.empty(self._paths, dtype=torch.int32, device=index.device)
         place.scatter_(0, index, torch.arange(len(index), dtype=torch.int32, device=index.device))
-        self._starts = self._starts if self._vertices else index
+        self.starts = self.starts if self.vertices else index
         medium = (surface.front, surface.thin, surface.transmission, surface.ior)
         self._at = (place, owner, hit, surface.outgoing, *medium)
 
     def leave(self, direction: Tensor, pdf: Tensor) -> None:
         """They go on in directions `[3, K]` of which the BSDF samples have this density `[K]`."""
-        self._vertices.append(_Vertex(*self._at, direction, pdf))
+        self.vertices.append(_Vertex(*self._at, direction, pdf))
 
     def add(self, index: Tensor, distance: Tensor, radiance: Tensor) -> None:
         """Some paths, int64 `[K]`, bring light from where they came to: `[K]` from where they left, `[3, K]`."""
-        self._events.append(_Event(self._vertices.copy(), index, distance, radiance))
+        self.events.append(_Event(self.vertices.copy(), index, distance, radiance))
 
     def add_sampled(self, index: Tensor, direction: Tensor, pdf: Tensor, distance: Tensor, radiance: Tensor) -> None:
         """As `add`, of what light samples bring to where paths are; direction, pdf: as in `leave`."""
-        self._events.append(_Event([*self._vertices, _Vertex(*self._at, direction, pdf)], index, distance, radiance))
+        self.events.append(_Event([*self.vertices, _Vertex(*self._at, direction, pdf)], index, distance, radiance))
 
-    def distances(self, radiance: Tensor, own: Tensor, bright: float) -> Tensor:
-        """Along each ray, `[N]`, to where most of its light appears to come from: to the brightest that mirrors and glass show,
-        MISS_DISTANCE where that is at infinity or behind the eye, or its own distance `[N]`, where less than half is shown so.
-        Rays that are not bright and go on in a mirror or glass are taken to see something far beyond.
-
-        radiance: of the rays, `[3, N]`; bright: luminance of a highlight.
-        """
-        whole = luminance(radiance)
-        own = torch.where(self._goes_on(own) & (whole <= bright), MISS_DISTANCE, own)
-        # The last place is for what is no ray's.
-        distance, light, brightest = torch.zeros(3, len(own) + 1, device=own.device)
-        for rays, image, added in self._seen(whole > bright):
-            increase(light, rays, added)
-            brightest.scatter_reduce_(0, rays, added, "amax")
-            distance.scatter_(0, torch.where(added == brightest.index_select(0, rays), rays, len(own)), image)
-        return torch.where(light[:-1] > 0.5 * whole, distance[:-1], own)
-
-    def _goes_on(self, own: Tensor) -> Tensor:
-        """Which rays, bool `[N]`, met a mirror or glass first, or may have: some of their paths went on narrowly."""
-        found = torch.zeros_like(own)
-        if self._vertices:
-            increase(found, self._ray_of(self._starts), (self._vertices[0].pdf > NARROW).to(own.dtype))
-        return found > 0.0
-
-    def _ray_of(self, paths: Tensor) -> Tensor:
+    def rays(self, paths: Tensor) -> Tensor:
         """Which ray each of some paths, int64 `[K]`, belongs to."""
         return paths if self._rays is None else self._rays.index_select(0, paths)
 
-    def _seen(self, bright: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """What bright rays, bool `[N]`, see of each event through mirrors and glass alone: which rays, int64 `[K]`, how far off, and
-        how much light it brings them, `[K]`. Where no image is to be trusted the ray is N."""
-        events, rays = self._events, [self._ray_of(event.index) for event in self._events]
-        brings = [bright.index_select(0, of) & (event.radiance.amax(0) > 0.0) for event, of in zip(events, rays)]
-        shown = [worthwhile(mask) for mask in brings]
-        paths = [event.index.index_select(0, index) for event, index in zip(events, shown)]
-        places = [[vertex.place.index_select(0, of) for vertex in event.vertices] for event, of in zip(events, paths)]
-        narrow = [_least_density(event, at) > NARROW for event, at in zip(events, places)]
-        narrow = indices_of_each([mask & of.index_select(0, index) for mask, of, index in zip(narrow, brings, shown)])
-        views = [
-            _View(event, of.index_select(0, index), index, at).select(which)
-            for event, of, index, at, which in zip(events, rays, shown, places, narrow)
-            if len(which) > 0
-        ]
-        for view, corners in zip(views, self._corners(views)):
-            image, trusted = self._image(view, corners)
-            ray = torch.where(trusted, view.rays, len(bright))
-            yield ray, image, luminance(view.event.radiance.index_select(1, view.index))
 
-    def _corners(self, views: list[_View]) -> list[list[Tensor]]:
-        """Corners of the triangles at each of the views' vertices: all together, as a GPU's host, which has them, waits to be asked."""
-        triangles = [[vertex.triangles(place) for vertex, place in zip(view.event.vertices, view.places)] for view in views]
-        every = [triangle for of_view in triangles for triangle in of_view]
-        if not every:
-            return []
-        corners = iter(self._geometry.corners(torch.cat(every)).split([len(triangle) for triangle in every], dim=2))
-        return [[next(corners).contiguous() for _ in of_view] for of_view in triangles]
+class Shown:
+    """What N rays see in mirrors and glass, when it is known how much light they bring.
 
-    def _image(self, view: _View, corners: list[Tensor]) -> tuple[Tensor, Tensor]:
+    On a GPU the host is not told at once which of them see highlights there: who asks for the distances after other work does not
+    wait. On a CPU they are found at once, and what was noted is forgotten.
+
+    images: what was noted; radiance: of the rays, `[3, N]`; own: their distances `[N]`; bright: luminance of a highlight.
+    """
+
+    def __init__(self, images: Images, radiance: Tensor, own: Tensor, bright: float):
+        self._images, self._whole, self._distances = images, luminance(radiance), None
+        self._own = torch.where(self._goes_on(own) & (self._whole <= bright), MISS_DISTANCE, own)
+        self._views, narrow = self._possible(self._whole > bright)
+        self._narrow = PlacesOfEach(narrow)
+        if own.device.type == "cpu":
+            self.distances()
+
+    def distances(self) -> Tensor:
+        """Along each ray, `[N]`, to where most of its light appears to come from: to the brightest that mirrors and glass show,
+        MISS_DISTANCE where that is at infinity or behind the eye, or its own distance, where less than half is shown so.
+        Rays that are not bright and go on in a mirror or glass are taken to see something far beyond.
+        """
+        if self._distances is None:
+            self._distances = self._found()
+            self._images = self._views = self._narrow = None
+        return self._distances
+
+    def _goes_on(self, own: Tensor) -> Tensor:
+        """Which rays, bool `[N]`, met a mirror or glass first, or may have: some of their paths went on narrowly."""
+        found, images = torch.zeros_like(own), self._images
+        if images.vertices:
+            increase(found, images.rays(images.starts), (images.vertices[0].pdf > NARROW).to(own.dtype))
+        return found > 0.0
+
+    def _possible(self, bright: Tensor) -> tuple[list[_View], list[Tensor]]:
+        """Views of the events by bright rays, bool `[N]`, and where those see them through mirrors and glass alone, bool `[K]` each."""
+        views, narrow = [], []
+        for event in self._images.events:
+            rays = self._images.rays(event.index)
+            brings = bright.index_select(0, rays) & (event.radiance.amax(0) > 0.0)
+            index = worthwhile(brings)
+            path = event.index.index_select(0, index)
+            places = [vertex.place.index_select(0, path) for vertex in event.vertices]
+            views.append(_View(event, rays.index_select(0, index), index, places))
+            narrow.append(brings.index_select(0, index) & (_least_density(event, places) > NARROW))
+        return views, narrow
+
+    def _found(self) -> Tensor:
+        # The last place is for what is no ray's.
+        count = len(self._own)
+        distance, light, brightest = torch.zeros(3, count + 1, device=self._own.device)
+        for view, index in zip(self._views, self._narrow.get()):
+            if len(index) > 0:
+                view = view.select(index)
+                image, trusted = self._image(view)
+                rays = torch.where(trusted, view.rays, count)
+                added = luminance(view.event.radiance.index_select(1, view.index))
+                increase(light, rays, added)
+                brightest.scatter_reduce_(0, rays, added, "amax")
+                distance.scatter_(0, torch.where(added == brightest.index_select(0, rays), rays, count), image)
+        return torch.where(light[:-1] > 0.5 * self._whole, distance[:-1], self._own)
+
+    def _image(self, view: _View) -> tuple[Tensor, Tensor]:
         """How far off each ray of the view sees it, `[K]`, and whether to believe it."""
-        device, vertices = view.rays.device, view.event.vertices
+        device, vertices, geometry = view.rays.device, view.event.vertices, self._images.geometry
         pencils = sent(BEGUN, device, torch.float32)[:, None].expand(-1, len(view.rays))
-        for vertex, place, at in zip(vertices, view.places, corners):
-            normals = self._geometry.corner_normals(vertex.triangles(place))
+        for vertex, place in zip(vertices, view.places):
+            triangle = vertex.triangles(place)
             found = (vertex.outgoing, vertex.direction, vertex.front, vertex.thin, vertex.transmission, vertex.ior)
             found = (values.index_select(-1, place) for values in found)
-            pencils = _bend(pencils, vertex.distances(place), at, normals, *found)
+            pencils = _bend(pencils, vertex.distances(place), geometry.corners(triangle), geometry.corner_normals(triangle), *found)
         image = _image(pencils, view.event.distance.index_select(0, view.index))
         return image, image > AFLOAT * vertices[0].distances(view.places[0])
 

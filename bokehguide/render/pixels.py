@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.render.transfers import Coming
+
 Pixels = slice | Tensor
 """Flat pixel indices: a slice `first:end` where they are consecutive, which makes views of a frame's
 arrays, or int64 `[N]` in ascending order, which makes copies."""
@@ -31,12 +33,24 @@ def worthwhile(mask: Tensor) -> Tensor:
     return indices(mask) if mask.device.type == "cpu" else torch.arange(len(mask), device=mask.device)
 
 
+class PlacesOfEach:
+    """`indices` of some masks, of any sizes, which are asked for now and may be had later (see `Coming`)."""
+
+    def __init__(self, masks: Sequence[Tensor]):
+        self._masks, self._counts = masks, None
+        if masks and masks[0].device.type != "cpu":
+            self._counts = Coming(torch.stack([mask.sum() for mask in masks]))
+
+    def get(self) -> list[Tensor]:
+        """int64 `[K]` of each mask."""
+        if self._counts is None:
+            return [indices(mask) for mask in self._masks]
+        return [_first_places(mask, count) for mask, count in zip(self._masks, self._counts.get().tolist())]
+
+
 def indices_of_each(masks: Sequence[Tensor]) -> list[Tensor]:
     """`indices` of some masks, of any sizes; the host waits once for all of them."""
-    if not masks or masks[0].device.type == "cpu":
-        return [indices(mask) for mask in masks]
-    counts = torch.stack([mask.sum() for mask in masks]).tolist()
-    return [_first_places(mask, count) for mask, count in zip(masks, counts)]
+    return PlacesOfEach(masks).get()
 
 
 def _first_places(mask: Tensor, count: int) -> Tensor:

@@ -30,6 +30,23 @@ def sent(values: Tensor | np.ndarray | Sequence, device: torch.device, dtype: to
     return torch.as_tensor(values, dtype=dtype).to(device, non_blocking=True)
 
 
+class Coming:
+    """A tensor on its way to the host, which may do other things before it asks for it. Once it has waited for anything that
+    was asked for later, it does not wait for this any more."""
+
+    def __init__(self, values: Tensor):
+        self._there, self._event = torch.empty(values.shape, dtype=values.dtype, pin_memory=values.is_cuda), None
+        self._there.copy_(values, non_blocking=True)
+        if values.is_cuda:
+            self._event = torch.cuda.Event()
+            self._event.record()
+
+    def get(self) -> Tensor:
+        if self._event is not None:
+            self._event.synchronize()
+        return self._there
+
+
 @contextmanager
 def own_stream(device: torch.device) -> Iterator[None]:
     """What this thread asks of a GPU runs beside what others ask, and beside their transfers: after what was asked for before,
