@@ -42,7 +42,7 @@ from bokehguide.render import direct_light, path_tracer
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.light_choice import LightChoice
 from bokehguide.render.path_tracer import PathTracer
-from bokehguide.render.pencils import Images
+from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.random import PixelRandom
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.builtin import BUILTIN
@@ -171,7 +171,7 @@ PARTS: dict[str, tuple[tuple[object, str, object], ...]] = {
     LAMPS: ((spot_guide, "known_lamps", no_lamps),),
     FOUND: ((spot_guide, "fit_ellipsoids", nothing_found),),
     "voxels by depth": ((VoxelRecord, "_layers", lambda _, depth: torch.zeros_like(depth, dtype=torch.int64)),),
-    "images in mirrors and glass": ((Images, "distances", lambda self, radiance, own, bright: own),),
+    "images in mirrors and glass": ((PathSamples, "image", property(lambda samples: samples.distance)),),
     "shapes of map lamps and panels": ((known_lamps, "_shapes", no_shapes),),
     "proportions (else balls)": ((known_lamps, "packed", as_balls),),
     "discs cut off at the lens": ((disc_distribution, "_band", uncut),),

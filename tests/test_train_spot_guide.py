@@ -11,7 +11,7 @@ import trimesh
 
 from bokehguide.models.disc_distribution import DiscLensDistribution, balls
 from bokehguide.models.projection import project_to_lens
-from bokehguide.render.pencils import Images
+from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.timer import PhaseTimer
 from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_box, unit_rectangle, unit_sphere
@@ -402,7 +402,7 @@ def test_highlights_on_a_metal_ball_are_found_where_its_images_are(found_on_a_ba
 def test_most_draws_meet_highlights_on_a_metal_ball(found_on_a_ball, monkeypatch):
     """Nearly as many as AXES leaves of an even disc; far fewer where the highlights are taken to lie on the ball."""
     share = share_of_bright_draws(found_on_a_ball)
-    monkeypatch.setattr(Images, "distances", lambda self, radiance, own, bright: own)
+    monkeypatch.setattr(PathSamples, "image", property(lambda samples: samples.distance))
     loop = rendered(ball_of_lamps(), 32)
     assert len(loop.guide.field) == 3 and float(loop.guide.field.mean[2].max()) < 5.2
     assert share > 0.8 * (2.0 / AXES) ** 2 and share > 1.4 * share_of_bright_draws(loop)

@@ -62,11 +62,11 @@ def offset_gradient(
     slopes = _slopes(points, focus, mean, guide.sigma.index_select(0, chosen), scale, basis)
     slopes = torch.where(learns, slopes, 0.0)
     gradient = torch.zeros_like(offsets.coefficients, dtype=torch.float64)
-    return gradient.index_add_(2, gaussian, slopes.view(3, 6, -1))
+    return gradient.index_add_(2, gaussian, slopes.view(*gradient.shape[:2], len(index)))
 
 
 @kernel
 def _slopes(points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor, scale: Tensor, basis: Tensor) -> Tensor:
-    """What samples add to the gradient, float64 `[18, K]`: `scale` times ∂ log p / ∂μ, by each row of the basis `[6, K]`."""
+    """What samples add to the gradient, float64 `[18, K]`: `scale` times ∂ log p / ∂μ, each by all rows of the basis `[6, K]`."""
     of_mean = scale * log_density_gradient(points, focus, mean, sigma)
     return torch.stack([(slope * row).double() for slope in of_mean for row in basis])
