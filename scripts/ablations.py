@@ -41,8 +41,7 @@ from bokehguide.models.projection import lens_magnification
 from bokehguide.render import direct_light, path_tracer
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.light_choice import LightChoice
-from bokehguide.render.path_tracer import PathTracer
-from bokehguide.render.path_tracer import PathSamples
+from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.builtin import BUILTIN

@@ -86,7 +86,7 @@ def reference(scene: Callable[[], Scene]) -> RenderLoop:
 
 
 def sound(loop: RenderLoop, bad: int = 0) -> bool:
-    """Whether film and guide hold finite numbers only, and no sample was left out."""
+    """Whether film and guide hold finite numbers only, and so many samples were left out."""
     arrays = [torch.from_numpy(layer) for layer in loop.film.layers().values()]
     arrays += [*loop.guide.state_dict().values()] if loop.guide is not None else []
     return loop.film.bad_count == bad and all(bool(array.isfinite().all()) for array in arrays)
