@@ -1,3 +1,3 @@
 """Defocused photographs by path tracing with guided lens sampling."""
 
-__version__ = "0.2.1"
+__version__ = "0.3.0"

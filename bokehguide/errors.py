@@ -1,21 +1,21 @@
-"""The one exception a user's mistake raises, and how a part of it is told in one line."""
+"""The exception for a mistake of the user, and one-line texts for its message."""
 
 
 class BokehguideError(Exception):
-    """A mistake in what the user gave: a file, a field, a value.
+    """A mistake in the user's input: a file, a field, a value.
 
-    The message is one or two lines that name the file, the field, the value and
-    the remedy. The command line prints it without a traceback and exits with 2.
+    The message names the file, the field, the value and the remedy in one or two lines. The command line prints it without a
+    traceback and exits with code 2.
     """
 
 
 def reason(error: Exception) -> str:
-    """What another library says is wrong: the first line of it, as far as it can be printed, or the exception's name."""
+    """The first line of another library's error message in printable form, or the name of the exception."""
     lines = str(error).splitlines()
     return printable(lines[0], 200) if lines and lines[0].strip() else type(error).__name__
 
 
 def printable(text: str, longest: int = 60) -> str:
-    """`text` of a file for people: one line without control characters, cut where it is long."""
+    """`text` as one line without control characters, of at most `longest` characters and an ellipsis."""
     line = " ".join("".join(mark if mark.isprintable() else " " for mark in text[: 4 * longest]).split())
     return line if len(line) <= longest else f"{line[:longest]}…"

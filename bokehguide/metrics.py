@@ -1,4 +1,4 @@
-"""How far an image is from a reference."""
+"""Error measures of an image against a reference."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.image import read_rgb, tone_map
 
 EPSILON = 0.01
-"""Added to the reference in the denominators, so that black pixels count, but not without bound."""
+"""Added to the reference in denominators, so that the errors of black pixels count and stay finite."""
 
 SSIM_WINDOW = 11
 
@@ -21,7 +21,7 @@ SSIM_WINDOW = 11
 class Metrics:
     """MAPE and relMSE of the radiance; SSIM and PSNR (dB) of the tone-mapped values.
 
-    ssim: None for images smaller than its window of 11 × 11 pixels.
+    ssim: None for an image smaller than its window of 11 × 11 pixels.
     """
 
     mape: float
@@ -49,11 +49,11 @@ def relmse(image: Tensor, reference: Tensor) -> float:
 
 
 def compare(image: Tensor, reference: Tensor, exposure: float = 0.0) -> Metrics:
-    """All four measures of radiance `[H, W, 3]`, tone-mapped at `exposure` EV where that is due.
+    """All four measures of radiance `[H, W, 3]`; SSIM and PSNR tone-map it at `exposure` EV.
 
     Raises BokehguideError as `check` does.
     """
-    from kornia.metrics import psnr, ssim  # takes over a second, and a render does without
+    from kornia.metrics import psnr, ssim  # the import takes over a second, and renders do not need it
 
     check(image, reference)
     shown, expected = (tone_map(x, exposure).movedim(-1, 0)[None] for x in (image, reference))
@@ -69,20 +69,20 @@ def check(image: Tensor, reference: Tensor) -> None:
     """Raise BokehguideError for unequal shapes, NaN or infinity, or a negative reference."""
     if image.shape != reference.shape:
         raise BokehguideError(
-            f"the image is {_size(image)} and the reference {_size(reference)} pixels; give two of one size"
+            f"the image is {_size(image)} and the reference {_size(reference)} pixels; give two images of one size"
         )
     for name, pixels in (("image", image), ("reference", reference)):
         bad = int((~torch.isfinite(pixels)).sum())
         if bad:
-            raise BokehguideError(f"the {name} has {bad} NaN or infinite values; a mean over them means nothing")
+            raise BokehguideError(f"the {name} has {bad} NaN or infinite values; their mean is undefined; render it again")
     if reference.min() < 0.0:
-        raise BokehguideError(f"the reference has a negative value, {reference.min():g}; give radiance")
+        raise BokehguideError(f"the reference has a negative value, {reference.min():g}; give an image of radiance")
 
 
 def read_reference(path: str | Path, width: int, height: int) -> Tensor:
-    """Radiance `[H, W, 3]` of an EXR to measure renders of this size against.
+    """Radiance `[H, W, 3]` of a reference EXR for renders of this size.
 
-    Raises BokehguideError, naming the file, where it cannot be read, has another size or cannot be a reference.
+    Raises BokehguideError with the name of the file if it cannot be read, has another size, or fails `check`.
     """
     reference = torch.from_numpy(read_rgb(path))
     try:

@@ -16,7 +16,7 @@ SUCCESS, USER_ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0; 2: the user's mistake; 130: interrupted; 141: whoever read the output has gone.
+    0: success; 2: a mistake of the user; 130: interrupted; 141: the reader of the output closed the pipe.
     """
     try:
         try:
@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        # Python flushes once more at its end, which must not fail again.
+        # Python flushes stdout again at exit; that flush must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
 
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str]) -> int:
     try:
         options = parse(arguments)
-        # Loaded by name so that --help and a mistyped option need not wait for torch.
+        # Imported by name, so that --help and a mistyped option do not wait for torch.
         command = importlib.import_module(f"bokehguide.cli.{options.command}")
         return command.run(options)
     except BokehguideError as error:

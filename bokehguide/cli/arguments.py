@@ -1,4 +1,4 @@
-"""What may be typed after `bokehguide`. Imports nothing heavy: `--help` is instant."""
+"""The options of `bokehguide`. Imports nothing heavy, so that `--help` is instant."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import argparse
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from bokehguide import __version__
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS
 
 SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml scene file, or a .glb .gltf .obj .ply .stl model"
-COMPILE_HELP = "render with compiled kernels: faster, once they have been compiled, which takes minutes on each machine"
-REUSE_HELP = "in which area-restir reuses samples, in pixels (default: 50, for pictures 1920 wide)"
+COMPILE_HELP = "render with compiled kernels: faster, after minutes of compilation on each machine"
+REUSE_HELP = "radius in pixels in which area-restir reuses samples (default: 50, for images 1920 wide)"
 
 
 class Parser(argparse.ArgumentParser):
-    """Knows no abbreviations, and reports a mistake as every other part does: in one line."""
+    """A parser without abbreviations that reports a mistake in one line, as a BokehguideError."""
 
-    def __init__(self, **keywords: object) -> None:
+    def __init__(self, **keywords: Any) -> None:
         super().__init__(allow_abbrev=False, **keywords)
 
     def error(self, message: str) -> NoReturn:
@@ -28,7 +28,12 @@ class Parser(argparse.ArgumentParser):
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
-    """The options of one command; `command` names it. Raises BokehguideError for a mistake."""
+    """The options of one command, whose name is `command`. Raises BokehguideError for a mistake."""
+    return make_parser().parse_args(_attach_negative_values(arguments))
+
+
+def make_parser() -> Parser:
+    """The parser of all commands; the documentation lists its options."""
     parser = Parser(
         prog="bokehguide",
         description="Renders defocused photographs by path tracing with guided lens sampling.",
@@ -38,11 +43,11 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     _add_render(commands)
     _add_compare(commands)
     _add_metrics(commands)
-    info = commands.add_parser("info", help="tell what a scene holds and what of it was ignored")
+    info = commands.add_parser("info", help="print the contents of a scene, and the ignored parts of its files")
     info.add_argument("scene", metavar="SCENE", help=SCENE_HELP)
     _add_allow_outside(info)
     commands.add_parser("scenes", help="list the built-in scenes")
-    return parser.parse_args(_attach_negative_values(arguments))
+    return parser
 
 
 def _add_render(commands: argparse._SubParsersAction) -> None:
@@ -54,23 +59,23 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--reuse-radius", type=float, default=50.0, metavar="PX", help=REUSE_HELP)
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
-    add("--seed", type=natural, default=0, metavar="N", help="of the random numbers (default: 0)")
-    add("--out", type=exr, metavar="PATH.exr", help="where to write; a PNG goes beside it (default: SCENE-MODE.exr)")
+    add("--seed", type=natural, default=0, metavar="N", help="seed of the random numbers (default: 0)")
+    add("--out", type=exr, metavar="PATH.exr", help="output file; a PNG goes beside it (default: SCENE-MODE.exr)")
     add("--logdir", type=Path, metavar="DIR", help="write TensorBoard logs into DIR/SCENE/MODE")
-    add("--reference", type=Path, metavar="REF.exr", help="report the error against this image as the render goes on")
-    add("--device", choices=("cpu", "cuda"), default="cpu", help="where tensors live (default: cpu)")
-    add("--threads", type=threads, metavar="N", help="threads that trace and shade (default: one per core)")
+    add("--reference", type=Path, metavar="REF.exr", help="report the error against this image during the render")
+    add("--device", choices=("cpu", "cuda"), default="cpu", help="device of the tensors (default: cpu)")
+    add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
     add("--compile", action="store_true", help=COMPILE_HELP)
-    add("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as one JSON object")
-    add("--exposure", type=exposure, default=0.0, metavar="EV", help="of PNG and TensorBoard pictures (default: 0)")
-    box = "render only this part: pixels from the frame's top left or, if W and H are at most 1, fractions of the frame"
-    add("--crop", type=box_of_numbers, metavar="X,Y,W,H", help=box)
-    add("--time-limit", type=duration, metavar="SECONDS", help="stop before a step that would take longer, whatever --spp is")
-    noise = "stop each block of 32 x 32 pixels at this estimated relative error, and all at --spp"
+    add("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as a JSON object")
+    add("--exposure", type=exposure, default=0.0, metavar="EV", help="exposure of PNG and TensorBoard images (default: 0)")
+    box = "render only this box: in pixels from the top left, or in fractions of the frame if W and H are at most 1"
+    add("--crop", type=crop, metavar="X,Y,W,H", help=box)
+    add("--time-limit", type=duration, metavar="SECONDS", help="stop before a step that would exceed this time")
+    noise = "stop each block of 32 x 32 pixels at this estimated relative error; --spp is the limit"
     add("--target-noise", type=float, metavar="X", help=noise)
-    every = "keep the render's whole state in PATH.ckpt, written so often and at the end; 0: never (default: 60)"
+    every = "interval at which the state of the render is saved in PATH.ckpt; 0: never (default: 60)"
     add("--checkpoint-every", type=seconds, default=60.0, metavar="SECONDS", help=every)
-    add("--resume", action="store_true", help="go on from PATH.ckpt, where there is one, until there are --spp in all")
+    add("--resume", action="store_true", help="continue from PATH.ckpt, if it exists, up to --spp in total")
     _add_allow_outside(render)
     _add_overrides(render)
 
@@ -79,42 +84,50 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
     compare = commands.add_parser("compare", help="compare modes on a scene: errors, convergence, crops")
     add = compare.add_argument
     add("scene", metavar="SCENE", help=SCENE_HELP)
-    add("--modes", type=modes, default="uniform,lis,lis-b,lis-o,guided", metavar="A,B,...", help="default: uniform,lis,lis-b,lis-o,guided")
+    add(
+        "--modes",
+        type=modes,
+        default="uniform,lis,lis-b,lis-o,guided",
+        metavar="A,B,...",
+        help="default: uniform,lis,lis-b,lis-o,guided",
+    )
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel of each mode (default: 256)")
     add("--reuse-radius", type=float, default=50.0, metavar="PX", help=REUSE_HELP)
-    add("--out", type=Path, required=True, metavar="DIR", help="where all goes; what is there already is not rendered again")
+    add("--out", type=Path, required=True, metavar="DIR", help="output folder; finished modes in it are not rendered again")
     reference = compare.add_mutually_exclusive_group()
-    reference.add_argument("--reference", type=Path, metavar="REF.exr", help="compare with this image (default: one is made)")
-    spp = "of the reference that is made (default: 16 times --spp)"
+    reference.add_argument(
+        "--reference", type=Path, metavar="REF.exr", help="compare with this image (default: a new reference is rendered)"
+    )
+    spp = "samples per pixel of a new reference (default: 16 times --spp)"
     reference.add_argument("--reference-spp", type=positive, metavar="N", help=spp)
-    add("--cache", type=Path, metavar="DIR", help="where such references are kept (default: the user's cache folder)")
-    box = "measure in this box, in fractions of the frame from its top left, not in the scene's own; may be repeated"
+    add("--cache", type=Path, metavar="DIR", help="folder of rendered references (default: the user's cache folder)")
+    box = "measure in this box instead of the scene's insets, in fractions of the frame from its top left; may be repeated"
     add("--inset", type=inset, action="append", default=[], metavar="X,Y,W,H", help=box)
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
-    add("--device", choices=("cpu", "cuda"), default="cpu", help="where tensors live (default: cpu)")
-    add("--threads", type=threads, metavar="N", help="threads that trace and shade (default: one per core)")
+    add("--device", choices=("cpu", "cuda"), default="cpu", help="device of the tensors (default: cpu)")
+    add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
     add("--compile", action="store_true", help=COMPILE_HELP)
-    add("--exposure", type=exposure, default=0.0, metavar="EV", help="of the pictures (default: 0)")
+    add("--exposure", type=exposure, default=0.0, metavar="EV", help="exposure of the images (default: 0)")
     _add_allow_outside(compare)
     _add_overrides(compare)
 
 
 def _add_allow_outside(command: argparse.ArgumentParser) -> None:
-    trust = "let the paths in a scene's files lead out of its folder"
+    trust = "allow paths in the scene's files to leave its folder"
     command.add_argument("--allow-outside", action="store_true", help=trust)
 
 
 def _add_overrides(command: argparse.ArgumentParser) -> None:
-    group = command.add_argument_group("for a model, which brings no scene file, or to override one")
+    group = command.add_argument_group("camera and light of a model, or overrides of a scene file")
     add = group.add_argument
     add("--environment", metavar="MAP|R,G,B", help="a .hdr or .exr map, or a constant radiance")
     lens = group.add_mutually_exclusive_group()
-    lens.add_argument("--f-number", type=float, metavar="N")
-    lens.add_argument("--aperture-radius", type=float, metavar="M", help="metres; 0 is a pinhole")
+    lens.add_argument("--f-number", type=float, metavar="N", help="f-number of the lens")
+    lens.add_argument("--aperture-radius", type=float, metavar="M", help="metres; 0: a pinhole")
     add("--focus-distance", type=float, metavar="M", help="metres along the optical axis")
-    add("--camera", metavar="NAME", help="one of a model's cameras, by name or number, or `frame` for one that frames it")
-    add("--camera-position", type=vector, metavar="X,Y,Z")
-    add("--camera-target", type=vector, metavar="X,Y,Z")
+    add("--camera", metavar="NAME", help="a camera of the model by name or number, or `frame`: one that frames the model")
+    add("--camera-position", type=vector, metavar="X,Y,Z", help="metres")
+    add("--camera-target", type=vector, metavar="X,Y,Z", help="metres")
     add("--fov", type=float, metavar="DEG", help="horizontal field of view in degrees")
 
 
@@ -140,7 +153,7 @@ def threads(text: str) -> int:
 
 
 def modes(text: str) -> tuple[str, ...]:
-    """Names between commas; whether there are such modes is for RenderSettings to say."""
+    """Names between commas, each once; RenderSettings checks that the modes exist."""
     names = tuple(text.split(","))
     if len(set(names)) < len(names):
         raise argparse.ArgumentTypeError(f"{text!r} names a mode twice; give each once")
@@ -168,12 +181,15 @@ def duration(text: str) -> float:
     return value
 
 
-def box_of_numbers(text: str) -> tuple[float, float, float, float]:
-    """X,Y,W,H in pixels or fractions; whether it lies within the frame is for RenderSettings to say."""
+def crop(text: str) -> tuple[float, float, float, float]:
+    """X,Y,W,H in pixels or fractions; RenderSettings checks that a box in pixels lies within the frame."""
     box = _numbers(text, "X,Y,W,H")
     if max(box[2:]) > 1.0 and any(value != int(value) for value in box):
-        raise argparse.ArgumentTypeError(f"{text!r} is in pixels and not whole; give whole ones, or fractions of the frame")
-    return inset(text) if max(box[2:]) <= 1.0 else tuple(int(value) for value in box)
+        raise argparse.ArgumentTypeError(f"{text!r} is in pixels and not whole; give whole pixels, or fractions of the frame")
+    if max(box[2:]) <= 1.0:
+        return inset(text)
+    x, y, width, height = (int(value) for value in box)
+    return x, y, width, height
 
 
 def size(text: str) -> tuple[int, int]:
@@ -195,12 +211,13 @@ def exr(text: str) -> Path:
 
 
 def vector(text: str) -> tuple[float, float, float]:
-    return _numbers(text, "X,Y,Z")
+    x, y, z = _numbers(text, "X,Y,Z")
+    return x, y, z
 
 
 def inset(text: str) -> tuple[float, float, float, float]:
     x, y, width, height = _numbers(text, "X,Y,W,H")
-    if not (0 <= x and 0 <= y and 0 < width and 0 < height and x + width <= 1 and y + height <= 1):
+    if not (x >= 0 and y >= 0 and width > 0 and height > 0 and x + width <= 1 and y + height <= 1):
         raise argparse.ArgumentTypeError(f"{text!r} leaves the frame; give X,Y,W,H as fractions of it, between 0 and 1")
     return x, y, width, height
 
@@ -217,14 +234,12 @@ def _numbers(text: str, form: str) -> tuple[float, ...]:
     except ValueError:
         values = ()
     if len(values) != len(form.split(",")) or not all(abs(value) <= LARGEST for value in values):
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not {form}; give finite numbers without spaces, up to {LARGEST:g}"
-        )
+        raise argparse.ArgumentTypeError(f"{text!r} is not {form}; give finite numbers without spaces, up to {LARGEST:g}")
     return values
 
 
 def _attach_negative_values(arguments: Sequence[str]) -> list[str]:
-    """Join `--option -1,2,3` to `--option=-1,2,3`, which argparse would take for two options."""
+    """Join `--option -1,2,3` to `--option=-1,2,3`; argparse would read two options."""
     joined: list[str] = []
     for argument in arguments:
         if re.match(r"-\.?[0-9]", argument) and joined and re.fullmatch(r"--[a-z-]+", joined[-1]):

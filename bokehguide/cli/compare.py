@@ -16,17 +16,19 @@ from bokehguide.evaluation.curves_figure import write_convergence
 from bokehguide.evaluation.runs import read_runs
 from bokehguide.evaluation.tables import describe_reference
 from bokehguide.image import check_writable, replacing
+from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import Inset, Scene, load_scene
 from bokehguide.train import RenderSettings
 from bokehguide.train.logger import run_folder
 
 REFERENCE, TABLE, CURVES, CROPS = "reference.exr", "table.md", "convergence.png", "insets.png"
 REFERENCE_SHARE = 16
-"""SPP of the reference for one of a mode's: it then has a quarter of the error of the mode that it is rendered in."""
+"""SPP of the reference per SPP of a mode: its error is then a quarter of the error of its own mode."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Compare modes on a scene; everything that can be wrong is checked before the first ray."""
+    """Compare modes on a scene; all input is checked before the first ray."""
+    dedicate_process()
     scene = load_scene(options.scene, overrides_from(options), options.allow_outside)
     if options.inset:
         scene = replace(scene, insets=tuple(Inset(*box) for box in options.inset))
@@ -46,24 +48,24 @@ def run(options: argparse.Namespace) -> int:
         print(describe_reference(reference), flush=True)
         comparison = compare(scene, every, reference, options.out, options.exposure)
     except KeyboardInterrupt:
-        print("bokehguide: what is finished is kept; the same command goes on", file=sys.stderr)
+        print("bokehguide: finished modes are kept; the same command continues", file=sys.stderr)
         raise
     text = report(comparison)
     with replacing(options.out / TABLE) as temporary:
         temporary.write_text(text + "\n")
     write_convergence(options.out / CURVES, comparison)
     write_crops(options.out / CROPS, [comparison], options.exposure)
-    print(f"\n{text}\n\nwrote {METRICS}, {TABLE}, {CURVES}, {CROPS}, the pictures and logs into {options.out}")
+    print(f"\n{text}\n\nwrote {METRICS}, {TABLE}, {CURVES}, {CROPS}, the images and logs into {options.out}")
     return 0
 
 
 def check_outputs(scene: Scene, every: Sequence[RenderSettings], options: argparse.Namespace) -> None:
-    """Raise BokehguideError where something that is to be written cannot be, or is the reference that was given."""
+    """Raise BokehguideError if an output cannot be written or is the given reference."""
     pictures = [f"{settings.mode}.{kind}" for settings in every for kind in ("exr", "png")]
     made = [] if options.reference else [REFERENCE]
     outputs = [options.out / name for name in (METRICS, TABLE, CURVES, CROPS, *made, *pictures)]
     if options.reference and options.reference.resolve() in [output.resolve() for output in outputs]:
-        raise BokehguideError(f"--reference: {str(options.reference)!r} is where a picture goes; give another path")
+        raise BokehguideError(f"--reference: {str(options.reference)!r} is an output of this command; give another path")
     logs = [run_folder(options.out / "logs", scene, settings) / "events" for settings in every]
     for path in (*outputs, *logs):
         check_writable(path)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 
-from bokehguide.scene import describe, load_scene
+from bokehguide.scene import load_scene, summarize
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print what was loaded and what of it was ignored."""
-    print(describe(load_scene(options.scene, allow_outside=options.allow_outside)))
+    """Print the contents of a scene, and the ignored parts of its files."""
+    print(summarize(load_scene(options.scene, allow_outside=options.allow_outside)))
     return 0

@@ -14,7 +14,7 @@ from bokehguide.scene.types import Inset
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the metrics of the frame and of each inset, a line each; SSIM is "-" where the box is too small for it."""
+    """Print the metrics of the frame and of each inset, one line each; SSIM is "-" for a box smaller than its window."""
     image = torch.from_numpy(read_rgb(options.image))
     reference = torch.from_numpy(read_rgb(options.reference))
     try:

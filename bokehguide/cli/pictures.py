@@ -1,4 +1,4 @@
-"""The pictures of `bokehguide render`: PATH.exr and PATH.png, while it goes on and at its end."""
+"""The images of `bokehguide render`: PATH.exr and PATH.png, during the render and at its end."""
 
 from __future__ import annotations
 
@@ -11,21 +11,19 @@ from bokehguide.errors import BokehguideError
 from bokehguide.image import tone_map, write_exr, write_png
 from bokehguide.render import Film
 from bokehguide.train import AdaptiveLoop, RenderLoop, describe_render
+from bokehguide.train.adaptive import HalvesFilm
 
 OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "camera_position", "camera_target", "fov", "camera")
 
 
 class Pictures:
-    """Writes the pictures of one render.
-
-    path: of the EXR, beside which the PNG goes.
-    """
+    """Writes the images of one render. path: the EXR; the PNG goes beside it."""
 
     def __init__(self, path: Path, options: argparse.Namespace):
         self.path, self.png, self._options = path, path.with_suffix(".png"), options
 
-    def write(self, loop: RenderLoop | AdaptiveLoop, picture: Film) -> None:
-        """The EXR with what it was made from, and the PNG. Raises BokehguideError where they cannot be written."""
+    def write(self, loop: RenderLoop | AdaptiveLoop, picture: Film | HalvesFilm) -> None:
+        """Write the EXR with its metadata, and the PNG. Raises BokehguideError if they cannot be written."""
         facts = describe_render(loop.scene, loop.settings, loop.step_number)
         facts |= {"command": command_line(self._options, loop.step_number)}
         frame = (loop.camera.width, loop.camera.height)
@@ -33,7 +31,7 @@ class Pictures:
         write_png(self.png, tone_map(picture.radiance(), self._options.exposure))
 
     def refresh(self, loop: RenderLoop | AdaptiveLoop) -> None:
-        """Write what there is so far; collective. Where that fails, warn: the render can still end well."""
+        """Write the images so far; collective. Warns if they cannot be written, as the render can still succeed."""
         picture = loop.picture()
         if loop.ranks.first:
             try:
@@ -43,7 +41,7 @@ class Pictures:
 
 
 def command_line(options: argparse.Namespace, spp: int) -> str:
-    """The command that renders this picture again."""
+    """The command that renders this image again."""
     size = {"size": "x".join(map(str, options.size))} if options.size else {}
     names = ("mode", "reuse_radius", "seed", "device", "exposure", "crop", "target_noise", *OVERRIDES)
     kept = {name: getattr(options, name) for name in names}

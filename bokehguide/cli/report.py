@@ -1,4 +1,4 @@
-"""What a render reports of itself: while it runs, at its end, and as JSON."""
+"""Progress of a render, and its summary as JSON."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from tqdm import tqdm
 
 from bokehguide.image import replacing
 from bokehguide.render.film import Film
-from bokehguide.train import RenderLoop, RenderSettings, StepStats
+from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, StepStats
+from bokehguide.train.adaptive import HalvesFilm
 
 
 class Report:
     """Adds up the steps of a render and shows them in a progress bar on stderr.
 
-    done: SPP of earlier sessions; earlier: the seconds that they took. silent: no bar.
+    done, earlier: SPP and seconds of earlier sessions; silent: show no bar.
     """
 
     def __init__(self, title: str, settings: RenderSettings, done: int = 0, earlier: float = 0.0, silent: bool = False):
@@ -29,13 +30,14 @@ class Report:
         self._rendering = 0.0
         self._earlier = earlier
         self._start = time.perf_counter()
-        # A log file gets a line now and then, a terminal a bar that moves.
+        # A terminal gets a moving bar, a log file a line every ten seconds.
         interval = 0.1 if sys.stderr.isatty() else 10.0
-        words = {"desc": title, "unit": "SPP", "mininterval": interval, "dynamic_ncols": True}
-        self.bar = tqdm(total=settings.spp, initial=done, disable=silent, **words)
+        self.bar = tqdm(
+            None, title, settings.spp, disable=silent, unit="SPP", initial=done, mininterval=interval, dynamic_ncols=True
+        )
 
     def add(self, stats: StepStats, errors: Mapping[str, float]) -> None:
-        """Count one step; `errors` (`mape`, `relmse`) is empty where there is no reference."""
+        """Count one step. errors: `mape` and `relmse`, or empty without a reference."""
         self._samples += stats.samples
         self._rendering += stats.seconds
         words = [f"{self._samples / self._rendering / 1e6:.2f} M samples/s"]
@@ -45,15 +47,17 @@ class Report:
 
     @property
     def seconds(self) -> float:
-        """That the render has taken so far, in all its sessions."""
+        """Seconds of the render so far, in all its sessions."""
         return self._earlier + time.perf_counter() - self._start
 
-    def finish(self, loop: RenderLoop, picture: Film, errors: Mapping[str, float]) -> dict[str, object]:
-        """Close the bar and give the facts of the whole render, ready for JSON; the memory is that of this session."""
+    def finish(
+        self, loop: RenderLoop | AdaptiveLoop, picture: Film | HalvesFilm, errors: Mapping[str, float]
+    ) -> dict[str, object]:
+        """Close the bar and return the summary of the render, ready for JSON; peak memory is that of this session."""
         self.bar.close()
         seconds = self.seconds
         phases = dict(loop.phases)
-        # Metrics, logs and files are output too, and the loop does not see them.
+        # The loop does not time metrics, logs and files; they count as output.
         phases["output"] += seconds - sum(phases.values())
         return {
             "mode": self.settings.mode,
@@ -62,7 +66,7 @@ class Report:
             "samples": int(picture.samples()),
             "samples_per_second": picture.samples() / seconds,
             "peak_memory_mb": peak_memory_mb(),
-            "gaussians": len(loop.guide.field) if loop.guide else 0,
+            "gaussians": loop.mode.lens.component_count,
             **({} if self.settings.target_noise is None else {"estimated_mape": picture.relative_noise()}),
             **errors,
             "phases": phases,
@@ -70,15 +74,15 @@ class Report:
 
 
 def write_json(path: Path, facts: Mapping[str, object]) -> None:
-    """Write one JSON object. Raises BokehguideError where the folder cannot be written."""
+    """Write one JSON object. Raises BokehguideError if the folder cannot be written."""
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(facts, indent=2) + "\n")
 
 
 def peak_memory_mb() -> float:
-    """The most memory this process has held, in MiB."""
+    """Peak memory of this process in MiB."""
     if sys.platform == "darwin":
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    # Linux's ru_maxrss begins at the size of the process that started this one.
-    status = Path("/proc/self/status").read_text()
-    return int(re.search(r"VmHWM:\s+(\d+) kB", status)[1]) / 2**10
+    # ru_maxrss of Linux starts at the size of the parent process.
+    (peak,) = re.findall(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    return int(peak) / 2**10

@@ -8,7 +8,7 @@ from bokehguide.scene import DESCRIPTIONS
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print each built-in scene with what it shows."""
+    """Print each built-in scene with its description."""
     width = max(map(len, DESCRIPTIONS))
     for name, description in DESCRIPTIONS.items():
         print(f"{name:<{width}}  {description}")

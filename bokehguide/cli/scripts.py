@@ -1,4 +1,4 @@
-"""How the scripts start and end."""
+"""Start and end of the scripts."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from typing import NoReturn
 
 from bokehguide.cli import INTERRUPTED, USER_ERROR
 from bokehguide.errors import BokehguideError
+from bokehguide.runtime.process import dedicate_process
 
 
 def run(main: Callable[[], int | None], kept: str = "") -> NoReturn:
-    """Call a script's `main` and exit with what it returns.
+    """Call a script's `main` and exit with its return value.
 
-    A mistake of the user becomes one line and the exit code 2, Ctrl-C a line and 130. kept: what is not lost then.
+    A BokehguideError becomes one line on stderr and the exit code 2, Ctrl-C one line and 130. kept: a note on the files that
+    remain after Ctrl-C.
     """
     name = Path(sys.argv[0]).stem
+    dedicate_process()
     try:
         sys.exit(main())
     except BokehguideError as error:

@@ -1,4 +1,4 @@
-"""Modes measured against references: long renders, runs, comparisons, tables.
+"""Errors of modes against references: long renders, runs, comparisons, tables.
 
 Figures are in `curves_figure` and `crops_figure`, which take a second to import.
 """
@@ -11,7 +11,22 @@ from bokehguide.evaluation.regions import between_halves, errors, regions
 from bokehguide.evaluation.tables import markdown, report
 
 __all__ = [
-    *("Comparison", "LongRender", "Reference", "accumulate", "between_halves", "compare", "errors", "fingerprint"),
-    *("given_reference", "made_reference", "markdown", "progress", "regions", "render", "report", "summary"),
-    *("warn_of_bad_samples", "whole_step"),
+    "Comparison",
+    "LongRender",
+    "Reference",
+    "accumulate",
+    "between_halves",
+    "compare",
+    "errors",
+    "fingerprint",
+    "given_reference",
+    "made_reference",
+    "markdown",
+    "progress",
+    "regions",
+    "render",
+    "report",
+    "summary",
+    "warn_of_bad_samples",
+    "whole_step",
 ]

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,7 +15,7 @@ from torch import Tensor
 from bokehguide import __version__
 from bokehguide.evaluation.references import Reference
 from bokehguide.evaluation.regions import MEASURES, MeanRatio, mean_ratio, regions
-from bokehguide.evaluation.runs import Run, kept_picture, measured_run, origin, read_runs
+from bokehguide.evaluation.runs import Run, kept_picture, measured_run, read_runs, run_fingerprint
 from bokehguide.image import read_exr, replacing
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
@@ -22,14 +23,14 @@ from bokehguide.train import MODES, RenderSettings
 
 METRICS = "metrics.json"
 SEED = 4_000_000
-"""Of all renders that are compared; no reference's chunks have it, nor a plain `render`."""
+"""Seed of all compared renders; no chunk of a reference has it, and `render` does not use it by default."""
 TINY = 1e-30
-"""Stands in for an error of 0, which has no logarithm."""
+"""Replaces an error of 0, which has no logarithm."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs and pictures (radiance, float32 `[H, W, 3]`) by mode, in the order in which they are shown."""
+    """Runs and images (radiance, float32 `[H, W, 3]`) by mode, in the order of the table."""
 
     scene: Scene
     settings: RenderSettings
@@ -37,32 +38,31 @@ class Comparison:
     runs: Mapping[str, Run]
     images: Mapping[str, Tensor]
     over_uniform: Mapping[str, MeanRatio]
-    """The reference's mean luminance over that of mode uniform by region, where that is among the modes: a reference
-    is rendered in a guided mode, and its two halves would share what is wrong with that."""
+    """Ratio of the reference's mean luminance to that of mode uniform by region; empty without this mode. A bias of the
+    reference's guided mode is common to both of its halves, and shows only here."""
 
     @property
     def equal_rays(self) -> int:
-        """Rays of the whole render that traced the fewest."""
+        """Fewest rays of a finished render."""
         return min(run.rays[-1] for run in self.runs.values())
 
     @property
     def equal_seconds(self) -> float:
-        """Seconds of the whole render that took the least."""
+        """Fewest seconds of a finished render."""
         return min(run.seconds[-1] for run in self.runs.values())
 
 
 def compare(
     scene: Scene, every: Sequence[RenderSettings], reference: Reference, folder: Path, exposure: float = 0.0
 ) -> Comparison:
-    """Render the modes that `folder` does not hold yet, and keep each there as soon as it is done.
+    """Render the modes that `folder` lacks, and keep each there as soon as it is finished.
 
-    every: settings of the modes, in the order in which they are shown; they differ in nothing
-    else. A mode is kept from an earlier call where all that it depends on is the same, its
-    SPP too: a guided render cannot be continued without the state of its guide. Runs of other
-    modes stay in `metrics.json` as long as they may be compared with these. A line on stdout
-    tells what becomes of each mode. exposure: EV of the pictures.
+    every: settings of the modes, in the order of the table, equal but for the mode; exposure: EV of the images. A mode of an
+    earlier call is kept if its inputs and its SPP are the same: a guided render cannot be continued without the state of its
+    guide. Runs of other modes stay in `metrics.json` while they are comparable. One line on stdout reports each mode that is
+    kept or rendered again.
 
-    Raises BokehguideError where something cannot be written, or as `read_runs` does.
+    Raises BokehguideError if a file cannot be written, or as `read_runs` does.
     """
     found = read_runs(folder / METRICS)
     runs = {mode: run for mode, run in found.items() if is_current(mode, run, scene, every[0], reference)}
@@ -82,17 +82,18 @@ def compare(
 
 
 def is_current(mode: str, run: Run, scene: Scene, settings: RenderSettings, reference: Reference) -> bool:
-    """Whether rendering `mode` with these settings would measure the same again."""
+    """Whether a render of `mode` with these settings would give this run again."""
     if run.spp != settings.spp or mode not in MODES:
         return False
-    return run.origin == origin(scene, replace(settings, mode=mode), reference)
+    return run.run_fingerprint == run_fingerprint(scene, replace(settings, mode=mode), reference)
 
 
 def why_again(run: Run, current: bool, spp: int) -> str:
+    """The reason why a mode is rendered again."""
     if run.spp != spp:
         return f"as it has {run.spp} SPP and cannot be continued exactly"
     if current:
-        return "as its picture is gone or damaged"
+        return "as its image is missing or damaged"
     return "as the scene, the reference, the insets or the settings have changed"
 
 
@@ -104,15 +105,15 @@ def shown(
     images: Mapping[str, Tensor],
     folder: Path,
 ) -> Comparison:
-    """The comparison of those of the modes that are done."""
+    """The comparison of the finished modes."""
     done = [settings.mode for settings in every if settings.mode in images]
-    pick = ({mode: found[mode] for mode in done} for found in (runs, images))
+    done_runs, done_images = {mode: runs[mode] for mode in done}, {mode: images[mode] for mode in done}
     over_uniform = cross_check(scene, reference, folder / "uniform.exr") if "uniform" in done else {}
-    return Comparison(scene, every[0], reference, *pick, over_uniform)
+    return Comparison(scene, every[0], reference, done_runs, done_images, over_uniform)
 
 
 def cross_check(scene: Scene, reference: Reference, path: Path) -> dict[str, MeanRatio]:
-    """The reference's mean luminance by region over that of the uniform render in an EXR."""
+    """Ratio of the reference's mean luminance to that of the uniform render in an EXR, by region."""
     channels = {name: torch.from_numpy(plane) for name, plane in read_exr(path).items()}
     light = luminance(torch.stack([channels[name] for name in "RGB"]))
     expected = luminance(reference.radiance.movedim(-1, 0))
@@ -121,7 +122,7 @@ def cross_check(scene: Scene, reference: Reference, path: Path) -> dict[str, Mea
 
 
 def write_metrics(folder: Path, comparison: Comparison, runs: Mapping[str, Run]) -> None:
-    """Write `metrics.json`: what the comparison says, and all runs that may be compared with it."""
+    """Write `metrics.json`: the comparison, and all runs that are comparable with it."""
     scene, settings = comparison.scene, comparison.settings
     facts = {
         "scene": scene.name,
@@ -142,8 +143,8 @@ def write_metrics(folder: Path, comparison: Comparison, runs: Mapping[str, Run])
         temporary.write_text(json.dumps(facts, indent=1) + "\n")
 
 
-def summary(comparison: Comparison) -> dict[str, object]:
-    """The comparison in numbers, ready for JSON: the budgets, and each mode's costs and errors at them and at the end."""
+def summary(comparison: Comparison) -> dict[str, Any]:
+    """The comparison in numbers, ready for JSON: the budgets, and costs and errors of each mode at the budgets and at the end."""
     rays, seconds = comparison.equal_rays, comparison.equal_seconds
     modes = {}
     for mode, run in comparison.runs.items():
@@ -159,7 +160,7 @@ def summary(comparison: Comparison) -> dict[str, object]:
 
 
 def errors_at(run: Run, cost: Sequence[float], budget: float) -> dict[str, dict[str, float | None]]:
-    """Errors by measure and region once `cost`, one of the run's sequences, has reached `budget`."""
+    """Errors by measure and region at `budget`. cost: `seconds` or `rays` of the run."""
     return {
         measure: {region: interpolated(cost, run.errors[region][measure], budget) for region in run.errors}
         for measure in MEASURES
@@ -167,7 +168,7 @@ def errors_at(run: Run, cost: Sequence[float], budget: float) -> dict[str, dict[
 
 
 def interpolated(cost: Sequence[float], error: Sequence[float], budget: float) -> float | None:
-    """A curve at `budget`, linear between its points in log-log; None before the first one.
+    """A curve at `budget`, linear between its points in log-log; None before the first point.
 
     cost: increasing; budget: at most the last cost.
     """

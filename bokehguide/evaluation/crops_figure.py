@@ -18,19 +18,19 @@ from bokehguide.image import to_8_bit, tone_map
 from bokehguide.scene.types import Inset
 
 COLORS = ("#ff2d55", "#00a5ff", "#ffb000", "#3ddc84")
-"""Of the insets."""
+"""Colours of the insets."""
 MARGIN, GAP, FRAME_GAP, LABEL, HEAD = 0.02, 0.04, 0.1, 0.14, 0.06
-"""At the sides, between crops, between the frame and the crops, of a line of text, and of what is free above the first."""
+"""At the sides, between crops, between frame and crops, of a line of text, above the first line."""
 
 LEAST_CROP, MOST_HEIGHT = 0.3, 20.0
-"""A frame that leaves crops less than this width is not shown, and no column of crops is higher than that."""
+"""Least width of a crop beside the frame, below which the frame is left out; largest height of a column of crops."""
 
 Box = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """One scene's part of the page; the frame is as high as the column of crops beside it, or 0 × 0."""
+    """The part of the page of one scene; the frame is as high as the column of crops beside it, or 0 × 0."""
 
     boxes: Sequence[Box]
     crop_width: float
@@ -41,12 +41,12 @@ class Layout:
 
     @property
     def head(self) -> float:
-        """The height of the names, which may take two lines."""
+        """The height of the names, of one line or two."""
         return HEAD + LABEL * max(name.count("\n") + 1 for name in self.names)
 
     @property
     def letters(self) -> float:
-        """Points at which the longest name is as wide as a crop: a letter takes 0.6 of its height."""
+        """Font size in points at which the longest name is as wide as a crop; a letter is 0.6 times as wide as high."""
         longest = max(len(line) for name in self.names for line in name.split("\n"))
         return min(NORMAL, 72.0 * self.crop_width / (0.6 * longest))
 
@@ -56,7 +56,7 @@ class Layout:
 
 
 def write_crops(path: Path, comparisons: Sequence[Comparison], exposure: float = 0.0) -> None:
-    """For each scene the reference with its insets marked, and the crops of all modes, each with its MAPE.
+    """Write a figure with the reference of each scene, its insets, and the crops of all modes with their MAPE.
 
     A scene without insets shows its whole frames in a row. exposure: EV.
     """
@@ -70,7 +70,7 @@ def write_crops(path: Path, comparisons: Sequence[Comparison], exposure: float =
 
 
 def lay_out(comparison: Comparison) -> Layout:
-    """Crops as wide as fit beside the frame."""
+    """A layout with the widest crops that fit beside the frame."""
     film = comparison.scene.film
     insets = comparison.scene.insets or (Inset(0.0, 0.0, 1.0, 1.0),)
     boxes = [inset.pixels(film.width, film.height) for inset in insets]
@@ -108,7 +108,7 @@ def draw_scene(figure: Figure, comparison: Comparison, layout: Layout, top: floa
 def draw_column(
     figure: Figure, comparison: Comparison, layout: Layout, mode: str | None, display: Tensor, corner: tuple[float, float]
 ) -> Axes:
-    """The crops of one mode, or, without one, of the reference; the least error of a row is bold. Gives the first's axes."""
+    """Draw the crops of one mode, or of the reference for None; the least error of a row is bold. Returns the first axes."""
     left, top = corner
     column = []
     for number, (color, box, height) in enumerate(zip(cycle(COLORS), layout.boxes, layout.crop_heights), start=1):
@@ -116,7 +116,7 @@ def draw_column(
         column.append(axes)
         region = f"inset-{number}" if comparison.scene.insets else "frame"
         errors = {mode: f"{run.errors[region]['mape'][-1]:.4f}" for mode, run in comparison.runs.items()}
-        text = errors.get(mode, "MAPE")
+        text = errors[mode] if mode else "MAPE"
         weight = "bold" if text == min(errors.values(), key=float) else "normal"
         axes.set_xlabel(text, fontsize=SMALL, labelpad=2, weight=weight)
         if comparison.scene.insets:
@@ -127,7 +127,7 @@ def draw_column(
 
 
 def draw_picture(figure: Figure, display: Tensor, box: tuple[float, float, float, float]) -> Axes:
-    """Axes at left, top, width, height that show display values `[H, W, 3]` as they are, without interpolation."""
+    """Axes at (left, top, width, height) that show display values `[H, W, 3]` without interpolation."""
     left, top, width, height = box
     page_width, page_height = figure.get_size_inches()
     place = (left / page_width, 1.0 - (top + height) / page_height, width / page_width, height / page_height)

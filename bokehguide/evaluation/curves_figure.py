@@ -17,10 +17,9 @@ from bokehguide.train import MODES
 
 COLORS = ("#4d4d4d", "#e69f00", "#0072b2", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#b2a400")
 DASHES = ("-", "-", (0, (6, 2)), (0, (3, 1.5)), "-.", (0, (6, 1.5, 1, 1.5)), (0, (1, 1)), "-")
-"""Of the modes, the same in all figures: Okabe and Ito's colours, which the colour-blind can tell apart, and dashes
-that let curves which coincide be seen both."""
+"""Of the modes, the same in all figures: colours of Okabe and Ito for colour-blind readers; dashes show coinciding curves."""
 FLOOR = 1e-6
-"""An error that is 0, as of a scene of one radiance, is drawn here: log axes have no place for it."""
+"""Least drawn error, as log axes have no 0; a scene of constant radiance has errors of 0."""
 COSTS: dict[str, Callable[[Run], Sequence[float]]] = {
     "samples per pixel": lambda run: range(1, run.spp + 1),
     "seconds": lambda run: run.seconds,
@@ -28,7 +27,7 @@ COSTS: dict[str, Callable[[Run], Sequence[float]]] = {
 
 
 def write_convergence(path: Path, comparison: Comparison) -> None:
-    """MAPE over SPP and over time, of the insets, where there are any, and of the frame."""
+    """Write a figure of MAPE over SPP and over time, of the insets if the scene has any, and of the frame."""
     measured = next(iter(comparison.runs.values())).errors
     regions = [region for region in ("insets", "frame") if region in measured]
     figure = Figure((WIDTH, 0.5 + 2.2 * len(regions)), layout="constrained")
@@ -46,11 +45,11 @@ def write_convergence(path: Path, comparison: Comparison) -> None:
 
 
 def draw_curves(axes: Axes, comparison: Comparison, region: str, cost: str) -> None:
-    """Every mode's MAPE over one of COSTS on log axes, and the reference's own error where that is within view."""
+    """Draw MAPE of all modes over one of COSTS on log axes, and the reference's own error if it is in view."""
     axes.set_xscale("log", base=10 if cost == "seconds" else 2)
     axes.set_yscale("log")
     for mode, run in comparison.runs.items():
-        number = MODES.index(mode) % len(COLORS)
+        number = list(MODES).index(mode) % len(COLORS)
         style = {"color": COLORS[number], "linestyle": DASHES[number], "linewidth": 1.2}
         end = {"marker": "o", "markersize": 3, "markevery": [-1]}
         error = [max(value, FLOOR) for value in run.errors[region]["mape"]]
@@ -66,7 +65,7 @@ def draw_curves(axes: Axes, comparison: Comparison, region: str, cost: str) -> N
 
 
 def label(axis: Axis, at_round_numbers: bool = True) -> None:
-    """Plain numbers at a log axis, some four to eight of them at round numbers, or those that are there."""
+    """Plain numbers at a log axis: four to eight at round values, or at the present ticks."""
     if at_round_numbers:
         axis.set_major_locator(locator(*axis.get_view_interval()))
     axis.set_minor_formatter(NullFormatter())
@@ -74,14 +73,14 @@ def label(axis: Axis, at_round_numbers: bool = True) -> None:
 
 
 def locator(low: float, high: float) -> Locator:
-    """Ticks at round numbers, some four to eight of them, on a log axis from `low` to `high`."""
+    """Four to eight ticks at round numbers on a log axis from `low` to `high`."""
     if high < 5.0 * low:
         return MaxNLocator(5, steps=(1, 2, 5, 10))
     return LogLocator(10, subs=(1, 2, 5) if high < 200.0 * low else (1,))
 
 
 def add_legend(figure: Figure) -> None:
-    """One line of legend above all axes."""
+    """Draw one line of legend above all axes."""
     entries = {}
     for axes in figure.axes:
         handles, labels = axes.get_legend_handles_labels()

@@ -1,4 +1,4 @@
-"""What a kept render was made from, as a digest that its file can hold."""
+"""Digest of the inputs of a kept render."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ from bokehguide.train import RenderSettings
 
 
 def fingerprint(scene: Scene, settings: RenderSettings) -> str:
-    """A digest of all that decides what a long render converges to, and of its random numbers."""
-    seen = (scene.camera, scene.meshes, scene.materials, scene.film, scene.environment, scene.suns)
-    return digest((*seen, settings.mode, settings.seed))
+    """A digest of the inputs that determine the limit of a long render and its random numbers."""
+    inputs = (scene.camera, scene.meshes, scene.materials, scene.film, scene.environment, scene.suns)
+    return digest((*inputs, settings.mode, settings.seed))

@@ -1,4 +1,4 @@
-"""Reference images: given ones, and those made in two independent halves, whose difference says how good they are."""
+"""Reference images: given files, and renders in two independent halves, whose difference estimates their error."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 import torch
@@ -23,19 +24,19 @@ from bokehguide.scene.types import Scene
 from bokehguide.train import RenderSettings
 
 CHUNK = 256
-"""SPP of one of the renders that a half is the mean of."""
+"""SPP of one chunk of a half."""
 FIRST_SEED, SECOND_SEED = 1_000_000, 2_000_000
-"""Seeds of the halves, one a chunk from there on. Renders that are measured have seeds that no reference uses."""
+"""First seeds of the halves; each chunk takes the next seed. Measured renders have other seeds."""
 MODE = "guided"
-"""In which a reference is rendered."""
+"""Mode of rendered references."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What errors are measured against.
+    """The image that errors are measured against.
 
-    radiance: float32 `[H, W, 3]`; path: its EXR; mode, spp: None where its file does not tell;
-    halves: MAPE and relMSE between its two halves by region, as far as they are known.
+    radiance: float32 `[H, W, 3]`; path: its EXR; mode, spp: None if the file lacks them; halves: MAPE and relMSE between the
+    two halves, by known region.
     """
 
     radiance: Tensor
@@ -45,11 +46,11 @@ class Reference:
     halves: Mapping[str, Mapping[str, float]]
 
     def own_error(self, region: str) -> float | None:
-        """MAPE against the truth, as far as the halves tell: the mean is half their difference away from it."""
+        """Estimated MAPE of the reference: half of the MAPE between its halves. None for an unknown region."""
         return self.halves[region]["mape"] / 2 if region in self.halves else None
 
-    def facts(self) -> dict[str, object]:
-        """All but the pixels, ready for JSON."""
+    def facts(self) -> dict[str, Any]:
+        """All but the pixels, ready for JSON, with a digest of the pixels."""
         facts = {"path": str(self.path), "mode": self.mode, "spp": self.spp, "between_halves": self.halves}
         return facts | {"digest": digest(self.radiance.numpy())}
 
@@ -59,28 +60,24 @@ def given_reference(path: Path, scene: Scene) -> Reference:
     radiance = read_reference(path, scene.film.width, scene.film.height)
     header = read_metadata(path)
     try:
-        told = json.loads(header["between_halves"])
-        halves = {"frame": {measure: float(told[measure]) for measure in MEASURES}}
+        between = json.loads(header["between_halves"])
+        halves = {"frame": {measure: float(between[measure]) for measure in MEASURES}}
     except (KeyError, TypeError, ValueError):
         halves = {}
     return Reference(radiance, path, header.get("mode"), header.get("spp"), halves)
 
 
 def made_reference(scene: Scene, settings: RenderSettings, path: Path, cache: Path | None = None) -> Reference:
-    """A reference of two halves, rendered as far as they are not yet in `cache`, and written to `path`.
+    """A reference of two halves, which are rendered as far as `cache` lacks them, written to `path`.
 
-    settings: of the whole; its mode and seed are not used. cache: a folder, by default the
-    user's own. It tells scenes apart by their content and camera, and one version of
-    bokehguide from another.
-    Raises BokehguideError where a file cannot be written, or one in the cache is damaged.
+    settings: SPP of both halves together, threads and device; mode and seed are not used. cache: as in `half_files`.
+    Raises BokehguideError if a file cannot be written, or if a file in the cache is damaged.
     """
     check_writable(path)
-    cache = cache or platformdirs.user_cache_path("bokehguide") / "references"
-    half = replace(settings, mode=MODE, seed=FIRST_SEED, spp=math.ceil(settings.spp / 2))
-    folder = cache / f"{__version__}-{fingerprint(scene, half)[:16]}"
-    spp = sum(render.spp for render in rendered_halves(folder, scene, half))
-    # As they are in the files, so that a later run reads the same reference to the last bit.
-    first, second = (torch.from_numpy(read_rgb(file)) for file in half_files(folder, scene, MODE))
+    half = replace(settings, spp=math.ceil(settings.spp / 2))
+    spp = sum(render.spp for render in rendered_halves(scene, half, cache))
+    # Read from the files, so that a later run gets the same reference, bit for bit.
+    first, second = (torch.from_numpy(read_rgb(file)) for file in half_files(scene, cache))
     mean = (first + second) / 2
     masks = regions(scene).items()
     halves = {region: between_halves(first[mask][None], mean[mask][None]) for region, mask in masks}
@@ -90,19 +87,25 @@ def made_reference(scene: Scene, settings: RenderSettings, path: Path, cache: Pa
 
 
 def rendered_halves(
-    folder: Path, scene: Scene, settings: RenderSettings, deadline: float = math.inf
+    scene: Scene, settings: RenderSettings, cache: Path | None = None, deadline: float = math.inf
 ) -> tuple[LongRender, LongRender]:
-    """The halves kept in `half_files`, continued until each has `settings.spp` or time is up; its seed is not used.
+    """The halves kept in `half_files`, continued until each has `settings.spp` samples a pixel or the deadline passes.
 
-    Raises BokehguideError as `accumulate` does.
+    settings: of one half; the mode and the seed are not used. Raises BokehguideError as `accumulate` does.
     """
-    files, seeds = half_files(folder, scene, settings.mode), (FIRST_SEED, SECOND_SEED)
     first, second = (
-        accumulate(file, scene, replace(settings, seed=seed), CHUNK, deadline) for file, seed in zip(files, seeds)
+        accumulate(file, scene, replace(settings, mode=MODE, seed=seed), CHUNK, deadline)
+        for file, seed in zip(half_files(scene, cache), (FIRST_SEED, SECOND_SEED))
     )
     return first, second
 
 
-def half_files(folder: Path, scene: Scene, mode: str) -> tuple[Path, Path]:
-    stem = f"{scene.name}-{scene.film.width}x{scene.film.height}-{mode}"
+def half_files(scene: Scene, cache: Path | None = None) -> tuple[Path, Path]:
+    """The EXR files of the two halves in `cache`, by default the user's cache folder.
+
+    Their folder depends on the content of the scene, its camera, and the version of bokehguide.
+    """
+    cache = cache or platformdirs.user_cache_path("bokehguide") / "references"
+    folder = cache / f"{__version__}-{fingerprint(scene, RenderSettings(MODE, seed=FIRST_SEED))[:16]}"
+    stem = f"{scene.name}-{scene.film.width}x{scene.film.height}-{MODE}"
     return folder / f"{stem}-first.exr", folder / f"{stem}-second.exr"

@@ -1,4 +1,4 @@
-"""Where on the frame errors are measured, and how."""
+"""Regions of the frame, and errors over them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MEASURES = ("mape", "relmse")
 
 
 def regions(scene: Scene) -> dict[str, Tensor]:
-    """Pixels by region, bool `[H, W]`: `frame`; of a scene with insets also `insets`, all together, and `inset-1`, ..."""
+    """Masks of the regions, bool `[H, W]`: `frame`; for a scene with insets also `insets`, their union, and `inset-1`, ..."""
     width, height = scene.film.width, scene.film.height
     frame = torch.ones(height, width, dtype=torch.bool)
     found = {"frame": frame}
@@ -35,7 +35,7 @@ def errors(image: Tensor, reference: Tensor, mask: Tensor) -> dict[str, float]:
 
 
 class MeanRatio(NamedTuple):
-    """A mean over another one, its standard error, and by how many of them it is off 1."""
+    """Ratio of two means, its standard error, and z: the difference of the means over its standard error."""
 
     ratio: float
     standard_error: float
@@ -43,7 +43,7 @@ class MeanRatio(NamedTuple):
 
 
 def mean_ratio(light: Tensor, other: Tensor, variance: Tensor) -> MeanRatio:
-    """Of the luminances `[N]` of two independent pictures' pixels; variance: of their differences `[N]`."""
+    """Ratio of the means of luminances `[N]` of two independent images; variance: of their differences `[N]`."""
     first, second = float(light.double().mean()), float(other.double().mean())
     error = float(variance.double().sum().sqrt()) / light.numel()
     scale = max(second, 1e-30)
@@ -51,8 +51,8 @@ def mean_ratio(light: Tensor, other: Tensor, variance: Tensor) -> MeanRatio:
 
 
 def between_halves(first: Tensor, mean: Tensor) -> dict[str, float]:
-    """MAPE and relMSE between two halves, radiance `[H, W, 3]`, relative to their mean.
+    """MAPE and relMSE between two halves relative to their mean. first, mean: radiance `[H, W, 3]`.
 
-    Either half is half their difference away from it.
+    The difference of a half from the mean is half the difference of the halves.
     """
     return {"mape": 2 * mape(first, mean), "relmse": 4 * relmse(first, mean)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,25 +25,25 @@ from bokehguide.train import RenderLogger, RenderLoop, RenderSettings, describe_
 
 @dataclass(frozen=True)
 class Run:
-    """What was measured of one render; every sequence has one value a step, that is, an SPP.
+    """Measurements of one render; every sequence has one value per step, that is, per SPP.
 
-    origin: digest of what it was made from; seconds, rays: of all steps so far;
-    errors: by region (see `regions`) and measure (MEASURES).
+    run_fingerprint: digest of the inputs; seconds, rays: of all steps so far; errors: by region (see `regions`) and measure
+    (MEASURES).
     """
 
-    origin: str
+    run_fingerprint: str
     seconds: Sequence[float]
     rays: Sequence[int]
-    errors: dict[str, dict[str, Sequence[float]]]
+    errors: Mapping[str, Mapping[str, Sequence[float]]]
 
     @property
     def spp(self) -> int:
         return len(self.seconds)
 
 
-def origin(scene: Scene, settings: RenderSettings, reference: Reference) -> str:
+def run_fingerprint(scene: Scene, settings: RenderSettings, reference: Reference) -> str:
     """A digest of all that a run depends on but its SPP: two runs with the same one may be compared."""
-    radius = settings.reuse_radius if settings.reuses else RenderSettings.reuse_radius
+    radius = settings.reuse_radius if settings.whole_frame else RenderSettings.reuse_radius
     rest = (replace(settings, spp=1, reuse_radius=radius), __version__, scene.insets, reference.radiance.numpy())
     return digest((fingerprint(scene, settings), *rest))
 
@@ -51,19 +51,20 @@ def origin(scene: Scene, settings: RenderSettings, reference: Reference) -> str:
 def measured_run(
     scene: Scene, settings: RenderSettings, reference: Reference, folder: Path, exposure: float
 ) -> tuple[Run, Tensor]:
-    """Render one mode and measure it step by step; gives its radiance `[H, W, 3]` too.
+    """Render one mode and measure it after every step; returns its radiance `[H, W, 3]` too.
 
-    Writes MODE.exr and MODE.png into `folder`, and TensorBoard logs into its folder `logs`. The
-    seconds are those of the steps alone: building the scene, measuring and logging are left out.
+    Writes MODE.exr and MODE.png into `folder`, and TensorBoard logs into its folder `logs`. Seconds are those of the steps
+    alone, without building the scene, measuring and logging.
     """
-    RenderLoop(scene, settings).step()  # so that no mode pays for what a first step loads
-    loop = RenderLoop(scene, settings)
+    with RenderLoop(scene, settings) as trial:
+        trial.step()  # the first step of a process loads libraries, which no mode should pay for
     logger = RenderLogger(folder / "logs", scene, settings, exposure)
     masks = regions(scene)
-    seconds, rays = [], []
-    history = {region: {measure: [] for measure in MEASURES} for region in masks}
+    seconds: list[float] = []
+    rays: list[int] = []
+    history: dict[str, dict[str, list[float]]] = {region: {measure: [] for measure in MEASURES} for region in masks}
     title = f"{scene.name} {settings.mode}"
-    with progress(title, settings.spp) as bar:
+    with progress(title, settings.spp) as bar, RenderLoop(scene, settings) as loop:
         for _ in range(settings.spp):
             stats = whole_step(loop)
             seconds.append(stats.seconds + (seconds[-1] if seconds else 0.0))
@@ -78,27 +79,28 @@ def measured_run(
             bar.update()
     logger.finish(loop, settings.spp, loop.film)
     warn_of_bad_samples(loop.film, title)
-    run = Run(origin(scene, settings, reference), seconds, rays, history)
-    facts = describe_render(scene, settings, settings.spp) | {"origin": run.origin}
+    run = Run(run_fingerprint(scene, settings, reference), seconds, rays, history)
+    facts = describe_render(scene, settings, settings.spp) | {"run_fingerprint": run.run_fingerprint}
     write_exr(folder / f"{settings.mode}.exr", loop.film.layers(), facts)
+    radiance = loop.film.radiance().cpu()
     write_png(folder / f"{settings.mode}.png", tone_map(radiance, exposure))
     return run, radiance
 
 
 def kept_picture(folder: Path, mode: str, run: Run) -> Tensor | None:
-    """Radiance `[H, W, 3]` that was kept with this run, or None where there is none, or none that can be read."""
+    """Radiance `[H, W, 3]` kept with this run, or None if its file is missing, damaged or of another run."""
     path = folder / f"{mode}.exr"
     try:
         facts, radiance = read_metadata(path), torch.from_numpy(read_rgb(path))
     except BokehguideError:
         return None
-    return radiance if (facts.get("origin"), facts.get("spp")) == (run.origin, run.spp) else None
+    return radiance if (facts.get("run_fingerprint"), facts.get("spp")) == (run.run_fingerprint, run.spp) else None
 
 
 def read_runs(path: Path) -> dict[str, Run]:
-    """The runs by mode in a `metrics.json`; none where there is no such file.
+    """The runs by mode in a `metrics.json`; empty if there is no such file.
 
-    Raises BokehguideError where the file cannot be read or is not one that `compare` wrote.
+    Raises BokehguideError if the file cannot be read or `compare` did not write it.
     """
     if not path.exists():
         return {}
@@ -107,14 +109,14 @@ def read_runs(path: Path) -> dict[str, Run]:
     except OSError as error:
         raise BokehguideError(f"{path}: cannot be read ({error.strerror}); choose another folder") from error
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise BokehguideError(f"{path}: is damaged or no comparison's; remove it or choose another folder") from error
+        raise BokehguideError(f"{path}: is damaged or no file of `compare`; remove it or choose another folder") from error
 
 
 def _read_run(facts: dict) -> Run:
-    """Raises what `read_runs` catches for anything that is not the JSON of a run."""
+    """A run from its JSON. Raises an exception that `read_runs` catches for anything else."""
     run = Run(**facts)
     curves = [run.seconds, run.rays, *(curve for by_measure in run.errors.values() for curve in by_measure.values())]
-    if not isinstance(run.origin, str) or "frame" not in run.errors or run.spp == 0:
+    if not isinstance(run.run_fingerprint, str) or "frame" not in run.errors or run.spp == 0:
         raise ValueError("not a run")
     for curve in curves:
         if len(curve) != run.spp or not all(math.isfinite(value) for value in curve):

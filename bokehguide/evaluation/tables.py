@@ -8,13 +8,13 @@ from bokehguide.evaluation.comparison import Comparison, summary
 from bokehguide.evaluation.references import Reference
 
 WRONG = 4.0
-"""Standard errors by which a reference and uniform sampling do not differ by chance."""
+"""Standard errors between a reference and uniform sampling that chance does not explain."""
 OWN_ERROR_SHARE = 1 / 3
-"""Of a mode's error, what the reference may have of its own: about 5 % are added to the mode's then."""
+"""Largest share of the reference's own error in the error of a mode; it then adds about 5 % to the mode's error."""
 
 
 def report(comparison: Comparison) -> str:
-    """The whole comparison: what the reference is worth, errors at the end, cost, and errors at equal cost."""
+    """The comparison: quality of the reference, errors at the end, cost, and errors at equal cost."""
     film, facts = comparison.scene.film, summary(comparison)
     modes = facts["modes"]
     rays, seconds = (min(modes, key=lambda mode: modes[mode][cost]) for cost in ("rays", "seconds"))
@@ -22,47 +22,50 @@ def report(comparison: Comparison) -> str:
         f"# {comparison.scene.name}, {film.width}x{film.height}, {comparison.settings.spp} SPP",
         " ".join((describe_reference(comparison.reference), *checks(comparison), *complaints(comparison))),
         errors_table(comparison),
-        f"In brackets: the ratio to {next(iter(modes))}. Equal rays: the {facts['equal_rays'] / 1e6:.4g} million of {rays}'s "
-        f"whole render. Equal time: the {facts['equal_seconds']:.4g} s of {seconds}'s. A mode's error there is read off its "
-        "curve, straight in log-log between two steps; - where already its first step costs more. Seconds are those of "
-        "the steps alone, without building the scene, measuring and writing.",
+        (
+            f"In brackets: the ratio to {next(iter(modes))}. Equal rays: {facts['equal_rays'] / 1e6:.4g} million, the rays of "
+            f"{rays}. Equal time: {facts['equal_seconds']:.4g} s, the time of {seconds}. Errors between two steps are "
+            "interpolated in log-log; - means that the first step costs more. Seconds are those of the steps alone, without "
+            "building the scene, measuring and writing."
+        ),
         cost_table(comparison),
     ]
     return "\n\n".join(parts)
 
 
 def describe_reference(reference: Reference) -> str:
-    """What is known of a reference, in two sentences."""
+    """File, mode, SPP and own error of a reference, in two sentences."""
     made = ", ".join(text for text in (reference.mode, reference.spp and f"{reference.spp} SPP") if text)
     start = f"Reference: {reference.path}" + (f" ({made})." if made else ".")
     known = [region for region in ("frame", "insets") if region in reference.halves]
     if not known:
-        return f"{start} Its own error is not known."
+        return f"{start} Its own error is unknown."
     apart = " and ".join(f"{reference.halves[region]['mape']:.4f} over the {region}" for region in known)
-    own = " and ".join(f"{reference.own_error(region):.4f}" for region in known)
-    halves = f"MAPE between its two halves: {apart}; about half of that, {own}, is its own error"
-    return f"{start} {halves}, and part of all errors."
+    own = " and ".join(f"{error:.4f}" for region in known if (error := reference.own_error(region)) is not None)
+    return f"{start} MAPE between its two halves: {apart}. Its own error, about half of that, {own}, is part of all errors."
 
 
 def checks(comparison: Comparison) -> list[str]:
-    """A sentence on how uniform sampling agrees with the reference's means, where it is among the modes."""
+    """A sentence on the ratio of the means of reference and uniform sampling, if uniform is among the modes."""
     pairs = [(name, comparison.over_uniform[name]) for name in ("frame", "insets") if name in comparison.over_uniform]
     if not pairs:
         return []
-    told = " and ".join(f"{ratio.ratio:.4f} ± {ratio.standard_error:.4f} over the {name}" for name, ratio in pairs)
+    ratios = " and ".join(f"{ratio.ratio:.4f} ± {ratio.standard_error:.4f} over the {name}" for name, ratio in pairs)
     wrong = any(abs(ratio.z) > WRONG for _, ratio in pairs)
-    doubt = f" That is more than {WRONG:g} standard errors off: one of the two is wrong." if wrong else ""
-    return [f"Its mean luminance is that of uniform sampling times {told}.{doubt}"]
+    warning = f" This is more than {WRONG:g} standard errors from 1: one of the two is wrong." if wrong else ""
+    return [f"Its mean luminance over that of uniform sampling: {ratios}.{warning}"]
 
 
 def complaints(comparison: Comparison) -> list[str]:
-    """A sentence for each region over which the reference's own error is too large for what is measured against it."""
+    """A sentence for each region in which the reference's own error is too large for the measured modes."""
     found, reference = [], comparison.reference
-    for region in (region for region in ("frame", "insets") if region in reference.halves):
-        least = reference.own_error(region) / OWN_ERROR_SHARE
-        modes = [mode for mode, run in comparison.runs.items() if run.errors[region]["mape"][-1] < least]
+    for region in ("frame", "insets"):
+        own = reference.own_error(region)
+        if own is None:
+            continue
+        modes = [mode for mode, run in comparison.runs.items() if run.errors[region]["mape"][-1] < own / OWN_ERROR_SHARE]
         if modes:
-            found.append(f"Over the {region} that is more than a third of the error of {', '.join(modes)}: too much.")
+            found.append(f"Too large over the {region}: more than a third of the error of {', '.join(modes)}.")
     return found
 
 
@@ -82,14 +85,14 @@ def errors_table(comparison: Comparison) -> str:
 
 
 def cost_table(comparison: Comparison) -> str:
-    """Time, rays, and MAPE over frame and insets at equal rays and at equal time, beside the first mode's."""
+    """Time, rays, and MAPE over frame and insets at equal rays and at equal time; in brackets the ratio to the first mode."""
     modes = summary(comparison)["modes"]
     regions = list(next(iter(modes.values()))["mape"])[:2]
     columns = [(budget, region) for budget in ("at_equal_rays", "at_equal_time") for region in regions]
     heads = [f"MAPE {region} {budget.replace('_', ' ')}" for budget, region in columns]
     first = next(iter(modes.values()))
     pixels = comparison.scene.film.width * comparison.scene.film.height
-    rows = [["mode", "seconds", "million rays", "rays a sample", *heads]]
+    rows = [["mode", "seconds", "million rays", "rays per sample", *heads]]
     for mode, facts in modes.items():
         costs = [f"{facts['seconds']:.4g}", f"{facts['rays'] / 1e6:.4g}", f"{facts['rays'] / pixels / facts['spp']:.2f}"]
         cells = [with_ratio(facts[at]["mape"][region], first[at]["mape"][region]) for at, region in columns]
@@ -98,13 +101,13 @@ def cost_table(comparison: Comparison) -> str:
 
 
 def with_ratio(value: float | None, first: float | None) -> str:
-    """An error and its ratio to the first mode's, as far as there are any."""
+    """An error and its ratio to that of the first mode; - without an error."""
     if value is None:
         return "-"
     return f"{value:.4f} ({value / first:.3f})" if first else f"{value:.4f}"
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """A table whose first row is the heading."""
+    """A Markdown table whose first row is the heading."""
     rule = ["---"] + ["---:"] * (len(rows[0]) - 1)
     return "\n".join("| " + " | ".join(row) + " |" for row in [rows[0], rule, *rows[1:]])

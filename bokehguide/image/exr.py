@@ -1,9 +1,10 @@
-"""EXR files: one part, one float channel per name, so that every compositor reads them."""
+"""EXR files of one part with one float channel per name, which every compositor reads."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -14,9 +15,8 @@ from bokehguide.image.reading import read_channels
 
 HALF_MAX = float(np.finfo(np.float16).max)
 
-# Alpha is associated (the beauty is already multiplied by it), as EXR has it. R, G, B and A
-# without a layer are Blender's "Combined" and Nuke's "rgba"; layer.channel is a pass of its own in
-# Blender and a layer in Nuke, whose depth layer has the name `depth.Z`.
+# Alpha is associated, as EXR defines it: the beauty is multiplied by alpha. R, G, B and A without a layer are "Combined" in
+# Blender and "rgba" in Nuke. layer.channel is a pass in Blender and a layer in Nuke, whose depth layer has the name `depth.Z`.
 CHANNELS = {
     "beauty": ("R", "G", "B"),
     "alpha": ("A",),
@@ -37,14 +37,13 @@ def write_exr(
     corner: tuple[int, int] = (0, 0),
     frame: tuple[int, int] | None = None,
 ) -> None:
-    """Write the layers that are given, in 32-bit float or, with `half`, 16-bit.
+    """Write layers in 32-bit float or, with `half`, in 16-bit float. The file appears only when it is complete.
 
-    layers: keys of `CHANNELS`; `[H, W]`, or `[H, W, 3]` where there are three channels.
-    metadata: header attributes. OpenEXR keeps names such as `version` and `type` for itself.
-    corner: where in a larger frame, of the size width, height, the layers begin: the data and the display window.
+    layers: by the keys of `CHANNELS`, `[H, W]` for one channel, `[H, W, 3]` for three; metadata: header attributes, of which
+    OpenEXR reserves names such as `version` and `type`; corner, frame: position (column, row) of the layers in a larger frame
+    and its (width, height), which become data window and display window.
 
-    Raises BokehguideError where the folder cannot be written, or where `half` cannot
-    hold a value. The file appears only when it is complete.
+    Raises BokehguideError if the folder cannot be written, or if a value exceeds the range of `half`.
     """
     channels = {}
     for layer, pixels in layers.items():
@@ -62,7 +61,7 @@ def write_exr(
 
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:
-    """Every channel of a file's first part by its name (`R`, `depth.Z`, ...), float32 `[H, W]`.
+    """All channels of a file's first part by name (`R`, `depth.Z`, ...), float32 `[H, W]`.
 
     Raises BokehguideError for a file that is missing, damaged or no EXR.
     """
@@ -70,13 +69,13 @@ def read_exr(path: str | Path) -> dict[str, np.ndarray]:
     return {name: read.pixels[..., index] for index, name in enumerate(read.names)}
 
 
-def read_metadata(path: str | Path) -> dict[str, object]:
-    """The header attributes of a file, those of `write_exr` among them. Raises as `read_exr`."""
+def read_metadata(path: str | Path) -> dict[str, Any]:
+    """The header attributes of a file, including those of `write_exr`. Raises as `read_exr`."""
     return read_channels(path).header
 
 
 def read_rgb(path: str | Path) -> np.ndarray:
-    """The channels R, G and B, float32 `[H, W, 3]`. Raises as `read_exr`, and where one is missing."""
+    """The channels R, G and B, float32 `[H, W, 3]`. Raises as `read_exr`, and for a missing channel."""
     channels = read_exr(path)
     missing = [name for name in "RGB" if name not in channels]
     if missing:
@@ -88,13 +87,14 @@ def read_rgb(path: str | Path) -> np.ndarray:
 
 
 def _window(corner: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """First and last pixel, as OpenEXR has it."""
+    """First and last pixel (column, row) of a window, the form of OpenEXR."""
     first = np.array(corner, np.int32)
     return first, first + np.array(size, np.int32) - 1
 
 
 def _plane(path: str | Path, name: str, plane: np.ndarray, dtype: type) -> np.ndarray:
+    """The pixels of a channel in contiguous memory. Raises BokehguideError for a value above the range of half floats."""
     if dtype is np.float16 and np.abs(plane, where=np.isfinite(plane), out=np.zeros_like(plane)).max() > HALF_MAX:
         raise BokehguideError(f"{path}: {name} exceeds {HALF_MAX:.0f}, the largest half float; write 32-bit floats")
-    # OpenEXR writes other pixels, silently, where an array is a strided view.
+    # OpenEXR silently writes wrong pixels of a strided view.
     return np.ascontiguousarray(plane, dtype=dtype)

@@ -1,4 +1,4 @@
-"""Files that are either the old ones or the new ones, never half of one."""
+"""Atomic replacement of files."""
 
 from __future__ import annotations
 
@@ -13,18 +13,17 @@ from bokehguide.errors import BokehguideError
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` that takes its place once all is written.
+    """Yield a temporary path that replaces `path` at the end of the block.
 
-    Where the block fails, `path` is left as it was. Raises BokehguideError where
-    the folder cannot be written.
+    If the block fails, `path` does not change. Raises BokehguideError if the folder cannot be written.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
         with temporary.open("rb") as written:
-            os.fsync(written.fileno())  # or a power cut could leave the new name with nothing behind it
-        os.replace(temporary, path)
+            os.fsync(written.fileno())  # otherwise a power failure could leave an empty file under the new name
+        temporary.replace(path)
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
@@ -33,10 +32,9 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def check_writable(path: str | Path) -> None:
-    """Make the folder of the file `path` where it is missing, and try to write there.
+    """Create the folder of the file `path` if it is missing, and write a trial file there.
 
-    A trial is the only test that also sees full disks and read-only mounts.
-    Raises BokehguideError where it fails or where `path` is itself a folder.
+    Only a trial detects full disks and read-only mounts. Raises BokehguideError if the trial fails or if `path` is a folder.
     """
     path = Path(path)
     if path.is_dir():
@@ -51,7 +49,7 @@ def check_writable(path: str | Path) -> None:
 
 
 def remove_abandoned(path: str | Path) -> None:
-    """Remove what processes that were killed while they wrote the file `path` have left beside it."""
+    """Remove temporary files of `path` that killed processes have left."""
     path = Path(path)
     for temporary in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         writer = temporary.suffixes[-2].removeprefix(".")
@@ -61,6 +59,7 @@ def remove_abandoned(path: str | Path) -> None:
 
 
 def _runs(process: int) -> bool:
+    """Whether a process with this id exists."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -71,5 +70,6 @@ def _runs(process: int) -> bool:
 
 
 def unwritable(path: Path, error: Exception) -> BokehguideError:
+    """The error for a file that cannot be written."""
     reason = getattr(error, "strerror", None) or error
     return BokehguideError(f"{path}: cannot be written ({reason}); choose another folder")

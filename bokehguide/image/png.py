@@ -1,4 +1,4 @@
-"""PNG pictures of 8 bits a channel."""
+"""PNG images of 8 bits per channel."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from bokehguide.image.files import replacing
 
 
 def write_png(path: str | Path, display: Tensor) -> None:
-    """Write display values `[H, W, 3]` in 0..1.
+    """Write display values `[H, W, 3]` in 0..1 as PNG.
 
-    Raises BokehguideError where the folder cannot be written.
+    Raises BokehguideError if the folder cannot be written.
     """
     with replacing(path) as temporary:
         Image.fromarray(to_8_bit(display)).save(temporary, format="PNG")

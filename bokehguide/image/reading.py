@@ -1,9 +1,10 @@
-"""EXR and HDR files in, by way of OpenImageIO: it says what is wrong with one instead of printing it."""
+"""EXR and HDR files, read by OpenImageIO, which returns its errors and does not print them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,14 +16,11 @@ MAGIC = {"EXR": b"\x76\x2f\x31\x01", "HDR": b"#?"}
 
 @dataclass(frozen=True)
 class Channels:
-    """The first part of a file.
-
-    names: of the channels; pixels: float32 `[H, W, C]`; header: attributes by name.
-    """
+    """The first part of a file. names: of the channels; pixels: float32 `[H, W, C]`; header: attributes by name."""
 
     names: tuple[str, ...]
     pixels: np.ndarray
-    header: dict[str, object]
+    header: dict[str, Any]
 
 
 def read_channels(path: str | Path, kind: str = "EXR") -> Channels:
@@ -31,15 +29,15 @@ def read_channels(path: str | Path, kind: str = "EXR") -> Channels:
     Raises BokehguideError for a file that is missing, damaged, too large or of another kind.
     """
     try:
-        with open(path, "rb") as file:
+        with Path(path).open("rb") as file:
             start = file.read(len(MAGIC[kind]))
     except OSError as error:
         raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     if start != MAGIC[kind]:
-        raise BokehguideError(f"{path}: is not an {kind} file; give one, or make it again")
+        raise BokehguideError(f"{path}: is not an {kind} file; give an {kind} file")
     try:
         return _read(path)
-    except UnicodeDecodeError:  # of names in the file, and of OpenImageIO's reports of them
+    except UnicodeDecodeError:  # from names in the file, and from reports of OpenImageIO
         raise _damaged(path, "names that are no UTF-8") from None
 
 
@@ -54,7 +52,7 @@ def _read(path: str | Path) -> Channels:
         raise BokehguideError(f"{path}: {spec.width}x{spec.height} pixels are too many; give at most {MAX_PIXELS}")
     values = spec.width * spec.height * spec.nchannels
     if values > most_values(stored):
-        raise BokehguideError(f"{path}: would unfold from {stored:,} bytes to {values:,} values; give a smaller one")
+        raise BokehguideError(f"{path}: would unfold from {stored:,} bytes to {values:,} values; give a smaller image")
     pixels = image.read_image(oiio.FLOAT)
     if pixels is None:
         raise _damaged(path, image.geterror())
@@ -64,4 +62,4 @@ def _read(path: str | Path) -> Channels:
 
 def _damaged(path: str | Path, report: str) -> BokehguideError:
     reason = printable(report.partition("\n")[0].removeprefix(f"EXR Error ({path}): "), 200) or "unknown reason"
-    return BokehguideError(f"{path}: is damaged ({reason}); make or fetch it again")
+    return BokehguideError(f"{path}: is damaged ({reason}); give an intact copy")

@@ -1,12 +1,26 @@
-"""What is learnt of the lens: Gaussians in camera space, blend weights, offsets, and the distributions they make."""
+"""Distributions of lens points, and the modules that learn their parameters. Nothing here depends on a scene."""
 
+from bokehguide.models.base import LensDensity, LensDistribution, LensMixture, LensSample
 from bokehguide.models.blend_weight import BlendWeightMap
 from bokehguide.models.candidates import CandidateList, draw_candidates
+from bokehguide.models.ellipse_mixture import EllipseMixture, EmitterShapes
 from bokehguide.models.gaussian_field import GaussianField
-from bokehguide.models.lens_distribution import GuidedLensDistribution, LensDensity, UniformLensDistribution
+from bokehguide.models.gaussian_mixture import GaussianMixture
 from bokehguide.models.polynomial_offset import PolynomialOffset
+from bokehguide.models.uniform import UniformLensDistribution
 
 __all__ = [
-    *("BlendWeightMap", "CandidateList", "GaussianField", "GuidedLensDistribution", "LensDensity"),
-    *("PolynomialOffset", "UniformLensDistribution", "draw_candidates"),
+    "BlendWeightMap",
+    "CandidateList",
+    "EllipseMixture",
+    "EmitterShapes",
+    "GaussianField",
+    "GaussianMixture",
+    "LensDensity",
+    "LensDistribution",
+    "LensMixture",
+    "LensSample",
+    "PolynomialOffset",
+    "UniformLensDistribution",
+    "draw_candidates",
 ]

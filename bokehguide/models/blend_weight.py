@@ -1,4 +1,4 @@
-"""The blend between the projected Gaussians and the uniform lens (Eq. 26), learnt per pixel."""
+"""The blend weight β between the projected Gaussians and the uniform lens (Eq. 26), learned for each pixel."""
 
 from __future__ import annotations
 
@@ -7,31 +7,30 @@ import math
 import torch
 from torch import Tensor, nn
 
-LOWEST, HIGHEST = 0.05, 0.95
+MIN_BLEND, MAX_BLEND = 0.05, 0.95
+"""Bounds of β (section 5.1). Sample weights stay below 20, and both parts of the mixture keep being sampled."""
 
 
 class BlendWeightMap(nn.Module):
-    """β for every pixel: `β = 0.05 + 0.9 sigmoid(logit)`, starting at 0.8 (sections 5.1 and 6.1).
+    """β of every pixel: `β = 0.05 + 0.9 sigmoid(logit)`, 0.8 at the start (sections 5.1 and 6.1).
 
-    The bounds keep the sample weights below 20 and leave both parts alive. The logit and
-    Adam's two moments take 12 bytes a pixel. In a step whose sample brought no radiance, or
-    fell outside the lens, a pixel's gradient is zero, which is its one-sample estimate;
-    Adam's momentum may still move its β. A pixel that never had candidates never moves.
+    A sample without radiance, or outside the lens, has the gradient 0. Adam's momentum may still change β in such a step. β of a
+    pixel without candidates never changes. The logit and Adam's two moments take 12 bytes a pixel.
 
-    pixels: number of pixels, H · W.
+    pixels: number of pixels, H · W; start: β at the start.
     """
 
     def __init__(self, pixels: int, start: float = 0.8):
         super().__init__()
-        share = (start - LOWEST) / (HIGHEST - LOWEST)
+        share = (start - MIN_BLEND) / (MAX_BLEND - MIN_BLEND)
         self.logit = nn.Parameter(torch.full((pixels,), math.log(share / (1.0 - share))))
 
     def forward(self, pixels: slice | Tensor = slice(None)) -> Tensor:
-        """β of some pixels (all of them by default), `[N]`."""
-        # The sigmoid as a tanh: PyTorch's own rounds otherwise at the end of an array, and so by where batches are cut.
-        return LOWEST + (HIGHEST - LOWEST) * (0.5 + 0.5 * torch.tanh(0.5 * self.logit[pixels]))
+        """β of pixels, by default of all, `[N]`."""
+        # As a tanh, because the last bits of torch.sigmoid depend on the place in an array.
+        return MIN_BLEND + (MAX_BLEND - MIN_BLEND) * (0.5 + 0.5 * torch.tanh(0.5 * self.logit[pixels]))
 
     @staticmethod
     def slope(beta: Tensor) -> Tensor:
         """∂β / ∂logit at given β, `[N]`."""
-        return (beta - LOWEST) * (HIGHEST - beta) / (HIGHEST - LOWEST)
+        return (beta - MIN_BLEND) * (MAX_BLEND - beta) / (MAX_BLEND - MIN_BLEND)

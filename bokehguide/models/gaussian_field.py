@@ -1,4 +1,4 @@
-"""The radiance field of highlight spots: isotropic 3D Gaussians (Eq. 18-20)."""
+"""The radiance field of highlights: isotropic 3D Gaussians (Eq. 18-20)."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ from bokehguide.render.camera import ThinLensCamera
 
 
 class GaussianField(nn.Module):
-    """G highlight spots in the camera frame, shared by all pixels.
+    """G highlights in the camera frame, shared by all pixels. A fit sets the buffers (section 4.2).
 
-    Buffers, set by a fit and not by gradients (section 4.2):
-    mean: `[3, G]` metres; radius: R_b `[G]`, the bounding sphere of the spot's patch;
-    sigma: `[G]` metres, α R_b; energy: `[G]`, radiance × projected area of the patch.
+    mean: `[3, G]`, metres; radius: R_b, of the bounding sphere of the highlight's patch, `[G]`, metres; sigma: α R_b, `[G]`,
+    metres; energy: radiance times projected area of the patch, `[G]`.
     """
+
+    mean: Tensor
+    radius: Tensor
+    sigma: Tensor
+    energy: Tensor
 
     def __init__(self) -> None:
         super().__init__()
@@ -27,7 +31,7 @@ class GaussianField(nn.Module):
 
     @torch.no_grad()
     def assign(self, mean: Tensor, radius: Tensor, sigma: Tensor, energy: Tensor) -> None:
-        """Replace the whole set of Gaussians.
+        """Replace all Gaussians.
 
         Raises ValueError for a Gaussian that is not finite or has no extent or energy.
         """
@@ -39,26 +43,24 @@ class GaussianField(nn.Module):
         self.sigma, self.energy = sigma.float().to(device), energy.float().to(device)
 
     def lens_weights(self, focus_distance: float) -> Tensor:
-        """Unnormalised mixture weights `[G]`: the energy each spot sends through the lens.
+        """Unnormalised mixture weights `[G]`: the energy that each highlight sends through the lens.
 
-        Its area as the lens shows it scales with k², so near spots count for more than
-        Eq. 12-17 as printed would have it.
+        The area of a highlight on the lens scales with k². Eq. 12-17 as printed leave this factor out.
         """
         return self.energy * lens_magnification(self.mean[2], focus_distance).square()
 
     def footprints(self, camera: ThinLensCamera) -> tuple[Tensor, Tensor]:
-        """Raster centres `[2, G]` and radii in pixels `[G]` of the discs outside which Eq. 22 culls.
+        """Raster centres `[2, G]` and radii `[G]` in pixels of the discs in which Eq. 22 keeps Gaussians.
 
-        A Gaussian is kept if its projected mean lies within r + |k|σ of the lens centre. On
-        the focal plane that is a disc of radius (r |Z - d_F| + σ d_F) / Z about the pinhole
-        projection.
+        A Gaussian is kept if its projected mean lies within r + |k|σ of the lens centre. On the focal plane this is a disc of
+        radius (r |Z - d_F| + σ d_F) / Z about the pinhole projection.
         """
         lens, depth = camera.lens, self.mean[2]
         radius = (lens.radius * (depth - lens.focus_distance).abs() + self.sigma * lens.focus_distance) / depth
         return camera.raster(self.mean), radius / (lens.focus_distance * camera.pixel_slope)
 
     def _load_from_state_dict(self, state_dict, prefix, *args, **kwargs) -> None:
-        for name in ("mean", "radius", "sigma", "energy"):  # a fit decides how many there are
+        for name in ("mean", "radius", "sigma", "energy"):  # the number of Gaussians varies
             if prefix + name in state_dict:
                 setattr(self, name, torch.empty_like(state_dict[prefix + name], device=self.mean.device))
         super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)

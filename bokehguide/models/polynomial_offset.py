@@ -7,57 +7,62 @@ from torch import Tensor, nn
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.kernels import kernel
-
-DEGREE = 2
-EXPONENTS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+from bokehguide.runtime.compile.kernels import kernel
 
 
-def monomials(position: Tensor) -> Tensor:
-    """x^i y^j for i + j ≤ 2, `[6, N]`, at `[2, N]`."""
+def exponents(degree: int) -> list[tuple[int, int]]:
+    """(i, j) of the monomials x^i y^j with i + j ≤ degree; 6 of them for degree 2 (Eq. 28)."""
+    return [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+
+
+def monomials(position: Tensor, degree: int = 2) -> Tensor:
+    """x^i y^j, `[K, N]`, at positions `[2, N]`, in the order of `exponents`."""
     x, y = position.unbind(0)
-    return torch.stack([x**i * y**j for i, j in EXPONENTS])
+    return torch.stack([x**i * y**j for i, j in exponents(degree)])
 
 
 class PolynomialOffset(nn.Module):
-    """D(x_r), the offset of each Gaussian's mean as a polynomial of the raster position.
+    """D(x_r), the offset of each Gaussian's mean as a polynomial of the raster position; 0 at the start.
 
-    The polynomial's argument is (raster - the Gaussian's pinhole centre) / its radius on
-    the raster, and D is in units of the Gaussian's R_b, so that one learning rate suits
-    every scene and resolution. It starts at 0. Every Gaussian in view is drawn from by
-    many pixels in every step; one that is not has a zero gradient in that step, and Adam's
-    momentum may still move it.
+    The argument of the polynomial is (raster - pinhole centre) / radius of the Gaussian on the raster. D is in units of the
+    Gaussian's R_b, so that one learning rate suits every scene and resolution. A Gaussian that no pixel samples in a step has
+    the gradient 0; Adam's momentum may still move the Gaussian.
 
-    coefficients: `[3, 6, G]`, component by monomial by Gaussian.
+    degree: of the polynomial; coefficients: `[3, 6, G]`, component by monomial by Gaussian.
     """
 
-    def __init__(self, field: GaussianField, camera: ThinLensCamera):
+    center: Tensor
+    inverse_radius: Tensor
+    unit: Tensor
+
+    def __init__(self, field: GaussianField, camera: ThinLensCamera, degree: int = 2):
         super().__init__()
+        self.degree = degree
         center, radius = field.footprints(camera)
         self.register_buffer("center", center)
         self.register_buffer("inverse_radius", 1.0 / radius)
         self.register_buffer("unit", field.radius.clone())
-        self.coefficients = nn.Parameter(torch.zeros(3, len(EXPONENTS), len(field), device=center.device))
+        self.coefficients = nn.Parameter(torch.zeros(3, len(exponents(degree)), len(field), device=center.device))
 
     def basis(self, gaussian: Tensor, raster: Tensor) -> Tensor:
-        """R_b times the monomials `[6, N]`: ∂D / ∂a of Eq. 29, for Gaussians `[N]` at raster positions `[2, N]`."""
-        return _basis(self.center, self.inverse_radius, self.unit, gaussian, raster)
+        """∂D / ∂a of Eq. 29, R_b times the monomials, `[6, N]`, for Gaussians `[N]` at raster positions `[2, N]`."""
+        return _basis(self.center, self.inverse_radius, self.unit, gaussian, raster, self.degree)
 
     def forward(self, gaussian: Tensor, raster: Tensor) -> Tensor:
-        """Offsets in metres `[3, N]` of Gaussians int `[N]` seen from raster positions `[2, N]`."""
+        """Offsets `[3, N]` in metres of Gaussians int64 `[N]` at raster positions `[2, N]`."""
         rows = self.coefficients.reshape(-1, self.coefficients.shape[-1])
         return _offset(rows, gaussian, self.basis(gaussian, raster))
 
 
 @kernel
-def _basis(center: Tensor, inverse_radius: Tensor, unit: Tensor, gaussian: Tensor, raster: Tensor) -> Tensor:
+def _basis(center: Tensor, inverse_radius: Tensor, unit: Tensor, gaussian: Tensor, raster: Tensor, degree: int) -> Tensor:
     center, inverse_radius, unit = (of_field.index_select(-1, gaussian) for of_field in (center, inverse_radius, unit))
-    return monomials(((raster - center) * inverse_radius).clamp(-2.0, 2.0)) * unit
+    return monomials(((raster - center) * inverse_radius).clamp(-2.0, 2.0), degree) * unit
 
 
 @kernel
 def _offset(rows: Tensor, gaussian: Tensor, basis: Tensor) -> Tensor:
     """Sums `[3, N]` of the basis `[6, N]` times the coefficients `[18, G]` of Gaussians `[N]`."""
-    rows = rows.index_select(1, gaussian)
-    # Term by term: `sum` of more than four rows rounds the last elements of an array otherwise.
-    return torch.stack([sum(a * monomial for a, monomial in zip(component, basis)) for component in rows.chunk(3)])
+    rows, zero = rows.index_select(1, gaussian), torch.zeros_like(basis[0])
+    # Term by term, because the last bits of torch.sum over more than four rows depend on the place in an array.
+    return torch.stack([sum((a * monomial for a, monomial in zip(component, basis)), zero) for component in rows.chunk(3)])

@@ -1,7 +1,7 @@
 """The bipolar-cone projection: 3D Gaussians as densities on the lens (Eq. 16, 17 and 21).
 
-Everything is in the camera frame (origin at the lens centre, z along the optical axis);
-lens points are `[2, N]`, in metres, on the plane z = 0.
+All points are in the camera frame: the origin is the lens centre, z is along the optical axis. Lens points are `[2, N]`, in
+metres, on the plane z = 0.
 """
 
 from __future__ import annotations
@@ -14,13 +14,15 @@ from torch import Tensor
 from bokehguide.render.vector import cross, dot
 
 FAR_OUTSIDE = 1e15
-"""Coordinates of lens points from which nothing of a lamp is seen, metres."""
+"""Coordinates in metres of lens points that see nothing of an emitter."""
+LENS_MARGIN = 1.001
+"""Emitters are clipped to the lens circle times this factor, so that rounding moves no point of the lens beyond the clip."""
 
 
 def lens_magnification(depth: Tensor, focus_distance: float) -> Tensor:
-    """k = d_F / (d_F - Z) `[N]`: how the lens plane shows lengths at depth Z through x_F.
+    """k = d_F / (d_F - Z) `[N]`: the magnification of lengths at depth Z on the lens plane, through x_F.
 
-    It has a pole at the focal plane; points in focus are never guided.
+    k has a pole at the focal plane. Points in focus are never guided.
     """
     return focus_distance / (focus_distance - depth)
 
@@ -28,19 +30,20 @@ def lens_magnification(depth: Tensor, focus_distance: float) -> Tensor:
 def project_to_lens(points: Tensor, focus: Tensor) -> Tensor:
     """Lens points `[2, N]` where the lines from `points` through `focus` (both `[3, N]`) meet the lens plane.
 
-    k p - (Z / d_F) k x_F rather than x_F + k (p - x_F), which loses the lens where the focus is far beyond it.
+    The form k p - (Z / d_F) k x_F keeps digits where x_F + k (p - x_F) cancels, for a distant focus.
     """
     k = focus[2] / (focus[2] - points[2])
     return points[:2] * k - focus[:2] * (points[2] / (focus[2] - points[2]))
 
 
 def lens_density(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
-    """Density `[N]` per unit area of the lens plane of an isotropic 3D Gaussian seen through x_F.
+    """Density `[N]` per unit area of the lens plane of an isotropic 3D Gaussian seen through x_F (Eq. 16, 17 and 21).
 
-    lens_points: `[2, N]`; focus, mean: `[3, N]`; sigma: `[N]`. Both directions ±ω from x_F
-    reach the same lens point; in F(ω) + F(-ω) the error functions of Eq. 21 cancel, which
-    leaves (σ² + a²) / (2πσ²) · exp(-s² / 2σ²) · cosθ / |x_F - x_l|² with a = e·ω, s = |e × ω|
-    and e = μ - x_F. The integral over the whole plane is 1.
+    Both directions ±ω from x_F reach the same lens point. The error functions of Eq. 21 cancel in F(ω) + F(-ω), which leaves
+    (σ² + a²) / (2πσ²) · exp(-s² / 2σ²) · cosθ / |x_F - x_l|², with a = e·ω, s = |e × ω| and e = μ - x_F.
+    The integral over the whole plane is 1.
+
+    lens_points: `[2, N]`; focus, mean: `[3, N]`; sigma: `[N]`.
     """
     a, s_squared, distance = _ray_coordinates(lens_points, focus, mean)
     variance = sigma * sigma
@@ -54,7 +57,7 @@ def log_density_gradient(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma
     omega = torch.cat((lens_points - focus[:2], -focus[2:3]))
     omega = omega * dot(omega, omega).rsqrt()
     a = dot(mean - focus, omega)
-    offset = torch.cat((mean[:2] - lens_points, mean[2:3]))  # e but for a multiple of ω
+    offset = torch.cat((mean[:2] - lens_points, mean[2:3]))  # e plus a multiple of ω
     variance = sigma * sigma
     return (2.0 * a / (variance + a * a) + dot(offset, omega) / variance) * omega - offset / variance
 
@@ -62,8 +65,8 @@ def log_density_gradient(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma
 def _ray_coordinates(lens_points: Tensor, focus: Tensor, mean: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """a = e·ω, s² = |e × ω|² and |x_F - x_l| for the lines from x_F through the lens points.
 
-    s comes from a cross product: |e|² - a² loses every digit of a small, far Gaussian. It is
-    taken about the lens point, as good a point of the line as x_F, which may lie far beyond μ.
+    s comes from a cross product, because |e|² - a² loses all digits of a small, distant Gaussian. The cross product is taken
+    about the lens point, because x_F, the other point of the line, may lie far beyond μ.
     """
     e = mean - focus
     ray = torch.cat((lens_points - focus[:2], -focus[2:3]))

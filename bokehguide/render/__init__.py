@@ -1,4 +1,4 @@
-"""A path tracer for thin-lens photographs, complete without any guiding: lens, camera, film, radiance along rays."""
+"""A path tracer for thin-lens photographs: camera, lens, film, and the radiance along rays."""
 
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import Film, FilmSamples

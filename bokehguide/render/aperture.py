@@ -1,9 +1,8 @@
-"""Shapes of the aperture: what each part of it lets through, and draws that follow it exactly.
+"""Shapes of the aperture, with their transmission and exact sampling.
 
-Points are `[2, N]` in units of the pupil's radius, x right and y up, before the shape is
-turned and squeezed (see `lens.py`). Each shape has its `area`, its farthest point from the
-centre at `reach`, and a transmission W of mean 1 over that area, so that W / area is the
-density of `sample`.
+Points are `[2, N]` in units of the pupil's radius, x right and y up, before the lens rotates and squeezes the shape (`lens.py`).
+Each shape has an `area`, the distance `reach` of its farthest point from the centre, and a transmission W of mean 1 over the
+area. W / area is the density of `sample`.
 """
 
 from __future__ import annotations
@@ -17,17 +16,17 @@ from torch import Tensor
 from bokehguide.render.vector import polar_angle
 
 RIM = 1.0 - 1e-6
-"""Draws end so far from the centre that rounding leaves them in the shape."""
+"""Samples end at this share of the distance to the rim, so that rounding leaves them inside."""
 
 
 class Iris:
-    """An opening whose corners lie on the unit circle, between `blades` equal arcs; 0: the whole disc.
+    """An opening between equal arcs, whose corners lie on the unit circle.
 
-    The middle of one arc lies to the right. curvature: of the arcs, as a share of the circle's:
-    0 straight, 1 the circle itself. edge: W = 1 + edge · (2t² - 1), where t is the distance
-    from the centre as a share of that to the rim; -1 is dark at the rim, 1 in the centre.
+    blades: number of arcs, the middle of one of them to the right; 0: a disc. curvature: of the arcs, relative to the circle's, 0
+    for straight blades. edge: W = 1 + edge · (2 t² - 1), where t is the distance from the centre relative to the rim's; -1 is
+    dark at the rim, 1 in the centre.
 
-    The shape consists of `blades` × 2 mirrored sectors between an arc's middle and its end.
+    Computations use 2 `blades` mirrored sectors, each between the middle and the end of an arc.
     """
 
     reach = 1.0
@@ -39,9 +38,9 @@ class Iris:
         height = math.sin(self._half)
         self._curvature = c
         self._middle = math.cos(self._half) + c * height**2 / (1.0 + math.sqrt(1.0 - (c * height) ** 2))
-        """Distance of an arc's middle from the centre."""
+        """Distance of the middle of an arc from the centre."""
         self._end = math.asin(c * height) / c if c > 0.0 else height
-        """Half an arc's length."""
+        """Half the length of an arc."""
         self._sector = self._swept(self._end)
         self.area = 2 * self._blades * self._sector
 
@@ -63,7 +62,7 @@ class Iris:
         x, y = points.unbind(0)
         angle = polar_angle(y, x)
         angle = angle - 2.0 * self._half * (angle / (2.0 * self._half)).round()
-        # The arc in polar coordinates, in a form that holds for a straight one too.
+        # Polar form of the arc, valid for a straight one too.
         c, m = self._curvature, self._middle
         flat = 1.0 - c * m
         rim = m * (1.0 + flat) / (flat * angle.cos() + (1.0 - (flat * angle.sin()).square()).sqrt())
@@ -71,10 +70,10 @@ class Iris:
         return torch.where(share <= 1.0, 1.0 + self.edge * (2.0 * share - 1.0), 0.0)
 
     def _swept(self, arc):
-        """Area between the centre and an arc from its middle to so far along it; a number or a Tensor.
+        """Area between the centre and an arc, from the middle of the arc to a length s along it; a number or a Tensor.
 
-        ½ [m s + d (s - R sin(s / R))], with the arc's radius R = 1 / curvature about a centre
-        at -d = m - R, as a series in s / R that takes straight blades in.
+        ½ [m s + d (s - R sin(s / R))], where the arc has the radius R = 1 / curvature and the centre -d = m - R. The series in s
+        / R is valid for straight blades too.
         """
         z = (self._curvature * arc) ** 2
         series = 1.0 - z / 20.0 * (1.0 - z / 42.0 * (1.0 - z / 72.0 * (1.0 - z / 110.0)))
@@ -82,10 +81,9 @@ class Iris:
         return 0.5 * arc * (self._middle + bend * arc**2 / 6.0 * series)
 
     def _arc_length(self, share: Tensor) -> Tensor:
-        """How far along its arc a sector has swept this share of its area.
+        """Length along an arc at which a sector has covered this share of its area, `[N]`.
 
-        Two Newton steps: the area is nearly linear in the length, and exactly so for straight
-        blades and for the circle.
+        Two Newton steps: the area is nearly linear in the length, and linear for straight blades and for the circle.
         """
         arc = share * self._end
         c, bend = self._curvature, self._curvature - self._middle * self._curvature**2
@@ -95,20 +93,19 @@ class Iris:
         return arc
 
     def _share(self, uniforms: Tensor) -> Tensor:
-        """t², the share of a sector's area within t, distributed as W has it."""
+        """t², the share of a sector's area within t, distributed as W is."""
         even = 1.0 - self.edge
         return 2.0 * uniforms / (even + (even * even + 4.0 * self.edge * uniforms).sqrt())
 
 
 class Mask:
-    """A picture of the transmission, its longer side 2 units long, bilinear between the middles of its texels.
+    """An image of the transmission, bilinear between the centres of its texels; its longer side is 2 units long.
 
-    image: float `[H, W]`, not negative and not all 0, top row first. Around it all is dark, so
-    that its border fades over a texel. The area is that of the cells between texels of which one
-    lets light through.
+    image: float `[H, W]`, non-negative and not all 0, top row first. It is 0 outside, so that its border fades over a texel. The
+    area is that of the cells between texels of which at least one is positive.
 
-    Bilinear interpolation is a sum of tents, one a texel, and so are the draws: a texel in
-    proportion to its value, and a point of its tent.
+    Bilinear interpolation is a sum of tents, one for each texel. Sampling chooses a texel in proportion to its value, and a point
+    of its tent.
     """
 
     def __init__(self, image: np.ndarray, device: torch.device | str = "cpu"):
@@ -148,12 +145,12 @@ class Mask:
 
 
 def _before(cumulative: Tensor, index: Tensor) -> Tensor:
-    """The sum of all before each index."""
+    """Sum of the values before each index."""
     return torch.where(index > 0, cumulative[(index - 1).clamp(min=0)], 0.0)
 
 
 def _choose(cumulative: Tensor, low: Tensor | float, high: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
-    """Indices drawn where the cumulative sum passes from low to high, and what is left of the uniform numbers."""
+    """Indices drawn by the cumulative sums between low and high, and the remainders of the uniform numbers, in 0 … 1."""
     target = low + (high - low) * uniforms.double()
     index = torch.searchsorted(cumulative, target, right=True).clamp(max=len(cumulative) - 1)
     start = _before(cumulative, index)
@@ -161,6 +158,6 @@ def _choose(cumulative: Tensor, low: Tensor | float, high: Tensor, uniforms: Ten
 
 
 def _tent(uniforms: Tensor) -> Tensor:
-    """Numbers in -1 … 1 with density 1 - |x|."""
+    """Numbers in -1 … 1 with density 1 - |x|, from uniform ones."""
     half = 1.0 - (1.0 - (2.0 * uniforms - 1.0).abs()).sqrt()
     return torch.where(uniforms < 0.5, -half, half)

@@ -1,8 +1,7 @@
 """The thin-lens camera: raster positions, focus points, rays.
 
-The camera frame has its origin at the lens centre, x right, y up and z along the
-optical axis into the scene; it is left-handed, the world right-handed.
-Raster positions are in pixels, from the top left corner of the film.
+The camera frame has its origin at the lens centre, x right, y up and z along the optical axis into the scene. It is left-handed;
+the world is right-handed. Raster positions are in pixels from the top left corner of the film.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from bokehguide.scene import types
 
 
 class ThinLensCamera:
-    """Maps raster positions and lens points to world rays, and world points back."""
+    """Maps raster positions and lens points to world rays, and points of the camera frame to raster positions."""
 
     def __init__(self, camera: types.Camera, width: int, height: int, device: torch.device | str = "cpu"):
         self.width, self.height = width, height
@@ -46,26 +45,26 @@ class ThinLensCamera:
         return torch.stack((0.5 * self.width + points[0] * scale, 0.5 * self.height - points[1] * scale))
 
     def focus_points(self, raster: Tensor) -> Tensor:
-        """x_F, camera frame `[3, N]`: where every ray of a raster position meets the focal plane."""
+        """x_F in the camera frame, `[3, N]`: the points on the focal plane that all rays of raster positions `[2, N]` meet."""
         x, y = self.slopes(raster).unbind(0)
         distance = self.lens.focus_distance
         return torch.stack((x * distance, y * distance, torch.full_like(x, distance)))
 
     def rays(self, focus: Tensor, lens_points: Tensor) -> tuple[Tensor, Tensor]:
-        """World origins and unit directions `[3, N]` from lens points `[2, N]` through x_F `[3, N]`."""
+        """World origins and unit directions `[3, N]` of rays from lens points `[2, N]` through focus points `[3, N]`."""
         origin = torch.cat((lens_points, torch.zeros_like(lens_points[:1])))
         direction = normalize(focus - origin)
         return self.axes @ origin + self.position, self.axes @ direction
 
     def depth(self, distance: Tensor, directions: Tensor) -> Tensor:
-        """Metres along the axis `[N]` to what world `directions` `[3, N]` met at `distance` `[N]`, NO_DEPTH for a miss."""
+        """Depth along the axis, metres, of hits at `distance` `[N]` in world `directions` `[3, N]`; NO_DEPTH for misses."""
         return torch.where(distance < MISS_DISTANCE, distance * (self.axes[:, 2] @ directions), NO_DEPTH)
 
     def coc_diameter(self, depth: Tensor) -> Tensor:
         """Diameter in pixels of the circle of confusion at `depth` (metres along the axis), Eq. 23.
 
-        The printed denominator is the textbook one; in this geometry a point's disc on the
-        sensor has the diameter 2 r |Z - d_F| / Z · d_s / d_F.
+        The paper's denominator is that of the textbook. In this geometry, the disc of a point on the sensor has the diameter
+        2 r |Z - d_F| / Z · d_s / d_F.
         """
         lens = self.lens
         return 2.0 * lens.radius * (depth - lens.focus_distance).abs() / (depth * lens.focus_distance * self.pixel_slope)

@@ -1,4 +1,4 @@
-"""The aperture on the lens plane: where light passes, and how lens points are drawn over it."""
+"""The aperture on the lens plane: transmission, and uniform sampling of lens points."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from bokehguide.limits import FARTHEST_FOCUS
-from bokehguide.render.aperture import Iris, Mask
-from bokehguide.render.kernels import kernel
-from bokehguide.render.transfers import sent
+from bokehguide.render.aperture import RIM, Iris, Mask
+from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime.device import to_device
 from bokehguide.scene import types
 
 
@@ -19,11 +19,9 @@ from bokehguide.scene import types
 class Lens:
     """A thin lens with a round aperture.
 
-    Lens points are `[2, N]`, metres, in the camera frame (x right, y up) with the lens
-    centre at the origin. Densities are per unit lens area (1/m²).
+    Lens points are `[2, N]`, metres, in the camera frame. Densities are per unit lens area (1/m²).
 
-    radius: of the circle about the centre that holds the aperture, metres.
-    focus_distance: metres along the optical axis.
+    radius: of the circle about the centre that contains the aperture, metres; focus_distance: metres along the optical axis.
     """
 
     radius: float
@@ -31,30 +29,31 @@ class Lens:
 
     @property
     def vignettes(self) -> bool:
-        """Whether the aperture is smaller towards the frame's edge than on the axis."""
+        """Whether the aperture shrinks towards the edge of the frame."""
         return False
 
     @property
     def area(self) -> float:
-        """A, the aperture's area in m² as it is seen from the axis."""
+        """A, area of the aperture as seen from the axis, m²."""
         return math.pi * self.radius**2
 
     def contains(self, points: Tensor) -> Tensor:
-        """Whether lens points `[2, N]` lie in the aperture as it is seen from the axis, bool `[N]`."""
+        """Whether lens points `[2, N]` lie in the aperture as seen from the axis, bool `[N]`."""
         return self.transmission(points) > 0.0
 
     def sample(self, uniforms: Tensor) -> Tensor:
-        """Points `[2, N]` with density 1/A from uniform numbers `[2, N]`; rounding never leaves the rim."""
-        radius = self.radius * (1.0 - 1e-6) * uniforms[0].sqrt()
+        """Points `[2, N]` with density 1 / A from uniform numbers `[2, N]`, all within the rim despite rounding."""
+        radius = self.radius * RIM * uniforms[0].sqrt()
         angle = 2.0 * math.pi * uniforms[1]
         return torch.stack((radius * angle.cos(), radius * angle.sin()))
 
     def transmission(self, points: Tensor) -> Tensor:
-        """W of Eq. 6 on the axis, of mean 1 over the aperture, `[N]`: W / A is the density of `sample`."""
-        return _within(points, sent(self.radius**2, points.device, points.dtype))
+        """W of Eq. 6 on the axis at lens points `[2, N]`, with mean 1 over the aperture, `[N]`; W / A is the density of
+        `sample`."""
+        return _within(points, to_device(self.radius**2, points.device, points.dtype))
 
     def unblocked(self, points: Tensor, focus: Tensor) -> Tensor:
-        """The share of W that is left off the axis, at lens points `[2, N]` towards focus points `[3, N]`, `[N]`."""
+        """Share of W that remains off the axis, at lens points `[2, N]` towards focus points `[3, N]`, `[N]`."""
         return torch.ones_like(points[0])
 
 
@@ -62,11 +61,10 @@ class Lens:
 class ShapedLens(Lens):
     """A thin lens with an aperture of any shape.
 
-    pupil: the shape, for a radius of 1. scale: metres of that radius. turn: radians, by which the
-    pupil is turned, anticlockwise. ratio: by which it is then divided in width.
-    cat_eye: how far a disc as large as the pupil's circle, squeezed with it, has moved against it
-    where a pixel lies in the frame's corner, in its radii; no light passes beyond that disc. corner:
-    half the frame's diagonal at unit distance.
+    pupil: shape, for a radius of 1; scale: that radius in metres; turn: rotation of the pupil, radians anticlockwise; ratio:
+    divisor of its width after the rotation. cat_eye: shift, in radii, of the disc of the lens barrel against the pupil for a
+    pixel in the corner of the frame, 0 without one; light passes the intersection only. The disc is as large as the pupil's
+    circle, and squeezed as the pupil is. corner: half the frame's diagonal at unit distance.
     """
 
     pupil: Iris | Mask
@@ -85,15 +83,16 @@ class ShapedLens(Lens):
         return self.pupil.area * self.scale**2 / self.ratio
 
     def sample(self, uniforms: Tensor) -> Tensor:
-        """Points `[2, N]` with density W / A from uniform numbers `[2, N]`."""
+        """See `Lens`."""
         x, y = _turned(self.scale * self.pupil.sample(uniforms), self.turn)
         return torch.stack((x / self.ratio, y))
 
     def transmission(self, points: Tensor) -> Tensor:
+        """See `Lens`."""
         return self.pupil.transmission(_turned(self._widened(points), -self.turn))
 
     def unblocked(self, points: Tensor, focus: Tensor) -> Tensor:
-        """1 within the second disc, which lies towards the frame's centre, as a lens barrel's front rim does; else 0."""
+        """See `Lens`: 1 within the disc of the lens barrel, which moves towards the frame's centre, else 0."""
         if not self.vignettes:
             return torch.ones_like(points[0])
         shift = focus[:2] / (focus[2] * self.corner) * (self.cat_eye * self.pupil.reach)
@@ -101,20 +100,18 @@ class ShapedLens(Lens):
         return (x * x + y * y <= self.pupil.reach**2).to(torch.float32)
 
     def _widened(self, points: Tensor) -> Tensor:
-        """Lens points in the pupil's units, and not squeezed."""
+        """Lens points in units of the pupil, before its width is divided."""
         return torch.stack((points[0] * self.ratio, points[1])) / self.scale
 
 
 def make_lens(camera: types.Camera, corner: float, device: torch.device | str) -> Lens:
-    """The lens of `camera`; corner: half the frame's diagonal at unit distance."""
+    """Lens of a camera; corner: half the frame's diagonal at unit distance."""
     shape = camera.aperture
     focus_distance = min(camera.focus_distance, FARTHEST_FOCUS)
     if shape is None or camera.aperture_radius == 0.0:
         return Lens(camera.aperture_radius, focus_distance)
-    if shape.image is None:
-        pupil = Iris(shape.blades, shape.curvature, shape.edge)
-    else:
-        pupil = Mask(shape.image, device)
+    image = shape.image
+    pupil = Iris(shape.blades, shape.curvature, shape.edge) if image is None else Mask(image, device)
     radius = camera.aperture_radius * pupil.reach * max(1.0, 1.0 / shape.ratio)
     turn = math.radians(shape.rotation)
     unit = camera.aperture_radius
@@ -123,12 +120,12 @@ def make_lens(camera: types.Camera, corner: float, device: torch.device | str) -
 
 @kernel
 def _within(points: Tensor, squared: Tensor) -> Tensor:
-    """1 for points `[2, N]` within the circle of this squared radius, 0 for others, float32 `[N]`."""
+    """1 for points `[2, N]` within a circle of radius² `squared`, else 0, float32 `[N]`."""
     x, y = points
     return (x * x + y * y <= squared).to(torch.float32)
 
 
 def _turned(points: Tensor, angle: float) -> Tensor:
-    """Points `[2, N]`, turned anticlockwise by an angle in radians."""
+    """Points `[2, N]` rotated anticlockwise by an angle in radians."""
     cos, sin = math.cos(angle), math.sin(angle)
     return torch.stack((cos * points[0] - sin * points[1], sin * points[0] + cos * points[1]))

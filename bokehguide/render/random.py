@@ -1,24 +1,20 @@
 """Random numbers keyed by seed, step, pixel and dimension.
 
-Each number is a hash of its key, so it does not depend on threads, on batches, on the
-order of tracing or on which other pixels are rendered.
+Each number is a hash of its key. It does not depend on threads, batches, the order of tracing, or on which other pixels are
+rendered.
 
-Numbers come in two kinds. Those of `uniform` are independent. Those of `stratified` fill
-the unit cube evenly over the steps of a pixel: they are a Sobol' sequence, scrambled for
-every pixel and dimension by a random I-binomial matrix (Tezuka and Faure 2003) and a random
-digital shift, whose variance is that of Owen's nested scrambling (Owen 2003). Each of them is
-uniform and those of one step are independent, but given a pixel's earlier steps they are
-not: nothing that was learnt from those may decide what a number is used for.
+There are two kinds of numbers. Those of `uniform` are independent. Those of `stratified` cover the unit cube evenly over the
+steps of a pixel: a Sobol' sequence, scrambled for each pixel and dimension by a random I-binomial matrix (Tezuka and Faure 2003)
+and a random digital shift, whose variance is that of Owen's nested scrambling (Owen 2003). Each of these numbers is uniform, and
+those of one step are independent. Given the earlier steps of a pixel, they are not.
 
-Lens points whose density is learnt step by step therefore take independent numbers. The film position
-x and the first bounce b may be stratified all the same: given them and the past, the
-average of f(x, l, b) / q(l | x) over the lens point l is the integral of f over the lens,
-whatever q has become, and nothing of the past is left in it.
+A density that adapts to the earlier steps of a pixel may therefore be sampled with independent numbers only. All other numbers of
+the path may be stratified: for film position x and first bounce b, the mean of f(x, l, b) / q(l | x) over the lens point l, given
+the past, is the integral of f over the lens, whatever the density q.
 
-Lens points may be stratified too, over a block of steps for which their density was settled
-before the block began: the block's scramble is its own, so that it knows nothing of the past
-that settled it. The same holds for light samples whose choice is learnt, and then for first
-bounces as well: how much one counts beside a light sample (MIS) depends on what was learnt.
+An adaptive density may be sampled with stratified numbers over a range of steps in which it does not change, if the sequence
+starts with the range: its scramble then is independent of the past. For adaptive light sampling, the numbers of the BSDF samples
+of the same vertex need the same range, as their MIS weights depend on the light density.
 """
 
 from __future__ import annotations
@@ -28,19 +24,19 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-from bokehguide.render.kernels import kernel
-from bokehguide.render.transfers import sent
+from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime.device import to_device
 
 _MASK = 0xFFFFFFFF
 _BITS = 31
 _DIRECTIONS = (torch.quasirandom.SobolEngine(8).sobolstate << 1).tolist()
-"""Sobol' direction numbers of _BITS bits (Joe and Kuo 2008), by dimension and bit of the index."""
+"""Direction numbers of Sobol' sequences, of _BITS bits (Joe and Kuo 2008), by dimension and bit of the index."""
 _AT_ONCE = 4
-"""Bits of points are taken so many at once: each number of them is compiled anew."""
+"""The number of bits of a point is rounded up to a multiple of this: each number is compiled separately."""
 
 
 def hash_int(x: int) -> int:
-    """32-bit integer hash (Wellons' `lowbias32`); a bijection."""
+    """32-bit integer hash (`lowbias32` by Wellons), a bijection."""
     x &= _MASK
     x = ((x ^ (x >> 16)) * 0x7FEB352D) & _MASK
     x = ((x ^ (x >> 15)) * 0x846CA68B) & _MASK
@@ -65,13 +61,14 @@ def hash_tensor(x: Tensor) -> Tensor:
 
 
 def shuffle_index(index: int, key: int) -> int:
-    """A random reordering of 0, 1, 2, … that keeps every aligned block of 2^k together, and 2^k … 2^(k+1) - 1 in place."""
+    """Place of `index` in a random permutation of 0, 1, 2, … that keeps aligned blocks of 2^k together, and the set 2^k … 2^(k+1)
+    - 1."""
     bits = [hash_int(key + hash_int((index >> bit) * 32 + bit)) & 1 for bit in range(1, index.bit_length())]
     return index ^ sum(flip << bit for bit, flip in enumerate(bits))
 
 
 def sobol_point(index: int, dimension: int) -> int:
-    """Coordinate of the Sobol' point `index`, as an integer of _BITS bits."""
+    """Coordinate of Sobol' point `index`, an integer of _BITS bits."""
     value = 0
     for bit in range(index.bit_length()):
         value ^= _DIRECTIONS[dimension][bit] * (index >> bit & 1)
@@ -79,12 +76,12 @@ def sobol_point(index: int, dimension: int) -> int:
 
 
 def _places(point: int) -> list[int]:
-    """Places of the ones among its _BITS bits, from the highest down."""
+    """Places of the ones among the _BITS bits of a point, from the highest down."""
     return [place for place in range(_BITS) if point >> (_BITS - 1 - place) & 1]
 
 
 def _to_unit(bits: Tensor) -> Tensor:
-    """Float32 in (0, 1) from the upper 23 of the _BITS lower bits of int32 values, which it overwrites."""
+    """Float32 in (0, 1) from the upper 23 of the _BITS lower bits of int32 values, which are overwritten."""
     return bits.bitwise_right_shift_(8).bitwise_and_(0x7FFFFF).to(torch.float32).add_(0.5).mul_(2.0**-23)
 
 
@@ -96,22 +93,21 @@ def _uniform(pixel_keys: Tensor, keys: Tensor) -> Tensor:
 
 @kernel
 def _scrambled(pixel_keys: Tensor, keys: Tensor, places: Tensor) -> Tensor:
-    """Points of Sobol' sequences, float32 `[keys, N]`, scrambled by every key and pixel.
+    """Points of Sobol' sequences, float32 `[keys, N]`, scrambled by each key and pixel.
 
-    places: of the ones among the points' bits, from the highest down, float32 `[ones, keys]`; _BITS where there are fewer.
+    places: of the ones among the bits of the points, from the highest down, float32 `[ones, keys]`, padded with _BITS.
     """
     values = hash_tensor(pixel_keys ^ keys[:, None])
-    columns = (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)  # the first ones of the matrices
+    columns = (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)  # the first columns of the matrices
     for place in places.to(torch.int32):
         values ^= columns >> place[:, None]
     return _to_unit(values)
 
 
 class PixelRandom:
-    """Uniform numbers for the paths of some pixels at one step.
+    """Random numbers for the paths of some pixels in one step.
 
-    seed, step: any integers; the first step is 1. pixels: int32 `[N]`, flat pixel indices.
-    `select` follows the compaction of ended paths.
+    seed, step: any integers; the first step is 1. pixels: flat pixel indices, int32 `[N]`.
     """
 
     def __init__(self, seed: int, step: int, pixels: Tensor):
@@ -121,11 +117,11 @@ class PixelRandom:
         self.index = (step - 1) & 0x3FFFFFFF
 
     def select(self, index: Tensor) -> PixelRandom:
-        """The generator of the paths at `index`, int64 `[M]`."""
+        """Random numbers of the paths at `index`, int64 `[M]`."""
         return self._with(self.pixel_keys.index_select(0, index))
 
     def copies(self, number: Tensor) -> PixelRandom:
-        """Numbers of their own for the copies 1, 2, … of a path, int64 `[N]`; those of number 0 stay what they are."""
+        """Random numbers of copies of paths; number: of the copy, int64 `[N]`. Copy 0 keeps the numbers of the path."""
         others = hash_tensor(self.pixel_keys ^ hash_tensor(number.to(torch.int32)))
         return self._with(torch.where(number > 0, others, self.pixel_keys))
 
@@ -137,22 +133,21 @@ class PixelRandom:
     def uniform(self, dimension: int, count: int) -> Tensor:
         """Numbers of dimensions `dimension … dimension + count - 1`, float32 `[count, N]`.
 
-        Multiples of 2^-23 shifted by half a step: never 0 and never 1.
+        Multiples of 2^-23, shifted by half of that: neither 0 nor 1.
         """
         return _uniform(self.pixel_keys, self._keys(self.step_key + 0x3C6EF372 * (dimension + i) for i in range(count)))
 
     def _keys(self, keys: Iterable[int]) -> Tensor:
-        return sent([_signed(hash_int(key)) for key in keys], self.pixel_keys.device, torch.int32)
+        return to_device([_signed(hash_int(key)) for key in keys], self.pixel_keys.device, torch.int32)
 
     def stratified(self, dimension: int, count: int, first: int = 1) -> Tensor:
-        """Like `uniform`, with numbers that are one point of a `count`-dimensional sequence over the steps from `first` on.
+        """Like `uniform`, with numbers from a `count`-dimensional sequence, count ≤ 8, over the steps from `first` on.
 
-        `dimension` and `first` name the sequence; at most 8 dimensions. Sequences of different
-        names are independent but for being evenly spread each.
+        Each pair of `dimension` and `first` has a sequence of its own; different sequences are scrambled independently.
         """
         key = hash_int(self.seed_key + 0x3C6EF372 * dimension + hash_int(first - 1))
         index = shuffle_index(self.index - (first - 1), key)
         ones = [_places(sobol_point(index, i)) for i in range(count)]
         rows = max(-(-max(map(len, ones)) // _AT_ONCE), 1) * _AT_ONCE
         places = [[float(point[row] if row < len(point) else _BITS) for point in ones] for row in range(rows)]
-        return _scrambled(self.pixel_keys, self._keys(key + i for i in range(count)), sent(places, self.pixel_keys.device))
+        return _scrambled(self.pixel_keys, self._keys(key + i for i in range(count)), to_device(places, self.pixel_keys.device))

@@ -1,4 +1,4 @@
-"""All textures of a scene in one array, so that one gather a texel corner serves every hit of a batch."""
+"""All textures of a scene in one array: one gather for each texel corner serves all hits of a batch."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from torch import Tensor
 from bokehguide.scene.types import Texture
 
 HALF_MAX = 65504.0
-"""The largest half float; brighter textures are stored as a fraction of their maximum."""
+"""Largest half float; textures with larger values are stored divided by their maximum."""
 _IDENTITY = Texture.transform
 
 
 class TextureAtlas:
-    """Linear RGBA textures one after the other, a texel's four half floats in one int64.
+    """Linear RGBA textures, one after another; an int64 holds the four half floats of a texel.
 
-    `add` returns the texture's number (-1 for None); `build` fixes the atlas. Images of
-    three channels get an alpha of 1.
+    `add` returns the number of a texture, -1 for None; `build` completes the atlas. Images of three channels get an alpha of 1.
     """
 
     def __init__(self) -> None:
@@ -27,10 +26,9 @@ class TextureAtlas:
         self._numbers: dict[tuple, int] = {}
 
     def add(self, texture: Texture | None, signed: bool = False) -> int:
-        """The texture's number; the same image is stored once.
+        """Number of the texture; equal images are stored once.
 
-        signed: look-ups give 2 x - 1, as normal maps mean it; stored so, they lose no
-        digits near 0.
+        signed: look-ups return 2 x - 1, as for normal maps. Stored so, values near 0 keep their digits.
         """
         if texture is None:
             return -1
@@ -86,7 +84,7 @@ class TextureAtlas:
         return color.T.contiguous()
 
     def _neighbours(self, number: Tensor, coordinate: Tensor, axis: int) -> tuple[tuple[Tensor, Tensor], Tensor]:
-        """Texel indices on both sides of u or v, and the second one's weight."""
+        """Texel indices on both sides of a coordinate `[N]`, and the weight of the second."""
         size = self._sizes[axis].index_select(0, number)
         x = coordinate * size - 0.5
         floor = x.floor()
@@ -95,12 +93,13 @@ class TextureAtlas:
             return (index % size, (index + 1) % size), x - floor
         low, high, period = self._bounds[axis].index_select(1, number)
         pair = (torch.minimum(torch.maximum(i, low), high) % period for i in (index, index + 1))
-        # The second half of a mirrored period runs backwards; the others end before it.
-        return tuple(torch.minimum(i, 2 * size - 1 - i) for i in pair), x - floor
+        # The second half of a mirrored period is reversed; other textures end before it.
+        first, second = (torch.minimum(i, 2 * size - 1 - i) for i in pair)
+        return (first, second), x - floor
 
 
 def _halves(image: np.ndarray, signed: bool) -> tuple[Tensor, float]:
-    """Texels `[H W, 4]` as half floats, and the factor that was taken out of them."""
+    """Texels `[H W, 4]` as half floats, and the factor by which they were divided."""
     texels = torch.ones(image.shape[0] * image.shape[1], 4, dtype=torch.float16)
     values = torch.from_numpy(np.ascontiguousarray(image, np.float32)).reshape(len(texels), -1)
     if signed:

@@ -10,13 +10,14 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from torch import Tensor
 
-from bokehguide.render.transfers import fetched, sent
+from bokehguide.runtime.device import to_device, to_host
 
 MISS_DISTANCE = 1e37
+"""Distance of rays that hit nothing, metres."""
 
 
 class Hit(NamedTuple):
-    """Nearest hits of N rays. triangle: int32, -1 for a miss; u, v: weights of vertices 1 and 2."""
+    """Nearest hits of N rays, `[N]` each. triangle: int32, -1 for a miss; u, v: weights of vertices 1 and 2."""
 
     triangle: Tensor
     distance: Tensor
@@ -27,11 +28,10 @@ class Hit(NamedTuple):
 class Tracer:
     """A static Embree scene of one triangle mesh. Threads may call it side by side.
 
-    vertices: finite, float32 `[V, 3]`; triangles: int32 `[T, 3]`. Embree reads and writes beyond
-    arrays that are too short or have a bad index, and embreex lets it: all that goes there goes
-    through this class and is checked here once more. Raises ValueError.
+    vertices: finite, float32 `[V, 3]`; triangles: int32 `[T, 3]`. Raises ValueError: embreex checks neither shapes nor indices,
+    and Embree reads and writes beyond arrays that are too short.
 
-    A ray that is NaN or infinite hits nothing.
+    A NaN or infinite ray hits nothing.
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray):
@@ -43,29 +43,27 @@ class Tracer:
         if not np.isfinite(vertices).all():
             raise ValueError("vertices must be finite")
         self._scene = EmbreeScene(robust=True)
-        self._mesh = TriangleMesh(
-            self._scene, np.ascontiguousarray(vertices), np.ascontiguousarray(triangles)
-        )
+        self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(vertices), np.ascontiguousarray(triangles))
         far = np.full((1, 3), 1e30, np.float32)
         self._scene.run(far, np.ones((1, 3), np.float32))  # commits, before any thread does
 
     def intersect(self, origins: Tensor, directions: Tensor, limits: Tensor | None = None) -> Hit:
-        """Nearest hits of rays `[3, N]` within `limits` `[N]`; Embree reads the component arrays without a copy.
+        """Nearest hits of rays `[3, N]` within distances `limits` `[N]`; a miss has the distance MISS_DISTANCE, or its limit.
 
-        The distance of a miss is MISS_DISTANCE, or its limit.
+        Embree reads the component arrays without a copy.
         """
         _check_rays(origins, directions, limits)
-        origin, direction, *limit = fetched(origins, directions, *(() if limits is None else (limits,)))
-        limit = limit[0].numpy().copy() if limit else None  # Embree writes into it
-        found = self._scene.run(origin.numpy().T, direction.numpy().T, dists=limit, output=True)
-        return Hit(*(sent(found[key], origins.device) for key in ("primID", "tfar", "u", "v")))
+        origin, direction, *limit = to_host(origins, directions, *(() if limits is None else (limits,)))
+        distance = limit[0].numpy().copy() if limit else None  # Embree writes into it
+        found = self._scene.run(origin.numpy().T, direction.numpy().T, dists=distance, output=True)
+        return Hit(*(to_device(found[key], origins.device) for key in ("primID", "tfar", "u", "v")))
 
     def visible(self, origins: Tensor, directions: Tensor, distances: Tensor) -> Tensor:
-        """1 where nothing lies within `distances` `[N]` along the rays `[3, N]`, else 0; float32 `[N]`."""
+        """1 where rays `[3, N]` hit nothing within `distances` `[N]`, else 0; float32 `[N]`."""
         _check_rays(origins, directions, distances)
-        origin, direction, distance = (values.numpy() for values in fetched(origins, directions, distances))
+        origin, direction, distance = (values.numpy() for values in to_host(origins, directions, distances))
         blocked = self._scene.run(origin.T, direction.T, dists=distance, query="OCCLUDED")
-        return sent(blocked, origins.device).neg().to(torch.float32)
+        return to_device(blocked, origins.device).neg().to(torch.float32)
 
 
 def _check_rays(origins: Tensor, directions: Tensor, limits: Tensor | None) -> None:

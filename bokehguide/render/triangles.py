@@ -1,28 +1,31 @@
-"""What is known about each triangle of a scene, as component arrays `[rows, T]` on the host.
+"""Attributes of all triangles of a scene, as component arrays `[rows, T]` on the host.
 
-Values that vary over a triangle are kept as the first corner's and its differences to the
-other two: value + u Δ1 + v Δ2 at a hit's u and v.
+Attributes that vary over a triangle are stored as the value of the first corner and its differences to the other two: a hit at u
+and v has value + u Δ1 + v Δ2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from bokehguide.scene.types import Mesh, Texture
 
+SHORTEST = 1e-37
+"""Vectors are divided by at least this length: a zero vector stays zero."""
 
-def spans(meshes: tuple[Mesh, ...]) -> Iterator[tuple[Mesh, slice]]:
-    """Each mesh and where its triangles lie among those of all."""
+
+def spans(meshes: Sequence[Mesh]) -> Iterator[tuple[Mesh, slice]]:
+    """Each mesh, and the place of its triangles among all."""
     start = 0
     for mesh in meshes:
         yield mesh, slice(start, start + len(mesh.triangles))
         start += len(mesh.triangles)
 
 
-def joined(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """All vertices, float32 `[V, 3]`, and the triangles' indices into them, int32 `[T, 3]`."""
+def joined(meshes: Sequence[Mesh]) -> tuple[np.ndarray, np.ndarray]:
+    """All vertices, float32 `[V, 3]`, and the vertex indices of all triangles, int32 `[T, 3]`."""
     offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
     triangles = np.concatenate([mesh.triangles for mesh in meshes], dtype=np.int32)
     for (_, span), offset in zip(spans(meshes), offsets):
@@ -30,14 +33,14 @@ def joined(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([mesh.vertices for mesh in meshes], dtype=np.float32), triangles
 
 
-def normal_rows(meshes: tuple[Mesh, ...]) -> np.ndarray:
+def normal_rows(meshes: Sequence[Mesh]) -> np.ndarray:
     """Unit geometric normals, then shading normals to interpolate: `[12, T]`."""
     rows = np.zeros((12, sum(len(mesh.triangles) for mesh in meshes)), np.float32)
     for mesh, span in spans(meshes):
         _, first, second = _differences(mesh.vertices, mesh.triangles)
         normal = _cross(first, second)
         lengths = np.sqrt(np.einsum("ij,ij->j", normal, normal))
-        rows[0:3, span] = normal / np.maximum(lengths, 1e-37)
+        rows[0:3, span] = normal / np.maximum(lengths, SHORTEST)
         if mesh.normals is None:
             rows[3:6, span] = rows[0:3, span]
         else:
@@ -45,8 +48,8 @@ def normal_rows(meshes: tuple[Mesh, ...]) -> np.ndarray:
     return rows
 
 
-def uv_rows(meshes: tuple[Mesh, ...], uv_sets: tuple[int, ...]) -> np.ndarray:
-    """Texture coordinates `[6, sets, T]` of some of the meshes' sets; 0 where a mesh lacks one."""
+def uv_rows(meshes: Sequence[Mesh], uv_sets: tuple[int, ...]) -> np.ndarray:
+    """Texture coordinates `[6, sets, T]` of some UV sets; 0 where a mesh lacks one."""
     rows = np.zeros((6, len(uv_sets), sum(len(mesh.triangles) for mesh in meshes)), np.float32)
     for mesh, span in spans(meshes):
         for place, uv_set in enumerate(uv_sets):
@@ -55,7 +58,7 @@ def uv_rows(meshes: tuple[Mesh, ...], uv_sets: tuple[int, ...]) -> np.ndarray:
     return rows
 
 
-def color_rows(meshes: tuple[Mesh, ...]) -> np.ndarray:
+def color_rows(meshes: Sequence[Mesh]) -> np.ndarray:
     """Vertex colours `[12, T]`, white and opaque where a mesh has none."""
     rows = np.zeros((12, sum(len(mesh.triangles) for mesh in meshes)), np.float32)
     rows[0:4] = 1.0
@@ -65,10 +68,10 @@ def color_rows(meshes: tuple[Mesh, ...]) -> np.ndarray:
     return rows
 
 
-def tangent_rows(meshes: tuple[Mesh, ...], normal_maps: list[Texture | None]) -> np.ndarray:
-    """Tangents to interpolate and the bitangent's sign for the materials' `normal_maps`: `[10, T]`.
+def tangent_rows(meshes: Sequence[Mesh], normal_maps: list[Texture | None]) -> np.ndarray:
+    """Tangents to interpolate and the sign of the bitangent for the `normal_maps` of the materials: `[10, T]`.
 
-    A tangent is 0 where there is no normal map, or no direction in which its u grows.
+    A tangent is 0 without a normal map, or where its u is constant.
     """
     rows = np.zeros((10, sum(len(mesh.triangles) for mesh in meshes)), np.float32)
     for mesh, span in spans(meshes):
@@ -84,22 +87,23 @@ def tangent_rows(meshes: tuple[Mesh, ...], normal_maps: list[Texture | None]) ->
 
 
 def _tangents_from_uvs(mesh: Mesh, uv_set: int, transform: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The direction `[3, T]` in which the texture's u grows, and the sign of the bitangent, its top, `[T]`."""
+    """Direction `[3, T]` of growing u of the texture, and the sign of the bitangent, which points to its top, `[T]`."""
     _, first, second = _differences(mesh.vertices, mesh.triangles)
+    assert mesh.uvs is not None
     _, du, dv = _differences(mesh.uvs[:, uv_set], mesh.triangles)
     linear = np.array(transform, np.float32).reshape(2, 3)[:, :2]
     (u1, v1), (u2, v2) = linear @ du, linear @ dv
     sign = np.sign(u1 * v2 - u2 * v1)
     tangent = sign * (v2 * first - v1 * second)
-    tangent /= np.maximum(np.sqrt(np.einsum("ij,ij->j", tangent, tangent)), 1e-37)
-    # dP/dv, which points to the texture's bottom, is sign (u1 second - u2 first).
+    tangent /= np.maximum(np.sqrt(np.einsum("ij,ij->j", tangent, tangent)), SHORTEST)
+    # dP/dv points to the bottom of the texture: sign (u1 second - u2 first).
     up = sign * (u2 * first - u1 * second)
     side = np.einsum("ij,ij->j", _cross(_cross(first, second), tangent), up)
     return tangent, np.sign(side)
 
 
 def _differences(values: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Component arrays `[C, T]` of vertex values `[V, C]`: first corners, and the other two less these."""
+    """Component arrays `[C, T]` of vertex values `[V, C]`: those of the first corners, and the differences of the other two."""
     values = np.ascontiguousarray(values.T, np.float32)
     first = values[:, triangles[:, 0]]
     return first, values[:, triangles[:, 1]] - first, values[:, triangles[:, 2]] - first

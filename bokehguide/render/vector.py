@@ -1,7 +1,7 @@
 """Vectors as component arrays: a batch of N vectors is one `[3, N]` tensor.
 
-Component arrays keep every operation contiguous. `torch.linalg.vector_norm` and
-`torch.where` are avoided on purpose: on the CPU they cost tens of multiplications.
+Component arrays keep every operation contiguous. Code avoids `torch.linalg.vector_norm` and `torch.where`: on a CPU, either costs
+tens of multiplications.
 """
 
 from __future__ import annotations
@@ -10,6 +10,13 @@ import math
 
 import torch
 from torch import Tensor
+
+from bokehguide.color import LUMINANCE_WEIGHTS
+
+
+def divisor(x: Tensor, least: float = 1e-30) -> Tensor:
+    """Non-negative values as divisors: raised to at least `least`, so that a quotient of 0 by 0 is 0 and no other overflows."""
+    return x.clamp(min=least)
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
@@ -31,23 +38,24 @@ def length(a: Tensor) -> Tensor:
 
 def normalize(a: Tensor) -> Tensor:
     """Unit vectors `[3, N]`; a zero vector stays zero."""
-    return a * dot(a, a).clamp(min=1e-37).rsqrt()
+    return a * divisor(dot(a, a), 1e-37).rsqrt()
 
 
 def polar_angle(y: Tensor, x: Tensor) -> Tensor:
-    """`torch.atan2`, whose last bit depends on an element's place in the batch: a crop would not have the frame's bits."""
-    acute = (y / x.abs().clamp(min=1e-30)).atan()
+    """Angle `[N]` of `torch.atan2`, whose last bit would depend on an element's place in the batch, and so a crop's bits."""
+    acute = (y / divisor(x.abs())).atan()
     return torch.where(x < 0.0, torch.copysign(torch.full_like(y, math.pi), y) - acute, acute)
 
 
 def luminance(color: Tensor) -> Tensor:
     """Rec.709 luminance of linear `[3, N]` colours, `[N]`."""
     red, green, blue = color.unbind(0)
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+    of_red, of_green, of_blue = LUMINANCE_WEIGHTS
+    return of_red * red + of_green * green + of_blue * blue
 
 
 def fifth_power(x: Tensor) -> Tensor:
-    """x⁵, the shape of Schlick's rise."""
+    """x⁵, as in Schlick's approximation."""
     return x.square().square() * x
 
 

@@ -1,4 +1,4 @@
-"""Camera tables: from what a user writes (f-numbers, focal lengths) to a thin lens."""
+"""Camera tables: f-numbers and focal lengths of a scene file as a thin lens."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError
 from bokehguide.limits import SMALLEST
 from bokehguide.scene.apertures import read_aperture
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
-from bokehguide.scene.types import Camera
+from bokehguide.scene.types import Camera, Vector
 
 SENSOR_WIDTH = 36.0
-"""Millimetres; the sensor on which f-numbers are told where none is given."""
+"""Millimetres; the default sensor for focal lengths and f-numbers."""
 
 CAMERA_KEYS = (
     *("position", "target", "up", "fov", "focal_length", "sensor_width"),
@@ -24,10 +23,10 @@ CAMERA_KEYS = (
 
 
 def read_camera(values: dict[str, Any], file: str, files: SceneFiles) -> Camera:
-    """The `[camera]` table of `file` as a Camera; `files` are those that it may name.
+    """The `[camera]` table of `file` as a Camera. files: the files that the table may name.
 
-    Raises BokehguideError for unknown keys, values out of range, contradictions
-    (both ways to give one thing) and a frame without an orientation.
+    Raises BokehguideError for unknown keys, values out of range, two keys for one quantity, and a
+    viewing direction that is zero or parallel to `up`.
     """
     table = Table(values, file, "camera", CAMERA_KEYS)
     table.exclusive("fov", "focal_length")
@@ -35,7 +34,7 @@ def read_camera(values: dict[str, Any], file: str, files: SceneFiles) -> Camera:
     table.exclusive("focus_distance", "focus_point")
     for key in ("position", "target"):
         if key not in table:
-            raise BokehguideError(f"{table.place(key)}: missing; give [x, y, z] in metres")
+            table.missing(key, "give [x, y, z] in metres")
     position = table.vector("position", None)
     target = table.vector("target", None)
     up = table.vector("up", (0.0, 1.0, 0.0))
@@ -52,15 +51,15 @@ def read_camera(values: dict[str, Any], file: str, files: SceneFiles) -> Camera:
 
 
 def focal_length(fov: float, sensor_width: float = SENSOR_WIDTH) -> float:
-    """Millimetres of a lens that sees `fov` degrees across `sensor_width` millimetres."""
+    """The focal length in millimetres with a field of view of `fov` degrees across `sensor_width` millimetres."""
     return 0.5 * sensor_width / math.tan(math.radians(fov) / 2.0)
 
 
-def _viewing_direction(table: Table, position: tuple, target: tuple, up: tuple) -> np.ndarray:
-    """Unit vector from position to target; fails where no camera frame exists."""
+def _viewing_direction(table: Table, position: Vector, target: Vector, up: Vector) -> np.ndarray:
+    """The unit vector from `position` to `target`. Fails if it is undefined or parallel to `up`."""
     towards = np.subtract(target, position)
     distance = np.linalg.norm(towards)
-    # Closer than float32 resolves at this place, the two are one point.
+    # float32 does not resolve smaller distances at this position.
     if distance <= max(SMALLEST, 1e-6 * np.abs(position).max()):
         table.fail("target", "equals position, so there is no direction to look; move one of them")
     forward = towards / distance
@@ -74,6 +73,7 @@ def _viewing_direction(table: Table, position: tuple, target: tuple, up: tuple) 
 
 
 def _field_of_view(table: Table) -> float:
+    """The horizontal field of view in degrees."""
     if "focal_length" not in table:
         if "sensor_width" in table:
             table.fail("sensor_width", "has no focal_length beside it; give both, or fov")
@@ -81,31 +81,31 @@ def _field_of_view(table: Table) -> float:
     length = table.number("focal_length", None, POSITIVE)
     width = table.number("sensor_width", SENSOR_WIDTH, POSITIVE)
     fov = math.degrees(2.0 * math.atan(width / (2.0 * length)))
-    if not ANGLE_OF_VIEW.hold(fov):
+    if not ANGLE_OF_VIEW.contains(fov):
         table.fail("focal_length", f"sees {fov:.3g} degrees of a sensor {width:g} mm wide; give {ANGLE_OF_VIEW.remedy}")
     return fov
 
 
 def _aperture_radius(table: Table) -> float:
-    """Metres; without an aperture the camera is a pinhole."""
+    """The lens radius in metres, 0 without an aperture key."""
     if "f_number" not in table:
         return table.number("aperture_radius", 0.0, NOT_NEGATIVE)
     if "focal_length" not in table:
         table.fail("f_number", "needs a focal_length (mm); give one, or give aperture_radius (m)")
     f_number = table.number("f_number", None, POSITIVE)
     radius = 1e-3 * table.number("focal_length", None, POSITIVE) / (2.0 * f_number)
-    if not NOT_NEGATIVE.hold(radius):
+    if not NOT_NEGATIVE.contains(radius):
         table.fail("f_number", f"makes a lens of radius {radius:g} m; give a larger one")
     return radius
 
 
-def _focus_distance(table: Table, position: tuple, target: tuple, forward: np.ndarray) -> float:
-    """Metres along the optical axis; without a focus the target is in focus."""
+def _focus_distance(table: Table, position: Vector, target: Vector, forward: np.ndarray) -> float:
+    """The focus distance in metres along the optical axis. The default is the target's."""
     if "focus_point" not in table:
         distance = float(np.linalg.norm(np.subtract(target, position)))
         return table.number("focus_distance", distance, IN_FRONT)
     point = table.vector("focus_point", None)
     distance = float(np.subtract(point, position) @ forward)
-    if not IN_FRONT.hold(distance):
+    if not IN_FRONT.contains(distance):
         table.fail("focus_point", "lies behind the lens; give a point in front of the camera")
     return distance

@@ -1,4 +1,4 @@
-"""What a scene holds, as a digest that a file can hold."""
+"""SHA-256 digests of plain scene data."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 
 
 def digest(value: object) -> str:
-    """SHA-256, in hexadecimal, of plain data."""
-    found = hashlib.sha256()
+    """The SHA-256 of plain data, in hexadecimal."""
+    sha = hashlib.sha256()
     for part in contents(value):
-        found.update(part)
-    return found.hexdigest()
+        sha.update(part)
+    return sha.hexdigest()
 
 
 def contents(value: object) -> Iterator[bytes]:
-    """The bytes of plain scene data. A field that has its default is left out: a new one changes no old digest."""
+    """The bytes of plain data. Fields with their default are omitted, so that new fields keep old digests."""
     if is_dataclass(value):
         yield type(value).__name__.encode()
         for field in fields(value):

@@ -1,4 +1,4 @@
-"""What a scene may read: which files, and how much they may unfold to."""
+"""The files that a scene may read, and the memory that its images may take."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from bokehguide.scene.tables import Table, shown
 
 
 class SceneFiles:
-    """The files below one folder, and all that their images come to.
+    """Access to the files below one folder, with a budget for decoded images.
 
-    A scene that somebody else made must neither look into the rest of the disk nor fill the memory.
+    A downloaded scene must neither read the rest of the disk nor exhaust the memory.
 
-    folder: that of the scene file, or of the model that is a scene by itself. allow_outside:
-    whether paths may lead out of it, as parts, absolutely or over a link.
+    folder: of the scene file, or of a model that is rendered alone. allow_outside: permits paths
+    that leave the folder by "..", by an absolute path or by a link.
     """
 
     def __init__(self, folder: Path, allow_outside: bool = False):
@@ -23,17 +23,17 @@ class SceneFiles:
         self._values = self._stored = 0
 
     def find(self, folder: Path, name: str, place: str) -> Path:
-        """The path of the file that is called `name` in the text of a file in `folder`.
+        """The path of the file `name`, which is relative to `folder`.
 
-        place: where that stands. Raises BokehguideError where the path leads out of the scene's
-        folder, whether there is such a file or not, and where no path can be so.
+        place: location of the name, for errors. Raises BokehguideError for an invalid path and for
+        a path outside the scene's folder, even if no such file exists.
         """
         path = folder / name
         if not name.isprintable():
             raise BokehguideError(f"{place}: {shown(name)} is no path (control characters); repair it")
         try:
             inside = path.resolve().is_relative_to(self.folder)
-        except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: links in a circle
+        except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a cycle of links
             reason = getattr(error, "strerror", None) or shown(str(error))
             raise BokehguideError(f"{place}: {shown(name)} is no path ({reason}); repair it") from None
         if not inside and not self.allow_outside:
@@ -43,30 +43,30 @@ class SceneFiles:
         return path
 
     def named(self, table: Table, key: str) -> Path:
-        """The path that the text `key` of a scene file's table names, as `find` gives it."""
+        """The path under `key` of a scene file's table, relative to that file. Raises as `find` does."""
         return self.find(Path(table.file).parent, table.text(key), table.place(key))
 
-    def unfold(self, values: int, stored: int, place: str) -> None:
-        """Count an image of so many `values`, kept in so many bytes.
+    def reserve(self, values: int, stored: int, place: str) -> None:
+        """Add an image of `values` numbers, stored in `stored` bytes, to the budget.
 
-        Raises BokehguideError, naming `place`, where the scene's images come to too much.
+        Raises BokehguideError, naming `place`, if the scene's images exceed the budget.
         """
         self._values, self._stored = self._values + values, self._stored + stored
         if self._values > most_values(self._stored):
             raise BokehguideError(
-                f"{place}: the scene's images would unfold from {self._stored:,} bytes to {self._values:,} values, "
-                "which no picture needs; give smaller ones"
+                f"{place}: the scene's images would decode from {self._stored:,} bytes to {self._values:,} values, "
+                "more than any picture needs; give smaller images"
             )
 
 
 def require_file(path: Path, what: str) -> None:
-    """Raise BokehguideError unless `path` is a file that can be read."""
+    """Raise BokehguideError unless `path` is a readable regular file. what: the kind of file, for the message."""
     try:
         if path.is_dir():
             raise BokehguideError(f"{path}: is a folder; give a file ({what})")
         if not path.exists():
             raise BokehguideError(f"{path}: no such file ({what}); check the path")
-        if not path.is_file():  # a pipe could keep a render waiting for ever
+        if not path.is_file():  # reading a pipe could block for ever
             raise BokehguideError(f"{path}: is no regular file; give one ({what})")
         path.open("rb").close()
     except OSError as error:

@@ -1,4 +1,4 @@
-"""One entrance for everything that can be photographed."""
+"""Scenes by name: built-in scenes, scene files and models."""
 
 from __future__ import annotations
 
@@ -9,33 +9,32 @@ from pathlib import Path
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.overrides import Overrides, override_camera, override_surroundings
+from bokehguide.scene.overrides import NO_OVERRIDES, Overrides, override_camera, override_surroundings
 from bokehguide.scene.types import Scene
 from bokehguide.scene.validation import checked
 
 MODEL_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 
 
-def load_scene(spec: str, overrides: Overrides = Overrides(), allow_outside: bool = False) -> Scene:
+def load_scene(spec: str, overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> Scene:
     """The scene that `spec` names, ready to render.
 
-    spec: the name of a built-in scene, the path of a `.toml` scene file, or the path
-    of a model, which gets a framing camera and a sky where it brings no camera and no light.
-    overrides: take the place of the scene's own values.
-    allow_outside: whether paths in the file may lead out of its folder.
+    spec: the name of a built-in scene, the path of a `.toml` scene file, or the path of a model. A
+    model without a camera gets one that frames it; a model without lights gets a sky.
+    overrides: replace the scene's own values. allow_outside: permits paths that leave the file's folder.
 
-    Raises BokehguideError for anything missing, malformed or out of range.
+    Raises BokehguideError for input that is missing, malformed or out of range.
     """
     suffix = Path(spec).suffix.lower()
     if overrides.camera is not None and suffix not in MODEL_SUFFIXES:
-        raise BokehguideError(f"--camera: {overrides.camera!r}: only models bring cameras to choose from, not {spec}")
+        raise BokehguideError(f"--camera: {overrides.camera!r}: selects a camera of a model, but {spec} is none; leave it out")
     files = SceneFiles(Path(spec).parent, allow_outside)
     if spec in BUILTIN:
         scene = BUILTIN[spec]()
         camera = override_camera(asdict(scene.camera), overrides, scene.name, files)
         scene = replace(scene, camera=camera)
     elif suffix == ".toml":
-        from bokehguide.scene.scenefile import read_scene_file
+        from bokehguide.scene.toml.scene_file import read_scene_file
 
         scene = read_scene_file(Path(spec), overrides, files)
     elif suffix in MODEL_SUFFIXES:

@@ -1,4 +1,4 @@
-"""What a command line may change about any scene."""
+"""Overrides: scene values that the command line replaces."""
 
 from __future__ import annotations
 
@@ -10,26 +10,25 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length, read_camera
+from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.images import load_environment_map
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
-from bokehguide.scene.types import Camera, Environment, Scene
+from bokehguide.scene.types import Camera, Environment, Scene, Vector
 
-Vector = tuple[float, float, float]
+NUMBERS = {"f_number": POSITIVE, "aperture_radius": NOT_NEGATIVE, "focus_distance": IN_FRONT, "fov": ANGLE_OF_VIEW}
 
 
 @dataclass(frozen=True)
 class Overrides:
-    """Values that take the place of a scene's own; None leaves the scene's.
+    """Values that replace a scene's own; None keeps the scene's.
 
-    width, height: pixels. environment: the path of a `.hdr` or `.exr` map, or a
-    radiance "R,G,B", in place of the scene's map or colour. f_number belongs to the scene's focal length or, where it has
-    none, to the one that gives its field of view on a sensor 36 mm wide.
-    aperture_radius, focus_distance, camera_position, camera_target: metres. fov:
-    degrees, horizontal; a scene with a focal length keeps its sensor and its f-number.
-    camera: which of a model's cameras, by name or number, or "frame" for one that frames it.
+    width, height: pixels. environment: the path of a `.hdr` or `.exr` map, or a radiance "R,G,B".
+    f_number: relative to the scene's focal length, or to the focal length with the scene's field of
+    view on a sensor 36 mm wide. aperture_radius, focus_distance, camera_position, camera_target:
+    metres. fov: horizontal, degrees; a scene with a focal length keeps its sensor and f-number.
+    camera: name or number of a model's camera, or "frame" for a camera that frames the model.
 
-    Raises BokehguideError for a value out of range, naming the command line's option.
+    Raises BokehguideError, naming the command-line option, for a value out of range.
     """
 
     width: int | None = None
@@ -53,26 +52,29 @@ class Overrides:
         options.count("height", 1)
         options.text("environment")
         options.text("camera")
-        options.number("f_number", None, POSITIVE)
-        options.number("aperture_radius", None, NOT_NEGATIVE)
-        options.number("focus_distance", None, IN_FRONT)
-        options.vector("camera_position", None)
-        options.vector("camera_target", None)
-        options.number("fov", None, ANGLE_OF_VIEW)
+        for key, limits in NUMBERS.items():
+            options.number(key, 1.0, limits)
+        for key in ("camera_position", "camera_target"):
+            options.vector(key, (0.0, 0.0, 0.0))
 
 
 class _Options(Table):
-    """A table whose keys are options of the command line."""
+    """A table whose keys are command-line options."""
 
     def place(self, key: str) -> str:
+        """The command-line option for `key`."""
         name = key.replace("_", "-")
         return f"--size ({name})" if key in ("width", "height") else f"--{name}"
 
 
-def override_camera(values: dict[str, Any], overrides: Overrides, file: str, files: SceneFiles) -> Camera:
-    """The camera of the table `values` (as `[camera]` in a scene file that may read `files`) with `overrides`.
+NO_OVERRIDES = Overrides()
 
-    Raises BokehguideError for what is wrong in the table itself or after the change.
+
+def override_camera(values: dict[str, Any], overrides: Overrides, file: str, files: SceneFiles) -> Camera:
+    """The camera of the table `values` with `overrides`.
+
+    values: as in `[camera]` of a scene file. files: the files that the table may name. Raises
+    BokehguideError for errors in the table, before or after the change.
     """
     read_camera(values, file, files)
     values = dict(values)
@@ -101,38 +103,28 @@ def override_camera(values: dict[str, Any], overrides: Overrides, file: str, fil
 
 
 def override_surroundings(scene: Scene, overrides: Overrides) -> Scene:
-    """`scene` with the film size and the environment's light of `overrides`.
+    """`scene` with the film size and the radiance of the environment from `overrides`.
 
-    The scene's own `rotation` and `visible` hold for the new light; its intensity went with the old one.
+    The environment keeps its `rotation` and `visible`, but not its intensity.
     """
-    film = replace(
-        scene.film,
-        width=overrides.width or scene.film.width,
-        height=overrides.height or scene.film.height,
-    )
+    film = replace(scene.film, width=overrides.width or scene.film.width, height=overrides.height or scene.film.height)
     scene = replace(scene, film=film)
     if overrides.environment is None:
         return scene
     radiance, warnings = read_radiance(overrides.environment)
-    before = scene.environment
-    environment = Environment(radiance) if before is None else replace(before, radiance=radiance)
+    environment = replace(scene.environment or Environment(radiance), radiance=radiance)
     return replace(scene, environment=environment, warnings=scene.warnings + tuple(warnings))
 
 
 def read_radiance(text: str) -> tuple[np.ndarray, list[str]]:
-    """An environment's light `[H, W, 3]` from "R,G,B" or from the path of a map, and any warnings."""
+    """The radiance `[H, W, 3]` from "R,G,B" or from the path of a map, and warnings."""
     parts = text.split(",")
     try:
         color = [float(part) for part in parts]
     except ValueError:
-        if len(parts) == 3 and not Path(text).suffix.lower() in (".hdr", ".exr"):
+        if len(parts) == 3 and Path(text).suffix.lower() not in (".hdr", ".exr"):
             raise BokehguideError(f"--environment: {text!r} is not three numbers R,G,B") from None
         return load_environment_map(Path(text))
-    if len(color) != 3 or not all(NOT_NEGATIVE.hold(channel) for channel in color):
+    if len(color) != 3 or not all(NOT_NEGATIVE.contains(channel) for channel in color):
         raise BokehguideError(f"--environment: {text!r}; give R,G,B, each {NOT_NEGATIVE.remedy}")
     return constant_radiance(color), []
-
-
-def constant_radiance(color: Vector) -> np.ndarray:
-    """A 1 × 1 map of one colour."""
-    return np.asarray(color, dtype=np.float32).reshape(1, 1, 3)

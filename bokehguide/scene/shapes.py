@@ -1,4 +1,4 @@
-"""The three shapes of a scene file, and how a mesh is moved into world space."""
+"""Built-in shapes, and affine transforms of meshes."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bokehguide.scene.types import Mesh
 
-# 1,280 triangles are the coarsest icosphere whose projected area (0.06 %) and
-# silhouette (0.24 %) are right within 0.1 % and 0.3 %.
 SPHERE_SUBDIVISIONS = 3
+"""1,280 triangles: the error of the projected area is 0.06 %, that of the silhouette 0.24 %."""
 
 
 @lru_cache
 def unit_sphere() -> Mesh:
     """A sphere of radius 1 with exact normals: 1,280 triangles, u around y, v downwards.
 
-    Its vertices lie 0.24 % outside the true sphere, so that the surface area is 4π:
-    by Cauchy's formula its projected area, averaged over all directions, is then π.
+    Its surface area is 4π, so that its mean projected area is π (Cauchy). Its vertices therefore lie
+    0.24 % outside the sphere.
     """
-    from trimesh.creation import icosphere  # trimesh takes a second to import, which nothing waits for that only reads options
+    from trimesh.creation import icosphere  # takes a second to import
 
     ico = icosphere(subdivisions=SPHERE_SUBDIVISIONS)
     points, triangles, uvs = _with_sphere_uvs(np.asarray(ico.vertices), np.asarray(ico.faces))
@@ -37,7 +37,7 @@ def unit_sphere() -> Mesh:
 
 
 def _with_sphere_uvs(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Unwrap a unit sphere; triangles across the seam get vertices of their own, with u > 1."""
+    """Points, triangles and uvs of a unit sphere. Triangles across the seam get their own vertices, with u > 1."""
     u = 0.5 + np.arctan2(points[:, 0], points[:, 2]) / (2.0 * np.pi)
     v = np.arccos(np.clip(points[:, 1], -1.0, 1.0)) / np.pi
     uvs = np.stack([u, v], axis=1)
@@ -53,7 +53,7 @@ def _with_sphere_uvs(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
 
 @lru_cache
 def unit_rectangle() -> Mesh:
-    """A rectangle of 2 × 2 in the xy plane that faces +z."""
+    """A square of side 2 in the xy plane that faces +z."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
     uvs = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)[:, None]
     return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), material=0, uvs=uvs)
@@ -61,7 +61,7 @@ def unit_rectangle() -> Mesh:
 
 @lru_cache
 def unit_box() -> Mesh:
-    """A box of side 1 around the origin; each face carries the whole texture."""
+    """A cube of side 1 around the origin. Each face shows the whole texture."""
     face = unit_rectangle()
     turns = [(0, 0, 0), (0, 90, 0), (0, 180, 0), (0, 270, 0), (-90, 0, 0), (90, 0, 0)]
     sides = []
@@ -75,12 +75,8 @@ def unit_box() -> Mesh:
 SHAPES = {"sphere": unit_sphere, "box": unit_box, "rectangle": unit_rectangle}
 
 
-def transform(
-    translate: Sequence[float] = (0.0, 0.0, 0.0),
-    rotate: Sequence[float] = (0.0, 0.0, 0.0),
-    scale: float | Sequence[float] = 1.0,
-) -> np.ndarray:
-    """The `[4, 4]` matrix that scales, turns about x, then y, then z (degrees), then moves."""
+def transform(translate: ArrayLike = (0.0, 0.0, 0.0), rotate: ArrayLike = (0.0, 0.0, 0.0), scale: ArrayLike = 1.0) -> np.ndarray:
+    """The matrix `[4, 4]` that scales, rotates about x, y and z in this order (degrees), and translates."""
     from trimesh.transformations import euler_matrix
 
     angles = np.radians(np.asarray(rotate, dtype=np.float64))
@@ -93,10 +89,9 @@ def transform(
 def transformed(mesh: Mesh, matrix: np.ndarray) -> Mesh:
     """`mesh` under the affine `matrix` `[4, 4]`.
 
-    Normals go by the inverse transpose, and a mirroring matrix turns the triangles'
-    order and the bitangents' signs round, so that the front stays the front. A singular
-    matrix (a scale of 0) leaves flat shading, as the normals are lost. What becomes too
-    large for single precision becomes infinite.
+    Normals transform with the inverse transpose. A reflection reverses the vertex order of the
+    triangles and the signs of the bitangents, so that front faces stay front faces. A singular
+    matrix gives flat shading. Values beyond single precision become infinite.
     """
     linear = np.asarray(matrix, dtype=np.float64)[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -107,7 +102,7 @@ def transformed(mesh: Mesh, matrix: np.ndarray) -> Mesh:
     if normals is not None:
         normals = _unit(normals @ np.linalg.inv(linear))
     if tangents is not None:
-        signs = np.sign(determinant).astype(np.float32) * tangents[:, 3:]
+        signs = np.float32(np.sign(determinant)) * tangents[:, 3:]
         tangents = np.concatenate([_unit(tangents[:, :3] @ linear.T), signs], axis=1)
     return replace(
         mesh,
@@ -119,32 +114,32 @@ def transformed(mesh: Mesh, matrix: np.ndarray) -> Mesh:
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    """`[V, 3]` at length one, float32; zero vectors stay zero."""
+    """Unit vectors `[V, 3]`, float32. Zero vectors stay zero."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return (vectors / np.where(lengths > 0.0, lengths, 1.0)).astype(np.float32)
 
 
 def unit_normals(normals: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Normals `[V, 3]` at length one; one of length 0 becomes that of the faces around it, by area.
+    """Unit normals `[V, 3]`. A zero normal becomes the area-weighted normal of its faces.
 
-    Where there are no such faces it stays 0, which shades flat. Indices that are out of range count as no faces.
+    It stays 0, which is flat shading, without such faces or if any index is out of range.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         unit = _unit(normals)
-        lost = ~unit.any(axis=1)
-        if not lost.any() or triangles.min(initial=0) < 0 or triangles.max(initial=0) >= len(vertices):
+        zero = np.logical_not(unit.any(axis=1))
+        if not zero.any() or triangles.min(initial=0) < 0 or triangles.max(initial=0) >= len(vertices):
             return unit
-        around = triangles[lost[triangles].any(axis=1)]
+        around = triangles[zero[triangles].any(axis=1)]
         a, b, c = np.moveaxis(vertices.astype(np.float64)[around], 1, 0)
         faces, total = np.cross(b - a, c - a), np.zeros((len(vertices), 3))
         for corner in around.T:
             np.add.at(total, corner, np.nan_to_num(faces))
-        unit[lost] = _unit(total[lost])
+        unit[zero] = _unit(total[zero])
     return unit
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Meshes of one material as one; normals, uvs, tangents and colours stay where all of them have them."""
+    """Meshes of one material as one mesh. Normals, uvs, tangents and colours stay if every mesh has them."""
     counts = [len(mesh.vertices) for mesh in meshes]
     offsets = np.concatenate([[0], np.cumsum(counts)[:-1]])
     optional = {
@@ -156,16 +151,15 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
     return replace(
         meshes[0],
         vertices=np.concatenate([mesh.vertices for mesh in meshes]),
-        triangles=np.concatenate(
-            [mesh.triangles + offset for mesh, offset in zip(meshes, offsets)]
-        ).astype(np.int32),
+        triangles=np.concatenate([mesh.triangles + offset for mesh, offset in zip(meshes, offsets)]).astype(np.int32),
         **optional,
     )
 
 
-def spheres(centres: np.ndarray, radii: np.ndarray | float, material: int) -> Mesh:
-    """Many spheres as one mesh: `centres` `[N, 3]` and `radii` `[N]` or a number, metres."""
+def spheres(centres: ArrayLike, radii: ArrayLike, material: int) -> Mesh:
+    """N spheres as one mesh. centres: `[N, 3]`, metres. radii: `[N]` or a number, metres."""
     unit = unit_sphere()
+    assert unit.normals is not None
     centres = np.asarray(centres, dtype=np.float64)
     count, size = len(centres), len(unit.vertices)
     radii = np.broadcast_to(radii, count)[:, None, None]

@@ -1,4 +1,4 @@
-"""A table of a scene file, every key of it checked, with errors that name the place."""
+"""Checked reading of the tables of a scene file."""
 
 from __future__ import annotations
 
@@ -11,35 +11,40 @@ from typing import Any, NoReturn
 
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.limits import LARGEST, MAX_SIDE, SMALLEST
+from bokehguide.scene.types import Vector, as_vector
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Which numbers a field accepts: an interval, with `infinity` or without, and how to say it."""
+    """The closed interval of numbers that a field accepts, and its description for error messages.
+
+    infinity: also accepts math.inf.
+    """
 
     remedy: str
     low: float = -LARGEST
     high: float = LARGEST
     infinity: bool = False
 
-    def hold(self, value: float) -> bool:
+    def contains(self, value: float) -> bool:
+        """True where the field accepts `value`."""
         return self.low <= value <= self.high or (self.infinity and value == math.inf)
 
 
 ANY = Limits(f"a number between {-LARGEST:g} and {LARGEST:g}")
 POSITIVE = Limits(f"a number above 0, between {SMALLEST:g} and {LARGEST:g}", low=SMALLEST)
 IN_FRONT = Limits(
-    f"metres above 0, between {SMALLEST:g} and {LARGEST:g}, or inf: what lies behind the lens has no focus",
+    f"metres above 0, between {SMALLEST:g} and {LARGEST:g}, or inf; the focal plane is never behind the lens",
     low=SMALLEST,
     infinity=True,
 )
 NOT_NEGATIVE = Limits(f"a number of 0 or more, up to {LARGEST:g}", low=0.0)
-SHARE = Limits("a number between 0 and 1", low=0.0, high=1.0)
-SIGNED_SHARE = Limits("a number between -1 and 1", low=-1.0, high=1.0)
+FRACTION = Limits("a number between 0 and 1", low=0.0, high=1.0)
+SIGNED_FRACTION = Limits("a number between -1 and 1", low=-1.0, high=1.0)
 RATIO = Limits("a number between 0.1 and 10", low=0.1, high=10.0)
 CAT_EYE = Limits("a number between 0 and 1.5", low=0.0, high=1.5)
 ANGLE_OF_VIEW = Limits("degrees between 0 and 180 (from 0.001 to 179.999)", low=1e-3, high=179.999)
-LAMP_RADIUS = Limits("metres from 1e-6 to 1e6", low=1e-6, high=1e6)
+EMITTER_RADIUS = Limits("metres from 1e-6 to 1e6", low=1e-6, high=1e6)
 SUN_ANGLE = Limits("degrees from 0.01 to 90", low=0.01, high=90.0)
 CONE_ANGLE = Limits("degrees from 0 to 90", low=0.0, high=90.0)
 IOR = Limits(f"a number of 1 or more, up to {LARGEST:g}", low=1.0)
@@ -47,35 +52,37 @@ COUNT = Limits(f"a whole number of 1 or more, up to {MAX_SIDE}", low=1, high=MAX
 
 
 class _Short(reprlib.Repr):
-    """Values as they were written, unless that takes more than a line."""
+    """Values as they were written, shortened to one line."""
 
     def __init__(self) -> None:
         super().__init__()
         self.maxstring = self.maxother = 120
 
-    def repr_int(self, value: int, level: int) -> str:
-        return repr(value) if value.bit_length() <= 128 else f"a whole number of {value.bit_length()} bits"
+    def repr_int(self, x: int, level: int) -> str:
+        """`x` in decimal, or its number of bits if it is very long."""
+        return repr(x) if x.bit_length() <= 128 else f"a whole number of {x.bit_length()} bits"
 
 
 shown = _Short().repr
 
 
 def is_number(value: Any) -> bool:
+    """True for integers and floats, but not for booleans."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """A hint at the nearest of `known`, or all of them."""
+    """A hint: the word of `known` that is most similar, or all of them."""
     known = list(known)
     near = difflib.get_close_matches(word, known, n=1)
     return f"did you mean {shown(near[0])}?" if near else printable(f"known are {', '.join(known)}", 600)
 
 
 class Table:
-    """Typed reading of `values`, the table at `path` of `file`.
+    """Typed readers of `values`, the table at `path` of `file`.
 
-    Each reader gives `default` for an absent key and raises BokehguideError naming
-    file, field, value and remedy for a wrong one.
+    Each reader returns `default` for an absent key. It raises BokehguideError for a wrong
+    value, and for an absent key without a default. The message names file, field, value and remedy.
     """
 
     def __init__(self, values: Any, file: str, path: str, keys: Iterable[str]):
@@ -90,66 +97,68 @@ class Table:
         return key in self.values
 
     def place(self, key: str) -> str:
-        """Where `key` stands, as in `scene.toml: camera.fov`."""
+        """The location of `key`, such as `scene.toml: camera.fov`."""
         return f"{self.file}: {printable(f'{self.path}.{key}' if self.path else str(key), 120)}"
 
     def fail(self, key: str, problem: str) -> NoReturn:
         """Raise the error that the value of `key` has `problem`."""
         raise BokehguideError(f"{self.place(key)}: {shown(self.values[key])} {problem}")
 
+    def missing(self, key: str, remedy: str) -> NoReturn:
+        """Raise the error that `key` is absent."""
+        raise BokehguideError(f"{self.place(key)}: missing; {remedy}")
+
     def exclusive(self, *keys: str) -> None:
-        """Raise unless at most one of `keys` is there."""
+        """Raise BokehguideError if more than one of `keys` is present."""
         given = [key for key in keys if key in self]
         if len(given) > 1:
             first, second = given[:2]
             self.fail(first, f"and {second} = {shown(self.values[second])} are both given; keep one")
 
-    def number(self, key: str, default: float | None, limits: Limits = ANY) -> float | None:
-        """A number within `limits`."""
+    def number(self, key: str, default: float | None, limits: Limits = ANY) -> float:
+        """A number within `limits`; `default` None requires the key."""
         if key not in self:
-            return default
+            return self.missing(key, f"give {limits.remedy}") if default is None else default
         value = self.values[key]
         if not is_number(value):
             self.fail(key, f"is not a number; give {limits.remedy}")
-        if not limits.hold(value):
+        if not limits.contains(value):
             self.fail(key, f"is out of range; give {limits.remedy}")
         return float(value)
 
     def count(self, key: str, default: int) -> int:
-        """A whole number within COUNT: pixels along a side, or segments of a path."""
-        if key in self and not (type(self.values[key]) is int and COUNT.hold(self.values[key])):
+        """A whole number within COUNT, such as pixels along a side or segments of a path."""
+        if key in self and not (type(self.values[key]) is int and COUNT.contains(self.values[key])):
             self.fail(key, f"is out of range; give {COUNT.remedy}")
         return self.values.get(key, default)
 
-    def vector(self, key: str, default: tuple | None, limits: Limits = ANY) -> tuple | None:
-        """Three numbers, each within `limits`."""
+    def vector(self, key: str, default: Vector | None, limits: Limits = ANY) -> Vector:
+        """Three numbers, each within `limits`; `default` None requires the key."""
         if key not in self:
-            return default
+            return self.missing(key, "give [x, y, z]") if default is None else default
         value = self.values[key]
         if not (isinstance(value, (list, tuple)) and len(value) == 3 and all(map(is_number, value))):
             self.fail(key, f"is not three numbers; give [x, y, z], each {limits.remedy}")
-        if not all(map(limits.hold, value)):
+        if not all(map(limits.contains, value)):
             self.fail(key, f"is out of range; give three values, each {limits.remedy}")
-        return tuple(float(component) for component in value)
+        return as_vector(value)
 
-    def direction(self, key: str) -> tuple[float, float, float]:
-        """A unit vector, which must be given, of any length above 0."""
-        if key not in self:
-            raise BokehguideError(f"{self.place(key)}: missing; give [x, y, z]")
+    def direction(self, key: str) -> Vector:
+        """The unit vector along the required vector `key`, whose length is above 0."""
         vector = self.vector(key, None)
         length = math.hypot(*vector)
         if length < SMALLEST:
             self.fail(key, "has no direction; give [x, y, z] other than 0")
-        return tuple(component / length for component in vector)
+        return as_vector(component / length for component in vector)
 
-    def text(self, key: str) -> str | None:
-        """A string that is not empty, or None."""
+    def text(self, key: str) -> str:
+        """A string, which is empty only if the key is absent."""
         if key in self and not (isinstance(self.values[key], str) and self.values[key]):
             self.fail(key, 'is not a text; write it in quotes, as in "name"')
-        return self.values.get(key)
+        return self.values.get(key, "")
 
     def flag(self, key: str, default: bool = False) -> bool:
-        """True or false."""
+        """A boolean."""
         if key in self and not isinstance(self.values[key], bool):
             self.fail(key, "is neither true nor false; give one of them")
         return self.values.get(key, default)

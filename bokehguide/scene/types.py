@@ -1,29 +1,39 @@
-"""What a scene is: plain data in world space, before any ray is traced.
+"""Plain data of a scene in world space.
 
-Lengths are metres, angles degrees, colours linear Rec.709 (radiance where they
-emit). World space is right-handed with y up.
+Lengths are in metres, angles in degrees, colours in linear Rec.709. Emission is radiance.
+World space is right-handed with y up.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+Vector = tuple[float, float, float]
+
+
+def as_vector(values: Iterable[float]) -> Vector:
+    """Three numbers of any kind as a tuple of floats."""
+    x, y, z = map(float, values)
+    return x, y, z
+
 
 @dataclass(frozen=True)
 class Aperture:
-    """What the opening of a lens looks like from behind the camera, and in the bokeh of what is behind the focal plane.
+    """The shape of a lens opening, seen from behind the camera.
 
-    Its size is the lens radius r: that of the circle that its corners lie on, of half its
-    height, or of half a mask's longer side.
+    The bokeh of anything beyond the focal plane has the same orientation. The lens radius r is the
+    circumradius of a polygon, half the height of an opening with a ratio, or half the longer side of a mask.
 
-    blades: of its iris, 0 for a round one; the middle of an edge lies to the right. curvature: of
-    their edges, 0 straight, 1 round. image: a mask in place of blades, its transmission as linear
-    float32 `[H, W]`, top row first. edge: how much brighter the rim is than the centre, -1 … 1.
-    rotation: degrees, anticlockwise. ratio: then the width is divided by it, as Blender has it.
-    cat_eye: how far, in r, a second opening lies beside the first for the frame's corners.
+    blades: number of iris blades, 0 for a disc. The middle of one polygon edge lies to the right.
+    rotation: degrees, anticlockwise. curvature: of the polygon edges, 0 straight, 1 a circle.
+    ratio: divides the width, as in Blender. image: a mask in place of the blades, its transmission
+    as linear float32 `[H, W]`, top row first. cat_eye: offset of the second opening that vignettes
+    the frame's corners, in r. edge: from -1 to 1; the transmission is 1 + edge (2t² - 1) at the
+    relative distance t from the centre.
     """
 
     blades: int = 0
@@ -37,18 +47,16 @@ class Aperture:
 
 @dataclass(frozen=True)
 class Camera:
-    """A thin-lens camera that looks from `position` to `target`.
+    """A thin-lens camera at `position` that looks at `target`.
 
-    fov: horizontal field of view in degrees.
-    aperture_radius: lens radius in metres, 0 for a pinhole.
-    focus_distance: metres from the lens to the focal plane, along the optical axis; math.inf
-    is FARTHEST_FOCUS, and so is all beyond it.
-    aperture: its shape; None is round.
+    fov: horizontal field of view in degrees. aperture_radius: lens radius in metres, 0 for a pinhole.
+    focus_distance: metres from the lens to the focal plane along the optical axis; FARTHEST_FOCUS
+    or more is infinity. aperture: shape of the lens opening; None is a disc.
     """
 
-    position: tuple[float, float, float]
-    target: tuple[float, float, float]
-    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    position: Vector
+    target: Vector
+    up: Vector = (0.0, 1.0, 0.0)
     fov: float = 40.0
     aperture_radius: float = 0.0
     focus_distance: float = 1.0
@@ -56,8 +64,8 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Film:
-    """Size in pixels and the longest path in segments (1 = emission seen directly)."""
+class FilmSettings:
+    """Size in pixels, and the maximum path length in segments (1 is directly visible emission)."""
 
     width: int = 640
     height: int = 360
@@ -68,10 +76,10 @@ class Film:
 class Texture:
     """An image on a surface, sampled bilinearly.
 
-    image: linear float32 `[H, W, C]`, top row first; which channels count is the
-    material's matter. uv_set: which of the mesh's uv sets; wrap: what lies outside
-    [0, 1] along u and v, "repeat", "clamp" or "mirror". transform: rows of the affine
-    map (a, b, c, d, e, f), u' = a u + b v + c and v' = d u + e v + f, applied first.
+    image: linear float32 `[H, W, C]`, top row first; the material selects the channels.
+    uv_set: index among the mesh's uv sets. wrap: addressing outside [0, 1] along u and v, "repeat",
+    "clamp" or "mirror". transform: the affine map (a, b, c, d, e, f) from the mesh's uv to the
+    texture's, u' = a u + b v + c and v' = d u + e v + f.
     """
 
     image: np.ndarray
@@ -82,48 +90,47 @@ class Texture:
 
 @dataclass(frozen=True)
 class Cone:
-    """Where a spotlight's radiance goes: all within `inner` degrees of `axis`, none beyond `outer`.
+    """Angular falloff of a spotlight: full radiance within `inner` degrees of `axis`, none beyond `outer`.
 
-    Between them it falls as KHR_lights_punctual has it. axis: unit, in world space.
+    The falloff in between follows KHR_lights_punctual. axis: unit, in world space.
     """
 
-    axis: tuple[float, float, float]
+    axis: Vector
     inner: float
     outer: float
 
 
 @dataclass(frozen=True)
 class Material:
-    """A surface in glTF's metallic-roughness terms.
+    """A surface in glTF's metallic-roughness model.
 
-    Each texture multiplies its factors: base colour (RGB, and opacity by A where it has
-    four channels), (unused, roughness, metallic) as glTF packs them, emission (RGB),
-    specular (A), specular colour (RGB), transmission (R), clearcoat (R) and
-    clearcoat roughness (G). A normal map's texels are tangent-space normals scaled to
-    0 … 1; `normal_scale` multiplies their x and y. A clear coat has a normal map and a
-    scale of its own: without them it is as smooth as the geometry, whatever lies beneath.
+    Each texture multiplies its factors: base colour (RGB, and opacity by A if there are four
+    channels), (unused, roughness, metallic) as in glTF, emission (RGB), specular (A), specular
+    colour (RGB), transmission (R), clearcoat (R) and clearcoat roughness (G). Texels of a normal map
+    are tangent-space normals mapped to [0, 1]; `normal_scale` multiplies x and y. The clearcoat has
+    its own normal map; without one, its normal is the geometry's.
 
-    alpha_mode: "opaque" ignores opacity; "mask" leaves out what is below `alpha_cutoff`;
-    "blend" lets the share 1 - opacity of the light through, unbent.
-    attenuation_color is what is left of white light after `attenuation_distance` metres
-    inside (KHR_materials_volume). emission_cone: None emits to all sides. A clear coat dims
-    the emission beneath it; tint_emission: the mesh's colours multiply it, as unlit materials want.
+    alpha_mode: "opaque" ignores opacity; "mask" removes points with opacity below `alpha_cutoff`;
+    "blend" transmits the fraction 1 - opacity without refraction. attenuation_color: transmittance of
+    `attenuation_distance` metres inside (KHR_materials_volume). emission_cone: None emits in all
+    directions. tint_emission: vertex colours multiply the emission, as for unlit materials. A
+    clearcoat attenuates the emission beneath it.
     """
 
     name: str
-    base_color: tuple[float, float, float] = (0.8, 0.8, 0.8)
+    base_color: Vector = (0.8, 0.8, 0.8)
     metallic: float = 0.0
     roughness: float = 1.0
     specular: float = 1.0
-    specular_color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    specular_color: Vector = (1.0, 1.0, 1.0)
     transmission: float = 0.0
     thin: bool = False
     ior: float = 1.5
-    attenuation_color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    attenuation_color: Vector = (1.0, 1.0, 1.0)
     attenuation_distance: float = math.inf
     clearcoat: float = 0.0
     clearcoat_roughness: float = 0.0
-    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    emission: Vector = (0.0, 0.0, 0.0)
     emission_cone: Cone | None = None
     tint_emission: bool = False
     double_sided: bool = False
@@ -145,6 +152,7 @@ class Material:
 
     @property
     def emits(self) -> bool:
+        """True where any channel of the emission is positive."""
         return any(channel > 0.0 for channel in self.emission)
 
 
@@ -152,12 +160,12 @@ class Material:
 class Mesh:
     """Triangles in world space with one material.
 
-    vertices: float32 `[V, 3]`; triangles: int32 `[T, 3]`, anticlockwise seen from the
-    front; normals: unit float32 `[V, 3]` or None for flat shading; uvs: float32
-    `[V, S, 2]`, S sets with v downwards from the texture's top row (glTF), or None.
-    tangents: float32 `[V, 4]` for normal maps, glTF's unit tangent and the bitangent's
-    sign, or None: then they follow from the uvs. colors: linear float32 `[V, 4]` that
-    multiply base colour and opacity, or None. material: index into `Scene.materials`.
+    vertices: float32 `[V, 3]`. triangles: int32 `[T, 3]`, anticlockwise seen from the front.
+    material: index into `Scene.materials`. normals: unit float32 `[V, 3]`; None is flat shading.
+    uvs: float32 `[V, S, 2]`, S sets with v downwards from the texture's top row (glTF), or None.
+    tangents: float32 `[V, 4]` for normal maps, glTF's unit tangent and the sign of the bitangent;
+    None derives them from the uvs. colors: linear float32 `[V, 4]` that multiply base colour and
+    opacity, or None.
     """
 
     vertices: np.ndarray
@@ -173,22 +181,22 @@ class Mesh:
 class Sun:
     """A disc of constant radiance at infinity.
 
-    direction: unit, from the scene towards the sun; angle: its diameter in degrees;
-    irradiance: on a surface that faces it, linear Rec.709.
+    direction: unit, from the scene towards the sun. angle: diameter of the disc in degrees.
+    irradiance: on a surface perpendicular to `direction`, linear Rec.709.
     """
 
-    direction: tuple[float, float, float]
+    direction: Vector
     angle: float
-    irradiance: tuple[float, float, float]
+    irradiance: Vector
 
 
 @dataclass(frozen=True)
 class Environment:
-    """Equirectangular radiance, float32 `[H, W, 3]`, top row towards +y.
+    """An environment map: equirectangular radiance, float32 `[H, W, 3]`, top row towards +y.
 
-    The map's centre lies at -z and u grows towards +x; `rotation` turns it about +y,
-    anticlockwise seen from above. A constant colour is a 1 × 1 map. visible: whether
-    camera rays see it (suns included); where not, it lights the scene and alpha is 0.
+    The map's centre lies at -z and u grows towards +x. A constant colour is a 1 × 1 map.
+    rotation: degrees about +y, anticlockwise seen from above. visible: if False, camera rays that
+    escape see neither map nor suns and have alpha 0; the lighting stays.
     """
 
     radiance: np.ndarray
@@ -198,7 +206,7 @@ class Environment:
 
 @dataclass(frozen=True)
 class Inset:
-    """A crop box as fractions of the frame, from its top left corner."""
+    """A crop box in fractions of the frame, measured from the top left corner."""
 
     x: float
     y: float
@@ -206,7 +214,7 @@ class Inset:
     height: float
 
     def pixels(self, width: int, height: int) -> tuple[slice, slice]:
-        """Rows and columns of this inset in a `height × width` image."""
+        """Rows and columns of this inset in an image of `height` rows and `width` columns."""
         top, left = round(self.y * height), round(self.x * width)
         bottom = max(top + 1, round((self.y + self.height) * height))
         right = max(left + 1, round((self.x + self.width) * width))
@@ -215,30 +223,31 @@ class Inset:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything a render needs.
+    """Everything that a render needs.
 
-    `warnings` say what of the input was not honoured, and `honoured` what of its models was.
+    warnings: unsupported features of the input, one a line. supported: imported features of its
+    models, one a line.
     """
 
     name: str
     camera: Camera
     meshes: tuple[Mesh, ...]
     materials: tuple[Material, ...]
-    film: Film = Film()
+    film: FilmSettings = FilmSettings()
     environment: Environment | None = None
     suns: tuple[Sun, ...] = ()
     insets: tuple[Inset, ...] = ()
     description: str = ""
     warnings: tuple[str, ...] = field(default=())
-    honoured: tuple[str, ...] = ()
+    supported: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class LightSizes:
-    """How large the lights of a model become that have no size of their own.
+    """Sizes of a model's punctual lights, which have none of their own.
 
-    radius: metres, of the spheres for point and spot lights; None suits the model.
-    sun_angle: diameter of a sun's disc in degrees, by default that of the real one.
+    radius: of the spheres for point and spot lights, in metres; None derives it from the model.
+    sun_angle: diameter of a sun's disc in degrees; the default is the real sun's.
     """
 
     radius: float | None = None
@@ -247,27 +256,27 @@ class LightSizes:
 
 @dataclass(frozen=True)
 class ModelCamera:
-    """A camera that a model brings; forward and up are unit, vertical_fov is in degrees."""
+    """A camera of a model file; `forward` and `up` are unit vectors, `vertical_fov` is in degrees."""
 
     name: str
-    position: tuple[float, float, float]
-    forward: tuple[float, float, float]
-    up: tuple[float, float, float]
+    position: Vector
+    forward: Vector
+    up: Vector
     vertical_fov: float
 
 
 @dataclass(frozen=True)
 class Model:
-    """What a model's file holds, in the model's own space.
+    """Contents of a model file in the model's own space.
 
-    lamps: spheres in the place of its lights, which are no part of what is framed.
-    honoured, warnings: what of the file is in the picture and what is not, a line each.
+    emitters: spheres at the positions of its lights; framing ignores them. supported: imported
+    features, one a line. warnings: ignored features, one a line.
     """
 
     meshes: tuple[Mesh, ...]
     materials: tuple[Material, ...]
-    lamps: tuple[Mesh, ...] = ()
+    emitters: tuple[Mesh, ...] = ()
     suns: tuple[Sun, ...] = ()
     cameras: tuple[ModelCamera, ...] = ()
-    honoured: tuple[str, ...] = ()
+    supported: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

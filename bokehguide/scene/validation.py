@@ -1,6 +1,6 @@
-"""What must hold of any scene before it reaches the renderer.
+"""Checks that every scene passes before it reaches the renderer.
 
-Embree reads past its arrays where an index is out of range, so nothing here is optional.
+Embree reads outside its arrays if an index is out of range, so no check is optional.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from bokehguide.scene.types import Mesh, Scene
 
 
 def checked(scene: Scene, place: str) -> Scene:
-    """`scene` without its zero-area triangles and the meshes that had no others, with a warning where those would emit.
+    """`scene` without triangles of zero area and without meshes that have no other triangles.
 
-    place: what the user named, such as the file. Raises BokehguideError, naming it, where
-    a vertex, normal or uv is not finite, an index is out of range, nothing is left to see,
-    or the frame has too many pixels.
+    Removed emitters cause a warning. place: the user's name of the scene, such as its file. Raises
+    BokehguideError, naming `place`, for values that are not finite, indices out of range, no
+    remaining triangle, and too many pixels.
     """
     film = scene.film
     if film.width * film.height > MAX_PIXELS:
@@ -29,22 +29,23 @@ def checked(scene: Scene, place: str) -> Scene:
         check_mesh(mesh, f"{place}: mesh {number}", len(scene.materials))
     meshes = tuple(mesh for mesh in map(_without_degenerate, scene.meshes) if len(mesh.triangles))
     if not meshes:
-        raise BokehguideError(
-            f"{place}: holds no triangle with an area; add an object or a model with a surface"
-        )
-    lost = _lost_lights(scene, meshes)
+        raise BokehguideError(f"{place}: holds no triangle with an area; add an object or a model with a surface")
+    lost = _removed_emitters(scene, meshes)
     return replace(scene, meshes=meshes, warnings=tuple(dict.fromkeys((*scene.warnings, *lost))))
 
 
-def _lost_lights(scene: Scene, kept: tuple[Mesh, ...]) -> list[str]:
-    """A line for each material that emits, but from no mesh that was `kept`."""
+def _removed_emitters(scene: Scene, kept: tuple[Mesh, ...]) -> list[str]:
+    """A warning for each emissive material that no mesh of `kept` uses."""
     used, left = {mesh.material for mesh in scene.meshes}, {mesh.material for mesh in kept}
     materials = [scene.materials[number] for number in sorted(used - left)]
     return [f"material {m.name}: emits, but from no triangle with an area" for m in materials if m.emits]
 
 
 def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
-    """Raise BokehguideError, naming `place`, where `mesh` is not finite, too large or not consistent."""
+    """Raise BokehguideError, naming `place`, if `mesh` is not finite, too large or inconsistent.
+
+    materials: number of materials in the scene.
+    """
     count = len(mesh.vertices)
     sets = 0 if mesh.uvs is None else mesh.uvs.shape[1]
     shapes = {"vertices": (3,), "normals": (3,), "uvs": (sets, 2), "tangents": (4,), "colors": (4,)}
@@ -53,9 +54,7 @@ def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
         if values is None:
             continue
         if values.shape != (count, *shape):
-            raise BokehguideError(
-                f"{place}: {name} has shape {values.shape}, not {(count, *shape)}; repair the model"
-            )
+            raise BokehguideError(f"{place}: {name} has shape {values.shape}, not {(count, *shape)}; repair the model")
         bad = np.flatnonzero(~(np.abs(values) <= LARGEST).all(axis=tuple(range(1, values.ndim))))
         if len(bad):
             raise BokehguideError(
@@ -76,16 +75,17 @@ def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
 
 
 def check_triangles(count: int, place: str) -> None:
-    """Raise BokehguideError, naming `place`, where there are too many triangles up to there."""
+    """Raise BokehguideError, naming `place`, if the scene has more than MAX_TRIANGLES up to `place`."""
     if count > MAX_TRIANGLES:
         raise BokehguideError(f"{place}: makes {count:,} triangles in all; give a scene of at most {MAX_TRIANGLES:,}")
 
 
 def _without_degenerate(mesh: Mesh) -> Mesh:
+    """`mesh` without triangles of zero area."""
     a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.triangles], 1, 0)
     doubled_area = np.sqrt(_squares(np.cross(b - a, c - a)))
     longest = np.maximum(np.maximum(_squares(b - a), _squares(c - b)), _squares(a - c))
-    # Below this, single precision computes a normal that is noise or whose square is 0.
+    # A smaller area gives a normal that is rounding noise, or whose square underflows, in single precision.
     kept = doubled_area > np.maximum(1e-7 * longest, 1e-18)
     return mesh if kept.all() else replace(mesh, triangles=mesh.triangles[kept])
 

@@ -1,10 +1,9 @@
-"""Adaptive SPP: a render that stops, block by block, where its estimated error has come down to a target.
+"""Adaptive SPP: a render that stops, block by block, where its estimated error reaches a target.
 
-Whoever stops where a picture looks good enough prefers samples that look good, and the picture is
-biased: it stops early where highlights have not been found yet. So there are two renders of half the
-SPP each, with random numbers and a guide of their own, and each of them decides for the other. How
-many samples of a pixel are in one half depends on the other half alone: both halves stay unbiased, and
-the picture is their mean, with equal weights.
+A stopping rule that looks at its own samples biases the picture: rendering stops early where highlights are not found yet. Two
+renders of half the SPP each have random numbers and strategies of their own, and each decides for the other. The number of a
+pixel's samples in one half depends on the other half alone. Both halves stay unbiased, and the picture is their mean, with equal
+weights.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -22,19 +22,19 @@ from torch.nn.functional import avg_pool2d, pad
 from bokehguide.metrics import EPSILON
 from bokehguide.render.film import NO_DEPTH, BadSample, Film, FilmSamples, earliest
 from bokehguide.render.path_tracer import PathTracer
-from bokehguide.render.pixels import Pixels, increase, take
 from bokehguide.render.random import hash_int
 from bokehguide.render.vector import luminance
+from bokehguide.runtime.distributed import Ranks
+from bokehguide.runtime.indexing import Pixels, gather_pixels, scatter_add
 from bokehguide.scene.types import Scene
 from bokehguide.train.loop import PHASES, RenderLoop
-from bokehguide.train.ranks import Ranks
 from bokehguide.train.settings import RenderSettings
-from bokehguide.train.steps import StepStats
+from bokehguide.train.step_stats import StepStats
 
 BLOCK = 32
-"""Pixels across the squares that stop together, which hold whole groups of pixels that share (`sharing.py`)."""
+"""Pixels across the squares that stop together. They hold whole groups of `guiding/pixel_reuse.py`."""
 POOLED = 5
-"""Pixels across the squares about a pixel that tell how bright it should be."""
+"""Pixels across the squares about a pixel whose mean is the expected radiance."""
 FIRST_ROUND = 8
 """Steps of each half in the first round; every later round has as many as all before it."""
 
@@ -45,11 +45,11 @@ def make_loop(scene: Scene, settings: RenderSettings, ranks: Ranks | None = None
 
 
 def relative_error(first: Tensor, second: Tensor) -> Tensor:
-    """What the mean of two independent pictures `[C, H, W]` is off by, relative to the truth (plus 0.01), as far as they tell.
+    """Estimated error of the mean of two independent pictures `[C, H, W]`, relative to the truth (plus 0.01), `[C, H, W]`.
 
-    Half the difference of the two is as large as the error of their mean. The truth is taken for their mean
-    in the pixel or, where that is less, about it: a pixel that has a rare highlight is brighter than
-    it should be, and its neighbours tell. What neither picture has found they cannot tell.
+    Half the difference of the two is as large as the error of their mean. The estimate of the truth is their mean in the pixel
+    or, where that is less, around the pixel: a rare highlight makes a pixel too bright, and its neighbours do not have the
+    highlight. Features that both pictures missed go undetected.
     """
     mean = (0.5 * (first + second)).clamp(min=0.0)
     about = avg_pool2d(mean[None], POOLED, 1, POOLED // 2, count_include_pad=False)[0]
@@ -57,7 +57,7 @@ def relative_error(first: Tensor, second: Tensor) -> Tensor:
 
 
 def to_blocks(images: Tensor) -> Tensor:
-    """Images `[C, H, W]` in blocks `[C, blocks, BLOCK, BLOCK]`; those that reach over the edge repeat it."""
+    """Images `[C, H, W]` in blocks `[C, blocks, BLOCK, BLOCK]`; blocks that reach over the edge repeat the edge."""
     height, width = images.shape[1:]
     rows, columns = math.ceil(height / BLOCK), math.ceil(width / BLOCK)
     padded = pad(images, (0, columns * BLOCK - width, 0, rows * BLOCK - height), mode="replicate")
@@ -65,58 +65,58 @@ def to_blocks(images: Tensor) -> Tensor:
 
 
 def from_blocks(blocks: Tensor, height: int, width: int) -> Tensor:
-    """The image `[H, W]` that blocks `[blocks, BLOCK, BLOCK]` are of."""
+    """The image `[H, W]` of blocks `[blocks, BLOCK, BLOCK]`."""
     columns = math.ceil(width / BLOCK)
     rows = blocks.reshape(-1, columns, BLOCK, BLOCK).transpose(1, 2)
     return rows.reshape(-1, columns * BLOCK)[:height, :width]
 
 
 class HalfLoop(RenderLoop):
-    """One of the two renders: steps go on where either half needs samples, the film takes those of its own."""
+    """One of the two renders. Steps render where either half needs samples; the film takes the samples that this half needs."""
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None, tracer: PathTracer | None = None):
         super().__init__(scene, settings, ranks, tracer)
         pixels = self.film.width * self.film.height
         self.brightness = torch.zeros(2, pixels, dtype=torch.float64, device=settings.device)
-        """Luminance of the samples before this round and in it, summed, `[2, pixels]`."""
+        """Sums of the luminance of samples before this round and in this round, `[2, pixels]`."""
         self._counted: Tensor | None = None
 
     def count_only(self, counted: Tensor) -> None:
-        """From now on put on the film the samples of those pixels that are `counted`, bool `[pixels]`."""
+        """From now on put only samples of `counted` pixels on the film, bool `[pixels]`."""
         self._counted = counted
 
     def freeze(self) -> None:
         """Learn no more."""
         self._learns = False
 
-    def _seen(self) -> tuple[float, float]:
-        """Also the samples that are not on the film: it is the other half that takes or leaves them."""
+    def _light_so_far(self) -> tuple[float, float]:
+        """Of all samples, on the film or not: the other half decides which of them count."""
         mine = slice(None) if self._share is None else self._share
         light = self.brightness[:, mine].cpu().numpy()
         return float(light.sum()), float(self.step_number * light.shape[1])
 
-    def _so_far(self) -> Tensor:
-        """As `_seen` has it: the luminance, in each channel."""
-        return (self.brightness.sum(0) / self.step_number).float().expand(3, -1)
+    def _picture_so_far(self) -> Tensor:
+        """The luminance of all samples, in each channel."""
+        mean = (self.brightness.sum(0) / self.step_number).float().expand(3, -1)
+        return mean * self._mine_of_film().to(mean.device)
 
     def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
         light = luminance(samples.value())
-        increase(self.brightness[1], places, light.nan_to_num(0.0, 0.0, 0.0))
-        fresh = self.guide is None or self.guide.is_fresh(self.step_number)
-        counted = None if self._counted is None else take(self._counted, places)
-        return self.film.add(places, samples, self.step_number, fresh, counted)
+        scatter_add(self.brightness[1], places, light.nan_to_num(0.0, 0.0, 0.0))
+        counted = None if self._counted is None else gather_pixels(self._counted, places)
+        return self.film.add(places, samples, self.step_number, self.mode.lens.is_independent(self.step_number), counted)
 
     def end_round(self) -> Tensor:
-        """Relative error `[pixels]` that the means of both halves together are likely to have; collective.
+        """Estimated relative error `[pixels]` of the mean of both halves; collective.
 
-        The means before the round and in it have as many samples: half their difference is an error
-        of the half's mean, and the mean of two halves has less by √2.
+        The means before the round and in the round have equally many samples. Half their difference is an error of the half's
+        mean, and the mean of two halves has an error smaller by √2.
         """
         mine = self._mine_of_film().to(self.brightness.device)
         means = self.ranks.total(self.brightness * mine) / (self.step_number // 2)
         self.brightness[0] += self.brightness[1]
         self.brightness[1] = 0.0
-        # Block by block: what lies beyond may have ended, and when it did is the other half's doing.
+        # Block by block: other blocks may have ended, by a decision of the other half.
         before, now = to_blocks(means.reshape(2, self.film.height, self.film.width))
         error = from_blocks(relative_error(before, now), self.film.height, self.film.width)
         return error.flatten() / math.sqrt(2.0)
@@ -125,24 +125,36 @@ class HalfLoop(RenderLoop):
 class AdaptiveLoop:
     """As `RenderLoop`, until no block of 32 × 32 pixels has an estimated error above `settings.target_noise`.
 
-    Steps alternate between the halves. Rounds end when both have 16, 32, 64, … steps; then each half ends in the blocks
-    where the other's error is down to the target. It is rendered on, off the film, where the other half is not done:
-    what a half does up to where it ends the other one in a block depends on its own samples alone.
+    Steps alternate between the halves. Rounds end when both have 16, 32, 64, … steps; then each half ends in the blocks where
+    the error of the other reaches the target. A half that has ended in a block goes on off the film while the other needs its
+    decisions: the decisions of a half depend on its own samples alone.
     """
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None = None):
         self.scene, self.settings, self.ranks = scene, settings, ranks or Ranks()
         first = HalfLoop(scene, settings, self.ranks)
         other = replace(settings, seed=hash_int(settings.seed + 1) >> 1)
-        self.halves = (first, HalfLoop(scene, other, self.ranks, first.tracer))
-        self.camera, self.guide = first.camera, first.guide
+        second = HalfLoop(scene, other, self.ranks, first.tracer)
+        second.workers = first.workers
+        self.halves = (first, second)
+        self.camera, self.mode, self.workers = first.camera, first.mode, first.workers
         film = first.film
         pixels = torch.arange(film.width * film.height, device=settings.device)
         across = math.ceil(film.width / BLOCK)
         self._block = pixels // film.width // BLOCK * across + pixels % film.width // BLOCK
         self._size = torch.bincount(self._block)
         self.open = torch.ones(2, len(self._size), dtype=torch.bool, device=settings.device)
-        """In which blocks each half goes on, `[2, blocks]`."""
+        """Blocks in which each half continues, bool `[2, blocks]`."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """As `RenderLoop.close`."""
+        self.workers.close()
 
     @property
     def step_number(self) -> int:
@@ -150,7 +162,7 @@ class AdaptiveLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether every block is good enough."""
+        """Whether every block has reached the target."""
         return not bool(self.open.any())
 
     @property
@@ -160,7 +172,7 @@ class AdaptiveLoop:
         return {phase: total[phase] for phase in PHASES}
 
     def step(self) -> StepStats:
-        """One more sample for each pixel of the blocks that are not done, in one of the halves."""
+        """One more sample for each pixel of the open blocks, in one of the halves."""
         stats = self.halves[self.step_number % 2].step()
         steps = self.halves[1].step_number
         if self.step_number == 2 * steps and steps >= FIRST_ROUND and steps & (steps - 1) == 0:
@@ -169,12 +181,13 @@ class AdaptiveLoop:
 
     def _end_round(self, steps: int) -> None:
         errors = torch.stack([self._block_means(half.end_round()) for half in self.halves])
-        if steps == FIRST_ROUND:  # there is nothing before it to compare it with
+        if steps == FIRST_ROUND:  # no earlier round to compare with
             return
         self._close(errors)
 
     def _close(self, errors: Tensor) -> None:
-        """End each half in the blocks where the other's error, `[2, blocks]`, is down to the target."""
+        """End each half in the blocks where the error of the other, `[2, blocks]`, reaches the target."""
+        assert self.settings.target_noise is not None
         self.open &= errors.flip(0) > self.settings.target_noise
         if not bool(self.open.all()):
             self._render_open_blocks()
@@ -184,9 +197,9 @@ class AdaptiveLoop:
         return sums.index_add_(0, self._block, error) / self._size
 
     def _render_open_blocks(self) -> None:
-        """A half learns as long as it ends no block of the other, and so has all of its own pixels to learn from.
+        """Render the open blocks only. A half learns until it ends a block of the other.
 
-        Then nothing of the other half is in what it learns, nor in the noise by which it decides.
+        Until then it learns from all of its own pixels, so neither its learned state nor its decisions depend on the other half.
         """
         active = self.open.any(0)[self._block]
         for half, counted, decided in zip(self.halves, self.open, self.open.flip(0)):
@@ -215,7 +228,7 @@ class AdaptiveLoop:
             "brightness": [self.ranks.merged({"": half.brightness}, own)[""] for half, own in zip(self.halves, mine)],
         }
 
-    def load_state_dict(self, state: Mapping[str, object]) -> None:
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """As `RenderLoop.load_state_dict`."""
         for half, saved, brightness in zip(self.halves, state["halves"], state["brightness"], strict=True):
             half.load_state_dict(saved)
@@ -226,7 +239,7 @@ class AdaptiveLoop:
 
 
 class HalvesFilm:
-    """The mean of two films; has what a render writes of a film."""
+    """The mean of two films, with the methods of a film that a render writes."""
 
     def __init__(self, first: Film, second: Film):
         self._films = (first, second)
@@ -239,7 +252,7 @@ class HalvesFilm:
 
     @property
     def bad_samples(self) -> list[BadSample]:
-        """As `Film`; the seeds tell the halves apart."""
+        """As `Film`; the seed names the half."""
         return earliest([bad for film in self._films for bad in film.bad_samples])
 
     def radiance(self) -> Tensor:

@@ -1,4 +1,4 @@
-"""TensorBoard: the curves and pictures of a render while it goes on."""
+"""TensorBoard logs: the curves and images of a render."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from bokehguide.train.metadata import describe_render
 
 if TYPE_CHECKING:
     from bokehguide.render.film import Film
-    from bokehguide.train import RenderLoop, RenderSettings, StepStats
+    from bokehguide.train.adaptive import AdaptiveLoop, HalvesFilm
+    from bokehguide.train.loop import RenderLoop
+    from bokehguide.train.settings import RenderSettings
+    from bokehguide.train.step_stats import StepStats
 
 
 class RenderLogger:
     """Writes the steps of one render into `logdir/SCENE/MODE`.
 
-    The modes of a scene are sibling folders, so `tensorboard --logdir logdir/SCENE`
-    lays their curves over each other. An older log of the same mode is removed.
+    The modes of a scene are sibling folders, so `tensorboard --logdir logdir/SCENE` overlays their curves. An older log of the
+    same mode is removed.
 
-    exposure: EV of the pictures. resumed: the step after which a render goes on; its log does
-    too, and TensorBoard forgets what later steps had written before they were lost. silent: for the ranks that do
-    not write; all of them log, as the guide's pictures are put together.
+    exposure: EV of the images; resumed: the last step of a checkpoint, after which the log continues and TensorBoard discards
+    later entries; silent: write nothing, for all ranks but the first, which still take part in collective calls.
     """
 
     def __init__(
@@ -37,7 +39,7 @@ class RenderLogger:
         silent: bool = False,
     ):
         self.exposure = exposure
-        self._pictures_at = resumed
+        self._images_at = resumed
         self.writer = None
         if silent:
             return
@@ -52,15 +54,15 @@ class RenderLogger:
         table = "\n".join(f"| {key} | {value} |" for key, value in facts.items())
         self.writer.add_text("settings", f"| | |\n|---|---|\n{table}", resumed)
 
-    def log(self, loop: RenderLoop, stats: StepStats, errors: Mapping[str, float], picture: Film) -> None:
-        """Scalars of one step, and pictures where its number is a power of two. Collective.
+    def log(
+        self, loop: RenderLoop | AdaptiveLoop, stats: StepStats, errors: Mapping[str, float], picture: Film | HalvesFilm
+    ) -> None:
+        """Write the scalars of one step, and images at powers of two; collective.
 
-        errors: by name (`mape`, `relmse`), or empty where there is no reference; the estimate of the relative
-        noise of the `picture` so far stands in then.
+        errors: by name (`mape`, `relmse`). Without a reference `errors` is empty, and the log has the estimated relative noise
+        of `picture`, the film so far.
         """
-        scalars = {f"error/{name}": value for name, value in errors.items()} or {
-            "error/relative_noise": picture.relative_noise()
-        }
+        scalars = {f"error/{name}": value for name, value in errors.items()} or {"error/relative_noise": picture.relative_noise()}
         scalars |= {
             "guide/kl": stats.kl,
             "guide/gaussians": stats.gaussians,
@@ -69,31 +71,33 @@ class RenderLogger:
             "speed/samples_per_second": stats.samples / stats.seconds,
         }
         scalars |= {f"time/{name.replace(' ', '_')}": seconds for name, seconds in loop.phases.items()}
-        for tag, value in scalars.items() if self.writer else ():
-            if not math.isnan(value):
-                self.writer.add_scalar(tag, value, stats.step)
+        if self.writer:
+            for tag, value in scalars.items():
+                if not math.isnan(value):
+                    self.writer.add_scalar(tag, value, stats.step)
         if stats.step & (stats.step - 1) == 0:
-            self._log_pictures(loop, stats.step, picture)
+            self._log_images(loop, stats.step, picture)
 
     def flush(self) -> None:
-        """Write what is still in memory."""
+        """Write buffered entries to the file."""
         if self.writer:
             self.writer.flush()
 
-    def finish(self, loop: RenderLoop, step: int, picture: Film) -> None:
-        """Pictures of the last step, whatever its number, and close the log. Collective."""
-        if step != self._pictures_at:
-            self._log_pictures(loop, step, picture)
+    def finish(self, loop: RenderLoop | AdaptiveLoop, step: int, picture: Film | HalvesFilm) -> None:
+        """Write the images of the last step, and close the log; collective."""
+        if step != self._images_at:
+            self._log_images(loop, step, picture)
         if self.writer:
             self.writer.close()
 
-    def _log_pictures(self, loop: RenderLoop, step: int, picture: Film) -> None:
-        pictures = {"render": tone_map(picture.radiance(), self.exposure), **loop.guide_images()}
-        for name, picture in pictures.items() if self.writer else ():
-            self.writer.add_image(name, picture, step, dataformats="HWC")
-        self._pictures_at = step
+    def _log_images(self, loop: RenderLoop | AdaptiveLoop, step: int, picture: Film | HalvesFilm) -> None:
+        images = {"render": tone_map(picture.radiance(), self.exposure), **loop.guide_images()}
+        if self.writer:
+            for name, image in images.items():
+                self.writer.add_image(name, image, step, dataformats="HWC")
+        self._images_at = step
 
 
 def run_folder(logdir: str | Path, scene: Scene, settings: RenderSettings) -> Path:
-    """Where the log of this scene and mode goes."""
+    """The folder of the log of this scene and mode."""
     return Path(logdir) / scene.name / settings.mode

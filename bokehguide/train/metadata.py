@@ -1,4 +1,4 @@
-"""What was rendered, in words that a file's header or a log can hold."""
+"""Metadata of a render for file headers and logs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def describe_render(scene: Scene, settings: RenderSettings, spp: int) -> dict[str, str | int]:
-    """Scene, mode, SPP (those rendered), seed, size and software; `settings` is JSON with the camera too."""
+    """Scene, mode, rendered SPP, seed, size and software; `settings` is JSON with the camera and the film."""
     whole = asdict(settings) | {"camera": asdict(scene.camera), "film": asdict(scene.film)}
     return {
         "scene": scene.name,
@@ -22,7 +22,7 @@ def describe_render(scene: Scene, settings: RenderSettings, spp: int) -> dict[st
         "spp": spp,
         "seed": settings.seed,
         "size": f"{scene.film.width}x{scene.film.height}",
-        # OpenEXR drops a text under the name `version`, which it keeps for the format's own.
+        # OpenEXR reserves the name `version` and drops such a text.
         "software": f"bokehguide {__version__}",
         "settings": json.dumps(whole, default=lambda mask: f"{mask.shape[1]} × {mask.shape[0]} texels"),
     }

@@ -1,34 +1,34 @@
-"""What a render may be told."""
+"""The settings of a render."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bokehguide.errors import BokehguideError
+from bokehguide.guiding.config import GaussianConfig, GuidedConfig
+from bokehguide.guiding.modes import MODES
 from bokehguide.limits import MAX_SIDE
 
 DEVICES = ("cpu", "cuda")
-LENS_MODES = ("uniform", "lis", "lis-b", "lis-o", "guided")
-"""Uniform lens sampling, independent from step to step as in the paper; the paper's modes: guided with
-β = 0.8; with learnt β; with learnt β and polynomial offsets; and this project's own."""
-REUSE_MODES = {"area-restir": "uniform", "area-restir+lis": "lis-o"}
-"""Area ReSTIR, and the mode that draws the samples that it reuses."""
-MODES = (*LENS_MODES, *REUSE_MODES)
+LENS_MODES = tuple(name for name, entry in MODES.items() if not entry.whole_frame)
+"""Modes that render any part of a frame by itself."""
 
 
 @dataclass(frozen=True)
 class RenderSettings:
     """Settings of one render.
 
-    mode: one of MODES. spp: samples per pixel, one a step. seed: of all random numbers.
+    mode: a name of the registry `bokehguide.guiding.modes.MODES`. spp: samples per pixel, one a step.
+    seed: of all random numbers.
     device: "cpu" or "cuda" (shading, guiding and learning; Embree runs on the CPU).
-    threads: worker threads, None for as many as there are processors. reuse_radius: of the
-    neighbourhood in which Area ReSTIR reuses samples, in pixels; the paper's 50 is for a
-    picture of 1920 × 1080, and 50 · width / 1920 takes in the same part of a smaller one.
+    threads: worker threads; None: one for each core.
+    reuse_radius: radius in pixels of the neighbourhood in which Area ReSTIR reuses samples. The paper's 50 is for a width of
+    1920 pixels; 50 · width / 1920 covers the same part of a smaller picture.
     crop: x, y, width, height in pixels from the top left, of the part of the frame to render.
-    target_noise: estimated relative error at which a block of pixels is done; None: all get spp samples.
-    compile: whether kernels are compiled (see `render/kernels.py`), which takes minutes once on a machine and renders
-    faster from then on; the picture is the same but for rounding.
+    target_noise: estimated relative error at which a block of pixels ends; None: all pixels get spp samples.
+    compile: whether kernels are compiled (see `runtime/compile/kernels.py`). Compilation takes minutes once on a machine; the
+    picture is the same but for rounding.
+    gaussian: settings of the paper's modes. guided: settings of the mode `guided`.
     Raises BokehguideError for a value out of range.
     """
 
@@ -41,6 +41,8 @@ class RenderSettings:
     crop: tuple[int, int, int, int] | None = None
     target_noise: float | None = None
     compile: bool = False
+    gaussian: GaussianConfig = field(default_factory=GaussianConfig)
+    guided: GuidedConfig = field(default_factory=GuidedConfig)
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
@@ -54,28 +56,23 @@ class RenderSettings:
         if not 1.0 <= self.reuse_radius <= MAX_SIDE:
             raise BokehguideError(f"reuse_radius: {self.reuse_radius:g} is out of range; give pixels from 1 to {MAX_SIDE}")
 
-        if self.crop is not None and self.reuses:
+        if self.crop is not None and self.whole_frame:
             raise BokehguideError(f"crop: {self.mode} reuses samples of the whole frame; render it whole, or choose another mode")
 
         if self.target_noise is not None and not 1e-6 <= self.target_noise <= 1.0:
             raise BokehguideError(f"target_noise: {self.target_noise:g} is out of range; give a relative error from 1e-06 to 1")
-        if self.target_noise is not None and self.reuses:
+        if self.target_noise is not None and self.whole_frame:
             raise BokehguideError(f"target_noise: {self.mode} reuses samples of the whole frame; choose another mode")
 
     def window(self, width: int, height: int) -> tuple[int, int, int, int]:
         """The crop, or all, of a frame of this size. Raises BokehguideError where the crop leaves it."""
         x, y, across, down = self.crop or (0, 0, width, height)
-        if not (0 <= x and 0 <= y and 0 < across <= width - x and 0 < down <= height - y):
-            box = ",".join(map(str, self.crop))
+        if not (x >= 0 and y >= 0 and 0 < across <= width - x and 0 < down <= height - y):
+            box = f"{x},{y},{across},{down}"
             raise BokehguideError(f"crop: {box} leaves the frame; give X,Y,W,H within its {width} x {height} pixels")
         return x, y, across, down
 
     @property
-    def lens_mode(self) -> str:
-        """Which of LENS_MODES draws the lens points."""
-        return REUSE_MODES.get(self.mode, self.mode)
-
-    @property
-    def reuses(self) -> bool:
-        """Whether pixels reuse each other's samples."""
-        return self.mode in REUSE_MODES
+    def whole_frame(self) -> bool:
+        """Whether the mode needs the frame in one process, without a crop and without a noise target."""
+        return MODES[self.mode].whole_frame

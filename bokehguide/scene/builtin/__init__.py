@@ -1,4 +1,4 @@
-"""The built-in scenes, in the order in which `bokehguide scenes` lists them."""
+"""The built-in scenes, in the order of `bokehguide scenes`."""
 
 from collections.abc import Callable
 
@@ -24,4 +24,4 @@ DESCRIPTIONS = {
     "cutout": cutout.DESCRIPTION,
     "daylight": daylight.DESCRIPTION,
 }
-"""What each shows, told without building it."""
+"""Descriptions of the scenes, available without building them."""

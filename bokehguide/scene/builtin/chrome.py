@@ -1,26 +1,21 @@
-"""A bar at night: polished metal near the lens, in focus and far, and small lamps."""
+"""A bar at night: polished metal near, in and behind the focal plane, and small lamps."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from bokehguide.scene.builtin.parts import Builder, lamp_radius, lathe, ring, rod, sky
+from bokehguide.scene.builtin.parts import Builder, emitter_radius, lathe, ring, rod
+from bokehguide.scene.environments import sky
 from bokehguide.scene.shapes import unit_rectangle
 from bokehguide.scene.types import Camera, Inset, Scene
 
 DESCRIPTION = "polished metal near and far under small lamps: highlights that move with the lens"
 
-CAMERA = Camera(
-    position=(0.0, 0.3, 1.05),
-    target=(0.0, 0.19, 0.0),
-    fov=40.0,
-    aperture_radius=0.04,
-    focus_distance=1.05,
-)
+CAMERA = Camera(position=(0.0, 0.3, 1.05), target=(0.0, 0.19, 0.0), fov=40.0, aperture_radius=0.04, focus_distance=1.05)
 
 
 def chrome() -> Scene:
-    """Defocused reflections, whose place depends on the point of the lens."""
+    """Defocused reflections, whose position depends on the lens point."""
     builder = Builder()
     _bar(builder)
     _metal(builder)
@@ -32,11 +27,7 @@ def chrome() -> Scene:
         meshes=builder.meshes(),
         materials=tuple(builder.materials),
         environment=sky((-90, (0.02, 0.02, 0.02)), (0, (0.16, 0.17, 0.21)), (90, (0.5, 0.55, 0.7))),
-        insets=(
-            Inset(0.0, 0.42, 0.26, 0.5),
-            Inset(0.3, 0.02, 0.4, 0.3),
-            Inset(0.72, 0.02, 0.26, 0.36),
-        ),
+        insets=(Inset(0.0, 0.42, 0.26, 0.5), Inset(0.3, 0.02, 0.4, 0.3), Inset(0.72, 0.02, 0.26, 0.36)),
     )
 
 
@@ -45,10 +36,8 @@ def _bar(builder: Builder) -> None:
     builder.box(counter, (0.0, -0.03, -0.6), (4.0, 0.06, 3.2))
     wall = builder.material("wall", (0.10, 0.06, 0.05), roughness=0.9)
     builder.add(unit_rectangle(), wall, translate=(0.0, 0.0, -3.6), scale=(7.0, 4.0, 1.0))
-    panel = builder.lamp("panel", (20.0, 21.0, 23.0))
-    builder.add(
-        unit_rectangle(), panel, translate=(-1.2, 1.2, 0.6), rotate=(40.0, 115.0, 0.0), scale=0.3
-    )
+    panel = builder.emitter("panel", (20.0, 21.0, 23.0))
+    builder.add(unit_rectangle(), panel, translate=(-1.2, 1.2, 0.6), rotate=(40.0, 115.0, 0.0), scale=0.3)
 
 
 def _metal(builder: Builder) -> None:
@@ -64,12 +53,12 @@ def _metal(builder: Builder) -> None:
     cup = [(0.0, 0.0), (0.03, 0.0), (0.032, 0.003), (0.006, 0.012), (0.005, 0.06), (0.02, 0.07)]
     cup += [(0.04, 0.105), (0.044, 0.135), (0.042, 0.135), (0.037, 0.106), (0.0, 0.074)]
     builder.add(lathe(cup, 128), gold, translate=(0.11, 0.0, -0.03))
-    builder.balls(copper, (0.055, 0.022, 0.09), 0.022)
-    builder.balls(brushed, (-0.125, 0.032, 0.05), 0.032)
-    # Near the lens, their feet below the frame.
-    builder.balls(steel, (-0.20, 0.15, 0.42), 0.095)
+    builder.spheres(copper, (0.055, 0.022, 0.09), 0.022)
+    builder.spheres(brushed, (-0.125, 0.032, 0.05), 0.032)
+    # Objects near the lens. Their feet are below the frame.
+    builder.spheres(steel, (-0.20, 0.15, 0.42), 0.095)
     builder.add(ring(0.075, 0.018, 96), copper, translate=(0.19, 0.125, 0.43), rotate=(62, 30, 0))
-    # Far: a row of taps and urns.
+    # A distant row of urns.
     for number, x in enumerate((-0.75, -0.42, 0.36, 0.70)):
         urn = [(0.0, 0.0), (0.09, 0.0), (0.10, 0.02), (0.12, 0.2), (0.10, 0.33), (0.03, 0.40)]
         urn += [(0.03, 0.43), (0.0, 0.45)]
@@ -79,15 +68,15 @@ def _metal(builder: Builder) -> None:
 
 
 def _lamps(builder: Builder) -> None:
-    """Small bulbs behind, seen directly; larger ones out of frame for the reflections."""
+    """Small bulbs in the background, and larger bulbs outside the frame for the reflections."""
     rng = np.random.default_rng(5)
-    warm = builder.lamp("bulb", (180.0, 110.0, 48.0))
-    cool = builder.lamp("cool bulb", (80.0, 125.0, 180.0))
+    warm = builder.emitter("bulb", (180.0, 110.0, 48.0))
+    cool = builder.emitter("cool bulb", (80.0, 125.0, 180.0))
     x = np.linspace(-1.25, 1.25, 14)
     back = np.stack([x, 0.48 + 0.05 * np.cos(4.0 * x), np.full(14, -2.2)], axis=1)
     low = np.stack([x + 0.08, 0.28 + 0.1 * rng.random(14), rng.uniform(-3.2, -2.4, 14)], axis=1)
-    builder.balls(warm, back, lamp_radius(CAMERA, back, 0.006))
-    builder.balls(cool, low[::2], lamp_radius(CAMERA, low[::2], 0.005))
-    builder.balls(warm, low[1::2], lamp_radius(CAMERA, low[1::2], 0.007))
+    builder.spheres(warm, back, emitter_radius(CAMERA, back, 0.006))
+    builder.spheres(cool, low[::2], emitter_radius(CAMERA, low[::2], 0.005))
+    builder.spheres(warm, low[1::2], emitter_radius(CAMERA, low[1::2], 0.007))
     for lamp, x in ((warm, -0.9), (cool, -0.3), (warm, 0.35), (cool, 0.95)):
-        builder.balls(lamp, ((x, 1.15, 0.3), (x + 0.2, 0.95, 1.6)), 0.024)
+        builder.spheres(lamp, ((x, 1.15, 0.3), (x + 0.2, 0.95, 1.6)), 0.024)

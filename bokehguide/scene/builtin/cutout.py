@@ -1,26 +1,20 @@
-"""A vase of lit twigs over nothing: what is empty stays transparent."""
+"""A vase with lit twigs on a transparent background."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from bokehguide.scene.builtin.parts import Builder, cable, lamp_radius, lathe, ring
+from bokehguide.scene.builtin.parts import Builder, cable, emitter_radius, lathe, ring
 from bokehguide.scene.shapes import unit_rectangle
 from bokehguide.scene.types import Camera, Inset, Scene
 
 DESCRIPTION = "a vase and lit twigs over an empty background: alpha below one"
 
-CAMERA = Camera(
-    position=(0.0, 0.27, 1.1),
-    target=(0.0, 0.21, 0.0),
-    fov=40.0,
-    aperture_radius=0.045,
-    focus_distance=1.1,
-)
+CAMERA = Camera(position=(0.0, 0.27, 1.1), target=(0.0, 0.21, 0.0), fov=40.0, aperture_radius=0.045, focus_distance=1.1)
 
 
 def cutout() -> Scene:
-    """Bright spots whose surroundings have no radiance and no alpha."""
+    """Highlights on a background without radiance and alpha."""
     builder = Builder()
     _vase(builder)
     _twigs(builder)
@@ -31,11 +25,7 @@ def cutout() -> Scene:
         camera=CAMERA,
         meshes=builder.meshes(),
         materials=tuple(builder.materials),
-        insets=(
-            Inset(0.02, 0.1, 0.28, 0.45),
-            Inset(0.36, 0.02, 0.28, 0.3),
-            Inset(0.7, 0.1, 0.28, 0.45),
-        ),
+        insets=(Inset(0.02, 0.1, 0.28, 0.45), Inset(0.36, 0.02, 0.28, 0.3), Inset(0.7, 0.1, 0.28, 0.45)),
     )
 
 
@@ -50,19 +40,18 @@ def _vase(builder: Builder) -> None:
     vase += [(0.018, 0.13), (0.0, 0.12)]
     builder.add(lathe(vase, 96), glaze)
     builder.add(ring(0.0545, 0.0028, 96), gold, translate=(0.0, 0.074, 0.0))
-    builder.balls(gold, ((0.105, 0.046, 0.05), (-0.112, 0.043, 0.04)), (0.018, 0.015))
+    builder.spheres(gold, ((0.105, 0.046, 0.05), (-0.112, 0.043, 0.04)), (0.018, 0.015))
     for x, radiance in ((-1.0, (12.0, 11.3, 10.5)), (1.2, (4.5, 5.3, 7.0))):
-        softbox = builder.lamp("softbox", radiance)
+        softbox = builder.emitter("softbox", radiance)
         builder.add(
-            unit_rectangle(), softbox,
-            translate=(x, 0.9, 1.0), rotate=(40.0, 180.0 - 45.0 * np.sign(-x), 0.0), scale=0.35,
+            unit_rectangle(), softbox, translate=(x, 0.9, 1.0), rotate=(40.0, 180.0 - 45.0 * np.sign(-x), 0.0), scale=0.35
         )
 
 
 def _twigs(builder: Builder) -> None:
-    """Twigs that lean out of the focal plane, a bud of light every few centimetres."""
+    """Twigs that lean out of the focal plane, with luminous buds every few centimetres."""
     bark = builder.material("bark", (0.16, 0.09, 0.05), roughness=0.8)
-    bulbs = [builder.lamp("bud", color) for color in ((170, 110, 50), (180, 75, 40))]
+    bulbs = [builder.emitter("bud", color) for color in ((170, 110, 50), (180, 75, 40))]
     rng = np.random.default_rng(8)
     for number in range(11):
         turn = 2.399963 * number
@@ -77,11 +66,11 @@ def _twigs(builder: Builder) -> None:
         depth = CAMERA.position[2] - buds[:, 2]
         buds = buds[np.abs(depth - CAMERA.focus_distance) > 0.05]
         if len(buds):
-            builder.balls(bulbs[number % 2], buds, lamp_radius(CAMERA, buds, 0.009))
+            builder.spheres(bulbs[number % 2], buds, emitter_radius(CAMERA, buds, 0.009))
 
 
 def _drifting(builder: Builder) -> None:
-    """Lamps that hang free, far behind and close to the lens."""
+    """Lamps in mid-air, far behind the focal plane and close to the lens."""
     rng = np.random.default_rng(13)
     for color, count, near, far in (
         ((125.0, 76.0, 34.0), 16, 2.0, 3.6),
@@ -91,8 +80,6 @@ def _drifting(builder: Builder) -> None:
         depth = rng.uniform(near, far, count)
         side = np.where(np.arange(count) % 2, 1.0, -1.0)
         across = side * rng.uniform(0.13, 0.36, count)
-        centres = np.stack(
-            [across * depth, 0.24 + depth * rng.uniform(-0.12, 0.18, count), 1.1 - depth], axis=1
-        )
-        radii = lamp_radius(CAMERA, centres, rng.uniform(0.003, 0.008, count))
-        builder.balls(builder.lamp("lamp", color), centres, radii)
+        centres = np.stack([across * depth, 0.24 + depth * rng.uniform(-0.12, 0.18, count), 1.1 - depth], axis=1)
+        radii = emitter_radius(CAMERA, centres, rng.uniform(0.003, 0.008, count))
+        builder.spheres(builder.emitter("lamp", color), centres, radii)

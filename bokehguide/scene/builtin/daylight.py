@@ -1,10 +1,11 @@
-"""A cup and a plant on a terrace under a bright hazy sky; nothing small is bright."""
+"""A cup and a plant on a terrace under a bright hazy sky, without small emitters."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from bokehguide.scene.builtin.parts import Builder, lathe, ring, sky
+from bokehguide.scene.builtin.parts import Builder, lathe, ring
+from bokehguide.scene.environments import sky
 from bokehguide.scene.shapes import unit_sphere
 from bokehguide.scene.types import Camera, Inset, Scene
 
@@ -12,7 +13,7 @@ DESCRIPTION = "a cup on a terrace before white walls and a bright sky: no lamps 
 
 
 def daylight() -> Scene:
-    """The control: defocused, bright, and without a spot that guiding could find."""
+    """The control scene: bright and defocused, without highlights for the guide."""
     builder = Builder()
     _terrace(builder)
     _cup(builder)
@@ -20,13 +21,7 @@ def daylight() -> Scene:
     return Scene(
         name="daylight",
         description=DESCRIPTION,
-        camera=Camera(
-            position=(0.0, 0.23, 0.9),
-            target=(0.0, 0.14, 0.0),
-            fov=40.0,
-            aperture_radius=0.035,
-            focus_distance=0.92,
-        ),
+        camera=Camera(position=(0.0, 0.23, 0.9), target=(0.0, 0.14, 0.0), fov=40.0, aperture_radius=0.035, focus_distance=0.92),
         meshes=builder.meshes(),
         materials=tuple(builder.materials),
         environment=sky(
@@ -86,13 +81,12 @@ def _plant(builder: Builder) -> None:
         turn, lean = 137.5 * number, rng.uniform(10.0, 62.0)
         length = rng.uniform(0.05, 0.085)
         lean_radians, turn_radians = np.radians(lean), np.radians(turn)
-        direction = np.array([
-            np.sin(lean_radians) * np.sin(turn_radians),
-            np.cos(lean_radians),
-            np.sin(lean_radians) * np.cos(turn_radians),
-        ])
+        direction = np.array(
+            [np.sin(lean_radians) * np.sin(turn_radians), np.cos(lean_radians), np.sin(lean_radians) * np.cos(turn_radians)]
+        )
         builder.add(
-            unit_sphere(), leaf,
+            unit_sphere(),
+            leaf,
             translate=foot + (0.0, 0.08, 0.0) + length * direction,
             rotate=(lean, turn, 0.0),
             scale=(0.013, length, 0.003),

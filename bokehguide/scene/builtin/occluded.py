@@ -1,26 +1,21 @@
-"""A clockwork: the front wheel in focus, a lattice and more wheels before far lamps."""
+"""A clockwork with its front wheel in focus; a lattice and more wheels hide distant lamps."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from bokehguide.scene.builtin.parts import Builder, gear, lamp_radius, lathe, ring, rod, sky
+from bokehguide.scene.builtin.parts import Builder, emitter_radius, gear, lathe, ring, rod
+from bokehguide.scene.environments import sky
 from bokehguide.scene.shapes import unit_rectangle
 from bokehguide.scene.types import Camera, Inset, Scene
 
 DESCRIPTION = "a clockwork before far lamps: lattice and wheels hide them from part of the lens"
 
-CAMERA = Camera(
-    position=(0.0, 0.22, 1.0),
-    target=(0.0, 0.2, 0.0),
-    fov=40.0,
-    aperture_radius=0.045,
-    focus_distance=1.0,
-)
+CAMERA = Camera(position=(0.0, 0.22, 1.0), target=(0.0, 0.2, 0.0), fov=40.0, aperture_radius=0.045, focus_distance=1.0)
 
 
 def occluded() -> Scene:
-    """Circles of confusion that are cut by what stands between focus and lamps."""
+    """Circles of confusion, clipped by objects between the focal plane and the lamps."""
     builder = Builder()
     _surroundings(builder)
     _clockwork(builder)
@@ -33,11 +28,7 @@ def occluded() -> Scene:
         meshes=builder.meshes(),
         materials=tuple(builder.materials),
         environment=sky((-90, (0.04, 0.04, 0.04)), (0, (0.14, 0.15, 0.18)), (90, (0.30, 0.32, 0.38))),
-        insets=(
-            Inset(0.03, 0.06, 0.3, 0.42),
-            Inset(0.4, 0.03, 0.2, 0.3),
-            Inset(0.68, 0.1, 0.29, 0.45),
-        ),
+        insets=(Inset(0.03, 0.06, 0.3, 0.42), Inset(0.4, 0.03, 0.2, 0.3), Inset(0.68, 0.1, 0.29, 0.45)),
     )
 
 
@@ -46,14 +37,12 @@ def _surroundings(builder: Builder) -> None:
     builder.box(bench, (0.0, -0.02, -0.1), (2.4, 0.04, 1.2))
     wall = builder.material("wall", (0.07, 0.09, 0.11), roughness=0.9)
     builder.add(unit_rectangle(), wall, translate=(0.0, 0.0, -4.2), scale=(7.0, 4.0, 1.0))
-    panel = builder.lamp("panel", (14.0, 13.5, 13.0))
-    builder.add(
-        unit_rectangle(), panel, translate=(1.1, 1.1, 1.1), rotate=(-35.0, -140.0, 0.0), scale=0.35
-    )
+    panel = builder.emitter("panel", (14.0, 13.5, 13.0))
+    builder.add(unit_rectangle(), panel, translate=(1.1, 1.1, 1.1), rotate=(-35.0, -140.0, 0.0), scale=0.35)
 
 
 def _clockwork(builder: Builder) -> None:
-    """Wheels in focus at z = 0 and out of focus behind; a pendulum's bob at their foot."""
+    """Wheels in focus at z = 0, and defocused wheels behind them."""
     brass = builder.material("brass", (0.91, 0.72, 0.34), metallic=1.0, roughness=0.28)
     copper = builder.material("copper", (0.93, 0.52, 0.38), metallic=1.0, roughness=0.3)
     steel = builder.material("steel", (0.56, 0.57, 0.58), metallic=1.0, roughness=0.3)
@@ -80,13 +69,11 @@ def _clockwork(builder: Builder) -> None:
 
 
 def _lattice(builder: Builder) -> None:
-    """Crossed bars at depth 1.5, where the cone from a lamp to the lens is 2 to 3 cm wide."""
+    """Crossed bars at depth 1.5 m, where the cone from a lamp to the lens is 2 to 3 cm wide."""
     iron = builder.material("iron", (0.12, 0.12, 0.13), metallic=1.0, roughness=0.45)
     for number in range(-9, 10):
         for turn in (-45.0, 45.0):
-            builder.box(
-                iron, (0.105 * number, 0.3, -0.5), (0.011, 1.6, 0.011), rotate=(0.0, 0.0, turn)
-            )
+            builder.box(iron, (0.105 * number, 0.3, -0.5), (0.011, 1.6, 0.011), rotate=(0.0, 0.0, turn))
     for height in (0.0, 0.56):
         builder.box(iron, (0.0, height, -0.5), (2.2, 0.02, 0.02))
 
@@ -101,9 +88,8 @@ def _lamps(builder: Builder) -> None:
     across = (column - 4.5 + rng.uniform(-0.32, 0.32, len(row))) / 4.6 * 0.36
     up = (row - 1.3 + rng.uniform(-0.32, 0.32, len(row))) / 4.0 * 0.22
     centres = np.stack([across * depth, 0.21 + up * depth, 1.0 - depth], axis=1)
-    shares = rng.uniform(0.004, 0.009, len(row))
-    radii = lamp_radius(CAMERA, centres, shares)
+    radii = emitter_radius(CAMERA, centres, rng.uniform(0.004, 0.009, len(row)))
     kinds = rng.permutation(len(row)) % len(colors)
     for number, color in enumerate(colors):
         chosen = kinds == number
-        builder.balls(builder.lamp("bulb", color), centres[chosen], radii[chosen])
+        builder.spheres(builder.emitter("bulb", color), centres[chosen], radii[chosen])

@@ -1,67 +1,70 @@
-"""What the built-in scenes are made of: turned bodies, tubes, skies, and a builder."""
+"""Building blocks of the built-in scenes: solids of revolution, tubes, gears and a builder."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_box
-from bokehguide.scene.types import Camera, Environment, Material, Mesh
+from bokehguide.scene.types import Camera, Material, Mesh, as_vector
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 CREASE = np.radians(35.0)
-"""Edges sharper than this stay edges; the rest is shaded smoothly."""
+"""Radians; edges with a larger angle between their faces stay sharp."""
 
 
 class Builder:
-    """Collects the surfaces of a scene by material."""
+    """Collector of the meshes and materials of a scene."""
 
     def __init__(self) -> None:
         self.materials: list[Material] = []
         self._meshes: list[Mesh] = []
 
     def material(self, name: str, color: Sequence[float] = (0.8, 0.8, 0.8), **terms) -> int:
-        """The index of a new material; `terms` are those of `Material`."""
-        self.materials.append(Material(name, base_color=tuple(color), **terms))
+        """The index of a new material. terms: fields of `Material`."""
+        self.materials.append(Material(name, base_color=as_vector(color), **terms))
         return len(self.materials) - 1
 
-    def lamp(self, name: str, radiance: Sequence[float]) -> int:
-        """The index of a new material that only emits `radiance`."""
-        return self.material(name, (0.0, 0.0, 0.0), specular=0.0, emission=tuple(radiance))
+    def emitter(self, name: str, radiance: Sequence[float]) -> int:
+        """The index of a new black material that emits `radiance`."""
+        return self.material(name, (0.0, 0.0, 0.0), specular=0.0, emission=as_vector(radiance))
 
     def add(self, mesh: Mesh, material: int, **placement) -> None:
-        """Put `mesh` at `placement` (translate, rotate, scale, as in a scene file)."""
+        """Add `mesh` with a transform. placement: translate, rotate and scale, as in a scene file."""
         self._meshes.append(_painted(transformed(mesh, transform(**placement)), material))
 
-    def box(self, material: int, centre: Sequence[float], size: Sequence[float], **turn) -> None:
-        """A box of `size` [x, y, z] around `centre`, metres."""
-        self.add(unit_box(), material, translate=centre, scale=size, **turn)
+    def box(self, material: int, centre: ArrayLike, size: ArrayLike, **rotation) -> None:
+        """Add a box of `size` [x, y, z] around `centre`, metres. rotation: `rotate` of `transform`."""
+        self.add(unit_box(), material, translate=centre, scale=size, **rotation)
 
-    def balls(self, material: int, centres, radii) -> None:
-        """Spheres at `centres` `[N, 3]` of `radii` `[N]` or one radius, metres."""
+    def spheres(self, material: int, centres: ArrayLike, radii: ArrayLike) -> None:
+        """Add spheres at `centres` `[N, 3]` of `radii` `[N]` or one radius, metres."""
         self._meshes.append(spheres(np.atleast_2d(centres), radii, material))
 
     def meshes(self) -> tuple[Mesh, ...]:
-        """One mesh for each material and kind of shading."""
+        """One mesh for each combination of material and shading."""
         ordered = sorted(self._meshes, key=_kind)
         return tuple(joined(list(group)) for _, group in groupby(ordered, key=_kind))
 
 
 def _kind(mesh: Mesh) -> tuple[int, bool]:
+    """The material, and whether the shading is flat."""
     return mesh.material, mesh.normals is None
 
 
 def _painted(mesh: Mesh, material: int) -> Mesh:
+    """`mesh` with another material and without uvs."""
     return Mesh(mesh.vertices, mesh.triangles, material, mesh.normals)
 
 
 def shaded(surface: Trimesh) -> Mesh:
-    """A trimesh with normals that are smooth except across creases."""
+    """`surface` with normals that are smooth except at creases."""
     from trimesh.graph import smooth_shade
 
     smooth = smooth_shade(surface, angle=CREASE)
@@ -74,7 +77,7 @@ def shaded(surface: Trimesh) -> Mesh:
 
 
 def lathe(profile: Sequence[tuple[float, float]], sections: int = 64) -> Mesh:
-    """A body turned about y from its (radius, height) `profile`, listed from the bottom up."""
+    """A solid of revolution about y. profile: (radius, height) pairs from the bottom up."""
     from trimesh.creation import revolve
 
     body = revolve(np.asarray(profile, dtype=float), sections=sections)
@@ -83,7 +86,7 @@ def lathe(profile: Sequence[tuple[float, float]], sections: int = 64) -> Mesh:
 
 
 def ring(radius: float, thickness: float, sections: int = 64) -> Mesh:
-    """A torus about y; `thickness` is the radius of its tube."""
+    """A torus about y. thickness: radius of the tube."""
     from trimesh.creation import torus
 
     around_z = torus(radius, thickness, major_sections=sections, minor_sections=20)
@@ -91,7 +94,7 @@ def ring(radius: float, thickness: float, sections: int = 64) -> Mesh:
     return shaded(around_z)
 
 
-def rod(start: Sequence[float], end: Sequence[float], radius: float, sections: int = 24) -> Mesh:
+def rod(start: ArrayLike, end: ArrayLike, radius: float, sections: int = 24) -> Mesh:
     """A closed cylinder from `start` to `end`."""
     from trimesh.creation import cylinder
 
@@ -100,17 +103,17 @@ def rod(start: Sequence[float], end: Sequence[float], radius: float, sections: i
 
 
 def cable(points: np.ndarray, radius: float, sections: int = 8) -> Mesh:
-    """A thin wire through `points` `[N, 3]`."""
-    return joined([rod(a, b, radius, sections) for a, b in zip(points[:-1], points[1:])])
+    """A chain of rods through `points` `[N, 3]`."""
+    return joined([rod(a, b, radius, sections) for a, b in pairwise(points)])
 
 
 def gear(radius: float, teeth: int, thickness: float) -> Mesh:
-    """A toothed rim about z with five spokes and a hub, flat-shaded."""
+    """A flat-shaded gear about z: a toothed rim, five spokes and a hub."""
     tooth = radius * np.array([0.90, 1.0, 1.0, 0.90])
     outer = np.tile(tooth, teeth)
     angles = 2.0 * np.pi * (np.arange(4 * teeth) + 0.5) / (4 * teeth)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    # Four loops of points: outer front, outer back, inner back, inner front.
+    # Four loops of vertices: outer front, outer back, inner back, inner front.
     loops = [
         np.column_stack([circle * np.reshape(r, (-1, 1)), np.full(len(circle), z)])
         for r, z in (
@@ -137,41 +140,25 @@ def gear(radius: float, teeth: int, thickness: float) -> Mesh:
         for number in range(5)
     ]
     hub = rod((0.0, 0.0, -0.6 * thickness), (0.0, 0.0, 0.6 * thickness), 0.16 * radius)
-    return joined([_bare(part) for part in (rim, *spokes, hub)])
-
-
-def _bare(mesh: Mesh) -> Mesh:
-    return Mesh(mesh.vertices, mesh.triangles, 0)
+    return joined([Mesh(part.vertices, part.triangles, 0) for part in (rim, *spokes, hub)])
 
 
 def hanging(start: Sequence[float], end: Sequence[float], sag: float, count: int) -> np.ndarray:
-    """`count` points of a cable that hangs `sag` metres between its ends, `[count, 3]`."""
+    """Points `[count, 3]` of a cable that sags by `sag` metres between its ends."""
     t = np.linspace(0.0, 1.0, count)[:, None]
     points = (1.0 - t) * np.asarray(start, dtype=float) + t * np.asarray(end, dtype=float)
     points[:, 1] -= 4.0 * sag * (t * (1.0 - t))[:, 0]
     return points
 
 
-def lamp_radius(camera: Camera, centres: np.ndarray, share: np.ndarray | float) -> np.ndarray:
-    """Radii `[N]` of lamps at `centres` `[N, 3]` that cover `share` of the lens of `camera`.
+def emitter_radius(camera: Camera, centres: np.ndarray, coverage: np.ndarray | float) -> np.ndarray:
+    """Radii `[N]` of emitters at `centres` `[N, 3]` that cover the fraction `coverage` of the lens.
 
-    As a pixel in the middle of their bokeh sees it: R = r √share |d - Z| / d.
+    The emitter at depth Z is seen from the centre of its bokeh, with focus distance d and lens
+    radius r: R = r √coverage |d - Z| / d.
     """
     forward = np.subtract(camera.target, camera.position)
     forward = forward / np.linalg.norm(forward)
     depth = (np.atleast_2d(centres) - camera.position) @ forward
     stretch = np.abs(camera.focus_distance - depth) / camera.focus_distance
-    return camera.aperture_radius * np.sqrt(share) * stretch
-
-
-def gradient(stops: Sequence[tuple[float, Sequence[float]]], height: int = 32) -> np.ndarray:
-    """A sky `[height, 2 height, 3]` of (elevation in degrees, radiance) `stops`, rising."""
-    elevation = 90.0 - 180.0 * (np.arange(height) + 0.5) / height
-    angles, colors = zip(*stops)
-    rows = np.stack([np.interp(elevation, angles, c) for c in np.transpose(colors)], axis=1)
-    return np.repeat(rows[:, None], 2 * height, axis=1).astype(np.float32)
-
-
-def sky(*stops: tuple[float, Sequence[float]]) -> Environment:
-    """An environment of `gradient` stops."""
-    return Environment(gradient(stops))
+    return camera.aperture_radius * np.sqrt(coverage) * stretch

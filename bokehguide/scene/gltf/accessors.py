@@ -1,4 +1,4 @@
-"""Accessors: typed arrays in a file's buffers, every offset checked."""
+"""Accessors: typed arrays in a file's buffers, with checked offsets."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from bokehguide.scene.gltf.document import Document, Part
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MAX_UNSTORED = 2**20
-"""Elements of an accessor without a buffer view: they are zeros, which cost the file nothing."""
+"""Limit on the elements of an accessor without a buffer view, which are zeros and take no space in the file."""
 
 
 def read_floats(document: Document, index: int, *kinds: str) -> np.ndarray:
-    """Accessor `index` as float32 `[count, width]`; normalised integers become 0 … 1 or -1 … 1.
+    """Accessor `index` as float32 `[count, width]`. Normalised integers map to [0, 1] or [-1, 1].
 
-    kinds: the types that are in order, such as "VEC3". Raises BokehguideError naming the
-    accessor for another type and for what lies outside its buffer.
+    kinds: the permitted types, such as "VEC3". Raises BokehguideError naming the accessor for
+    another type and for data outside its buffer.
     """
     accessor = document.items("accessors")[index]
     return as_floats(read_raw(document, index, *kinds), accessor.flag("normalized"))
 
 
 def as_floats(values: np.ndarray, normalized: bool) -> np.ndarray:
-    """Components as glTF 2.0 section 3.11 decodes them, float32."""
+    """Components decoded as in glTF 2.0 section 3.11, float32."""
     if values.dtype.kind == "f" or not normalized:
         with np.errstate(over="ignore"):
             return np.ascontiguousarray(values, dtype=np.float32)
@@ -33,19 +33,20 @@ def as_floats(values: np.ndarray, normalized: bool) -> np.ndarray:
 
 
 def read_indices(document: Document, index: int) -> np.ndarray:
-    """Accessor `index` as int64 `[count]`. Raises BokehguideError where it is not of unsigned integers."""
+    """Accessor `index` as int64 `[count]`. Raises BokehguideError if its components are not unsigned integers."""
     values = read_raw(document, index, "SCALAR")
     if values.dtype.kind != "u":
-        document.items("accessors")[index].fail("componentType", "is no unsigned integer; repair the file")
+        document.items("accessors")[index].fail("componentType", "is not an unsigned integer; repair the file")
     return values[:, 0].astype(np.int64)
 
 
 def read_raw(document: Document, index: int, *kinds: str) -> np.ndarray:
-    """Accessor `index` as it is stored, `[count, width]`, sparse values put in."""
+    """Accessor `index` in its stored type, `[count, width]`, with sparse values. Raises as `read_floats` does."""
     accessor = document.items("accessors")[index]
     if accessor.values.get("type") not in kinds:
-        accessor.fail("type", f"is not {' or '.join(kinds)}, which is what its use asks for; repair the file")
-    width, count = WIDTHS[accessor.values["type"]], accessor.whole("count", 0, MAX_INT if "bufferView" in accessor else MAX_UNSTORED)
+        accessor.fail("type", f"is not {' or '.join(kinds)}, as its use requires; repair the file")
+    width = WIDTHS[accessor.values["type"]]
+    count = accessor.whole("count", 0, MAX_INT if "bufferView" in accessor else MAX_UNSTORED)
     dtype = _dtype(accessor)
     if "bufferView" in accessor:
         values = _strided(document, accessor, dtype, count, width)
@@ -58,17 +59,16 @@ def read_raw(document: Document, index: int, *kinds: str) -> np.ndarray:
 
 
 def _dtype(part: Part) -> np.dtype:
-    kind = part.whole("componentType")
+    """The type of an accessor's components."""
+    kind = part.whole("componentType", None)
     if kind not in COMPONENTS:
         part.fail("componentType", f"is none of {', '.join(map(str, COMPONENTS))}; repair the file")
     return np.dtype(COMPONENTS[kind])
 
 
 def _strided(document: Document, part: Part, dtype: np.dtype, count: int, width: int) -> np.ndarray:
-    """`[count, width]` elements where `part` has its `bufferView` and `byteOffset`."""
-    index = document.link(part, "bufferView", "bufferViews")
-    if index is None:
-        part.fail("bufferView", "")
+    """The elements `[count, width]` at the `bufferView` and `byteOffset` of `part`."""
+    index = document.required(part, "bufferView", "bufferViews")
     data, view = document.view(index), document.items("bufferViews")[index]
     offset, size = part.whole("byteOffset", 0), dtype.itemsize * width
     stride = view.whole("byteStride", 0) or size
@@ -85,13 +85,14 @@ def _strided(document: Document, part: Part, dtype: np.dtype, count: int, width:
 
 
 def _put_sparse(document: Document, accessor: Part, values: np.ndarray) -> None:
+    """Write the sparse values of an accessor into `values` `[count, width]`."""
     sparse = accessor.part("sparse")
     count, indices = sparse.whole("count", 0, len(values)), sparse.part("indices")
     where = _strided(document, indices, _dtype(indices), count, 1)[:, 0]
     if where.dtype.kind != "u":
-        indices.fail("componentType", "is no unsigned integer; repair the file")
+        indices.fail("componentType", "is not an unsigned integer; repair the file")
     if count and where.max() >= len(values):
         raise BokehguideError(
-            f"{accessor.file}: {indices.path}: {where.max()} is beyond the {len(values)} elements; repair the file"
+            f"{accessor.file}: {indices.path}: {where.max()} is not below {len(values)}, the number of elements; repair the file"
         )
     values[where] = _strided(document, sparse.part("values"), values.dtype, count, values.shape[1])

@@ -1,7 +1,7 @@
-"""A glTF file: its JSON, checked as it is read, and its buffers.
+"""A glTF file: checked reading of its JSON, and its buffers.
 
-The JSON is read as it stands: pygltflib needs a minute for a file of 20,000 nodes and
-checks neither types nor the bounds of a GLB's chunks.
+pygltflib is not used: it needs a minute for a file of 20,000 nodes, and checks neither
+types nor the bounds of a GLB's chunks.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import struct
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 from urllib.parse import unquote, unquote_to_bytes
 
 from bokehguide.errors import BokehguideError, printable, reason
@@ -21,13 +21,14 @@ from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANY, Limits, Table, is_number, shown
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+Default = TypeVar("Default", int, None)
 
 
 class Part(Table):
-    """One JSON object of a glTF file, such as a node; null is as good as absent.
+    """One JSON object of a glTF file, such as a node. A null value counts as absent.
 
-    Its readers raise BokehguideError naming file, object, key and value, and let keys
-    pass that they do not know: the format is open.
+    Its readers raise BokehguideError naming file, object, key and value. They ignore unknown keys,
+    as the format is extensible.
     """
 
     def __init__(self, values: Any, file: str, path: str):
@@ -37,36 +38,41 @@ class Part(Table):
         super().__init__(present, file, path, present)
 
     def fail(self, key: str, problem: str) -> NoReturn:
+        """Raise the error that the value of `key` has `problem`, or that `key` is absent."""
         if key not in self:
-            raise BokehguideError(f"{self.place(key)}: missing; repair the file")
+            self.missing(key, "repair the file")
         super().fail(key, problem)
 
-    def whole(self, key: str, default: int | None = None, most: int = MAX_INT) -> int | None:
+    def missing(self, key: str, remedy: str) -> NoReturn:
+        """Raise the error that `key` is absent."""
+        super().missing(key, "repair the file")
+
+    def whole(self, key: str, default: Default, most: int = MAX_INT) -> int | Default:
         """A whole number from 0 to `most`."""
-        value = self.values.get(key, default)
-        if value is default:
+        if key not in self:
             return default
+        value = self.values[key]
         if not is_number(value) or not 0 <= value <= most or value != int(value):
             self.fail(key, f"is not a whole number from 0 to {most}; repair the file")
         return int(value)
 
-    def numbers(self, key: str, count: int, default: tuple | None, limits: Limits = ANY) -> tuple | None:
+    def numbers(self, key: str, count: int, default: tuple[float, ...], limits: Limits = ANY) -> tuple[float, ...]:
         """`count` numbers, each within `limits`."""
         if key not in self:
             return default
         values = self.values[key]
         if not (isinstance(values, list) and len(values) == count and all(map(is_number, values))):
             self.fail(key, f"is not a list of {count} numbers; repair the file")
-        if not all(map(limits.hold, values)):
+        if not all(map(limits.contains, values)):
             self.fail(key, f"is out of range; give {count} values, each {limits.remedy}")
         return tuple(map(float, values))
 
     def part(self, key: str) -> Part:
-        """The object `key`, empty where absent."""
+        """The object `key`, empty if absent."""
         return Part(self.values.get(key, {}), self.file, f"{self.path}.{key}" if self.path else key)
 
     def parts(self, key: str) -> list[Part]:
-        """The objects of the list `key`, empty where absent; their paths tell index and name."""
+        """The objects of the list `key`, empty if absent. Their paths contain index and name."""
         values = self.values.get(key, [])
         if not isinstance(values, list):
             self.fail(key, "is not a list; repair the file")
@@ -75,29 +81,31 @@ class Part(Table):
 
     @cached_property
     def extensions(self) -> dict[str, Any]:
+        """The values of the extensions by name."""
         return self.part("extensions").values
 
     def extension(self, name: str) -> Part:
-        """The extension `name`, empty where absent."""
+        """The extension `name`, empty if absent."""
         return Part(self.extensions.get(name, {}), self.file, f"{self.path}.{name}" if self.path else name)
 
     @property
     def label(self) -> str:
-        """A name for people: the file's own or, without one, the place in the file."""
+        """The object's name, or its path in the file if it has none."""
         name = self.values.get("name")
         return printable(name) if isinstance(name, str) and name.strip() else self.path
 
 
 def _named(value: Any) -> str:
+    """The suffix of an object's path: its name in parentheses, or nothing."""
     name = value.get("name") if isinstance(value, dict) else None
     return f" ({printable(name)})" if isinstance(name, str) and name.strip() else ""
 
 
 @dataclass
 class Document:
-    """A file's JSON, the binary chunk of a `.glb`, the files it may read, and what is to be said about it.
+    """A glTF file: its JSON, the binary chunk of a `.glb`, the files that it may name, and notes.
 
-    notes: what is not honoured, with the names of whatever it concerns.
+    notes: unsupported features, each with the names of its objects.
     """
 
     path: Path
@@ -110,10 +118,11 @@ class Document:
 
     @property
     def file(self) -> str:
+        """The path as text."""
         return str(self.path)
 
     def note(self, what: str, name: str = "") -> None:
-        """Remember that `what` is not honoured, in the object `name` if that says more."""
+        """Add the unsupported feature `what`, and the name of an object that uses it."""
         names = self.notes.setdefault(what, [])
         if name and name not in names:
             names.append(name)
@@ -125,40 +134,44 @@ class Document:
         return self._items[section]
 
     def link(self, part: Part, key: str, section: str) -> int | None:
-        """The index `key` into `section`, None where absent."""
-        index = part.whole(key)
+        """The index `key` into `section`, None if absent."""
+        index = part.whole(key, None)
         if index is not None and index >= len(self.items(section)):
             part.fail(key, f"is no index into {section}, which has {len(self.items(section))}; repair the file")
         return index
+
+    def required(self, part: Part, key: str, section: str) -> int:
+        """The index `key` into `section`. Raises BokehguideError if it is absent."""
+        index = self.link(part, key, section)
+        return part.missing(key, "repair the file") if index is None else index
 
     def links(self, part: Part, key: str, section: str) -> list[int]:
         """The list of indices `key` into `section`."""
         values = part.values.get(key, [])
         if not isinstance(values, list) or None in values:
             part.fail(key, "is not a list of indices; repair the file")
-        entries = Part(dict(enumerate(values)), part.file, part.place(key).removeprefix(f"{part.file}: "))
-        return [self.link(entries, number, section) for number in range(len(values))]
+        path = part.place(key).removeprefix(f"{part.file}: ")
+        entries = Part({str(number): value for number, value in enumerate(values)}, part.file, path)
+        return [self.required(entries, key, section) for key in entries.values]
 
     def names(self, key: str) -> list[str]:
-        """A list of texts of the file, such as "extensionsRequired"."""
+        """A top-level list of strings, such as "extensionsRequired"."""
         values = self.root.values.get(key, [])
         if not (isinstance(values, list) and all(isinstance(value, str) for value in values)):
-            self.root.fail(key, "is not a list of texts; repair the file")
+            self.root.fail(key, "is not a list of strings; repair the file")
         return values
 
     def view(self, index: int) -> memoryview:
         """The bytes of a buffer view."""
         view = self.items("bufferViews")[index]
-        buffer = self.link(view, "buffer", "buffers")
-        if buffer is None:
-            view.fail("buffer", "")
-        data = self._buffer(buffer, view)
+        data = self._buffer(self.required(view, "buffer", "buffers"), view)
         start, length = view.whole("byteOffset", 0), view.whole("byteLength", 0)
         if start + length > len(data):
             view.fail("byteLength", f"from byte {start} on is beyond its buffer's {len(data)} bytes; repair the file")
         return memoryview(data)[start : start + length]
 
     def _buffer(self, index: int, view: Part) -> bytes:
+        """The bytes of a buffer. view: one of its views, for errors."""
         if index not in self._buffers:
             buffer = self.items("buffers")[index]
             if "uri" in buffer:
@@ -174,7 +187,7 @@ class Document:
         return self._buffers[index]
 
     def resource(self, part: Part) -> bytes:
-        """What the `uri` of a buffer or an image stands for: a data URI, or a file beside the model."""
+        """The bytes behind the `uri` of a buffer or an image: a data URI, or a file relative to the model."""
         uri = part.text("uri")
         try:
             if uri.startswith("data:"):
@@ -191,7 +204,7 @@ class Document:
 
 
 def read_document(path: Path, files: SceneFiles) -> Document:
-    """The document of a `.gltf` or `.glb`. Raises BokehguideError for what is neither."""
+    """The document of a `.gltf` or `.glb`. Raises BokehguideError for an unreadable file or another version."""
     data = path.read_bytes()
     text, chunk = _chunks(data, path) if data[:4] == b"glTF" else (data, None)
     try:
@@ -207,7 +220,7 @@ def read_document(path: Path, files: SceneFiles) -> Document:
 
 
 def _chunks(data: bytes, path: Path) -> tuple[bytes, bytes | None]:
-    """JSON and binary chunk of a GLB."""
+    """The JSON chunk and the binary chunk of a GLB, None if absent."""
     chunks: dict[int, bytes] = {}
     if len(data) < 12 or struct.unpack_from("<I", data, 4)[0] != 2:
         raise BokehguideError(f"{path}: not a readable {path.suffix} model (no GLB of version 2); convert it")

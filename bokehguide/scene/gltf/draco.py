@@ -1,4 +1,4 @@
-"""KHR_draco_mesh_compression, by way of DracoPy where it is installed."""
+"""KHR_draco_mesh_compression, decoded with the optional package DracoPy."""
 
 from __future__ import annotations
 
@@ -11,18 +11,16 @@ DRACO = "KHR_draco_mesh_compression"
 
 
 def read_draco(document: Document, primitive: Part) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Attributes `[V, width]` by their glTF names, as they are packed, and indices int64.
+    """Attributes `[V, width]` by their glTF names, in their stored types, and indices int64.
 
-    Raises BokehguideError where DracoPy is missing or the data are damaged.
+    Raises BokehguideError if DracoPy is missing or the data are damaged.
     """
     try:
         import DracoPy
     except ImportError:
         raise BokehguideError(f"{document.file}: uses {DRACO}; to read it, pip install bokehguide[draco]") from None
     packed = primitive.extension(DRACO)
-    view = document.link(packed, "bufferView", "bufferViews")
-    if view is None:
-        packed.fail("bufferView", "")
+    view = document.required(packed, "bufferView", "bufferViews")
     try:
         mesh = DracoPy.decode(bytes(document.view(view)))
     except (DracoPy.FileTypeException, ValueError, RuntimeError) as error:
@@ -32,8 +30,8 @@ def read_draco(document: Document, primitive: Part) -> tuple[dict[str, np.ndarra
     names = packed.part("attributes")
     arrays = {}
     for name in names.values:
-        if names.whole(name) not in by_id:
+        if names.whole(name, None) not in by_id:
             names.fail(name, f"is not among the packed attributes {sorted(by_id)}; repair the file")
-        arrays[name] = np.asarray(by_id[names.whole(name)])
-    faces = getattr(mesh, "faces", np.arange(len(mesh.points)))  # a point cloud has none
+        arrays[name] = np.asarray(by_id[names.whole(name, 0)])
+    faces = getattr(mesh, "faces", np.arange(len(mesh.points)))  # point clouds have no faces
     return arrays, np.asarray(faces, dtype=np.int64).reshape(-1)

@@ -1,4 +1,4 @@
-"""Which extensions are honoured, and what else of a file does not reach the picture."""
+"""Supported glTF extensions, and warnings for unsupported features."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ MATERIAL_EXTENSIONS = (
     *("KHR_materials_emissive_strength", "KHR_materials_transmission", "KHR_materials_ior"),
     *("KHR_materials_volume", "KHR_materials_clearcoat", "KHR_materials_specular", "KHR_materials_unlit"),
 )
-HONOURED = {*MATERIAL_EXTENSIONS, DRACO, LIGHTS, INSTANCING, TRANSFORM, WEBP, "KHR_mesh_quantization"}
+SUPPORTED = {*MATERIAL_EXTENSIONS, DRACO, LIGHTS, INSTANCING, TRANSFORM, WEBP, "KHR_mesh_quantization"}
 
 EXPLAINED = {
     "KHR_materials_pbrSpecularGlossiness": "the metallic-roughness values are used",
     "KHR_materials_variants": "the default variant is drawn",
-    "KHR_texture_basisu": "textures are taken in their other form, where there is one",
+    "KHR_texture_basisu": "the fallback image is used, if there is one",
 }
 
 
 def check_required(document: Document) -> None:
-    """Raise BokehguideError, naming it, for an extension that is required and not honoured."""
-    unknown = [name for name in document.names("extensionsRequired") if name not in HONOURED]
+    """Raise BokehguideError if the file requires unsupported extensions."""
+    unknown = [name for name in document.names("extensionsRequired") if name not in SUPPORTED]
     if unknown:
         raise BokehguideError(
             f"{document.file}: extensionsRequired: {printable(', '.join(unknown), 200)}: not supported; save the file without"
@@ -32,18 +32,18 @@ def check_required(document: Document) -> None:
 
 
 def note_ignored(document: Document) -> None:
-    """Note what the file has and no part of the loader asks for."""
+    """Note features of the file that no other part of the loader reads."""
     used = {*document.names("extensionsUsed")}
     for material in document.items("materials"):
         used |= {*material.extensions}
-    for name in sorted(used - HONOURED):
+    for name in sorted(used - SUPPORTED):
         document.note(f"{name}: {EXPLAINED.get(name, 'has no effect')}")
     if document.items("animations"):
-        document.note("animations: the model is drawn at rest")
+        document.note("animations: the model is drawn in its rest pose")
 
 
 def warnings(document: Document) -> list[str]:
-    """What was noted, a line each, with the first few of the names it concerns."""
+    """The notes of `document`, one a line, each with the first few names of its objects."""
     return [
         printable(f"{what} ({', '.join(names[:4])}{', …' if len(names) > 4 else ''})" if names else what, 400)
         for what, names in document.notes.items()

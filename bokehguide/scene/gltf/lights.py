@@ -1,8 +1,8 @@
-"""KHR_lights_punctual: lights of no size become small spheres and suns of a finite disc.
+"""KHR_lights_punctual: point and spot lights as small spheres, directional lights as suns.
 
-A light without size could not be seen, and so could not be bokeh. Their photometric units
-are divided by 683 lm/W, as Blender's importer does and its exporter expects: emissive
-surfaces beside them are written in radiometric ones.
+A light without a size would be invisible to the camera and have no bokeh. Photometric units are
+divided by 683 lm/W, as in Blender's importer and exporter, because emissive surfaces have
+radiometric units.
 """
 
 from __future__ import annotations
@@ -16,31 +16,32 @@ import numpy as np
 from bokehguide.scene.gltf.document import Document, Part
 from bokehguide.scene.gltf.nodes import Placed
 from bokehguide.scene.shapes import spheres
-from bokehguide.scene.tables import LAMP_RADIUS, NOT_NEGATIVE, Limits
-from bokehguide.scene.types import Cone, LightSizes, Material, Mesh, Sun
+from bokehguide.scene.tables import EMITTER_RADIUS, NOT_NEGATIVE, Limits
+from bokehguide.scene.types import Cone, LightSizes, Material, Mesh, Sun, Vector, as_vector
 from bokehguide.scene.validation import check_triangles
 
 EXTENSION = "KHR_lights_punctual"
 LUMENS_PER_WATT = 683.0
-RADIUS, SHARE = 0.01, 0.01
+MAX_RADIUS, RELATIVE_RADIUS = 0.01, 0.01
+"""Default radius of a light: at most in metres, and relative to the model's longest side."""
 RIGHT_ANGLE = Limits("radians between 0 and half of pi", low=0.0, high=math.pi / 2.0 + 1e-6)
 
 
 def default_radius(meshes: Sequence[Mesh]) -> float:
-    """Metres: 0.01, or a hundredth of a small model's longest side."""
+    """The radius of a light without a size, in metres."""
     low = np.min([mesh.vertices.min(axis=0) for mesh in meshes], axis=0)
     high = np.max([mesh.vertices.max(axis=0) for mesh in meshes], axis=0)
-    return max(LAMP_RADIUS.low, min(RADIUS, SHARE * float((high - low).max())))
+    return max(EMITTER_RADIUS.low, min(MAX_RADIUS, RELATIVE_RADIUS * float((high - low).max())))
 
 
 def read_lights(
     document: Document, placed: Sequence[Placed], sizes: LightSizes, radius: float
 ) -> tuple[list[Mesh], list[Material], list[Sun]]:
-    """Spheres of `radius` metres with materials of their own, and suns.
+    """Spheres of `radius` metres, one material for each, and suns.
 
-    A mesh's material counts from the first of these materials. A light of intensity I
-    is a sphere of radiance I / (pi r²), so that it shines as far as the light would.
-    Raises BokehguideError naming the light for values out of range.
+    The spheres' material indices start at 0. A light of intensity I becomes a sphere of radiance
+    I / (π r²), which has the same intensity. Raises BokehguideError naming the light for values out
+    of range.
     """
     lights = document.root.extension(EXTENSION).parts("lights")
     meshes, materials, suns = [], [], []
@@ -57,7 +58,7 @@ def read_lights(
             document.note("lights of an unknown type or without a direction: left out", light.label)
         elif kind == "directional":
             irradiance = _power(light, 1.0)
-            suns += [Sun(tuple(-axis), sizes.sun_angle, irradiance)] if any(irradiance) else []
+            suns += [Sun(as_vector(-axis), sizes.sun_angle, irradiance)] if any(irradiance) else []
         elif any(radiance := _power(light, math.pi * radius**2)):
             cone = _cone(light, axis) if kind == "spot" else None
             meshes.append(spheres(position[None], radius, len(materials)))
@@ -65,29 +66,30 @@ def read_lights(
             black = Material(light.label, base_color=(0.0, 0.0, 0.0), specular=0.0)
             materials.append(replace(black, emission=radiance, emission_cone=cone))
         if "range" in light:
-            document.note("the range of lights: light falls off with the squared distance for ever", light.label)
+            document.note("the range of lights: has no effect", light.label)
     return meshes, materials, suns
 
 
 def _axis(matrix: np.ndarray) -> np.ndarray | None:
-    """Where a node's -z points, unit; None where it points nowhere."""
+    """The unit vector along a node's -z axis, None if the axis is 0 or not finite."""
     length = np.linalg.norm(matrix[:3, 2])
     return -matrix[:3, 2] / length if 0.0 < length < np.inf else None
 
 
-def _power(light: Part, area: float) -> tuple[float, ...]:
-    """Colour times intensity, from photometric units, over `area`."""
+def _power(light: Part, area: float) -> Vector:
+    """Colour times intensity in radiometric units, divided by `area`."""
     intensity = light.number("intensity", 1.0, NOT_NEGATIVE) / (LUMENS_PER_WATT * area)
-    power = tuple(intensity * channel for channel in light.vector("color", (1.0, 1.0, 1.0), NOT_NEGATIVE))
-    if not all(map(NOT_NEGATIVE.hold, power)):
-        light.fail("intensity", f"makes a radiance of {max(power):g}; give less, it ends at {NOT_NEGATIVE.high:g}")
+    power = as_vector(intensity * channel for channel in light.vector("color", (1.0, 1.0, 1.0), NOT_NEGATIVE))
+    if not all(map(NOT_NEGATIVE.contains, power)):
+        light.fail("intensity", f"makes a radiance of {max(power):g}; give less; the maximum is {NOT_NEGATIVE.high:g}")
     return power
 
 
 def _cone(light: Part, axis: np.ndarray) -> Cone:
+    """The cone of a spotlight. axis: unit, in world space."""
     spot = light.part("spot")
     inner = spot.number("innerConeAngle", 0.0, RIGHT_ANGLE)
     outer = spot.number("outerConeAngle", math.pi / 4.0, RIGHT_ANGLE)
     if inner >= outer:
         spot.fail("outerConeAngle", f"is not above innerConeAngle, {inner:g}; repair the file")
-    return Cone(tuple(map(float, axis)), math.degrees(inner), min(math.degrees(outer), 90.0))
+    return Cone(as_vector(axis), math.degrees(inner), min(math.degrees(outer), 90.0))

@@ -1,4 +1,4 @@
-"""The parts of a glTF file put together."""
+"""glTF files as models."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.gltf.cameras import read_cameras
 from bokehguide.scene.gltf.document import Document, read_document
 from bokehguide.scene.gltf.extensions import check_required, note_ignored, warnings
+from bokehguide.scene.gltf.import_report import supported
 from bokehguide.scene.gltf.lights import default_radius, read_lights
 from bokehguide.scene.gltf.materials import DEFAULT, read_materials
 from bokehguide.scene.gltf.nodes import INSTANCING, Placed, instance_matrices, place_nodes
 from bokehguide.scene.gltf.primitives import read_primitive
 from bokehguide.scene.gltf.skins import joint_matrices
-from bokehguide.scene.gltf.telling import honoured
 from bokehguide.scene.gltf.textures import Textures
 from bokehguide.scene.shapes import joined, transformed
 from bokehguide.scene.types import LightSizes, Material, Mesh, Model
 from bokehguide.scene.validation import check_mesh, check_triangles
 
 
-def load_gltf(path: Path, sizes: LightSizes, files: SceneFiles) -> Model:
-    """The default scene of a glTF file, instances flattened; `files` are what it may read.
+def load_gltf(path: Path, files: SceneFiles, sizes: LightSizes) -> Model:
+    """The default scene of a glTF file. Instances become triangles.
 
-    Raises BokehguideError naming file and object for whatever is damaged, out of range
-    or required and not supported, and where all instances together have more than
-    MAX_TRIANGLES triangles.
+    files: the files that the model may name. sizes: of the lights. Raises BokehguideError naming
+    file and object for damaged data, values out of range, required but unsupported extensions, and
+    more than MAX_TRIANGLES triangles with all instances.
     """
     document = read_document(path, files)
     check_required(document)
@@ -42,22 +42,22 @@ def load_gltf(path: Path, sizes: LightSizes, files: SceneFiles) -> Model:
     if any(mesh.material == len(materials) for mesh in meshes):
         materials.append(DEFAULT)
     radius = default_radius(meshes) if sizes.radius is None else sizes.radius
-    lamps, glowing, suns = read_lights(document, placed, sizes, radius)
+    emitters, emissive, suns = read_lights(document, placed, sizes, radius)
     cameras = read_cameras(document, placed)
     note_ignored(document)
     return Model(
         meshes=tuple(meshes),
-        materials=(*materials, *glowing),
-        lamps=tuple(replace(lamp, material=lamp.material + len(materials)) for lamp in lamps),
+        materials=(*materials, *emissive),
+        emitters=tuple(replace(emitter, material=emitter.material + len(materials)) for emitter in emitters),
         suns=tuple(suns),
         cameras=tuple(cameras),
-        honoured=tuple(honoured(document, meshes, materials, textures, glowing, suns, cameras, radius)),
+        supported=tuple(supported(document, meshes, materials, textures, emissive, suns, cameras, radius)),
         warnings=tuple(warnings(document)),
     )
 
 
 def _place(document: Document, materials: Sequence[Material], placed: Sequence[Placed]) -> list[Mesh]:
-    """World-space meshes; those of primitives without a material have the number after the last."""
+    """Meshes in world space. Primitives without a material have the material index `len(materials)`."""
     read: dict[int, list[Mesh]] = {}
     parts: list[tuple[Mesh, np.ndarray, str]] = []
     triangles = 0
@@ -66,10 +66,10 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
         if index is None:
             continue
         joints = joint_matrices(document, node.node, placed)
-        if joints is not None:  # the skeleton says where it stands, and not the node
+        if joints is not None:  # the joints replace the node's own matrix
             primitives, matrices = _primitives(document, index, materials, joints), np.eye(4)[None]
             if INSTANCING in node.node.extensions:
-                document.note(f"{INSTANCING} of skinned meshes: drawn once", node.node.label)
+                document.note(f"{INSTANCING} of skinned meshes: one instance is drawn", node.node.label)
         else:
             if index not in read:
                 read[index] = _primitives(document, index, materials)
@@ -82,7 +82,7 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
         with np.errstate(over="ignore", invalid="ignore"):
             flat = np.linalg.det(matrices[:, :3, :3]) == 0.0
         if flat.any() and len(matrices) > 1:
-            document.note(f"instances of size 0: {flat.sum()} are left out")
+            document.note(f"instances of size 0: {flat.sum()} left out")
             matrices = matrices[~flat]
         if len(matrices):
             instances = joined([transformed(mesh, matrix) for matrix in matrices])
@@ -91,10 +91,8 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
     return meshes
 
 
-def _primitives(
-    document: Document, index: int, materials: Sequence[Material], joints: np.ndarray | None = None
-) -> list[Mesh]:
-    """The primitives of one mesh in its own space, or where the matrices of `joints` put them; checked."""
+def _primitives(document: Document, index: int, materials: Sequence[Material], joints: np.ndarray | None = None) -> list[Mesh]:
+    """The checked primitives of one mesh in its own space, or in world space with the matrices of `joints`."""
     source, meshes = document.items("meshes")[index], []
     for primitive in source.parts("primitives"):
         number = document.link(primitive, "material", "materials")

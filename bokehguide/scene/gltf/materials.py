@@ -1,17 +1,18 @@
-"""Materials of a glTF file, in core and extensions."""
+"""Materials of a glTF file, with their extensions."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from bokehguide.scene.gltf.document import Document, Part
 from bokehguide.scene.gltf.textures import Textures
-from bokehguide.scene.tables import ANY, IOR, NOT_NEGATIVE, POSITIVE, SHARE
-from bokehguide.scene.types import Material
+from bokehguide.scene.tables import ANY, FRACTION, IOR, NOT_NEGATIVE, POSITIVE
+from bokehguide.scene.types import Material, Vector, as_vector
 
 WHITE = (1.0, 1.0, 1.0)
 DEFAULT = Material("default", base_color=WHITE, metallic=1.0)
-"""glTF's own, for primitives without a material: every factor is 1."""
+"""glTF's material for primitives without one: every factor is 1."""
 ALPHA_MODES = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 
 
@@ -24,17 +25,18 @@ def read_materials(document: Document, textures: Textures) -> list[Material]:
 
 
 def _material(part: Part, textures: Textures) -> Material:
+    """One material of the file."""
     pbr = part.part("pbrMetallicRoughness")
-    *base_color, opacity = pbr.numbers("baseColorFactor", 4, (*WHITE, 1.0), SHARE)
+    red, green, blue, opacity = pbr.numbers("baseColorFactor", 4, (*WHITE, 1.0), FRACTION)
     mode = part.text("alphaMode") or "OPAQUE"
     if mode not in ALPHA_MODES:
         part.fail("alphaMode", f"is none of {', '.join(ALPHA_MODES)}; repair the file")
     normal = part.part("normalTexture")
     material = Material(
         name=part.label,
-        base_color=tuple(base_color),
-        metallic=pbr.number("metallicFactor", 1.0, SHARE),
-        roughness=pbr.number("roughnessFactor", 1.0, SHARE),
+        base_color=(red, green, blue),
+        metallic=pbr.number("metallicFactor", 1.0, FRACTION),
+        roughness=pbr.number("roughnessFactor", 1.0, FRACTION),
         ior=_ior(part, textures.document),
         emission=_emission(part),
         double_sided=part.flag("doubleSided"),
@@ -54,39 +56,42 @@ def _material(part: Part, textures: Textures) -> Material:
 
 
 def _ior(part: Part, document: Document) -> float:
+    """The index of refraction. 0 means total reflection (KHR_materials_ior), which is not supported."""
     ior = part.extension("KHR_materials_ior")
-    # 0 is the extension's way to say: reflect everything. There is no such solid.
     if ior.number("ior", 1.5) == 0.0:
         document.note("ior 0: 1.5 is used", part.label)
         return 1.5
     return ior.number("ior", 1.5, IOR)
 
 
-def _emission(part: Part) -> tuple[float, ...]:
+def _emission(part: Part) -> Vector:
+    """The emission factor times KHR_materials_emissive_strength."""
     factor = part.vector("emissiveFactor", (0.0, 0.0, 0.0), NOT_NEGATIVE)
     strong = part.extension("KHR_materials_emissive_strength")
     strength = strong.number("emissiveStrength", 1.0, NOT_NEGATIVE)
-    emission = tuple(strength * channel for channel in factor)
-    if not all(map(NOT_NEGATIVE.hold, emission)):
+    emission = as_vector(strength * channel for channel in factor)
+    if not all(map(NOT_NEGATIVE.contains, emission)):
         strong.fail("emissiveStrength", f"times emissiveFactor is out of range; give {NOT_NEGATIVE.remedy}")
     return emission
 
 
-def _specular(part: Part, textures: Textures) -> dict[str, object]:
+def _specular(part: Part, textures: Textures) -> dict[str, Any]:
+    """The fields of `Material` from KHR_materials_specular."""
     specular = part.extension("KHR_materials_specular")
     return {
-        "specular": specular.number("specularFactor", 1.0, SHARE),
+        "specular": specular.number("specularFactor", 1.0, FRACTION),
         "specular_color": specular.vector("specularColorFactor", WHITE, NOT_NEGATIVE),
         "specular_texture": textures.read(specular, "specularTexture", alpha=True),
         "specular_color_texture": textures.read(specular, "specularColorTexture", srgb=True),
     }
 
 
-def _clearcoat(part: Part, textures: Textures) -> dict[str, object]:
+def _clearcoat(part: Part, textures: Textures) -> dict[str, Any]:
+    """The fields of `Material` from KHR_materials_clearcoat."""
     coat = part.extension("KHR_materials_clearcoat")
     return {
-        "clearcoat": coat.number("clearcoatFactor", 0.0, SHARE),
-        "clearcoat_roughness": coat.number("clearcoatRoughnessFactor", 0.0, SHARE),
+        "clearcoat": coat.number("clearcoatFactor", 0.0, FRACTION),
+        "clearcoat_roughness": coat.number("clearcoatRoughnessFactor", 0.0, FRACTION),
         "clearcoat_normal_scale": coat.part("clearcoatNormalTexture").number("scale", 1.0, ANY),
         "clearcoat_texture": textures.read(coat, "clearcoatTexture"),
         "clearcoat_roughness_texture": textures.read(coat, "clearcoatRoughnessTexture"),
@@ -94,22 +99,25 @@ def _clearcoat(part: Part, textures: Textures) -> dict[str, object]:
     }
 
 
-def _transmission(part: Part, textures: Textures) -> dict[str, object]:
-    """Without a thickness the surface is a thin sheet; how thick, the geometry itself says."""
+def _transmission(part: Part, textures: Textures) -> dict[str, Any]:
+    """The fields of `Material` from KHR_materials_transmission and KHR_materials_volume.
+
+    A surface with thickness 0 is a thin sheet. Other thicknesses follow from the geometry.
+    """
     transmission, volume = part.extension("KHR_materials_transmission"), part.extension("KHR_materials_volume")
     return {
-        "transmission": transmission.number("transmissionFactor", 0.0, SHARE),
+        "transmission": transmission.number("transmissionFactor", 0.0, FRACTION),
         "transmission_texture": textures.read(transmission, "transmissionTexture"),
         "thin": volume.number("thicknessFactor", 0.0, NOT_NEGATIVE) == 0.0,
-        "attenuation_color": volume.vector("attenuationColor", WHITE, SHARE),
+        "attenuation_color": volume.vector("attenuationColor", WHITE, FRACTION),
         "attenuation_distance": volume.number("attenuationDistance", math.inf, POSITIVE),
     }
 
 
 def _unlit(material: Material) -> Material:
-    """Emission of the base colour, from a surface that reflects nothing.
+    """A black surface that emits the base colour of `material`.
 
-    The base colour's texture stays where its alpha is needed.
+    It keeps the base colour's texture if the alpha mode needs it.
     """
     return Material(
         name=material.name,
@@ -124,4 +132,3 @@ def _unlit(material: Material) -> Material:
         alpha_cutoff=material.alpha_cutoff,
         base_color_texture=None if material.alpha_mode == "opaque" else material.base_color_texture,
     )
-

@@ -1,4 +1,4 @@
-"""The node tree in world space, and where the instances of a node stand."""
+"""World matrices of nodes and of their instances."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ INSTANCING = "EXT_mesh_gpu_instancing"
 
 @dataclass(frozen=True)
 class Placed:
-    """A node and the `[4, 4]` matrix from its space into the world's."""
+    """A node and the matrix `[4, 4]` from its space to world space."""
 
     node: Part
     matrix: np.ndarray
 
 
 def place_nodes(document: Document) -> list[Placed]:
-    """All nodes of the default scene, parents first, in the file's order.
+    """All nodes of the default scene in the file's order, parents first.
 
-    Raises BokehguideError for a node that can be reached twice: one with two parents,
-    or its own ancestor.
+    Raises BokehguideError for a node with two parents and for a cycle.
     """
     nodes = document.items("nodes")
     placed, seen = [], set()
@@ -45,6 +44,7 @@ def place_nodes(document: Document) -> list[Placed]:
 
 
 def _roots(document: Document) -> list[int]:
+    """The root nodes of the default scene, or of the file if it has no scenes."""
     scenes = document.items("scenes")
     if scenes:
         index = document.link(document.root, "scene", "scenes") or 0
@@ -56,19 +56,19 @@ def _roots(document: Document) -> list[int]:
 
 
 def local_matrix(node: Part) -> np.ndarray:
-    """A node's own `[4, 4]` matrix, from `matrix` or from translation, rotation and scale."""
+    """The matrix `[4, 4]` of a node relative to its parent, from `matrix` or translation, rotation and scale."""
     if "matrix" in node:
-        return np.reshape(node.numbers("matrix", 16, None), (4, 4)).T
+        return np.reshape(node.numbers("matrix", 16, ()), (4, 4)).T
     rotation = np.array(node.numbers("rotation", 4, (0.0, 0.0, 0.0, 1.0)))
     if not rotation.any():
-        node.fail("rotation", "is no rotation; give a quaternion of length 1")
+        node.fail("rotation", "is not a rotation; give a quaternion of length 1")
     translation = np.array(node.numbers("translation", 3, (0.0, 0.0, 0.0)))
     scale = np.array(node.numbers("scale", 3, (1.0, 1.0, 1.0)))
     return _matrices(translation[None], rotation[None], scale[None])[0]
 
 
 def instance_matrices(document: Document, placed: Placed) -> np.ndarray:
-    """World matrices `[N, 4, 4]` of the node's instances: one, or those of EXT_mesh_gpu_instancing."""
+    """World matrices `[N, 4, 4]` of a node's instances (EXT_mesh_gpu_instancing), or its own matrix."""
     if INSTANCING not in placed.node.extensions:
         return placed.matrix[None]
     attributes = placed.node.extension(INSTANCING).part("attributes")
@@ -90,7 +90,7 @@ def instance_matrices(document: Document, placed: Placed) -> np.ndarray:
 
 
 def _matrices(translation: np.ndarray, rotation: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """`[N, 4, 4]` from translations, quaternions xyzw and scales, `[N, 3 or 4]`."""
+    """Matrices `[N, 4, 4]` of translations, quaternions xyzw and scales, `[N, 3 or 4]`."""
     x, y, z, w = np.moveaxis(rotation / np.linalg.norm(rotation, axis=1, keepdims=True), 1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

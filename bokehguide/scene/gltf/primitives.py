@@ -1,6 +1,8 @@
-"""Primitives of a glTF mesh: triangles, normals, texture coordinates, tangents, colours."""
+"""Primitives of a glTF mesh as triangles with normals, texture coordinates, tangents and colours."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,23 +17,24 @@ from bokehguide.scene.types import Material, Mesh
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 KINDS = {"POSITION": ("VEC3",), "NORMAL": ("VEC3",), "COLOR_0": ("VEC3", "VEC4")}
-UNSEEN = ("_", "TEXCOORD_", "TANGENT", "JOINTS_", "WEIGHTS_")
-"""Attributes that need no mention where they are not read: their users are mentioned."""
+SILENT = ("_", "TEXCOORD_", "TANGENT", "JOINTS_", "WEIGHTS_")
+"""Prefixes of attributes that cause no note if they are not read. Notes name the features that use them."""
 
 
 def read_primitive(
     document: Document, primitive: Part, name: str, number: int, material: Material, joints: np.ndarray | None = None
 ) -> Mesh | None:
-    """One primitive in its mesh's own space, None where it holds no triangles.
+    """One primitive in its mesh's space, None without triangles.
 
-    joints: matrices `[J, 4, 4]` of a skin, which put it into the world. name: the mesh's, for what is to be noted. number: that of its `material`, which
-    says what is needed: texture coordinates beyond the first set, tangents.
+    name: the mesh's, for notes. number, material: index and contents of the material, which selects
+    the attributes. joints: matrices `[J, 4, 4]` of a skin, which transform it to world space. Raises
+    BokehguideError naming file, primitive and remedy for invalid data.
     """
     if primitive.whole("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
         document.note("points and lines: left out", name)
         return None
     if primitive.values.get("targets"):
-        document.note("morph targets: the model is drawn at rest", name)
+        document.note("morph targets: the model is drawn in its rest pose", name)
     wanted = KINDS | {f"TEXCOORD_{set_}": ("VEC2",) for set_ in range(max(uv_sets(material), 1))}
     if material.normal_texture is not None or material.clearcoat_normal_texture is not None:
         wanted |= {"TANGENT": ("VEC4",)}
@@ -41,23 +44,16 @@ def read_primitive(
     if "POSITION" not in arrays:
         document.note("primitives without positions: left out", name)
         return None
-    vertices = arrays["POSITION"]
-    triangles = _triangles(primitive, np.arange(len(vertices)) if indices is None else indices)
+    count = len(arrays["POSITION"])
+    triangles = _triangles(primitive, np.arange(count) if indices is None else indices)
     if len(triangles) == 0:
         return None
-    if any(len(array) != len(vertices) for array in arrays.values()):
+    if any(len(array) != count for array in arrays.values()):
         counts = ", ".join(f"{len(array)} of {key}" for key, array in arrays.items())
-        raise BokehguideError(
-            f"{document.file}: {primitive.path}: attributes differ in their counts ({counts}); repair the file"
-        )
-    matrices = None if joints is None else blended(arrays, joints, primitive)
-    if joints is not None and matrices is None:
-        document.note("skinned meshes without joints and weights: stand where no node has moved them", name)
-    if matrices is not None:
-        arrays = skinned(arrays, matrices)
-        vertices = arrays["POSITION"]
-        if np.linalg.det(matrices[:, :3, :3]).sum() < 0.0:  # mirrored: the front stays the front
-            triangles = np.ascontiguousarray(triangles[:, ::-1])
+        raise BokehguideError(f"{document.file}: {primitive.path}: attributes differ in their counts ({counts}); repair the file")
+    if joints is not None:
+        arrays, triangles = _posed(document, primitive, arrays, triangles, joints, name)
+    vertices = arrays["POSITION"]
     normals = _normals(document, arrays.get("NORMAL"), vertices, triangles, name)
     tangents = arrays.get("TANGENT") if normals is not None else None
     mesh = Mesh(
@@ -81,24 +77,24 @@ def _arrays(
     if DRACO in primitive.extensions:
         packed, indices = read_draco(document, primitive)
     elif "indices" in primitive:
-        indices = read_indices(document, document.link(primitive, "indices", "accessors"))
+        indices = read_indices(document, document.required(primitive, "indices", "accessors"))
     arrays = {}
     for name in attributes.values:
-        index = document.link(attributes, name, "accessors")
+        index = document.required(attributes, name, "accessors")
         if name in wanted:
             values = packed[name] if name in packed else read_raw(document, index, *wanted[name])
-            # Colours in integers have no other meaning, and some files forget to say so.
+            # Integer colours are always normalised, although some files omit the flag.
             normalized = name == "COLOR_0" or document.items("accessors")[index].flag("normalized")
             arrays[name] = as_floats(values, normalized)
-        elif not name.startswith(UNSEEN):
+        elif not name.startswith(SILENT):
             document.note(f"vertex attribute {name}: has no effect")
     return arrays, indices
 
 
 def _triangles(primitive: Part, indices: np.ndarray) -> np.ndarray:
-    """int32 `[T, 3]`; glTF 2.0 section 3.7.2.1 has the order of strips and fans."""
+    """int32 `[T, 3]`. The order for strips and fans is that of glTF 2.0 section 3.7.2.1."""
     mode = primitive.whole("mode", TRIANGLES)
-    # What is too large for int32 stays out of range, where it will be found.
+    # Indices beyond int32 stay out of range, so that `check_mesh` rejects them.
     indices = np.minimum(indices, np.iinfo(np.int32).max).astype(np.int32)
     if mode == TRIANGLES:
         if len(indices) % 3:
@@ -111,26 +107,38 @@ def _triangles(primitive: Part, indices: np.ndarray) -> np.ndarray:
     return np.stack([indices[start + 1], indices[start + 2], indices[np.zeros_like(start)]], axis=1)
 
 
+def _posed(
+    document: Document, primitive: Part, arrays: dict[str, np.ndarray], triangles: np.ndarray, joints: np.ndarray, name: str
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Attributes and triangles under the joint matrices `[J, 4, 4]`. A reflection reverses the vertex order."""
+    matrices = blended(arrays, joints, primitive)
+    if matrices is None:
+        document.note("skinned meshes without joints and weights: drawn without the transform of their node", name)
+        return arrays, triangles
+    mirrored = np.linalg.det(matrices[:, :3, :3]).sum() < 0.0
+    return skinned(arrays, matrices), np.ascontiguousarray(triangles[:, ::-1]) if mirrored else triangles
+
+
 def _normals(
     document: Document, normals: np.ndarray | None, vertices: np.ndarray, triangles: np.ndarray, name: str
 ) -> np.ndarray | None:
-    """Normals at length one; those without a direction, which are noted, are made from the faces around."""
+    """Unit normals. Zero normals become those of the surrounding faces, with a note."""
     if normals is None:
         return None
-    lost = np.count_nonzero(~normals.any(axis=1))
-    if lost:
-        document.note(f"normals of length 0: {lost} made from the faces around them", name)
+    zeros = np.count_nonzero(~normals.any(axis=1))
+    if zeros:
+        document.note(f"normals of length 0: {zeros} computed from the surrounding faces", name)
     return unit_normals(normals, vertices, triangles)
 
 
 def _tangents(document: Document, vectors: np.ndarray | None, name: str) -> np.ndarray | None:
-    """Tangents with xyz at length one; None, with a note, where one has no direction."""
+    """Unit tangents `[V, 4]`; None, with a note, if any has length 0."""
     if vectors is None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.linalg.norm(vectors[:, :3], axis=1, keepdims=True)
     if not lengths.all():
-        document.note("tangents of length 0: made from the texture coordinates", name)
+        document.note("tangents of length 0: computed from the texture coordinates", name)
         return None
     unit = vectors.copy()
     with np.errstate(invalid="ignore"):
@@ -139,7 +147,7 @@ def _tangents(document: Document, vectors: np.ndarray | None, name: str) -> np.n
 
 
 def _uvs(document: Document, arrays: dict[str, np.ndarray], sets: int, name: str) -> np.ndarray | None:
-    """`[V, S, 2]`; a set that the material asks for and the mesh has not is 0 everywhere."""
+    """Texture coordinates `[V, S, 2]`. Missing sets are 0, with a note."""
     wanted = [f"TEXCOORD_{number}" for number in range(max(sets, 1))]
     if not any(key in arrays for key in wanted):
         if sets:
@@ -153,7 +161,7 @@ def _uvs(document: Document, arrays: dict[str, np.ndarray], sets: int, name: str
 
 
 def _colors(colors: np.ndarray | None) -> np.ndarray | None:
-    """RGBA within 0 … 1, to which glTF 2.0 section 3.7.2.1 clamps them."""
+    """RGBA `[V, 4]`, clamped to [0, 1] as in glTF 2.0 section 3.7.2.1."""
     if colors is None:
         return None
     opaque = np.ones((len(colors), 4 - colors.shape[1]), np.float32)
@@ -161,15 +169,13 @@ def _colors(colors: np.ndarray | None) -> np.ndarray | None:
 
 
 def _compact(mesh: Mesh) -> Mesh:
-    """Without the vertices that no triangle uses, where there must be such.
+    """`mesh` without unused vertices, if it has more vertices than triangle corners.
 
-    Primitives often share one long vertex buffer. Indices out of range stay for the check.
+    Primitives often share one large vertex buffer. Indices out of range stay, for `check_mesh`.
     """
     if len(mesh.vertices) <= mesh.triangles.size or mesh.triangles.max() >= len(mesh.vertices):
         return mesh
     used, triangles = np.unique(mesh.triangles, return_inverse=True)
-    kept = {
-        name: None if getattr(mesh, name) is None else getattr(mesh, name)[used]
-        for name in ("vertices", "normals", "uvs", "tangents", "colors")
-    }
-    return Mesh(triangles=triangles.reshape(-1, 3).astype(np.int32), material=mesh.material, **kept)
+    optional = {name: getattr(mesh, name) for name in ("normals", "uvs", "tangents", "colors")}
+    kept = {name: None if values is None else values[used] for name, values in optional.items()}
+    return replace(mesh, vertices=mesh.vertices[used], triangles=triangles.reshape(-1, 3).astype(np.int32), **kept)

@@ -1,7 +1,7 @@
-"""Skins: vertices that follow the nodes of a skeleton, where the file leaves these at rest.
+"""Skins: vertices that follow the joints of a skeleton, in the pose of the file.
 
-glTF 2.0 section 3.7.3.3: a vertex is Σ w J B v, with J the world matrix of a joint and B its
-inverse bind matrix. The transform of the node that holds the mesh is ignored.
+A vertex moves to Σ w J B v, with the world matrix J of a joint and its inverse bind matrix B
+(glTF 2.0 section 3.7.3.3). The matrix of the mesh's node has no effect.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from bokehguide.scene.gltf.document import Document, Part
 from bokehguide.scene.gltf.nodes import Placed
 
 INFLUENCES = 8
-"""Sets of four joints that a vertex may have at most."""
+"""Maximum number of joint sets; each has four joints."""
 SKINNING = {f"{name}_{number}": ("VEC4",) for name in ("JOINTS", "WEIGHTS") for number in range(INFLUENCES)}
-"""The attributes that say which joints a vertex follows, and their types."""
+"""The attributes with the joints and weights of vertices, and their types."""
 
 
 def joint_matrices(document: Document, node: Part, placed: Sequence[Placed]) -> np.ndarray | None:
-    """World matrices J B `[joints, 4, 4]` of the skin of `node`; None where it has no skin.
+    """The matrices J B `[joints, 4, 4]` of the skin of `node`; None without a skin.
 
-    Raises BokehguideError for a joint that is no node of the scene, and for a missing inverse bind matrix.
+    Raises BokehguideError for joints outside the scene and for missing inverse bind matrices.
     """
     index = document.link(node, "skin", "skins")
     if index is None:
@@ -45,9 +45,9 @@ def joint_matrices(document: Document, node: Part, placed: Sequence[Placed]) -> 
 
 
 def blended(arrays: Mapping[str, np.ndarray], matrices: np.ndarray, primitive: Part) -> np.ndarray | None:
-    """The matrix of each vertex, float64 `[V, 4, 4]`, from its joints and weights; None where it has none of them.
+    """The weighted mean of the joint matrices for each vertex, float64 `[V, 4, 4]`; None without joints and weights.
 
-    Raises BokehguideError for a joint that the skin does not have.
+    Raises BokehguideError for joints outside the skin and for invalid weights.
     """
     sets = [n for n in range(INFLUENCES) if f"JOINTS_{n}" in arrays and f"WEIGHTS_{n}" in arrays]
     if not sets:
@@ -55,11 +55,13 @@ def blended(arrays: Mapping[str, np.ndarray], matrices: np.ndarray, primitive: P
     joints = np.concatenate([arrays[f"JOINTS_{n}"] for n in sets], axis=1).astype(np.int64)
     weights = np.concatenate([arrays[f"WEIGHTS_{n}"] for n in sets], axis=1).astype(np.float64)
     if joints.min(initial=0) < 0 or joints.max(initial=0) >= len(matrices):
-        problem = f"joint {joints.max()} is beyond the {len(matrices)} of the skin; repair the file"
+        problem = f"joint {joints.max()} is not below {len(matrices)}, the number of joints; repair the file"
         raise BokehguideError(f"{primitive.file}: {primitive.path}: {problem}")
     total = weights.sum(axis=1, keepdims=True)
     if not (np.isfinite(weights).all() and (total > 0.0).all()):
-        raise BokehguideError(f"{primitive.file}: {primitive.path}: has weights that add up to 0 or are not finite; repair the file")
+        raise BokehguideError(
+            f"{primitive.file}: {primitive.path}: has weights that add up to 0 or are not finite; repair the file"
+        )
     result = np.zeros((len(joints), 4, 4))
     for joint, weight in zip(joints.T, (weights / total).T):
         result += weight[:, None, None] * matrices[joint]
@@ -67,9 +69,9 @@ def blended(arrays: Mapping[str, np.ndarray], matrices: np.ndarray, primitive: P
 
 
 def skinned(arrays: dict[str, np.ndarray], matrices: np.ndarray) -> dict[str, np.ndarray]:
-    """The arrays with positions, normals and tangents moved by a matrix `[V, 4, 4]` for each vertex.
+    """`arrays` with positions, normals and tangents under one matrix for each vertex, `[V, 4, 4]`.
 
-    Normals go by the cofactors, which are the inverse transpose but for a factor.
+    Normals transform with the cofactors, which are proportional to the inverse transpose.
     """
     linear, moved = matrices[:, :3, :3], dict(arrays)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -84,5 +86,5 @@ def skinned(arrays: dict[str, np.ndarray], matrices: np.ndarray) -> dict[str, np
 
 
 def _each(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Each vector `[V, 3]` by its matrix `[V, 3, 3]`, float32."""
+    """The products of matrices `[V, 3, 3]` and vectors `[V, 3]`, float32."""
     return np.einsum("vij,vj->vi", matrices, vectors.astype(np.float64)).astype(np.float32)

@@ -12,14 +12,15 @@ from bokehguide.scene.gltf.document import Document, Part
 from bokehguide.scene.images import decode_texture
 from bokehguide.scene.types import Material, Texture
 
-WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
+REPEAT = 10497
+WRAPS = {REPEAT: "repeat", 33071: "clamp", 33648: "mirror"}
 NEAREST = 9728
 MAX_UV_SET = 15
 WEBP, BASISU, TRANSFORM = "EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_transform"
 
 
 class Textures:
-    """Reads the textures of `document`; each image is decoded once for each of its uses."""
+    """The textures of `document`. Each image is decoded once for each combination of colour space and alpha."""
 
     def __init__(self, document: Document):
         self.document = document
@@ -27,13 +28,14 @@ class Textures:
 
     @property
     def images(self) -> set[int]:
-        """The images that were read."""
+        """Indices of the decoded images."""
         return {index for index, *_ in self._images}
 
     def read(self, owner: Part, key: str, srgb: bool = False, alpha: bool = False) -> Texture | None:
-        """The texture that `owner` has under `key`, None where it has none that can be read.
+        """The texture `key` of `owner`; None if it is absent or in an unsupported format.
 
-        srgb: its colours are encoded. alpha: a fourth channel is wanted where the image has one.
+        srgb: decodes the colours from sRGB. alpha: keeps an alpha channel. Raises BokehguideError as
+        `decode_texture` does.
         """
         info = owner.part(key)
         index = self.document.link(info, "index", "textures")
@@ -52,15 +54,17 @@ class Textures:
         )
 
     def _source(self, texture: Part) -> int | None:
+        """The index of a texture's image; None, with a note, if its format is unsupported."""
         for part in (texture.extension(WEBP), texture):
             source = self.document.link(part, "source", "images")
             if source is not None and self.document.items("images")[source].values.get("mimeType") != "image/ktx2":
                 return source
         packed = ", ".join(texture.extensions) or "no image"
-        self.document.note(f"textures in a form that is not read ({packed}): the factors alone count", texture.label)
+        self.document.note(f"textures in an unsupported format ({packed}): only the factors are used", texture.label)
         return None
 
     def _pixels(self, index: int, srgb: bool, alpha: bool) -> np.ndarray:
+        """The decoded image `index`, float32 `[H, W, 3 or 4]`."""
         key = (index, srgb, alpha)
         if key not in self._images:
             image = self.document.items("images")[index]
@@ -72,23 +76,25 @@ class Textures:
         return self._images[key]
 
     def _wrap(self, texture: Part) -> tuple[str, str]:
+        """The addressing modes of a texture's sampler along u and v."""
         index = self.document.link(texture, "sampler", "samplers")
         if index is None:
             return Texture.wrap
         sampler = self.document.items("samplers")[index]
-        if NEAREST in (sampler.whole("magFilter"), sampler.whole("minFilter")):
+        if NEAREST in (sampler.whole("magFilter", None), sampler.whole("minFilter", None)):
             self.document.note("nearest-texel filters: textures are sampled bilinearly", texture.label)
-        for key in ("wrapS", "wrapT"):
-            if sampler.whole(key, 10497) not in WRAPS:
+        across, down = sampler.whole("wrapS", REPEAT), sampler.whole("wrapT", REPEAT)
+        for key, mode in (("wrapS", across), ("wrapT", down)):
+            if mode not in WRAPS:
                 sampler.fail(key, f"is none of {', '.join(map(str, WRAPS))}; repair the file")
-        return WRAPS[sampler.whole("wrapS", 10497)], WRAPS[sampler.whole("wrapT", 10497)]
+        return WRAPS[across], WRAPS[down]
 
 
-def _transform(part: Part) -> tuple[float, ...]:
-    """Rows of scale, then rotation from +u towards -v, then offset.
+def _transform(part: Part) -> tuple[float, float, float, float, float, float]:
+    """`Texture.transform` of KHR_texture_transform: scale, rotation from +u towards -v, offset.
 
-    v points down, so that this is anticlockwise where the image is seen. The matrix printed
-    in the extension turns the other way; Blender, Babylon.js and three.js do as is done here.
+    v points down, so that the rotation is anticlockwise in the image. The matrix in the extension's
+    text rotates clockwise; Blender, Babylon.js and three.js rotate anticlockwise.
     """
     (du, dv), (su, sv) = part.numbers("offset", 2, (0.0, 0.0)), part.numbers("scale", 2, (1.0, 1.0))
     angle = part.number("rotation", 0.0)
@@ -97,11 +103,11 @@ def _transform(part: Part) -> tuple[float, ...]:
 
 
 def textures_of(material: Material) -> dict[str, Texture]:
-    """The textures of `material` by the names of their fields."""
+    """The textures of `material` by field name."""
     given = {field.name: getattr(material, field.name) for field in fields(material)}
     return {name: value for name, value in given.items() if isinstance(value, Texture)}
 
 
 def uv_sets(material: Material) -> int:
-    """How many sets of texture coordinates the textures of `material` reach for."""
+    """The number of texture coordinate sets that `material` needs."""
     return 1 + max((texture.uv_set for texture in textures_of(material).values()), default=-1)

@@ -1,0 +1,1 @@
+"""Guided lens sampling: the strategies that learn, and their parts."""

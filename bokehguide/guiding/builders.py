@@ -1,0 +1,47 @@
+"""Compositions of strategies: one function for each mode of `modes.py`."""
+
+from __future__ import annotations
+
+from bokehguide.guiding.config import GuidedConfig
+from bokehguide.guiding.emitter_guide import EmitterGuide
+from bokehguide.guiding.gaussian_guide import GaussianGuide
+from bokehguide.guiding.learned_lights import LearnedLights
+from bokehguide.guiding.pixel_reuse import PixelReuse
+from bokehguide.guiding.protocols import LensSampler, LightStrategy, Mode, ModeContext
+from bokehguide.guiding.uniform import UniformLens
+
+
+def uniform(context: ModeContext) -> Mode:
+    return Mode(UniformLens(context), LightStrategy(context))
+
+
+def lis(context: ModeContext) -> Mode:
+    return Mode(paper_lens(context, learns_blend=False, learns_offsets=False), LightStrategy(context))
+
+
+def lis_b(context: ModeContext) -> Mode:
+    return Mode(paper_lens(context, learns_blend=True, learns_offsets=False), LightStrategy(context))
+
+
+def lis_o(context: ModeContext) -> Mode:
+    return Mode(paper_lens(context, learns_blend=True, learns_offsets=True), LightStrategy(context))
+
+
+def guided(context: ModeContext) -> Mode:
+    config: GuidedConfig = context.settings.guided
+    if is_pinhole(context):
+        return uniform(context)
+    lights = LightStrategy(context) if context.tracer.lights.empty else LearnedLights(context, config)
+    return Mode(EmitterGuide(context, config), lights, PixelReuse(context, config))
+
+
+def paper_lens(context: ModeContext, learns_blend: bool, learns_offsets: bool) -> LensSampler:
+    """The paper's guide; a pinhole has one lens point, and nothing to learn."""
+    if is_pinhole(context):
+        return UniformLens(context)
+    return GaussianGuide(context, context.settings.gaussian, learns_blend, learns_offsets)
+
+
+def is_pinhole(context: ModeContext) -> bool:
+    """Whether the aperture is a point."""
+    return context.scene.camera.aperture_radius == 0.0

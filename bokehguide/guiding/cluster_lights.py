@@ -1,0 +1,294 @@
+"""Light sampling at primary hits: a table of probabilities chooses clusters, and resampling keeps one of several candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bokehguide.guiding.config import GuidedConfig
+from bokehguide.render import dimensions, mis
+from bokehguide.render.bsdf.mixture import Scattering
+from bokehguide.render.geometry import Surface
+from bokehguide.render.lights.base import ClusterRecord, DirectLight, LightSample
+from bokehguide.render.lights.clusters import ClusterTable
+from bokehguide.render.lights.power_sampler import PowerLightSampler, voxel_share
+from bokehguide.render.lights.scene_lights import PointQuery
+from bokehguide.render.random import PixelRandom
+from bokehguide.render.vector import divisor, luminance
+from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime.indexing import indices, scatter
+
+VOXEL_SHARE = 0.125
+"""Share of light samples that the voxel grid chooses, so that every light has a positive density."""
+
+
+class ClusterSample(NamedTuple):
+    """A `LightSample` with its cluster, int32 `[N]`, and the probability of choosing the cluster, `share`, `[N]`."""
+
+    direction: Tensor
+    distance: Tensor
+    radiance: Tensor
+    pdf: Tensor
+    cluster: Tensor
+    share: Tensor
+
+
+class VoxelLights:
+    """Distribution of the first epoch: the voxel grid chooses lights.
+
+    row: row of each point in the table that the samples train, int32 `[N]`. candidates: number of light samples per kept one.
+    """
+
+    first_step = 1
+
+    def __init__(self, power: PowerLightSampler, row: Tensor, candidates: int = GuidedConfig.light_candidates):
+        self._power, self._row, self._candidates = power, row, candidates
+
+    def select(self, index: Tensor) -> VoxelLights:
+        """See `LightDistribution`."""
+        return VoxelLights(self._power, self._row.index_select(0, index), self._candidates)
+
+    def sample(self, surface: Surface, scattering: Scattering, uniforms: Tensor, random: PixelRandom) -> DirectLight:
+        """See `LightDistribution`."""
+        draw = partial(self.draw, self._power.lights.query(surface.position))
+        return resampled(draw, self.expected_visibility, self._row, scattering, uniforms, random, self._candidates)
+
+    def expected_visibility(self, cluster: Tensor) -> Tensor:
+        """1 for each cluster `[N]`: the visibility is unknown."""
+        return torch.ones(cluster.shape, device=cluster.device)
+
+    def draw(self, query: PointQuery, uniforms: Tensor) -> ClusterSample:
+        """One light sample for each point of the query from uniform numbers `[6, N]`."""
+        is_far = uniforms[0] < query.environment_share
+        return self._power.lights.draw_by_kind(is_far, query, uniforms[1:], self._draw_environment, self._draw_triangles)
+
+    def _draw_environment(self, query: PointQuery, uniforms: Tensor) -> ClusterSample:
+        element = self._power.environment_element(uniforms)
+        light = self._power.environment_sample(query, element, uniforms[2:4])
+        return _environment_cluster(self._power, element, light)
+
+    def _draw_triangles(self, query: PointQuery, uniforms: Tensor) -> ClusterSample:
+        cluster = self._power.sample_cluster(query, uniforms[0])
+        share = self._power.share(query, cluster)
+        return ClusterSample(*self._power.lights.triangle_sample(query.points, cluster, share, uniforms[1:]), cluster, share)
+
+    def triangle_pdf(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
+        """See `LightDistribution`."""
+        return self._power.triangle_pdf(points, triangle, distance, cosine)
+
+    def environment_pdf(self, points: Tensor, directions: Tensor) -> Tensor:
+        """See `LightDistribution`."""
+        return self._power.environment_pdf(points, directions)
+
+
+class ClusterTables(NamedTuple):
+    """Probabilities of C clusters in each of R rows, unchanged since `first_step`.
+
+    visibility: expected visible share of each cluster's light, positive, `[R, C]`. first_far: first cluster of the environment,
+    `[1]`, on the device, so that no kernel waits for the host.
+    """
+
+    table: ClusterTable
+    visibility: Tensor
+    first_far: Tensor
+    first_step: int
+
+
+class _MixtureQuery(NamedTuple):
+    """A `PointQuery` with the rows of the table, int32 `[N]`.
+
+    by_voxel: whether the voxel grid chooses the sample, bool `[N]`. cluster: choice of the table for the others, int32 `[N]`.
+    """
+
+    points: Tensor
+    cells: Tensor
+    environment_share: Tensor
+    row: Tensor
+    by_voxel: Tensor
+    cluster: Tensor
+
+    def select(self, index: Tensor) -> _MixtureQuery:
+        return _MixtureQuery(*(values.index_select(-1, index) for values in self))
+
+
+class MixtureLights:
+    """Mixture of a table of clusters and the voxel grid; the weight of the grid is VOXEL_SHARE."""
+
+    def __init__(
+        self, power: PowerLightSampler, row: Tensor, tables: ClusterTables, candidates: int = GuidedConfig.light_candidates
+    ):
+        self._power, self._row, self._tables, self._candidates = power, row, tables, candidates
+
+    @property
+    def first_step(self) -> int:
+        """See `LightDistribution`."""
+        return self._tables.first_step
+
+    def select(self, index: Tensor) -> MixtureLights:
+        """See `LightDistribution`."""
+        return MixtureLights(self._power, self._row.index_select(0, index), self._tables, self._candidates)
+
+    def sample(self, surface: Surface, scattering: Scattering, uniforms: Tensor, random: PixelRandom) -> DirectLight:
+        """See `LightDistribution`."""
+        draw = partial(self.draw, self._power.lights.query(surface.position))
+        return resampled(draw, self.expected_visibility, self._row, scattering, uniforms, random, self._candidates)
+
+    def expected_visibility(self, cluster: Tensor) -> Tensor:
+        """Expected visible share of the light of each cluster `[N]`."""
+        visibility = self._tables.visibility
+        return visibility.view(-1).index_select(0, self._row * visibility.shape[1] + cluster)
+
+    def probability(self, cluster: Tensor, row: Tensor) -> Tensor:
+        """Probability with which the table chooses each cluster `[N]` in each row `[N]`."""
+        return self._tables.table.pdf(row, cluster)
+
+    def draw(self, query: PointQuery, uniforms: Tensor) -> ClusterSample:
+        """One light sample for each point of the query from uniform numbers `[6, N]`."""
+        tables = self._tables
+        chosen = _chosen(tables.table, self._row, query.environment_share, uniforms[0], tables.first_far)
+        cluster, by_voxel, is_far = chosen[0], chosen[1] > 0.0, chosen[2] > 0.0
+        mixture = _MixtureQuery(*query, self._row, by_voxel, cluster)
+        return self._power.lights.draw_by_kind(is_far, mixture, uniforms[1:], self._draw_environment, self._draw_triangles)
+
+    def _draw_environment(self, query: _MixtureQuery, uniforms: Tensor) -> ClusterSample:
+        clusters = self._power.lights.clusters
+        element = self._power.environment_element(uniforms)
+        by_table = clusters.sample_element(query.cluster.clamp(min=clusters.triangles), uniforms[0:2])
+        element = torch.where(query.by_voxel, element, by_table)
+        density = partial(self._environment_density, query.environment_share, query.row)
+        light = self._power.lights.environment_sample(element, uniforms[2:4], density)
+        return _environment_cluster(self._power, element, light)
+
+    def _environment_density(self, environment_share: Tensor, row: Tensor, directions: Tensor, texel: Tensor) -> Tensor:
+        lights = self._power.lights
+        by_voxel = environment_share * lights.sampled_environment.pdf(directions, texel)
+        by_table = lights.clusters.environment_pdf(partial(self.probability, row=row), directions, texel)
+        return VOXEL_SHARE * by_voxel + (1.0 - VOXEL_SHARE) * by_table
+
+    def _draw_triangles(self, query: _MixtureQuery, uniforms: Tensor) -> ClusterSample:
+        cluster = self._triangle_cluster(query, uniforms[0])
+        share = self._share(query.cells, query.environment_share, query.row, cluster)
+        return ClusterSample(*self._power.lights.triangle_sample(query.points, cluster, share, uniforms[1:]), cluster, share)
+
+    def _triangle_cluster(self, query: _MixtureQuery, uniforms: Tensor) -> Tensor:
+        """Clusters of triangles `[N]`: the chosen ones, or new ones of the voxel grid from uniform numbers `[N]`."""
+        grid = self._power.lights.grid
+        cluster = query.cluster.clamp(max=grid.clusters - 1)
+        if query.by_voxel.device.type != "cpu":
+            return torch.where(query.by_voxel, grid.sample_cluster(query.cells, uniforms), cluster)
+        index = indices(query.by_voxel)
+        scatter(cluster, index, grid.sample_cluster(query.cells.index_select(0, index), uniforms.index_select(0, index)))
+        return cluster
+
+    def _share(self, cells: Tensor, environment_share: Tensor, row: Tensor, cluster: Tensor) -> Tensor:
+        return _mixture_share(self._power.lights.grid.table, cells, environment_share, self._tables.table, row, cluster)
+
+    def triangle_pdf(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
+        """See `LightDistribution`."""
+
+        def share(cluster: Tensor) -> Tensor:
+            query = self._power.lights.query(points)
+            return self._share(query.cells, query.environment_share, self._row, cluster)
+
+        return self._power.lights.triangle_pdf(triangle, distance, cosine, share)
+
+    def environment_pdf(self, points: Tensor, directions: Tensor) -> Tensor:
+        """See `LightDistribution`."""
+
+        def density(directions: Tensor, texel: Tensor) -> Tensor:
+            return self._environment_density(self._power.lights.query(points).environment_share, self._row, directions, texel)
+
+        return self._power.lights.environment_pdf(directions, density)
+
+
+def _environment_cluster(power: PowerLightSampler, element: Tensor, light: LightSample) -> ClusterSample:
+    """Samples of the environment's elements `[N]` with their clusters."""
+    clusters = power.lights.clusters
+    return ClusterSample(*light, clusters.cluster(element), light.pdf / clusters.pdf_within(element))
+
+
+@kernel
+def _chosen(
+    table: ClusterTable, row: Tensor, environment_share: Tensor, uniforms: Tensor, first_far: Tensor
+) -> tuple[Tensor, ...]:
+    """Clusters `[N]` from uniform numbers `[N]`; 1 where the voxel grid chooses, else 0; 1 for the environment, else 0."""
+    cluster = table.sample(row, (uniforms - VOXEL_SHARE) / (1.0 - VOXEL_SHARE))
+    by_voxel = uniforms < VOXEL_SHARE
+    is_far = torch.where(by_voxel, uniforms < VOXEL_SHARE * environment_share, cluster >= first_far)
+    return cluster, by_voxel.to(torch.float32), is_far.to(torch.float32)
+
+
+@kernel
+def _mixture_share(
+    by_voxel: ClusterTable, cells: Tensor, environment_share: Tensor, table: ClusterTable, row: Tensor, cluster: Tensor
+) -> Tensor:
+    """Probability `[N]` of choosing each of the clusters `[N]` of triangles."""
+    share = voxel_share(by_voxel, cells, environment_share, cluster)
+    return VOXEL_SHARE * share + (1.0 - VOXEL_SHARE) * table.pdf(row, cluster)
+
+
+class _Reservoir(NamedTuple):
+    """The candidate kept so far. value: contribution, `[3, N]`. target: its luminance times the expected visibility, `[N]`."""
+
+    direction: Tensor
+    distance: Tensor
+    value: Tensor
+    share: Tensor
+    target: Tensor
+    cluster: Tensor
+    bsdf_pdf: Tensor
+
+
+def resampled(
+    draw: Callable[[Tensor], ClusterSample],
+    expected_visibility: Callable[[Tensor], Tensor],
+    row: Tensor,
+    scattering: Scattering,
+    uniforms: Tensor,
+    random: PixelRandom,
+    candidates: int,
+) -> DirectLight:
+    """One of several light samples, kept in proportion to its target (Talbot et al. 2005).
+
+    draw: makes samples from uniform numbers `[6, N]`. uniforms: of the first candidate. The MIS weights are those of a single
+    sample, so only the kept candidate needs a shadow ray.
+    """
+    light = draw(uniforms)
+    scattered = scattering.evaluate(light.direction)
+    value, total = _target(light, scattered, expected_visibility(light.cluster))
+    kept = _Reservoir(light.direction, light.distance, value, light.share, total, light.cluster, scattered[1])
+    for number in range(1, candidates):
+        others = random.uniform(dimensions.candidate(number), dimensions.CANDIDATE_COUNT)
+        # Uniform numbers for the choice of clusters are stratified over the candidates.
+        others[0] = ((uniforms[0] + number / candidates) % 1.0).clamp(2.0**-24, 1.0 - 2.0**-24)
+        light = draw(others)
+        scattered = scattering.evaluate(light.direction)
+        kept, total = _updated(kept, total, light, scattered, expected_visibility(light.cluster), others[6])
+    scale = total / (candidates * divisor(kept.target))
+    contribution_rms = luminance(kept.value) * (kept.share * scale).sqrt()
+    clusters = ClusterRecord(row, kept.cluster, contribution_rms)
+    return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.bsdf_pdf, clusters)
+
+
+@kernel
+def _target(light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: Tensor) -> tuple[Tensor, Tensor]:
+    """Contributions `[3, N]` and targets `[N]` of samples."""
+    value = mis.light_contribution(light.radiance, light.pdf, *scattered)
+    return value, luminance(value) * visibility
+
+
+@kernel
+def _updated(
+    kept: _Reservoir, total: Tensor, light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: Tensor, uniform: Tensor
+) -> tuple[_Reservoir, Tensor]:
+    """Reservoir after one more candidate, and the sum of the targets `[N]`."""
+    value = mis.light_contribution(light.radiance, light.pdf, *scattered)
+    target = luminance(value) * visibility
+    total = total + target
+    changes = uniform * total < target
+    new = (light.direction, light.distance, value, light.share, target, light.cluster, scattered[1])
+    return _Reservoir(*(torch.where(changes, one, other) for one, other in zip(new, kept))), total

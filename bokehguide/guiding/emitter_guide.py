@@ -1,0 +1,248 @@
+"""The lens sampler of the mode `guided`: the scene's emitters are known before the first ray, other highlights are found.
+
+Differences from the paper's guide (`gaussian_guide.py`), each measured to reduce the error:
+
+- The field begins with the scene's emitters: emissive pieces, peaks of the environment map, suns. The record finds their
+  reflections and refractions. A record places light from mirrors and glass at its virtual image, and separates depths.
+- A component is an even ellipse on the lens instead of a Gaussian, clipped near the lens. An emitter of the map has the map's
+  radiance on the lens.
+- Learning takes place at the ends of epochs, whose lengths grow in powers of two. Within an epoch no distribution changes, so
+  all lens points are stratified over the epoch.
+- Success rates of draws are learned for each emitter and tile.
+- Paths split after the primary hit in proportion to the weight of the lens point.
+- β has the least variance, by second moments that neighbouring pixels share.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, cast
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, pad
+
+from bokehguide.guiding.config import GuidedConfig
+from bokehguide.guiding.emitter_proposals import emitter_proposals
+from bokehguide.guiding.guide import Guide, GuideRecord, learned_of
+from bokehguide.guiding.highlight_fitting import fit_ellipsoids
+from bokehguide.guiding.layered_record import VoxelRecord
+from bokehguide.guiding.lens_queries import MixtureQuery, UniformQuery
+from bokehguide.guiding.protocols import BatchSamples, LensQuery, ModeContext, PixelBatch, StepSummary
+from bokehguide.guiding.success_rates import SuccessRates
+from bokehguide.guiding.virtual_images import HighlightImages
+from bokehguide.models.base import owners
+from bokehguide.models.candidates import draw_candidates
+from bokehguide.models.ellipse_mixture import EllipseMixture
+from bokehguide.render import dimensions
+from bokehguide.render.observer import PathObserver
+from bokehguide.render.path_tracer import PathSamples
+from bokehguide.render.splitting import SplitPaths
+from bokehguide.render.vector import luminance
+from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime.indexing import ActiveEntries, gather_pixels, scatter_add
+
+MAX_RATIO = 1e18
+"""Contributions are clamped to this, so that their squares stay finite in single precision."""
+PRIOR_MOMENT = 1e-3
+"""Second moment of either part of the mixture before any sample, in units of the frame's mean squared."""
+
+
+class DrawnEmitters(NamedTuple):
+    """Slots `[K]` of the emitters that a batch has drawn, and the squares `[K]` of their contributions over the expected ones."""
+
+    slots: Tensor
+    squared: Tensor
+
+
+class EmitterGuide(Guide):
+    """Ellipses of emitters and highlights, blended with the uniform lens. An epoch draws from the state at its start.
+
+    moments: Σ β² f² p / q³ of the ellipses and Σ (1 - β)² f² u / q³ of the uniform part, `[2, pixels]`. Their roots are in
+    the ratio of β to 1 - β at the β of least variance. Of ellipses small against the lens, neither depends on the β of the draw.
+    """
+
+    record_buffer: VoxelRecord
+    beta: Tensor
+    moments: Tensor
+    outlines: Tensor
+    unit: Tensor
+
+    def __init__(self, context: ModeContext, config: GuidedConfig):
+        super().__init__(context)
+        self.config = config
+        pixels, device = self.camera.width * self.camera.height, self.camera.position.device
+        self.record_buffer = VoxelRecord(self.camera, self.ranks, config.depth_layers)
+        self.register_buffer("beta", torch.full((pixels,), config.first_blend))
+        self.register_buffer("moments", torch.zeros(2, pixels))
+        self.register_buffer("outlines", torch.zeros(6, 0))
+        """Squared half axes of the field's ellipsoids (see `EllipseMixture`), `[6, G]`."""
+        self.to(device)
+        self.epoch = self.epoch.cpu()
+        self._owned = context.owned.to(device)
+        self._proposals = emitter_proposals(context.scene, self.camera, config)
+        self.success_rates = SuccessRates(self.camera, len(self._proposals.field), self.ranks)
+        self.register_buffer("unit", torch.tensor(1.0))
+        """Luminance in units of which the success rates count contributions, about."""
+        self.paths_per_sample = config.split_count
+        self._geometry = context.tracer.geometry
+        self.refit(1.0)
+
+    @torch.no_grad()
+    def query(self, batch: PixelBatch) -> LensQuery:
+        # The first two dimensions of a Sobol' sequence are the most even: they are the place on the lens.
+        first = int(self.epoch) if self.config.stratify else batch.step
+        uniforms = batch.random.stratified(dimensions.LENS, 3, first).roll(1, 0)
+        if self.candidates is None:
+            return UniformQuery(self.camera.lens, batch.focus, uniforms[1:3])
+        start, component = self.candidates.batch(batch.pixels)
+        if len(component) == 0:
+            return UniformQuery(self.camera.lens, batch.focus, uniforms[1:3])
+        slots = self.success_rates.slots(batch.pixels, owners(start, len(component)), component)
+        return MixtureQuery(self._mixture(batch, start, component, slots), uniforms, component, slots)
+
+    def _mixture(self, batch: PixelBatch, start: Tensor, component: Tensor, slots: Tensor) -> EllipseMixture:
+        field, lens, known = self.field, self.camera.lens, self._proposals.shapes
+        mean, outline = field.mean.index_select(1, component), self.outlines.index_select(1, component)
+        weight = field.lens_weights(lens.focus_distance).index_select(0, component)
+        environment, parallelogram = self._numbers.index_select(1, component)
+        shapes = known._replace(environment_index=environment, parallelogram_index=parallelogram)
+        scale, beta = self.success_rates.learned_scale(slots), gather_pixels(self.beta, batch.pixels)
+        return EllipseMixture(lens, batch.focus, beta, start, mean, outline, weight, scale, shapes, self.config.clip_to_lens)
+
+    def initial_queries(self, batch: PixelBatch) -> Iterable[LensQuery]:
+        """One uniform query in the first step, as its weights may differ from 1."""
+        if batch.step > 1 or self.candidates is None:
+            return ()
+        return (UniformQuery(self.camera.lens, batch.focus, batch.random.uniform(dimensions.INITIAL_LENS, 2)),)
+
+    def is_independent(self, step: int) -> bool:
+        """At the start of an epoch; within one, weights are stratified."""
+        return step == int(self.epoch)
+
+    def splitting(self, weight: Tensor) -> SplitPaths:
+        """Counts in proportion to the weight (Vorba and Křivánek 2016)."""
+        return SplitPaths((self.config.split_count * weight).round().clamp(1, self.config.max_split_count))
+
+    def observers(self, batch: PixelBatch) -> Sequence[PathObserver]:
+        if not self.config.virtual_images:
+            return ()
+        # The frame's mean is not known before the second step: all light may be a highlight's.
+        threshold = 0.5 * self.config.highlights.radiance_threshold * batch.mean_luminance * (batch.step > 1)
+        return (HighlightImages(self._geometry, batch.focus.shape[1], threshold),)
+
+    def recorded_distance(self, samples: BatchSamples) -> Tensor:
+        """The distance of virtual images, where they are observed."""
+        for images in cast(Sequence[HighlightImages], samples.lens_observers):
+            return images.distances()
+        return super().recorded_distance(samples)
+
+    @torch.no_grad()
+    def learn_from(self, samples: BatchSamples, query: MixtureQuery[EllipseMixture], ratio: Tensor) -> DrawnEmitters:
+        """Add to the moments of the batch's pixels; returns the contributions of the emitters that were drawn."""
+        mixture, slots_of, at, candidate = query.mixture, query.slots, samples.drawn.at, samples.drawn.candidate
+        assert slots_of is not None and at is not None and candidate is not None
+        scatter_add(self.moments, samples.batch.pixels, _moments(mixture.beta, at.mixture, at.density, ratio))
+        drawn = ActiveEntries(candidate >= 0)
+        chosen = drawn.select(candidate).clamp(min=0)
+        slots = drawn.masked(slots_of.index_select(0, chosen), 0)
+        share = drawn.select(mixture.beta) * mixture.weight.index_select(0, chosen)
+        expected = mixture.expected_contribution.index_select(0, chosen) * math.pi / (mixture.lens.area * self.unit)
+        contribution = drawn.select(ratio) * share / expected
+        return DrawnEmitters(slots, contribution.nan_to_num(0.0, MAX_RATIO).clamp(max=MAX_RATIO).square())
+
+    def recorded_luminance(self, paths: PathSamples) -> Tensor:
+        """All light but that of the proposals' emitters seen directly."""
+        hit = paths.triangle >= 0
+        known = self._proposals.triangles[paths.triangle.clamp(min=0).long()] & hit
+        light = _luminance_beside(paths.radiance, paths.emission, known)
+        return light * hit if self._proposals.whole_environment else light
+
+    def accumulate(self, records: Sequence[GuideRecord], summary: StepSummary) -> None:
+        threshold = self.config.highlights.radiance_threshold * summary.mean_luminance
+        self.record_buffer.add([record.records for record in records], threshold)
+        for drawn in learned_of(records):
+            self.success_rates.add(*drawn)
+
+    @torch.no_grad()
+    def update(self, summary: StepSummary) -> None:
+        """End a step: where an epoch ends with it, fit the field to the record and set every β; collective."""
+        if not summary.ends_epoch:
+            self.record_buffer.end_step()
+            return
+        mean_luminance = max(summary.mean_luminance, 1e-15)
+        self.epoch.fill_(summary.step + 1)
+        if self.config.learn_success_rates:
+            self.success_rates.update()
+        self.unit.fill_(mean_luminance)
+        if summary.step == 1:  # its samples came before the frame's mean, the unit of all later moments, was known
+            self.moments /= mean_luminance**2
+        self.refit(summary.mean_luminance)
+        self.beta.copy_(self._least_variance_blend())
+
+    def _least_variance_blend(self) -> Tensor:
+        squares = self.ranks.total(self.moments).reshape(2, 1, self.camera.height, self.camera.width)
+        pool = self.config.blend_pool
+        pooled = avg_pool2d(squares, pool, 1, pool // 2, count_include_pad=False).reshape(2, -1)
+        ellipses, uniform = (pooled + PRIOR_MOMENT).sqrt()
+        return (ellipses / (ellipses + uniform)).clamp(self.config.min_blend, self.config.max_blend)
+
+    @torch.no_grad()
+    def refit(self, mean_luminance: float) -> None:
+        """The field: the proposals, and the record's other highlights; then list each pixel's candidates. Collective."""
+        self.record_buffer.merge_voxels()
+        self.highlight_cells, *found = fit_ellipsoids(self.record_buffer, self.camera, mean_luminance, self.config)
+        field = self._proposals.field
+        known = (field.mean, self._proposals.outlines, field.radius, field.energy)
+        mean, self.outlines, radius, energy = (torch.cat(part, dim=-1) for part in zip(known, found))
+        if len(radius) == len(self.field) == len(field) > 0:
+            return
+        self.field.assign(mean, radius, radius, energy)  # σ is the largest half axis of an ellipsoid
+        self.set_candidates()
+
+    def set_candidates(self) -> None:
+        """List each pixel's candidates; to be called after any change of the field."""
+        shapes, found = self._proposals.shapes, len(self.field) - len(self._proposals.field)
+        self._numbers = pad(torch.stack((shapes.environment_index, shapes.parallelogram_index)), (0, found), value=-1)
+        """Number of each component among the map's emitters and among the parallelograms, -1 for none, int64 `[2, G]`."""
+        slack = self.config.candidate_slack
+        self.candidates = draw_candidates(self.field, self.camera, slack) if len(self.field) else None
+
+    def blend_weights(self) -> Tensor:
+        return self.beta
+
+    def merge(self) -> None:
+        self.record_buffer.merge()
+        self.success_rates.merge()
+
+    def load_state_dict(self, state_dict, *args, **kwargs):
+        """Load the learned state and the field; then list each pixel's candidates.
+
+        Raises ValueError for a state that no render has.
+        """
+        for name in ("highlight_cells", "outlines"):  # a fit decides how many there are
+            setattr(self, name, torch.empty_like(state_dict[name], device=self.beta.device))
+        result = super().load_state_dict(state_dict, *args, **kwargs)
+        if not self.ranks.alone:  # each rank adds up the moments of its own pixels
+            self.moments *= self._owned
+        rates = self.success_rates
+        positive = bool((rates.sums >= 0.0).all() and (rates.rates > 0.0).all() and self.unit > 0.0)
+        if not positive or self.outlines.shape[1] != len(self.field) or not bool(self.outlines.isfinite().all()):
+            raise ValueError("success rates or outlines that no render has")
+        self.set_candidates()
+        return result
+
+
+@kernel
+def _luminance_beside(radiance: Tensor, emission: Tensor, known: Tensor) -> Tensor:
+    """Luminance `[N]` of radiance `[3, N]` without the emission of known emitters, bool `[N]`."""
+    return luminance(radiance - emission * known)
+
+
+@kernel
+def _moments(beta: Tensor, ellipses: Tensor, density: Tensor, ratio: Tensor) -> Tensor:
+    """Terms of samples in `EmitterGuide.moments`, `[2, N]`; ellipses, density: densities of the ellipses and of the mixture."""
+    share = beta * ellipses / density.clamp(min=1e-37)
+    squared = ratio.clamp(max=MAX_RATIO) * ratio.clamp(max=MAX_RATIO) * (beta > 0.0)  # other pixels have no β to learn
+    return torch.stack((squared * share * beta, squared * (1.0 - share) * (1.0 - beta)))

@@ -1,0 +1,138 @@
+"""A lens sampler that learns from a record of primary hits: the common base of the paper's guide and the mode `guided`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bokehguide.guiding.lens_queries import MixtureQuery
+from bokehguide.guiding.protocols import BatchSamples, LensRecord, LensSampler, ModeContext
+from bokehguide.guiding.record_buffer import FAR, Raster, Records
+from bokehguide.models.candidates import CandidateList
+from bokehguide.models.gaussian_field import GaussianField
+from bokehguide.models.kl import one_sample_kl
+from bokehguide.render.path_tracer import PathSamples
+from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.render.vector import luminance
+from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime.device import to_device
+
+
+@dataclass(kw_only=True)
+class GuideRecord(LensRecord):
+    """The report of one batch to a guide. records: for the record of primary hits. learned: for the parameters of the mixture,
+    None for a batch without candidates."""
+
+    records: Records
+    learned: object | None = None
+
+
+class Guide(LensSampler):
+    """Learns, step by step, where on the lens each pixel should look: records primary hits, fits a field, lists candidates.
+
+    `query` and `record` work on batches of pixels, side by side; `update` ends a step.
+    """
+
+    learns = True
+    record_buffer: Raster
+    highlight_cells: Tensor
+    epoch: Tensor
+    candidates: CandidateList | None = None
+    """Components of the field that each pixel may see, None where the field is empty."""
+
+    def __init__(self, context: ModeContext):
+        super().__init__(context)
+        self.field = GaussianField()
+        self.register_buffer("highlight_cells", torch.zeros(0, dtype=torch.int64))
+        self.register_buffer("epoch", torch.tensor(1))
+        """First step of the epoch; kept on the host, which asks for it."""
+
+    @property
+    def component_count(self) -> int:
+        return len(self.field)
+
+    def record(self, samples: BatchSamples, good: Tensor) -> GuideRecord:
+        drawn, paths = samples.drawn, samples.paths
+        weight = drawn.weight.nan_to_num(0.0, 0.0, 0.0) * good
+        report = GuideRecord(records=self._primary_hits(samples, weight, good))
+        report.figures = weight.new_zeros(4, dtype=torch.float64)
+        for query in samples.query.mixtures:
+            # Radiance counts in units of the frame's mean, and for nothing while that is 0.
+            unit = samples.batch.mean_luminance or math.inf
+            ratio = finite(luminance(paths.radiance), good) * weight / unit
+            report.learned = self.learn_from(samples, query, ratio)
+            report.figures = _figures(query, weight, one_sample_kl(ratio, query.own_pdf(drawn), self.camera.lens.area))
+        return report
+
+    def learn_from(self, samples: BatchSamples, query: MixtureQuery[Any], ratio: Tensor) -> object:
+        """Terms of one sample a pixel for learning the mixture.
+
+        ratio: L / (A q) in units of the mean luminance, `[N]`, 0 outside the lens.
+        """
+        raise NotImplementedError
+
+    def recorded_luminance(self, paths: PathSamples) -> Tensor:
+        """Luminance `[N]` for the record."""
+        return luminance(paths.radiance)
+
+    def recorded_distance(self, samples: BatchSamples) -> Tensor:
+        """Distance `[N]` along each camera ray at which the record places its light."""
+        return samples.paths.distance
+
+    def _primary_hits(self, samples: BatchSamples, weight: Tensor, good: Tensor) -> Records:
+        distance, axes = self.recorded_distance(samples), self.camera.axes
+        far = to_device(FAR * self.camera.lens.focus_distance, distance.device, torch.float32)
+        position = _positions(samples.drawn.points, axes.T @ samples.directions, distance, far)
+        cells = self.record_buffer.cells(self.camera, position)
+        light = finite(self.recorded_luminance(samples.paths), good)
+        return Records(torch.where(weight > 0.0, cells, -1), position, light)
+
+    def images(self, beta: Tensor) -> dict[str, Tensor]:
+        """β, the record and its highlight cells; the last two with their margin."""
+        beta = beta.reshape(self.camera.height, self.camera.width)
+        if self.candidates is not None:
+            beta = beta * (self.candidates.counts() > 0).reshape(beta.shape)
+        radiance = self.record_buffer.radiance()
+        highlights = torch.zeros(radiance.numel(), device=radiance.device)
+        highlights[self.highlight_cells] = 1.0
+        bright = radiance / (radiance + radiance.mean().clamp(min=1e-20))
+        images = {"beta": beta, "record": bright, "highlights": highlights.reshape(radiance.shape)}
+        return {name: image[..., None].expand(-1, -1, 3).float() for name, image in images.items()}
+
+    def check(self, step: int) -> None:
+        super().check(step)
+        if bool((self.highlight_cells >= self.record_buffer.height * self.record_buffer.width).any()):
+            raise ValueError("highlights outside the record")
+        if not 1 <= int(self.epoch) <= step + 1:
+            raise ValueError("an epoch that has not begun")
+
+
+def learned_of(records: Sequence[GuideRecord]) -> list:
+    """`GuideRecord.learned` of the batches that have it."""
+    return [record.learned for record in records if record.learned is not None]
+
+
+def finite(light: Tensor, good: Tensor) -> Tensor:
+    """Luminance `[N]` of the samples that the film took, 0 for the others."""
+    return light.nan_to_num(0.0, 0.0, 0.0) * good
+
+
+def _figures(query: MixtureQuery, weight: Tensor, loss: Tensor) -> Tensor:
+    guided, beta = query.mixture.guided, query.mixture.beta
+    return torch.stack([each.double() for each in (guided.sum(), ((weight == 0.0) & guided).sum(), beta.sum(), loss)])
+
+
+@kernel
+def _positions(points: Tensor, directions: Tensor, distance: Tensor, far: Tensor) -> Tensor:
+    """Positions `[3, N]` at `distance` `[N]` along camera-frame directions `[3, N]` from lens points `[2, N]`.
+
+    Rays that met nothing begin at the middle of the lens and end at `far`.
+    """
+    hit = distance < MISS_DISTANCE
+    origin = torch.stack((points[0] * hit, points[1] * hit, torch.zeros_like(distance)))
+    return origin + directions * torch.where(hit, distance, far)

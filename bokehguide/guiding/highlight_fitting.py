@@ -1,0 +1,104 @@
+"""Discovery of highlights in a record, and the fit of Gaussians or ellipsoids to them (sections 4.2.2 to 4.2.4)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bokehguide.guiding.config import GaussianConfig, GuidedConfig, HighlightConfig
+from bokehguide.guiding.layered_record import VoxelRecord
+from bokehguide.guiding.record_buffer import Raster, RecordBuffer
+from bokehguide.models.gaussian_field import GaussianField
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.vector import length
+
+
+def find_highlights(
+    record: RecordBuffer | VoxelRecord, camera: ThinLensCamera, mean_luminance: float, config: HighlightConfig = HighlightConfig()
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Cells `[K]` of the record that are bright and out of focus, their positions `[3, K]` and mean luminance `[K]`."""
+    cells, points, light = record.bright(config.radiance_threshold * mean_luminance)
+    defocused = camera.coc_diameter(points[2]) >= config.coc_threshold
+    return cells[defocused], points[:, defocused], light[defocused]
+
+
+def label_patches(
+    record: Raster, cells: Tensor, depth: Tensor, width: Tensor, depth_gap: float = HighlightConfig.depth_gap
+) -> Tensor:
+    """Patch number of each highlight cell, int64 `[K]` from 0 without gaps.
+
+    Cells that touch on the raster form a patch. A patch is split at gaps between the sorted depths of its cells, as one emitter
+    may lie behind another. depth, width: of each cell, metres, `[K]`. depth_gap: see `HighlightConfig`.
+    """
+    from kornia.contrib import connected_components_union_find  # the import takes half a second
+
+    mask = torch.zeros(record.height * record.width, dtype=torch.bool, device=cells.device)
+    mask[cells] = True
+    labels = connected_components_union_find(mask.reshape(1, 1, record.height, record.width))
+    label = labels.reshape(-1)[cells]
+    order = depth.argsort()
+    order = order[label[order].argsort(stable=True)]
+    label, depth, width = label[order], depth[order], width[order]
+    leap = (label[1:] != label[:-1]) | (depth[1:] - depth[:-1] > depth_gap * width[:-1])
+    patch = torch.empty_like(order)
+    patch[order] = torch.cat((torch.zeros_like(order[:1]), leap.long().cumsum(0)))
+    return patch
+
+
+def fit_ellipsoids(
+    record: VoxelRecord, camera: ThinLensCamera, mean_luminance: float, config: GuidedConfig = GuidedConfig()
+) -> tuple[Tensor, ...]:
+    """One ellipsoid for each patch of highlight cells: the cells `[K]`; means `[3, G]`, outlines `[6, G]` (see
+    `EllipseMixture`), largest half axes seen from the lens and energies `[G]`.
+
+    Mean and covariance are weighted by the light: a few cells at the edge, seldom lit, would enlarge the patch's box several
+    times. The Gaussian with this mean and covariance has the least KL divergence from the light.
+    """
+    if not config.find_highlights:
+        none = torch.zeros(6, 0, device=record.sums.device)
+        return record.voxels[:0, 0].long(), none[:3], none, none[0], none[0]
+    cells, points, light = find_highlights(record, camera, mean_luminance, config.highlights)
+    width = points[2] * camera.pixel_slope
+    patch = label_patches(record, cells, points[2], width, config.highlights.depth_gap)
+    count = int(patch.max()) + 1 if len(patch) else 0
+    light = light.double() * width * width
+    energy = torch.zeros(count, device=points.device, dtype=torch.float64).index_add_(0, patch, light)
+    share = (light / energy[patch]).float()
+    empty = torch.zeros(6, count, device=points.device)
+    mean = empty[:3].index_add(1, patch, share * points)
+    x, y, z = points - mean[:, patch]
+    within = width * width / 12.0  # variance of an even cell
+    moments = torch.stack((x * x + within, x * y, x * z, y * y + within, y * z, z * z))
+    outline = config.highlight_axes * config.highlight_axes * empty.index_add(1, patch, share * moments)
+    spread = 0.5 * (outline[0] + outline[3])
+    radius = (spread + ((outline[0] - spread).square() + outline[1].square()).sqrt()).sqrt()
+    return cells, mean, outline, radius, energy.clamp(max=torch.finfo(torch.float32).max).float()
+
+
+def fit_gaussians(
+    field: GaussianField,
+    record: RecordBuffer,
+    camera: ThinLensCamera,
+    mean_luminance: float,
+    config: GaussianConfig = GaussianConfig(),
+) -> Tensor:
+    """Replace the field by one Gaussian for each patch of highlight cells; returns the cells `[K]`.
+
+    Each cell is as wide as a pixel at its depth (Eq. 24). The mean is the centre of the patch's bounding box. R_b is the radius
+    of the sphere about the mean that contains a ball of this width in every cell. A sphere about the box would reach its
+    corners: σ would be the radius R of a disc, for which R / 1.78 is best.
+    """
+    cells, points, light = find_highlights(record, camera, mean_luminance, config.highlights)
+    width = points[2] * camera.pixel_slope
+    patch = label_patches(record, cells, points[2], width, config.highlights.depth_gap)
+    count = int(patch.max()) + 1 if len(patch) else 0
+    index = patch.expand(3, -1)
+    empty = torch.zeros(3, count, device=points.device)
+    low = empty.scatter_reduce(1, index, points - 0.5 * width, "amin", include_self=False)
+    high = empty.scatter_reduce(1, index, points + 0.5 * width, "amax", include_self=False)
+    center = 0.5 * (low + high)
+    reach = length(points - center[:, patch]) + 0.5 * width
+    radius = torch.zeros(count, device=points.device).scatter_reduce(0, patch, reach, "amax")
+    energy = torch.zeros(count, device=points.device).index_add_(0, patch, light * width * width)
+    field.assign(center, radius, config.sigma_scale * radius, energy)
+    return cells

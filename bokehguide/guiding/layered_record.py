@@ -1,0 +1,186 @@
+"""The record of the mode `guided`, which keeps highlights at different depths apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from bokehguide.guiding.record_buffer import Raster, Records
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime.device import to_device
+from bokehguide.runtime.distributed import Ranks
+from bokehguide.runtime.indexing import indices, indices_of_each
+
+OCTAVES, PER_OCTAVE = 8, 4
+"""Layers of depth on either side of the focal plane, by defocus |1 - focus distance / Z|, to which the width of a circle of
+confusion is proportional: this many doublings up to 4, and layers in each doubling."""
+SIDE = OCTAVES * PER_OCTAVE
+LAYERS = 2 * SIDE
+CELLS_PER_VOXEL = 8
+"""Cells of the raster for each voxel that may exist. Voxels with the least light are dropped beyond this number. The same number
+of samples may wait."""
+MIN_ROWS = 1 << 17
+"""Least number of new rows that are summed by voxel at a time."""
+
+
+class VoxelRecord(Raster):
+    """A raster with a margin. Cells keep sample count and radiance; bright cells also keep their light by depth, in voxels.
+
+    Only samples above a threshold create voxels, at the next `merge_voxels`: the number of voxels follows the highlights and not
+    cells times depths. Positions are averaged as in `RecordBuffer`.
+
+    by_depth: whether a cell has one voxel for each layer of depth, else one voxel. sums: `[2, cells]`: count, Σ L.
+    voxels: float64 `[K, 6]`, in ascending order: number (cell · LAYERS + layer, from near to far), count, Σ L,
+    Σ L·(X/Z, Y/Z, 1/Z), camera frame. waiting: the same of samples since the last `merge_voxels`, of all ranks up to the last
+    `merge`.
+    """
+
+    voxels: Tensor
+    waiting: Tensor
+    _lit: Tensor
+
+    def __init__(self, camera: ThinLensCamera, ranks: Ranks | None = None, by_depth: bool = True):
+        super().__init__(camera, 2, ranks)
+        self._by_depth = by_depth
+        self._focus_distance = camera.lens.focus_distance
+        for name in ("voxels", "waiting"):
+            self.register_buffer(name, torch.zeros(0, 6, dtype=torch.float64))
+        self.register_buffer("_lit", torch.zeros(self.sums.shape[1], dtype=torch.bool), persistent=False)
+        """Cells that have voxels."""
+        self._new: list[Tensor] = []
+        """Rows of this rank's samples since the last `merge`."""
+        self._new_count, self._waiting_count = 0, 0.0
+        """Numbers of samples in `_new` and in `waiting`, on the host."""
+        self._max_voxels = self.sums.shape[1] // CELLS_PER_VOXEL
+        self._min_rows = 0
+        """Least number of new rows to sum, so that the cost stays proportional to the samples."""
+
+    def add(self, batches: Sequence[Records], threshold: float) -> None:
+        """Add samples to their cells. Samples above the threshold, or in cells with voxels, are added to voxels as well."""
+        count, radiance = self.mine
+        least, parts = to_device(threshold, count.device, torch.float32), []
+        for cells, points, luminance in batches:
+            cells, inside, light, bright = _classified(cells, luminance, self._lit, least)
+            count.index_add_(0, cells, inside)
+            radiance.index_add_(0, cells, light)
+            parts.append((cells, points, light, bright > 0.0))
+        for (cells, points, light, _), lit in zip(parts, indices_of_each([bright for *_, bright in parts])):
+            self._add_to_voxels(
+                cells.index_select(0, lit), points.index_select(1, lit).double(), light.index_select(0, lit).double()
+            )
+
+    def _add_to_voxels(self, cells: Tensor, points: Tensor, light: Tensor) -> None:
+        x, y, depth = points
+        number = cells * LAYERS + self._layers(depth)
+        self._new.append(
+            torch.stack((number, torch.ones_like(light), light, light * x / depth, light * y / depth, light / depth), dim=1)
+        )
+        self._new_count += len(light)
+        if sum(map(len, self._new)) > max(MIN_ROWS, self._min_rows):
+            self._sum_new()
+
+    def _layers(self, depth: Tensor) -> Tensor:
+        """Layer of each depth `[N]`, 0 … LAYERS - 1 from near to far, int64 `[N]`."""
+        defocus = 1.0 - self._focus_distance / depth
+        place = (PER_OCTAVE * (defocus.abs().log2() + OCTAVES - 2)).clamp(0.0, SIDE - 1.0).long()
+        return torch.where(defocus < 0.0, SIDE - 1 - place, SIDE + place) * self._by_depth
+
+    def _sum_new(self) -> None:
+        """Sum the new rows by voxel, on a single rank together with the waiting ones, in the order of the samples."""
+        if self.ranks.alone:
+            self._set_waiting(_summed([self.waiting, *self._new]))
+            self._min_rows = len(self.waiting)
+        else:
+            self._new = [_summed(self._new)]
+            self._min_rows = 2 * len(self._new[0])
+
+    def merge(self) -> None:
+        """Exchange the samples of all ranks; collective."""
+        super().merge()
+        self._sum_new()
+        if not self.ranks.alone:
+            self._set_waiting(_summed([self.waiting, *self.ranks.gathered(self._new[0])]))
+            self._min_rows = 0
+
+    def _set_waiting(self, rows: Tensor) -> None:
+        """Replace the waiting rows and the new rows by these rows on the host."""
+        self.waiting, self._waiting_count = rows.to(self.sums.device), float(rows[:, 1].sum())
+        self._new, self._new_count = [], 0
+
+    def end_step(self) -> None:
+        """Merge the voxels within an epoch if more samples wait than voxels may exist; collective."""
+        [new] = self.ranks.totals(self._new_count)
+        if new + self._waiting_count > self._max_voxels:
+            self.merge_voxels()
+
+    def merge_voxels(self) -> None:
+        """Add the waiting rows to the voxels; collective."""
+        self.merge()
+        voxels = _summed([self.voxels, self.waiting])
+        if len(voxels) > self._max_voxels:
+            voxels = voxels[voxels[:, 2].topk(self._max_voxels).indices.sort().values]
+        self.voxels = voxels.to(self.sums.device)
+        self._set_waiting(torch.zeros(0, 6, dtype=torch.float64))
+        self._min_rows = 0
+        self._mark_lit()
+
+    def _mark_lit(self) -> None:
+        self._lit.zero_()
+        self._lit[self.voxels[:, 0].long() // LAYERS] = True
+
+    def bright(self, threshold: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Cells int64 `[K]`, positions `[3, K]` and mean luminance `[K]` of voxels whose mean luminance is above the threshold.
+
+        The mean is over the cell's samples that reached the voxel: samples in nearer voxels were blocked.
+        """
+        number, count, light, x, y, inverse_depth = self.voxels.T.contiguous()
+        cells = number.long() // LAYERS
+        before = count.cumsum(0) - count
+        nearer = before - before[torch.searchsorted(cells, cells)]
+        radiance = light / torch.maximum(self.sums[0, cells] - nearer, count)
+        index = indices(radiance > threshold)
+        points = (torch.stack((x, y, light)) / inverse_depth)[:, index]
+        return cells[index], points.float(), radiance[index].float()
+
+    def _load_from_state_dict(self, state_dict, prefix, *args):
+        """Raises ValueError for voxels that no record has."""
+        for name in ("voxels", "waiting"):
+            rows = state_dict[prefix + name]
+            self._require_rows(rows)
+            setattr(self, name, torch.empty_like(rows, device=self.sums.device))
+        super()._load_from_state_dict(state_dict, prefix, *args)
+        self._set_waiting(self.waiting.cpu())
+        self._min_rows = 0
+        self._mark_lit()
+
+    def _require_rows(self, rows: Tensor) -> None:
+        if rows.ndim != 2 or rows.shape[1] != 6 or rows.dtype != torch.float64:
+            raise ValueError("rows that are not voxels")
+        number, count, light, *_, inverse_depth = rows.T
+        if not bool((count > 0.0).all() and (light >= 0.0).all() and ((inverse_depth > 0.0) == (light > 0.0)).all()):
+            raise ValueError("voxels without samples or depth")
+        inside = bool((number >= 0.0).all() and (number < self.sums.shape[1] * LAYERS).all())
+        if not inside or not bool((number == number.floor()).all() and (number.diff() > 0.0).all()):
+            raise ValueError("voxels outside the record buffer")
+
+
+@kernel
+def _classified(cells: Tensor, luminance: Tensor, lit: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
+    """Cells of samples, 0 outside the raster; 1 inside, else 0; luminance inside; 1 for samples of voxels, else 0; `[N]` each."""
+    inside, cells = cells >= 0, cells.clamp(min=0)
+    light = torch.where(inside, luminance, 0.0)
+    bright = inside & ((light > threshold) | lit.index_select(0, cells))
+    return cells, inside.to(light.dtype), light, bright.to(light.dtype)
+
+
+def _summed(parts: list[Tensor]) -> Tensor:
+    """Rows of lists summed by voxel, in ascending order; on the CPU, for the same bits on every rank."""
+    if not parts:
+        return torch.zeros(0, 6, dtype=torch.float64)
+    rows = torch.cat([part.cpu() for part in parts])
+    number, place = rows[:, 0].unique(return_inverse=True)
+    sums = torch.zeros(len(number), 5, dtype=rows.dtype).index_add_(0, place, rows[:, 1:])
+    return torch.cat((number[:, None], sums), dim=1)

@@ -1,0 +1,56 @@
+"""Light samples at primary hits, chosen by learned second moments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+from torch import Tensor
+
+from bokehguide.guiding.config import GuidedConfig
+from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSampleRecorder, LightSamples
+from bokehguide.guiding.protocols import BatchSamples, LightStrategy, ModeContext, StepSummary
+from bokehguide.render.lights.base import LightDistribution
+from bokehguide.render.observer import PathObserver
+
+
+class LearnedLights(LightStrategy):
+    """The choice of light samples by a `LearnedLightSampler`, which learns at the ends of epochs."""
+
+    learns = True
+
+    def __init__(self, context: ModeContext, config: GuidedConfig):
+        super().__init__(context)
+        self.sampler = LearnedLightSampler(context.camera, context.tracer.light_sampler, context.ranks, config)
+        self._learns = config.learn_lights
+
+    def at(self, points: Tensor) -> LightDistribution:
+        return self.sampler.at(points)
+
+    def observers(self) -> Sequence[PathObserver]:
+        return (LightSampleRecorder(),)
+
+    def record(self, samples: BatchSamples) -> list[LightSamples]:
+        recorders = cast(Sequence[LightSampleRecorder], samples.light_observers)
+        return [found for recorder in recorders for found in recorder.samples]
+
+    def accumulate(self, records: Sequence[list[LightSamples]], summary: StepSummary) -> None:
+        for record in records:
+            for found in record:
+                self.sampler.add(*found)
+
+    def update(self, summary: StepSummary) -> None:
+        if summary.ends_epoch and self._learns:
+            self.sampler.update(summary.step + 1)
+
+    def merge(self) -> None:
+        self.sampler.merge()
+
+    def load_state_dict(self, state_dict, *args, **kwargs):
+        """Load the sampler by its own method, which restores its distribution; PyTorch does not call the methods of parts."""
+        own = {name.removeprefix("sampler."): value for name, value in state_dict.items()}
+        return self.sampler.load_state_dict(own, *args, **kwargs)
+
+    def check(self, step: int) -> None:
+        if not 1 <= int(self.sampler.epoch) <= step + 1:
+            raise ValueError("an epoch that has not begun")

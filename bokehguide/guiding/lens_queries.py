@@ -1,0 +1,66 @@
+"""Lens queries: the uniform lens, and its mixtures with the components of a field."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, Self, TypeVar
+
+import torch
+from torch import Tensor
+
+from bokehguide.guiding.protocols import LensPoints, LensQuery
+from bokehguide.models.base import LensMixture
+from bokehguide.models.uniform import UniformLensDistribution
+from bokehguide.render.lens import Lens
+
+M = TypeVar("M", bound=LensMixture)
+
+
+@dataclass(frozen=True)
+class UniformQuery(LensQuery):
+    """Lens points of density W/A, 1/A on a round aperture (Eq. 9), from uniform numbers `[2, N]`, for focus points `[3, N]`."""
+
+    lens: Lens
+    focus: Tensor
+    uniforms: Tensor
+    varies = False
+
+    def sample(self) -> LensPoints:
+        points = UniformLensDistribution(self.lens).sample(self.uniforms).points
+        return LensPoints(points, self.lens.unblocked(points, self.focus))
+
+    def pdf(self, points: Tensor) -> Tensor:
+        return UniformLensDistribution(self.lens).pdf(points)
+
+
+@dataclass(frozen=True)
+class MixtureQuery(LensQuery, Generic[M]):
+    """Lens points of a mixture (Eq. 26), from as many uniform numbers as it takes.
+
+    Points of pixels without candidates are, to the bit, as `UniformQuery` has them. gaussian: component of the field of each
+    candidate, int64 `[M]`. slots: of the success rates of each candidate, `[M]`, where these are learned.
+    """
+
+    mixture: M
+    uniforms: Tensor
+    gaussian: Tensor
+    slots: Tensor | None = None
+
+    @property
+    def mixtures(self) -> Sequence[Self]:
+        return (self,)
+
+    def sample(self) -> LensPoints:
+        mixture, lens = self.mixture, self.mixture.lens
+        points, candidate = mixture.sample(self.uniforms)
+        at, unblocked = mixture.evaluate(points), lens.unblocked(points, mixture.focus)
+        weight = lens.transmission(points) * unblocked / (lens.area * at.density).clamp(min=1e-20)  # W of Eq. 6
+        return LensPoints(points, torch.where(mixture.guided, weight, unblocked), at, candidate)
+
+    def pdf(self, points: Tensor) -> Tensor:
+        return self.mixture.pdf(points)
+
+    def own_pdf(self, drawn: LensPoints) -> Tensor:
+        assert drawn.at is not None
+        return drawn.at.density

@@ -1,0 +1,174 @@
+"""Learned light sampling at primary hits: probabilities of clusters of lights, by tile of the frame, learned epoch by epoch.
+
+With a guided lens, direct light at primary hits causes most of the remaining noise. The power and the distance of an emitter
+ignore shadows, glossy reflections and the orientation of surfaces. The second moments of the contributions of each cluster
+include these effects. Probabilities in proportion to the roots of the second moments minimize the variance.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bokehguide.guiding.cluster_lights import ClusterTables, MixtureLights, VoxelLights
+from bokehguide.guiding.config import GuidedConfig
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.lights.base import DirectLight, LightDistribution
+from bokehguide.render.lights.clusters import ClusterTable
+from bokehguide.render.lights.power_sampler import PowerLightSampler
+from bokehguide.render.observer import PathObserver
+from bokehguide.render.vector import divisor
+from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime.distributed import Ranks, RankSums
+
+TILES, SMALLEST = 80, 4
+"""Largest number of tiles along the longer side of the frame; smallest number of pixels along the side of a tile.
+
+A smaller tile has too few samples to learn from."""
+POOLS = ((1, 0.5), (3, 0.3), (7, 0.2))
+"""Squares of tiles that pool their second moments: tiles along the side, and weight."""
+PRIOR_VISIBLE = 0.2
+"""Visible samples of each cluster in each tile that are assumed in advance."""
+MIN_VISIBILITY = 0.05
+"""Smallest expected visibility of a cluster."""
+MAX_CONTRIBUTION = 1e30
+"""Contributions are clamped to this, so that second moments stay finite."""
+
+
+class LightSamples(NamedTuple):
+    """Light samples at primary hits, `[K]` each, one for each path.
+
+    row, cluster: see `ClusterRecord`. contribution_rms: the same field of `ClusterRecord` times the visibility.
+    visibility: unblocked share of the light.
+    """
+
+    row: Tensor
+    cluster: Tensor
+    contribution_rms: Tensor
+    visibility: Tensor
+
+
+class LightSampleRecorder(PathObserver):
+    """Records the light samples of one trace that a table of clusters chose. samples: none or one batch."""
+
+    def __init__(self) -> None:
+        self.samples: list[LightSamples] = []
+
+    def light_sample(self, paths: Tensor, light: DirectLight, contribution: Tensor, visibility: Tensor) -> None:
+        """See `PathObserver`."""
+        if light.clusters is not None:
+            row, cluster, contribution_rms = light.clusters
+            self.samples.append(LightSamples(row, cluster, contribution_rms * visibility, visibility))
+
+
+class LearnedLightSampler(RankSums):
+    """Learns which clusters of lights to sample at primary hits.
+
+    `add` takes the light samples of a step; `update` ends an epoch. power: owner of the lights and of the voxel grid.
+    sums: float64 `[3, tiles, clusters]`: Σ contribution_rms² (see `LightSamples`), number of samples, Σ visibility.
+    probability, visibility: probability and expected visibility in the present epoch, `[tiles, clusters]`, 0 in the first epoch.
+    """
+
+    sums: Tensor
+    probability: Tensor
+    visibility: Tensor
+    epoch: Tensor
+
+    def __init__(
+        self,
+        camera: ThinLensCamera,
+        power: PowerLightSampler,
+        ranks: Ranks | None = None,
+        config: GuidedConfig = GuidedConfig(),
+    ):
+        size = max(-(-max(camera.width, camera.height) // TILES), SMALLEST)
+        across, down = -(-camera.width // size), -(-camera.height // size)
+        clusters = power.lights.clusters
+        device, shape = camera.position.device, (across * down, clusters.count)
+        super().__init__(torch.zeros(3, *shape, dtype=torch.float64, device=device), ranks)
+        self._camera, self._power, self._size, self._across, self._down = camera, power, size, across, down
+        self.register_buffer("probability", torch.zeros(shape, device=device))
+        self.register_buffer("visibility", torch.zeros(shape, device=device))
+        self.register_buffer("epoch", torch.tensor(1))
+        # Constants on the device: no kernel waits for the host.
+        self._count = torch.tensor([clusters.count], dtype=torch.int32, device=device)
+        self._first_far = torch.tensor([clusters.triangles], device=device)
+        self._candidates, self._learns_visibility = config.light_candidates, config.learn_visibility
+        self._tables: ClusterTables | None = None  # None in the first epoch
+
+    def tiles(self, points: Tensor) -> Tensor:
+        """Tile of each world point `[3, N]`, projected through the lens centre, int32 `[N]`.
+
+        Points outside the frame belong to the nearest tile.
+        """
+        local = self._camera.axes.T @ (points - self._camera.position)
+        column, row = (self._camera.raster(local) / self._size).nan_to_num(0.0, 0.0, 0.0)
+        column, row = column.clamp(0.0, self._across - 1.0), row.clamp(0.0, self._down - 1.0)
+        return row.int() * self._across + column.int()
+
+    def at(self, points: Tensor) -> LightDistribution:
+        """Distribution of the present epoch at world points `[3, N]`."""
+        tiles, tables = self.tiles(points), self._tables
+        if tables is None:
+            return VoxelLights(self._power, tiles, self._candidates)
+        return MixtureLights(self._power, tiles, tables, self._candidates)
+
+    def _make_tables(self) -> ClusterTables:
+        """Tables of the present probabilities."""
+        table = ClusterTable(self.probability.double())
+        visibility = self.visibility if self._learns_visibility else torch.ones_like(self.visibility)
+        return ClusterTables(table, visibility, self._first_far, int(self.epoch))
+
+    def add(self, tiles: Tensor, clusters: Tensor, contribution_rms: Tensor, visibility: Tensor) -> None:
+        """Add light samples, `[N]` each. tiles, clusters: int32; samples of cluster -1 are ignored."""
+        place, *rows = _rows(tiles, clusters, contribution_rms, visibility, self._count)
+        for total, values in zip(self.mine.view(3, -1), rows):
+            total.index_add_(0, place, values)  # double precision: the order of ranks does not matter
+
+    def update(self, step: int) -> None:
+        """Begin an epoch at `step`: set the probabilities by all samples so far; collective."""
+        self.merge()
+        self.epoch.fill_(step)
+        moments, tried, arrived = (self._pooled(total) for total in self.sums)
+        roots = moments.sqrt()
+        whole = roots.sum(1, keepdim=True)
+        self.probability.copy_(torch.where(whole > 0.0, roots / divisor(whole, 1e-300), 1.0 / roots.shape[1]))
+        self.visibility.copy_(((arrived + PRIOR_VISIBLE) / (tried + PRIOR_VISIBLE)).clamp(min=MIN_VISIBILITY))
+        self._tables = self._make_tables()
+
+    def _pooled(self, total: Tensor) -> Tensor:
+        """A sum `[tiles, clusters]`, pooled over the squares around each tile."""
+        clusters = total.shape[1]
+        pooled = torch.zeros(self._down, self._across, clusters, dtype=total.dtype, device=total.device)
+        for width, share in POOLS:
+            of_rows, of_columns = (_means(count, width).to(total.device) for count in (self._down, self._across))
+            rows = (of_rows @ total.view(self._down, -1)).view(pooled.shape)
+            pooled.add_(of_columns @ rows, alpha=share)
+        return pooled.view(total.shape)
+
+    def load_state_dict(self, state_dict, *args, **kwargs):
+        """Restore the state. Raises ValueError where probabilities are negative or rows do not sum to 1."""
+        result = super().load_state_dict(state_dict, *args, **kwargs)
+        whole, learned = self.probability.sum(1), bool(self.probability.any())
+        negative = any(bool((values < 0.0).any()) for values in (self.sums, self.visibility, self.probability))
+        if negative or (learned and bool(((whole - 1.0).abs() > 1e-4).any())):
+            raise ValueError("probabilities of lights that are negative or do not sum to 1")
+        self._tables = self._make_tables() if learned else None
+        return result
+
+
+@kernel
+def _rows(tiles: Tensor, clusters: Tensor, contribution_rms: Tensor, visibility: Tensor, count: Tensor) -> tuple[Tensor, ...]:
+    """Places of samples in a table with `count` clusters in a row, int32 `[N]`, and the summands, float64 `[N]` each."""
+    counted = (clusters >= 0).double()
+    contribution_rms = contribution_rms.double().nan_to_num(0.0, MAX_CONTRIBUTION).clamp(max=MAX_CONTRIBUTION)
+    return tiles * count + clusters.clamp(min=0), contribution_rms * contribution_rms * counted, counted, visibility * counted
+
+
+def _means(count: int, width: int) -> Tensor:
+    """Matrix of running means over `width` of `count` tiles, fewer at the ends, float64 `[count, count]`."""
+    place = torch.arange(count)
+    near = ((place - place[:, None]).abs() <= width // 2).double()
+    return near / near.sum(1, keepdim=True)

@@ -1,0 +1,93 @@
+"""The record buffer: primary hits, reprojected as a pinhole camera sees them (section 4.2.1)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime.distributed import Ranks, RankSums
+from bokehguide.runtime.indexing import ActiveEntries, indices
+
+MARGIN = 0.1
+"""Width of the border around the frame, as a share of the frame's width: circles of confusion of highlights outside the frame
+reach into the frame."""
+
+FAR = 1000.0
+"""Distance at which the environment is recorded, in focus distances."""
+
+
+class Records(NamedTuple):
+    """Samples for a record: their cells, int64 `[N]`, camera-frame positions `[3, N]` and luminance `[N]`."""
+
+    cells: Tensor
+    points: Tensor
+    luminance: Tensor
+
+
+class Raster(RankSums):
+    """A raster with a margin, whose cells keep sums over samples: the first is their count, the second Σ L.
+
+    sums: `[planes, cells]`.
+    """
+
+    _size: Tensor
+
+    def __init__(self, camera: ThinLensCamera, planes: int, ranks: Ranks | None = None):
+        border = math.ceil(MARGIN * camera.width)
+        width, height = camera.width + 2 * border, camera.height + 2 * border
+        super().__init__(torch.zeros(planes, width * height), ranks)
+        self.border, self.width, self.height = border, width, height
+        self.register_buffer("_size", torch.tensor([[border], [width], [height]]), persistent=False)
+
+    def cells(self, camera: ThinLensCamera, points: Tensor) -> Tensor:
+        """Cell of each camera-frame point `[3, N]`, int64 `[N]`; -1 outside or behind the lens."""
+        return _cells(camera.raster(points), points[2], self._size)
+
+    def radiance(self) -> Tensor:
+        """Mean luminance of each cell, `[height, width]`."""
+        return (self.sums[1] / self.sums[0].clamp(min=1.0)).reshape(self.height, self.width)
+
+
+@kernel
+def _cells(raster: Tensor, depth: Tensor, size: Tensor) -> Tensor:
+    """`Raster.cells` of raster positions `[2, N]` and depths `[N]`; size: the border, width and height, int64 `[3, 1]`."""
+    border, width, height = size
+    column, row = (raster + border).floor().nan_to_num(-1.0).clamp(-1.0, 1e6)
+    inside = (depth > 0.0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    return torch.where(inside, row.long() * width + column.long(), -1)
+
+
+class RecordBuffer(Raster):
+    """A raster whose cells keep sample count, radiance and position.
+
+    The mean of positions is weighted by radiance, so that the background does not move a small highlight. Slopes and inverse
+    depths are averaged, so that a dim environment far behind an emitter does not move the emitter.
+    sums: `[5, cells]`: count, Σ L, Σ L·(X/Z, Y/Z, 1/Z), camera frame.
+    """
+
+    def __init__(self, camera: ThinLensCamera, ranks: Ranks | None = None):
+        super().__init__(camera, 5, ranks)
+
+    def add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
+        """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
+        inside = ActiveEntries(cells >= 0)
+        cells, light = inside.masked(inside.select(cells), 0), inside.select(luminance)
+        x, y, depth = inside.select(points)
+        values = (torch.ones_like(light), light, light * (x / depth), light * (y / depth), light * (1.0 / depth))
+        for total, value in zip(self.mine, values):
+            total.index_add_(0, cells, inside.masked(value, 0.0))
+
+    def bright(self, threshold: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Cells int64 `[K]` whose mean luminance is above the threshold, their positions `[3, K]` and mean luminance `[K]`."""
+        cells = indices(self.sums[1] > threshold * self.sums[0])
+        return cells, self.positions(cells), self.sums[1, cells] / self.sums[0, cells]
+
+    def positions(self, cells: Tensor) -> Tensor:
+        """Radiance-weighted mean positions `[3, K]` of cells `[K]` with light."""
+        x, y, inverse_depth = self.sums[2:5, cells]
+        return torch.stack((x, y, self.sums[1, cells])) / inverse_depth

@@ -1,0 +1,1 @@
+"""BSDFs: opaque, dielectric, and their mixture."""

@@ -1,0 +1,111 @@
+"""Transmissive surfaces: clear or rough glass, as the boundary of a solid or as a thin sheet.
+
+Directions are unit `[3, N]` in the local shading frame, z along the normal on the viewer's side; an incoming direction with
+z < 0 is transmitted. Densities are per unit solid angle. A smooth surface is a delta: its density is DELTA_PDF in `sample` and 0
+in `evaluate`. Rough refraction follows Walter et al. 2007; transmission scales radiance by 1/η².
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.bsdf.opaque import MIN_COSINE, ggx_density, sample_visible_normal, smith_root
+from bokehguide.render.geometry import SMOOTH_ALPHA, Surface
+from bokehguide.render.vector import divisor, dot, normalize
+from bokehguide.runtime.device import to_device
+
+DELTA_PDF = 1e30
+"""Density of a delta: the MIS weight is 1 in float32."""
+_BELOW = (1.0, 1.0, -1.0)
+
+
+def fresnel(cosine: Tensor, eta: Tensor) -> Tensor:
+    """Unpolarised reflectance `[N]` at |cos θ| towards relative index η; 1 in total reflection."""
+    cosine = cosine.abs().clamp(max=1.0)
+    transmitted = (1.0 - (1.0 - cosine * cosine) / (eta * eta)).clamp(min=0.0).sqrt()
+    parallel = (eta * cosine - transmitted) / divisor(eta * cosine + transmitted, 1e-12)
+    perpendicular = (cosine - eta * transmitted) / divisor(cosine + eta * transmitted, 1e-12)
+    return 0.5 * (parallel * parallel + perpendicular * perpendicular)
+
+
+class DielectricBSDF:
+    """Reflection and transmission at a dielectric boundary.
+
+    outgoing: local `[3, N]` with z > 0; surface: parameters. Each transmission multiplies by the base colour.
+    """
+
+    def __init__(self, outgoing: Tensor, surface: Surface):
+        self._outgoing = outgoing
+        self._surface = surface
+        self._cosine = outgoing[2].clamp(min=MIN_COSINE)
+        self._solid = 1.0 - surface.thin
+        inside = surface.front * surface.ior + (1.0 - surface.front) / surface.ior
+        self._eta = inside * self._solid + surface.ior * surface.thin
+        straight = ((self._eta - 1.0).abs() < 1e-4) & (surface.thin == 0.0)  # no refraction, so no microfacet normal
+        self._smooth = ((surface.alpha < SMOOTH_ALPHA) | straight).to(torch.float32)
+        self._alpha = surface.alpha.clamp(min=SMOOTH_ALPHA)
+        self._root = smith_root(self._cosine, self._alpha * self._alpha)
+
+    def _reflectance(self, cosine: Tensor) -> Tensor:
+        """Fresnel reflectance `[N]` of the boundary, or of both faces of a thin sheet."""
+        single = fresnel(cosine, self._eta)
+        return single * self._solid + 2.0 * single / (1.0 + single) * self._surface.thin
+
+    def _half(self, incoming: Tensor, below: Tensor) -> Tensor:
+        """Microfacet normals `[3, N]`, on the upper side, that reflect or refract `incoming` to `outgoing`."""
+        mirrored = torch.stack((incoming[0], incoming[1], incoming[2] * (1.0 - 2.0 * below)))
+        refracts = below * self._solid
+        half = normalize(self._outgoing + mirrored * (1.0 - refracts) + self._eta * incoming * refracts)
+        return half * torch.copysign(torch.ones_like(below), half[2])
+
+    def evaluate(self, incoming: Tensor) -> tuple[Tensor, Tensor]:
+        """BSDF times |cosine| `[3, N]` and the density `[N]` of `sample`; both 0 where smooth."""
+        below = (incoming[2] < 0.0).to(torch.float32)
+        half = self._half(incoming, below)
+        toward_viewer, toward_light = dot(self._outgoing, half), dot(incoming, half)
+        refracts = below * self._solid
+        # Microfacets seen from behind, or refracting to the wrong side, contribute nothing.
+        valid = (toward_viewer > 0.0).to(torch.float32) * (1.0 - self._smooth)
+        valid = valid * (1.0 - refracts * (toward_light > 0.0).to(torch.float32))
+        cosine = incoming[2].abs().clamp(min=MIN_COSINE)
+        visible = ggx_density(half, self._alpha) * 2.0 / (self._cosine + self._root)
+        bend = divisor((toward_viewer + self._eta * toward_light).square(), 1e-20)
+        jacobian = refracts * self._eta.square() * toward_light.abs() * toward_viewer / bend + 0.25 * (1.0 - refracts)
+        reflectance = self._reflectance(toward_viewer)
+        share = reflectance + below * (1.0 - 2.0 * reflectance)
+        pdf = torch.where(valid > 0.0, share * visible * jacobian, 0.0)
+        return self._tint(below) * (pdf * self._masking(cosine)), pdf
+
+    def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Incoming directions `[3, N]`, weights BSDF·|cos|/pdf `[3, N]` and densities `[N]`, from uniforms `[3, N]`."""
+        rough = sample_visible_normal(self._outgoing, self._alpha, uniforms[1:])
+        upright = torch.zeros_like(rough)
+        upright[2] = 1.0
+        half = rough + (upright - rough) * self._smooth
+        cosine = dot(self._outgoing, half)
+        reflectance = self._reflectance(cosine)
+        below = (uniforms[0] >= reflectance).to(torch.float32)
+        mirrored = 2.0 * cosine * half - self._outgoing
+        flipped = mirrored * to_device(_BELOW, half.device)[:, None]
+        incoming = mirrored + (flipped - mirrored) * (below * self._surface.thin)
+        incoming = incoming + (self._refract(half, cosine) - incoming) * (below * self._solid)
+        right_side = ((incoming[2] < 0.0) == (below > 0.0)).to(torch.float32)
+        _, pdf = self.evaluate(incoming)
+        pdf = pdf + self._smooth * DELTA_PDF
+        masking = self._masking(incoming[2].abs().clamp(min=MIN_COSINE))
+        masking = masking + (1.0 - masking) * self._smooth
+        return incoming, self._tint(below) * (masking * right_side), pdf
+
+    def _refract(self, half: Tensor, cosine: Tensor) -> Tensor:
+        transmitted = (1.0 - (1.0 - cosine * cosine) / self._eta.square()).clamp(min=0.0).sqrt()
+        return (cosine / self._eta - transmitted) * half - self._outgoing / self._eta
+
+    def _tint(self, below: Tensor) -> Tensor:
+        scale = below * self._solid / self._eta.square() + below * self._surface.thin
+        return self._surface.base_color * scale + (1.0 - below)
+
+    def _masking(self, cosine: Tensor) -> Tensor:
+        """G2 / G1(outgoing), height-correlated Smith."""
+        root = smith_root(cosine, self._alpha * self._alpha)
+        return (self._cosine + self._root) / (self._cosine * root / cosine + self._root)

@@ -1,0 +1,113 @@
+"""BSDF of a surface in world space: a mixture of the opaque and the transmissive part."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.bsdf.dielectric import DielectricBSDF
+from bokehguide.render.bsdf.opaque import OpaqueBSDF
+from bokehguide.render.geometry import Surface
+from bokehguide.render.vector import divisor, dot, tangent_frame, to_local, to_world
+from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime.indexing import ActiveEntries
+
+Frame = tuple[Tensor, Tensor, Tensor]
+"""Two tangents and the shading normal, `[3, N]` each."""
+
+
+class Scattering:
+    """The BSDF at the surfaces of a batch; densities are per unit solid angle.
+
+    choice: uniform numbers `[N]` that choose the opaque or the transmissive part for each path, which leaves the mean unchanged;
+    None where no material of the scene transmits.
+    """
+
+    def __init__(self, surface: Surface, choice: Tensor | None):
+        self._frame, self._opaque = _prepared(surface)
+        self._opaque.surface = surface
+        self._glass: DielectricBSDF | None = None
+        if choice is not None:
+            self._chosen = ActiveEntries(choice < surface.transmission * (1.0 - surface.metallic))
+            if len(self._chosen) > 0:
+                self._glass_surface = surface.select(self._chosen.index)
+                tangent, bitangent, normal = map(self._chosen.select, self._frame)
+                self._glass_frame: Frame = tangent, bitangent, normal
+                self._glass = DielectricBSDF(to_local(self._glass_surface.outgoing, *self._glass_frame), self._glass_surface)
+
+    def evaluate(self, direction: Tensor) -> tuple[Tensor, Tensor]:
+        """BSDF times |cosine| `[3, N]` towards world directions, and the density `[N]` of `sample`."""
+        value, pdf = _evaluated(self._frame, self._opaque, direction)
+        if self._glass is not None:
+            towards = self._chosen.select(direction)
+            local = to_local(towards, *self._glass_frame)
+            of_glass, density = self._glass.evaluate(local)
+            self._chosen.scatter(pdf, density)
+            self._chosen.scatter(value, of_glass * _agree(self._glass_surface, towards, local[2]))
+        return value, pdf
+
+    def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """World directions `[3, N]`, weights BSDF·|cos|/pdf `[3, N]` and densities `[N]`, from uniforms `[3, N]`."""
+        direction, weight, pdf = _sampled(self._frame, self._opaque, uniforms)
+        if self._glass is not None:
+            local, of_glass, density = self._glass.sample(self._chosen.select(uniforms))
+            towards = to_world(local, *self._glass_frame)
+            self._chosen.scatter(pdf, density)
+            self._chosen.scatter(direction, towards)
+            self._chosen.scatter(weight, of_glass * _agree(self._glass_surface, towards, local[2]))
+        return direction, weight, pdf
+
+
+def opaque_values(surface: Surface, outgoing: Tensor, directions: tuple[Tensor, ...]) -> list[Tensor]:
+    """BSDF times cosine `[3, N]` of the opaque part for each of some world directions `[3, N]`, as seen from `outgoing`
+    `[3, N]`."""
+    frame, opaque = _opaque(surface, outgoing)
+    local = [to_local(direction, *frame) for direction in directions]
+    return [opaque.evaluate(one)[0] * _allowed(surface, direction, one[2]) for one, direction in zip(local, directions)]
+
+
+@kernel
+def _prepared(surface: Surface) -> tuple[Frame, OpaqueBSDF]:
+    """Shading frame and opaque part of the BSDF. The surface, an argument, is removed from the result, so that it is not
+    copied."""
+    (tangent, bitangent, normal), opaque = _opaque(surface, surface.outgoing)
+    del opaque.surface
+    return (tangent, bitangent, normal.clone()), opaque
+
+
+def _opaque(surface: Surface, outgoing: Tensor) -> tuple[Frame, OpaqueBSDF]:
+    """The shading frame, and the opaque part of the BSDF as seen from world directions `outgoing` `[3, N]`."""
+    frame = (*tangent_frame(surface.normal), surface.normal)
+    coat = surface.clearcoat_normal
+    return frame, OpaqueBSDF(to_local(outgoing, *frame), surface, None if coat is None else to_local(coat, *frame))
+
+
+@kernel
+def _evaluated(frame: Frame, opaque: OpaqueBSDF, direction: Tensor) -> tuple[Tensor, Tensor]:
+    local = to_local(direction, *frame)
+    value, pdf = opaque.evaluate(local)
+    return value * _allowed(opaque.surface, direction, local[2]), pdf
+
+
+@kernel
+def _sampled(frame: Frame, opaque: OpaqueBSDF, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    local = opaque.sample(uniforms)
+    value, pdf = opaque.evaluate(local)
+    direction = to_world(local, *frame)
+    return direction, value / divisor(pdf, 1e-20) * _allowed(opaque.surface, direction, local[2]), pdf
+
+
+def _allowed(surface: Surface, direction: Tensor, above: Tensor) -> Tensor:
+    """1 where the opaque part scatters to `direction` `[3, N]`, else 0: where shading and geometric normal agree on the side,
+    `[N]`.
+
+    above: cosine of the direction to the shading normal. Where a clearcoat has a normal of its own, either may agree.
+    """
+    if surface.clearcoat_normal is not None:
+        above = torch.maximum(above, dot(surface.clearcoat_normal, direction))
+    return _agree(surface, direction, above)
+
+
+def _agree(surface: Surface, direction: Tensor, above: Tensor) -> Tensor:
+    """1 where `direction` is on the side of the geometric normal that the sign of `above` `[N]` says, else 0."""
+    return ((dot(surface.geometric_normal, direction) > 0.0) == (above > 0.0)).to(torch.float32)

@@ -1,0 +1,49 @@
+"""All random dimensions of a sample, in one table: no two numbers of a path share one.
+
+| dimensions                 | numbers                                              |
+|----------------------------|------------------------------------------------------|
+| 0, 1                       | position on the film                                 |
+| 2 … 6                      | lens point                                           |
+| 7, 8                       | lens point of the ray that initialises the film      |
+| 32 + 16 (d - 1) …          | vertex d of a path                                   |
+| 2^16 + 8 c …               | light candidate c of the primary hit, c ≥ 1          |
+| 2^20 + 256 d …             | translucent surfaces that segment d crosses          |
+| 2^30                       | neighbours of a pixel                                |
+| 2^30 + 1 …                 | choices among the samples of neighbours              |
+
+At a vertex: 0 opaque or transmissive part, 1 … 3 BSDF sample, 4 Russian roulette, 5 … 10 light sample.
+"""
+
+from __future__ import annotations
+
+FILM = 0
+LENS = 2
+LENS_COUNT = 5
+INITIAL_LENS = 7
+NEIGHBOURS = 1 << 30
+NEIGHBOUR_CHOICE = NEIGHBOURS + 1
+
+PART, BSDF, ROULETTE, LIGHT = 0, 1, 4, 5
+"""Offsets from `vertex`."""
+LIGHT_COUNT = 6
+CANDIDATE_COUNT = 7
+MAX_CROSSINGS = 256
+"""A ray that went through this many translucent surfaces stops at the next one."""
+_FIRST_VERTEX, _PER_VERTEX = 32, 16
+_FIRST_CANDIDATE, _PER_CANDIDATE = 1 << 16, 8
+_FIRST_CROSSING = 1 << 20
+
+
+def vertex(depth: int) -> int:
+    """First dimension of the vertex that ends segment `depth`; the primary hit is vertex 1."""
+    return _FIRST_VERTEX + _PER_VERTEX * (depth - 1)
+
+
+def candidate(number: int) -> int:
+    """First dimension of a light candidate of the primary hit, `number` ≥ 1; candidate 0 has those of the vertex."""
+    return _FIRST_CANDIDATE + _PER_CANDIDATE * number
+
+
+def crossing(depth: int) -> int:
+    """First dimension of the translucent surfaces that segment `depth` crosses."""
+    return _FIRST_CROSSING + MAX_CROSSINGS * depth

@@ -1,0 +1,99 @@
+"""Estimators of the means of a pixel's features (alpha, hit, depth, normal and albedo) from weighted samples.
+
+Features x are smooth where the weights w of lens samples are not, so that the mean of w x alone is noisy. All estimators are
+sums over samples, in double precision.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.vector import divisor
+from bokehguide.runtime.indexing import Pixels, gather_pixels, scatter, scatter_add
+
+FEATURES = 9
+"""Alpha, hit, depth times hit, normal and albedo."""
+
+
+class MeanFeatures:
+    """Mean of x, for samples whose weights are all 1."""
+
+    def __init__(self, pixels: int, device: torch.device | str = "cpu"):
+        self._sum = torch.zeros(FEATURES, pixels, dtype=torch.float64, device=device)
+
+    def sums(self) -> dict[str, Tensor]:
+        """Running sums by name, which a film saves."""
+        return {"features": self._sum}
+
+    def recenter(self, pixels: Pixels) -> None:
+        """Choose the control variate of some pixels anew, from the samples so far."""
+
+    def initialise(self, pixels: Pixels, features: Tensor) -> None:
+        """Let samples `[9, N]` of weight 1, which are not in the picture, choose the first control variate."""
+
+    def add(self, pixels: Pixels, features: Tensor, weight: Tensor, kept: Tensor) -> None:
+        """Add samples `[9, N]` of weights `[N]`; kept: 1 for those in the picture, else 0, `[N]`."""
+        scatter_add(self._sum, pixels, features * kept)
+
+    def means(self, count: Tensor) -> Tensor:
+        """Estimates `[9, pixels]`; count: samples in the picture, at least 1, `[pixels]`."""
+        return self._sum / count
+
+
+class RatioFeatures(MeanFeatures):
+    """Σ w x / Σ w, for a vignetted frame: the mean of w is below 1 there, and only radiance and emission are to darken."""
+
+    def __init__(self, pixels: int, device: torch.device | str = "cpu"):
+        super().__init__(pixels, device)
+        self._weight = torch.zeros(pixels, dtype=torch.float64, device=device)
+
+    def sums(self) -> dict[str, Tensor]:
+        """See `MeanFeatures`."""
+        return {**super().sums(), "passed": self._weight}
+
+    def add(self, pixels: Pixels, features: Tensor, weight: Tensor, kept: Tensor) -> None:
+        """See `MeanFeatures`."""
+        scatter_add(self._sum, pixels, features * (weight * kept))
+        scatter_add(self._weight, pixels, weight * kept)
+
+    def means(self, count: Tensor) -> Tensor:
+        """See `MeanFeatures`."""
+        return self._sum / divisor(self._weight, 1e-20)
+
+
+class ControlVariateFeatures(MeanFeatures):
+    """Mean of w (x - c) + c, with the weight as a control variate.
+
+    The mean of w is 1, and c comes from earlier samples, which makes the estimate unbiased. Where x is constant, the estimate is
+    exact: alpha is 1 where everything is opaque. c = Σ w² x / Σ w² is a mean of values seen, near the optimum
+    (E[w² x] - E[x]) / (E[w²] - 1). `initialise` provides c where the weight of the first sample may not be 1.
+    """
+
+    def __init__(self, pixels: int, device: torch.device | str = "cpu"):
+        super().__init__(pixels, device)
+        self._moments = torch.zeros(1 + FEATURES, pixels, device=device)
+        """Σ w² and Σ w² x."""
+        self._center = torch.zeros(FEATURES, pixels, device=device)
+
+    def sums(self) -> dict[str, Tensor]:
+        """See `MeanFeatures`."""
+        return {**super().sums(), "control": self._moments, "center": self._center}
+
+    def recenter(self, pixels: Pixels) -> None:
+        """See `MeanFeatures`."""
+        moments = gather_pixels(self._moments, pixels)
+        scatter(self._center, pixels, moments[1:] / divisor(moments[0]))
+
+    def initialise(self, pixels: Pixels, features: Tensor) -> None:
+        """See `MeanFeatures`."""
+        scatter_add(self._moments[0], pixels, torch.ones_like(features[0]))
+        scatter_add(self._moments[1:], pixels, features)
+
+    def add(self, pixels: Pixels, features: Tensor, weight: Tensor, kept: Tensor) -> None:
+        """See `MeanFeatures`."""
+        # w (x - c) + c
+        scatter_add(self._sum, pixels, torch.lerp(gather_pixels(self._center, pixels), features, weight).mul_(kept))
+        square = weight * weight
+        scatter_add(self._moments[0], pixels, square)
+        scatter_add(self._moments[1:], pixels, features * square)

@@ -1,0 +1,81 @@
+"""Clusters of lights, and tables of probabilities of clusters."""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from bokehguide.runtime.compile.kernels import kernel, record
+
+LEVELS = 7
+"""Binary logarithm of the largest number of clusters of one kind of light."""
+
+
+@record
+class ClusterTable:
+    """A choice among C clusters in each of R rows; the measure is counting. Kernels take it as an argument.
+
+    probability: float64 `[R, C]`; rows sum to 1.
+    """
+
+    def __init__(self, probability: Tensor):
+        count = probability.shape[1]
+        self._levels = max((count - 1).bit_length(), 1)
+        cumulative = probability.cumsum(1).float().clamp(max=1.0)
+        cumulative[:, -1] = 1.0
+        cumulative = pad(cumulative, (0, 2**self._levels - count), value=1.0)
+        self._probability = torch.diff(cumulative, dim=1, prepend=torch.zeros_like(cumulative[:, :1])).reshape(-1)
+        self._cumulative = cumulative.reshape(-1)
+
+    def sample(self, row: Tensor, uniforms: Tensor) -> Tensor:
+        """Clusters int32 `[N]` for rows int32 `[N]` from uniform numbers `[N]`: the first whose cumulative probability exceeds
+        them."""
+        base = (row << self._levels) - 1
+        place = base  # of the last cluster known to lie below
+        for level in reversed(range(self._levels)):
+            place = place + ((self._cumulative.index_select(0, place + (1 << level)) <= uniforms).int() << level)
+        return place - base
+
+    def pdf(self, row: Tensor, cluster: Tensor) -> Tensor:
+        """Probability of each cluster in each row, `[N]`."""
+        return self._probability.index_select(0, (row << self._levels) + cluster)
+
+
+@kernel
+def sampled(table: ClusterTable, row: Tensor, uniforms: Tensor) -> Tensor:
+    """`ClusterTable.sample`, as a kernel."""
+    return table.sample(row, uniforms)
+
+
+def build_clusters(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, int]:
+    """Cluster of each light, int64 `[K]`, and the number of clusters: repeated bisection of the cluster of the largest spread.
+
+    features: `[K, F]`, similar within a cluster; power: `[K]`. The spread is the power times the diagonal of the features'
+    bounds.
+    """
+    groups = {0: np.arange(len(power))}
+    queue = [(-_spread(features, power), 0)]
+    while queue and len(groups) < 2**LEVELS:
+        _, name = heapq.heappop(queue)
+        members = groups[name]
+        points = features[members]
+        axis = int(np.argmax(np.ptp(points, axis=0)))
+        middle = 0.5 * (points[:, axis].min() + points[:, axis].max())
+        upper = points[:, axis] > middle
+        if not upper.any() or upper.all():
+            continue
+        groups[name], groups[len(groups)] = members[~upper], members[upper]
+        for half in (name, len(groups) - 1):
+            heapq.heappush(queue, (-_spread(features[groups[half]], power[groups[half]]), half))
+    cluster = np.empty(len(power), np.int64)
+    for name, members in groups.items():
+        cluster[members] = name
+    return cluster, len(groups)
+
+
+def _spread(features: np.ndarray, power: np.ndarray) -> float:
+    return float(power.sum()) * float(np.linalg.norm(np.ptp(features, axis=0)))

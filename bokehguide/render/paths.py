@@ -1,0 +1,79 @@
+"""Batches of paths as the path tracer extends them, segment by segment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.lights.base import LightDistribution
+from bokehguide.render.random import PixelRandom
+from bokehguide.runtime.indexing import scatter_add
+
+
+class Rays(NamedTuple):
+    """Next segments of N paths.
+
+    vertex: last vertex, from which lights were sampled, `[3, N]`; origin: the same, off the surface, `[3, N]`; direction: unit,
+    `[3, N]`; pdf: of the direction, `[N]`; alive: positive where paths go on, `[N]`, None where all do. Other paths are
+    undefined.
+    """
+
+    vertex: Tensor
+    origin: Tensor
+    direction: Tensor
+    pdf: Tensor
+    alive: Tensor | None = None
+
+    def select(self, index: Tensor) -> Rays:
+        """Rays at `index`, int64 `[M]`, all alive."""
+        return Rays(*(values.index_select(-1, index) for values in self[:4]))
+
+
+@dataclass
+class Paths:
+    """N paths that are alive; ended ones are removed.
+
+    collected: radiance `[3, M]`, to which a path adds its own at `index` when it ends; index: int64 `[N]`; throughput and
+    radiance: `[3, N]`; lights: distribution of light samples at the last vertices.
+    """
+
+    collected: Tensor
+    index: Tensor
+    throughput: Tensor
+    radiance: Tensor
+    random: PixelRandom
+    lights: LightDistribution
+
+    def select(self, index: Tensor) -> Paths:
+        """Paths at `index`, int64 `[M]`."""
+        place, throughput, radiance = (x.index_select(-1, index) for x in (self.index, self.throughput, self.radiance))
+        return Paths(self.collected, place, throughput, radiance, self.random.select(index), self.lights.select(index))
+
+    def split(self, counts: Tensor, total: int) -> tuple[Paths, Tensor]:
+        """End each path, and continue it as `counts`, int64 `[N]`, adjacent paths of equal shares of the throughput.
+
+        Returns the new paths, `total` in all, and the old path of each, int64 `[total]`. The new paths collect radiance of their
+        own. The first path of each group keeps the random numbers.
+        """
+        self.finish()
+        owner = torch.repeat_interleave(counts, output_size=total)
+        place = torch.arange(len(owner), device=owner.device)
+        number = place - (counts.cumsum(0) - counts).index_select(0, owner)
+        paths = self.select(owner)
+        paths.throughput /= counts.index_select(0, owner)
+        paths.radiance = torch.zeros_like(paths.radiance)
+        paths.collected, paths.index = torch.zeros_like(paths.radiance), place
+        paths.random = paths.random.copies(number)
+        return paths, owner
+
+    def finish(self) -> None:
+        """End all paths: collect their radiance."""
+        scatter_add(self.collected, self.index, self.radiance)
+
+    def end(self, ended: Tensor) -> None:
+        """Collect the radiance of the paths at `ended`, int64 `[K]`, which do not go on. Throughputs of NaN make it NaN."""
+        invalid = 0.0 * self.throughput.index_select(1, ended)
+        scatter_add(self.collected, self.index.index_select(0, ended), self.radiance.index_select(1, ended) + invalid)

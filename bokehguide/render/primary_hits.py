@@ -1,0 +1,100 @@
+"""Record of primary hits and of the light that paths found there, by which other viewers can shade the surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from bokehguide.render.bsdf.mixture import opaque_values
+from bokehguide.render.geometry import MIN_FACING, Geometry, Surface
+from bokehguide.render.tracer import Hit
+from bokehguide.render.vector import dot
+from bokehguide.runtime.compile.kernels import kernel
+
+FAINTEST = 1e-20
+"""BSDFs below this count as 0: the quotient of radiance and BSDF would overflow."""
+Pair = tuple[Tensor, Tensor]
+
+
+@dataclass
+class PrimaryHits:
+    """Primary hits of K rays that split into P paths, and the light that each path found.
+
+    rays: int64 `[K]`, ascending; hit, surface: `[K]`; emission: towards the rays' origins, `[3, K]`; counts: paths of each ray,
+    int64 `[K]`; owner: primary hit of each path, int64 `[P]`, ascending; path_surface: its surface, `[P]`. Of each path,
+    `[3, P]`: light_direction: unit, of the light sample, and direct: the radiance that this adds along the ray;
+    scattered_direction: unit, of the BSDF sample, and indirect: the radiance that arrives from there.
+    """
+
+    geometry: Geometry
+    rays: Tensor
+    hit: Hit
+    surface: Surface
+    emission: Tensor
+    counts: Tensor
+    owner: Tensor
+    path_surface: Surface
+    indirect: Tensor
+
+    def __post_init__(self) -> None:
+        self.path_rays = self.rays.index_select(0, self.owner)
+        """Ray of each path, int64 `[P]`."""
+        self.direct, self.light_direction = torch.zeros_like(self.indirect), self.path_surface.normal
+        self.scattered_direction = self.path_surface.normal
+        self._incident: Pair | None = None
+        self._normals: list[Tensor] | None = None
+
+    def same_normals(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
+        """Whether surfaces at `chosen`, int64 `[J]`, keep their shading normals as seen from unit directions `[3, J]`; bool
+        `[J]`.
+
+        Only for surfaces whose own view has not replaced a shading normal.
+        """
+        normals = self._normals = self._normals or self.geometry.own_normals(self.surface, self.hit)
+        facing = [dot(normal.index_select(1, chosen), outgoing) > MIN_FACING for normal in normals]
+        return torch.stack(facing).all(0)
+
+    def radiance(self, chosen: Tensor, outgoing: Tensor, count: int) -> Tensor:
+        """Radiance `[3, J]` of the surfaces at `chosen`, int64 `[J]`, towards unit directions `[3, J]`; count: of all their
+        paths.
+
+        An unbiased estimate from the same incident light for any direction above an opaque surface; the smoother the surface, the
+        noisier. Partly transmissive surfaces are not supported. Shading normals are those of the rays' own view (`same_normals`).
+        """
+        directions, incident = (self.light_direction, self.scattered_direction), self._incident
+        if incident is None:
+            reflected = (self.direct, self.indirect)
+            incident = self._incident = _incident(self.path_surface, self.path_surface.outgoing, directions, reflected)
+        counts = self.counts.index_select(0, chosen)
+        viewer = torch.repeat_interleave(counts, output_size=count)
+        first = (self.counts.cumsum(0) - self.counts).index_select(0, chosen) - (counts.cumsum(0) - counts)
+        paths = torch.arange(len(viewer), device=viewer.device) + first.index_select(0, viewer)
+        surface = self.path_surface.select(paths)
+        directions, incident = (
+            (one.index_select(1, paths), other.index_select(1, paths)) for one, other in (directions, incident)
+        )
+        reflected = _reflected(surface, outgoing.index_select(1, viewer), directions, incident)
+        return self._emitted(chosen, outgoing).index_add_(1, viewer, reflected)
+
+    def _emitted(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
+        if self.geometry.materials.plain_emission:
+            return self.emission.index_select(1, chosen)
+        hit = Hit(*(field.index_select(0, chosen) for field in self.hit))
+        return self.geometry.emission(hit, self.surface.front.index_select(0, chosen), outgoing)
+
+
+@kernel
+def _incident(surface: Surface, outgoing: Tensor, directions: Pair, reflected: Pair) -> Pair:
+    """Incident light `[3, P]` of which surfaces reflected so much; 0 where the BSDF is 0."""
+    values = opaque_values(surface, outgoing, directions)
+    first, second = (torch.where(value > FAINTEST, light / value, 0.0) for value, light in zip(values, reflected))
+    return first, second
+
+
+@kernel
+def _reflected(surface: Surface, outgoing: Tensor, directions: Pair, incident: Pair) -> Tensor:
+    """Reflected radiance `[3, P]`."""
+    first, second = opaque_values(surface, outgoing, directions)
+    return first * incident[0] + second * incident[1]

@@ -1,0 +1,84 @@
+"""Strategies of splitting paths at their primary hits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.observer import PathObserver
+from bokehguide.render.paths import Paths
+from bokehguide.render.primary_hits import PrimaryHits
+from bokehguide.render.visibility import Arrivals
+from bokehguide.runtime.indexing import scatter_add
+
+
+class Splitting:
+    """Base class: each ray continues as one path from its primary hit, without a record.
+
+    counts: number of paths of each ray, float32 `[N]`, None for one; primary_hits: record of the trace, None without splits.
+    """
+
+    counts: Tensor | None = None
+    primary_hits: PrimaryHits | None = None
+
+    def split(
+        self, geometry: Geometry, paths: Paths, found: Arrivals, surface: Surface, observers: Sequence[PathObserver]
+    ) -> tuple[Paths, Surface, Tensor | None]:
+        """Paths that leave the primary hits, their surfaces, and the hit of each path, int64, None for one path of each hit."""
+        return paths, surface, None
+
+    def add_direct(self, paths: Paths, direction: Tensor, contribution: Tensor) -> None:
+        """Add the contribution `[3, P]` of light samples in unit directions `[3, P]`."""
+        paths.radiance += contribution
+
+    def scattered(self, direction: Tensor) -> None:
+        """Paths leave their primary hits in unit directions `[3, P]`."""
+
+    def collect(self, radiance: Tensor) -> None:
+        """Add the radiance of the paths to that of their rays, `[3, N]`, unless they did so themselves."""
+
+
+UNSPLIT = Splitting()
+
+
+class SplitPaths(Splitting):
+    """Several paths for each ray of one trace (Arvo and Kirk 1990), and the record of its primary hits.
+
+    counts: whole numbers of at least 1, float32 `[N]`.
+    """
+
+    def __init__(self, counts: Tensor):
+        self.counts = self._counts = counts
+
+    @property
+    def _hits(self) -> PrimaryHits:
+        assert self.primary_hits is not None
+        return self.primary_hits
+
+    def split(
+        self, geometry: Geometry, paths: Paths, found: Arrivals, surface: Surface, observers: Sequence[PathObserver]
+    ) -> tuple[Paths, Surface, Tensor | None]:
+        """See `Splitting`."""
+        rays, emission = paths.index, paths.radiance
+        counts = self._counts.index_select(0, rays).long()
+        paths, owner = paths.split(counts, found.path_count)
+        split = surface.select(owner)
+        self.primary_hits = PrimaryHits(geometry, rays, found.hit, surface, emission, counts, owner, split, paths.collected)
+        for observer in observers:
+            observer.split(self.primary_hits.path_rays)
+        return paths, split, owner
+
+    def add_direct(self, paths: Paths, direction: Tensor, contribution: Tensor) -> None:
+        """See `Splitting`."""
+        self._hits.light_direction, self._hits.direct = direction, contribution
+
+    def scattered(self, direction: Tensor) -> None:
+        """See `Splitting`."""
+        self._hits.scattered_direction = direction
+
+    def collect(self, radiance: Tensor) -> None:
+        """See `Splitting`."""
+        if self.primary_hits is not None:
+            scatter_add(radiance, self._hits.path_rays, self._hits.direct + self._hits.indirect)

@@ -1,0 +1,1 @@
+"""The process around a render: devices, worker threads, ranks, compiled kernels."""

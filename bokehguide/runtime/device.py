@@ -1,0 +1,72 @@
+"""Transfers between the host, which traces rays with Embree, and the device, which does everything else."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+from torch import Tensor
+
+_thread = threading.local()
+"""`stream`: the CUDA stream of the thread."""
+
+
+def to_host(*tensors: Tensor) -> list[Tensor]:
+    """Tensors `[.., N]` of the same N and type on the host, which waits for them.
+
+    Tensors on a CPU are returned as they are; others travel in one transfer.
+    """
+    if tensors[0].device.type == "cpu":
+        return list(tensors)
+    heights = [math.prod(tensor.shape[:-1]) for tensor in tensors]
+    rows = torch.cat([tensor.reshape(height, tensor.shape[-1]) for height, tensor in zip(heights, tensors)])
+    copied = torch.empty(rows.shape, dtype=rows.dtype, pin_memory=rows.is_cuda).copy_(rows)
+    return [part.reshape(tensor.shape) for part, tensor in zip(copied.split(heights), tensors)]
+
+
+def to_device(values: Tensor | np.ndarray | Sequence | float, device: torch.device, dtype: torch.dtype | None = None) -> Tensor:
+    """Values of the host as a tensor on a device. The host does not wait for the transfer."""
+    return torch.as_tensor(values, dtype=dtype).to(device, non_blocking=True)
+
+
+class HostCopy:
+    """A copy of a tensor on the host, transferred while the host does other work.
+
+    `get` does not wait if the host has already waited for a later operation on the same stream.
+    """
+
+    def __init__(self, values: Tensor):
+        self._copy, self._event = torch.empty(values.shape, dtype=values.dtype, pin_memory=values.is_cuda), None
+        self._copy.copy_(values, non_blocking=True)
+        if values.is_cuda:
+            self._event = torch.cuda.Event()
+            self._event.record()
+
+    def get(self) -> Tensor:
+        """The copy, once it is complete."""
+        if self._event is not None:
+            self._event.synchronize()
+        return self._copy
+
+
+@contextmanager
+def own_stream(device: torch.device) -> Iterator[None]:
+    """A context in which the thread launches CUDA work on its own stream, concurrently with the streams of other threads.
+
+    The work starts after all work launched so far on the thread's current stream; later work on that stream waits for it.
+    On other devices the context does nothing.
+    """
+    if device.type != "cuda":
+        yield
+        return
+    if not hasattr(_thread, "stream"):
+        _thread.stream = torch.cuda.Stream(device)
+    common = torch.cuda.current_stream(device)
+    _thread.stream.wait_stream(common)
+    with torch.cuda.stream(_thread.stream):
+        yield
+    common.wait_stream(_thread.stream)

@@ -1,0 +1,33 @@
+"""Ctrl-C or SIGTERM during a render: the step is finished and the picture written."""
+
+from __future__ import annotations
+
+import signal
+from typing import Self
+
+
+class Interrupt:
+    """A context in which the first SIGINT and the first SIGTERM only set `signal`; a second one has its usual effect.
+
+    torchrun sends a SIGTERM after the SIGINT of a Ctrl-C. Both are one request.
+    """
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+
+    @property
+    def requested(self) -> bool:
+        """Whether a signal has arrived."""
+        return self.signal is not None
+
+    def __enter__(self) -> Self:
+        self._previous = {number: signal.signal(number, self._request) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _request(self, number: int, _: object) -> None:
+        self.signal = self.signal or number
+        signal.signal(number, self._previous[signal.Signals(number)])

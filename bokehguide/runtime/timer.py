@@ -1,0 +1,29 @@
+"""Seconds by phase, of one thread."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class PhaseTimer:
+    """Adds up seconds by phase. Time in a nested phase does not count for the outer phase."""
+
+    def __init__(self) -> None:
+        self.seconds: Counter[str] = Counter()
+        self._nested = [0.0]
+        """Seconds of nested phases, for each open phase."""
+
+    @contextmanager
+    def measure(self, phase: str) -> Iterator[None]:
+        """A context whose seconds count for `phase`."""
+        start = time.perf_counter()
+        self._nested.append(0.0)
+        try:
+            yield
+        finally:
+            elapsed = time.perf_counter() - start
+            self.seconds[phase] += elapsed - self._nested.pop()  # pyright: ignore[reportArgumentType]
+            self._nested[-1] += elapsed

@@ -1,0 +1,122 @@
+"""Worker threads of a render loop, which leave the process around them unchanged."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from typing import ParamSpec, Self, TypeVar
+
+import torch
+
+from bokehguide.runtime.compile.kernels import compile_kernels
+from bokehguide.runtime.device import own_stream
+
+P = ParamSpec("P")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_default_lock = threading.Lock()
+"""Held while PyTorch's default number of OpenMP threads is another than it was."""
+
+
+class Workers:
+    """A pool of threads with one OpenMP thread each and a compile setting of their own.
+
+    Construction starts nothing: threads start with the first call of `map` or `submit`. They end with `close`, at the end of
+    the context, or when the object is collected.
+
+    threads: number of threads. device: of the tensors that `map` works on. compiled: whether kernels are compiled
+    (see `runtime/compile/kernels.py`).
+    """
+
+    def __init__(self, threads: int, device: torch.device, compiled: bool):
+        if device.type == "cuda" and device.index is None:
+            device = torch.device("cuda", torch.cuda.current_device())
+        self.threads = threads
+        self._device = device
+        self._compile_threads = threads if compiled else 0
+        # The threads hold the initializer. It must not refer to this object, or the object would never be collected.
+        self._pool = ThreadPoolExecutor(threads, "bokehguide", _begin_thread, (device,))
+
+    def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+        """Results of `work` for each item, in the items' order. On CUDA each thread works on a stream of its own.
+
+        Raises the first exception of `work`, in the items' order, once no item is being worked on.
+        """
+
+        def run(item: Item) -> Result:
+            with own_stream(self._device):
+                return work(item)
+
+        futures = [self.submit(run, item) for item in items]
+        try:
+            return [future.result() for future in futures]
+        finally:
+            for future in futures:
+                future.cancel()
+            wait(futures)
+
+    def submit(self, work: Callable[P, Result], *args: P.args, **kwargs: P.kwargs) -> Future[Result]:
+        """Start `work` on one of the threads. Raises RuntimeError after `close`."""
+        return self._pool.submit(_run_compiled, self._compile_threads, work, *args, **kwargs)
+
+    @contextmanager
+    def serial(self) -> Iterator[None]:
+        """A context in which the calling thread has one OpenMP thread and this object's compile setting."""
+        before = _set_openmp_threads(1)
+        try:
+            with compile_kernels(self._compile_threads):
+                yield
+        finally:
+            _set_openmp_threads(before)
+
+    def close(self) -> None:
+        """Wait for the threads' work and end them."""
+        self._pool.shutdown()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _run_compiled(compile_threads: int, work: Callable[P, Result], *args: P.args, **kwargs: P.kwargs) -> Result:
+    with compile_kernels(compile_threads):
+        return work(*args, **kwargs)
+
+
+def _begin_thread(device: torch.device) -> None:
+    _set_openmp_threads(1)
+    if device.type == "cuda":
+        torch.cuda.set_device(device)  # the current device is a thread's own
+
+
+def _set_openmp_threads(count: int) -> int:
+    """Set the number of OpenMP threads of the calling thread alone; returns the number before.
+
+    `torch.set_num_threads` also sets the default of threads that have not used PyTorch yet. Another thread restores it.
+    """
+    with _default_lock:
+        before = torch.get_num_threads()
+        if before == count:
+            return before
+        ready, changed = threading.Event(), threading.Event()
+
+        def keep_default() -> None:
+            default = torch.get_num_threads()
+            ready.set()
+            changed.wait()
+            torch.set_num_threads(default)
+
+        keeper = threading.Thread(target=keep_default)
+        keeper.start()
+        try:
+            ready.wait()
+            torch.set_num_threads(count)
+        finally:
+            changed.set()
+            keeper.join()
+        return before

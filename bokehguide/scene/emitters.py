@@ -1,0 +1,249 @@
+"""Emitters of a scene as discs, and the fraction of the lens that they cover."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from bokehguide.color import LUMINANCE
+from bokehguide.limits import FARTHEST_FOCUS
+from bokehguide.scene.types import Camera, Mesh, Scene, Sun
+
+PEAK = 10.0
+"""Texels of a peak: their luminance exceeds this multiple of the map's mean luminance."""
+
+
+@dataclass(frozen=True)
+class Emitters:
+    """N emitters: connected components of emissive triangles, peaks of the environment map, and suns.
+
+    An emitter at infinity has a unit direction as its centre; its radii are tangents of angular radii.
+
+    centres: `[N, 3]`, metres. radii: of discs of the same projected area, `[N]`, metres.
+    bounding_radii: of spheres around the centres that contain the emitters, `[N]`. ellipsoids: sums of
+    the outer products of the half axes of ellipsoids that contain the emitters, `[N, 3, 3]`, 0 at
+    infinity. luminance: of the radiance without textures, `[N]`. half_edges: of emitters that are
+    parallelograms of two triangles, `[N, 2, 3]`, 0 for others. infinite: whether an emitter lies at
+    infinity, `[N]`. triangle_emitters: the emitter of each scene triangle, -1 for none, int32 `[T]`.
+    texel_emitters: the emitter of each texel of the map, -1 for none, `[H, W]`; None without a map.
+    """
+
+    centres: np.ndarray
+    radii: np.ndarray
+    bounding_radii: np.ndarray
+    ellipsoids: np.ndarray
+    luminance: np.ndarray
+    half_edges: np.ndarray
+    infinite: np.ndarray
+    triangle_emitters: np.ndarray
+    texel_emitters: np.ndarray | None
+
+
+def find_emitters(scene: Scene) -> Emitters:
+    """The connected components of emissive triangles, then the peaks of the environment map, then the suns."""
+    columns: list[tuple[np.ndarray, ...]] = []
+    of_triangles, near = [np.zeros(0, np.int32)], 0
+    for mesh in scene.meshes:
+        labels, material = np.full(len(mesh.triangles), -1, np.int32), scene.materials[mesh.material]
+        if material.emits:
+            labels = _components(mesh)
+            columns.append(_shapes(mesh, labels, float(LUMINANCE @ material.emission)))
+            labels = labels + np.int32(near)
+            near += len(columns[-1][0])
+        of_triangles.append(labels)
+    of_texels = None
+    if scene.environment is not None:
+        of_texels, peaks = _peaks(scene.environment.radiance, scene.environment.rotation)
+        of_texels = np.where(of_texels >= 0, of_texels + near, -1)
+        columns.append(peaks)
+    columns += [_disc(sun) for sun in scene.suns]
+    columns.append(_at_infinity(np.zeros(0), np.zeros(0), np.zeros((0, 3)), np.zeros(0)))
+    centres, radii, bounding, ellipsoids, luminance, half_edges = (np.concatenate(arrays) for arrays in zip(*columns))
+    infinite, triangle_emitters = np.arange(len(centres)) >= near, np.concatenate(of_triangles)
+    return Emitters(centres, radii, bounding, ellipsoids, luminance, half_edges, infinite, triangle_emitters, of_texels)
+
+
+def lens_coverage(scene: Scene, emitters: Emitters | None = None) -> float | None:
+    """The median fraction of the lens that one emitter covers; None without an emitter in the frame.
+
+    A pixel with its focus point on the axis at distance d projects an emitter of radius R at depth Z
+    through that point onto the lens. The radius of the projection is R d / |d - Z|. Emitters count if
+    their circle of confusion touches the frame. emitters: the scene's, found here if None.
+    """
+    camera = scene.camera
+    if camera.aperture_radius == 0.0:
+        return None
+    emitters = find_emitters(scene) if emitters is None else emitters
+    x, y, depth = _camera_space(camera, emitters)
+    focus_distance = min(camera.focus_distance, FARTHEST_FOCUS)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # The radius of an emitter at infinity is a tangent, and R d / (Z - d) tends to d times that tangent.
+        gap = np.where(emitters.infinite, depth, np.abs(depth - focus_distance))
+        share = (emitters.radii * focus_distance / gap / camera.aperture_radius) ** 2
+        seen = depth > 0.0
+        seen &= _touches_frame(x / depth, y / depth, np.where(emitters.infinite, np.inf, depth), scene)
+    if scene.environment is not None and not scene.environment.visible:
+        seen &= ~emitters.infinite
+    return float(np.median(np.minimum(share[seen], 1.0))) if seen.any() else None
+
+
+def _touches_frame(x: np.ndarray, y: np.ndarray, depth: np.ndarray, scene: Scene) -> np.ndarray:
+    """Whether the circles of confusion of points touch the frame. x, y: positions divided by `depth`."""
+    camera, film = scene.camera, scene.film
+    reach = np.tan(np.radians(camera.fov) / 2.0)
+    confusion = camera.aperture_radius * np.abs(1.0 / camera.focus_distance - 1.0 / depth)
+    inside = np.abs(x) < reach + confusion
+    return inside & (np.abs(y) < reach * film.height / film.width + confusion)
+
+
+def _camera_space(camera: Camera, emitters: Emitters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Right, up and forward coordinates of the centres, metres; of unit directions at infinity."""
+    forward = np.subtract(camera.target, camera.position)
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, camera.up)
+    right /= np.linalg.norm(right)
+    relative = emitters.centres - np.where(emitters.infinite[:, None], 0.0, camera.position)
+    return relative @ right, relative @ np.cross(right, forward), relative @ forward
+
+
+def _disc(sun: Sun) -> tuple[np.ndarray, ...]:
+    """The columns of `Emitters` up to `half_edges` of one sun."""
+    radius = math.tan(math.radians(0.5 * sun.angle))
+    luminance = LUMINANCE @ sun.irradiance / (math.pi * math.sin(math.radians(0.5 * sun.angle)) ** 2)
+    return _at_infinity(np.array([radius]), np.array([radius]), np.array([sun.direction]), np.array([luminance]))
+
+
+def _at_infinity(radii: np.ndarray, bounding: np.ndarray, centres: np.ndarray, luminance: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The columns of `Emitters` up to `half_edges` of emitters at infinity."""
+    count = len(radii)
+    return centres, radii, bounding, np.zeros((count, 3, 3)), luminance, np.zeros((count, 2, 3))
+
+
+def _components(mesh: Mesh) -> np.ndarray:
+    """The connected component of each triangle, int32 `[T]`. Triangles connect at equal vertex positions."""
+    from scipy import sparse  # takes half a second to import
+
+    points, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    corners = index.reshape(-1)[mesh.triangles]
+    edges = sparse.coo_matrix(
+        (np.ones(2 * len(corners)), (np.tile(corners[:, 0], 2), corners[:, 1:].T.ravel())), shape=(len(points), len(points))
+    )
+    labels = sparse.csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
+    return np.unique(labels, return_inverse=True)[1].astype(np.int32)
+
+
+def _shapes(mesh: Mesh, labels: np.ndarray, luminance: float) -> tuple[np.ndarray, ...]:
+    """The columns of `Emitters` up to `half_edges` of the components of `mesh`. labels: of its triangles, `[T]`.
+
+    The mean projected area of a closed convex surface is a quarter of its area (Cauchy). An open
+    component counts with the length of its vector area.
+    """
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles].astype(np.float64), 1, 0)
+    vectors = 0.5 * np.cross(b - a, c - a)
+    areas = np.linalg.norm(vectors, axis=1)
+    total = np.bincount(labels, areas)
+    middles = (a + b + c) / 3.0 * areas[:, None]
+    centres = np.stack([np.bincount(labels, column) for column in middles.T], axis=1)
+    facing = np.linalg.norm([np.bincount(labels, column) for column in vectors.T], axis=0)
+    projected = np.where(facing < 0.1 * total, total / 4.0, facing)
+    centres /= total[:, None]
+    corners = np.stack((a, b, c)) - centres[labels]
+    bounding = np.zeros(len(total))
+    for corner in corners:
+        np.maximum.at(bounding, labels, np.linalg.norm(corner, axis=1))
+    ellipsoids = _ellipsoids(corners, areas, labels)
+    half_edges = _half_edges(np.moveaxis(corners, 0, 1), labels)
+    return centres, np.sqrt(projected / np.pi), bounding, ellipsoids, np.full(len(total), luminance), half_edges
+
+
+def _half_edges(corners: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Half edges `[K, 2, 3]` of the components that are parallelograms of two triangles, 0 for others.
+
+    corners: of triangles, relative to the centres of their components, `[T, 3, 3]`. labels: `[T]`.
+    """
+    counts = np.bincount(labels)
+    edges = np.zeros((len(counts), 2, 3))
+    order = np.argsort(labels, kind="stable")
+    pairs = order[np.repeat(counts == 2, counts)].reshape(-1, 2)
+    one, other = corners[pairs[:, 0]], corners[pairs[:, 1]]
+    shared = (one[:, :, None] == other[:, None]).all(3)  # exact positions, as for the components
+    adjacent = shared.any(2).sum(1) == 2
+    opposite = np.argmin(shared.any(2), axis=1)
+    components, one, opposite = labels[pairs[:, 0]][adjacent], one[adjacent], opposite[adjacent]
+    across = np.argmin(shared[adjacent].any(1), axis=1)
+    rows = np.arange(len(one))
+    first, last = one[rows, opposite], other[adjacent][rows, across]
+    left, right = one[rows, (opposite + 1) % 3], one[rows, (opposite + 2) % 3]
+    closes = np.linalg.norm(first + last - left - right, axis=1) < 1e-4 * np.linalg.norm(right - left, axis=1)
+    edges[components[closes]] = 0.5 * np.stack((left - first, right - first), axis=1)[closes]
+    return edges
+
+
+def _ellipsoids(corners: np.ndarray, areas: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """The smallest ellipsoids `[K, 3, 3]` with the components' covariances that contain their corners.
+
+    corners: of triangles, relative to the centres of their components, `[3, T, 3]`. areas, labels: `[T]`.
+    """
+    whole = corners.sum(0)
+    products = (np.einsum("cti,ctj->tij", corners, corners) + whole[:, :, None] * whole[:, None]) * areas[:, None, None] / 12.0
+    total = np.bincount(labels, areas)
+    spread = np.stack([np.bincount(labels, column) for column in products.reshape(-1, 9).T], axis=1) / total[:, None]
+    spread = spread.reshape(-1, 3, 3)
+    widest = np.trace(spread, axis1=1, axis2=2)
+    spread += (1e-6 * widest + 1e-30)[:, None, None] * np.eye(3)  # flat components stay invertible
+    inverse = np.linalg.inv(spread)[labels]
+    reach = np.zeros(len(total))
+    for corner in corners:
+        np.maximum.at(reach, labels, np.einsum("ti,tij,tj->t", corner, inverse, corner))
+    return spread * reach[:, None, None]
+
+
+def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """The peak of each texel `[H, W]`, -1 for none, and the columns of `Emitters` up to `half_edges` of the peaks.
+
+    radiance: `[H, W, 3]`. Texels of one peak touch at a side or a corner. The bounding radii contain
+    the support of the bilinear interpolant.
+    """
+    from scipy import ndimage
+
+    height, width = radiance.shape[:2]
+    theta = np.pi * (np.arange(height) + 0.5) / height
+    solid_angle = np.sin(theta)[:, None] * np.full(width, 2.0 * np.pi**2 / (height * width))
+    luminance = radiance.astype(np.float64) @ LUMINANCE
+    mean = np.sum(luminance * solid_angle) / np.sum(solid_angle)
+    labels = _connected_texels(luminance > PEAK * mean)
+    which = np.unique(labels)[1:]
+    phi = 2.0 * np.pi * (np.arange(width) + 0.5) / width - np.pi - np.radians(rotation)
+    directions = np.stack(
+        np.broadcast_arrays(np.sin(theta)[:, None] * np.sin(phi), np.cos(theta)[:, None], -np.sin(theta)[:, None] * np.cos(phi))
+    )
+    centres = np.stack([ndimage.sum(d * solid_angle, labels, which) for d in directions], axis=1)
+    angles = ndimage.sum(solid_angle, labels, which)
+    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
+    bright = np.flatnonzero(labels)
+    number = np.searchsorted(which, labels.ravel()[bright])
+    cosine = (centres[number] * directions.reshape(3, -1).T[bright]).sum(1)
+    bounding = np.zeros(len(which))
+    np.maximum.at(bounding, number, np.arccos(np.clip(cosine, -1.0, 1.0)) + math.sqrt(2.0) * np.pi / height)
+    mean = ndimage.sum(luminance * solid_angle, labels, which) / angles
+    texels = np.full(labels.shape, -1)
+    texels.reshape(-1)[bright] = number
+    bounding = np.tan(np.minimum(bounding, 1.5))
+    return texels, _at_infinity(np.sqrt(angles / np.pi), bounding, centres, mean)
+
+
+def _connected_texels(bright: np.ndarray) -> np.ndarray:
+    """Labels `[H, W]` of the connected components of `bright` `[H, W]`, 0 elsewhere. The map is periodic along u."""
+    from scipy import ndimage
+
+    labels = np.zeros(bright.shape, np.int32)
+    ndimage.label(bright, np.ones((3, 3)), output=labels)
+    for row, beside in product(range(len(labels)), (-1, 0, 1)):
+        if 0 <= row + beside < len(labels):
+            left, right = labels[row, 0], labels[row + beside, -1]
+            if left > 0 and right > 0 and left != right:
+                labels[labels == right] = left
+    return labels

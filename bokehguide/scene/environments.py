@@ -1,0 +1,65 @@
+"""Environment maps: read from files, of one colour, or with a vertical gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError, printable
+from bokehguide.limits import LARGEST
+from bokehguide.scene.files import require_file
+from bokehguide.scene.types import Environment
+
+if TYPE_CHECKING:
+    from bokehguide.image.reading import Channels
+
+
+def load_environment_map(path: Path) -> tuple[np.ndarray, list[str]]:
+    """Read an equirectangular `.hdr` or `.exr` map: radiance, float32 `[H, W, 3]`, and warnings.
+
+    Raises BokehguideError for a missing or unreadable file and for NaN, infinite or
+    huge texels. Negative texels become 0, with a warning.
+    """
+    from bokehguide.image.reading import read_channels  # imports torch, which a constant colour does not need
+
+    kind = path.suffix.upper().removeprefix(".")
+    if kind not in ("HDR", "EXR"):
+        raise BokehguideError(f"{path}: not an environment map; give a .hdr or .exr file")
+    require_file(path, "environment map")
+    radiance = _radiance(read_channels(path, kind), path)
+    bad = np.count_nonzero(~(np.abs(radiance) <= LARGEST).all(axis=2))
+    if bad:
+        raise BokehguideError(f"{path}: {bad} texels are NaN or infinite, or beyond {LARGEST:g}; repair the map")
+    negative = np.count_nonzero((radiance < 0.0).any(axis=2))
+    warnings = [f"{path.name}: {negative} negative texels were set to 0"] if negative else []
+    return np.maximum(radiance, 0.0), warnings
+
+
+def _radiance(read: Channels, path: Path) -> np.ndarray:
+    """The R, G and B channels, or the Y channel three times."""
+    for names in ("RGB", "YYY"):
+        if set(names) <= set(read.names):
+            return np.stack([read.pixels[..., read.names.index(name)] for name in names], axis=-1)
+    given = printable(", ".join(read.names), 200)
+    raise BokehguideError(f"{path}: has the channels {given}; an environment map needs R, G, B")
+
+
+def constant_radiance(color: Iterable[float]) -> np.ndarray:
+    """A 1 × 1 map of one colour, float32 `[1, 1, 3]`."""
+    return np.asarray(color, dtype=np.float32).reshape(1, 1, 3)
+
+
+def gradient(stops: Sequence[tuple[float, Sequence[float]]], height: int = 32) -> np.ndarray:
+    """A map `[height, 2 height, 3]` that interpolates `stops`: rising elevations in degrees, each with its radiance."""
+    elevation = 90.0 - 180.0 * (np.arange(height) + 0.5) / height
+    angles, colors = zip(*stops)
+    rows = np.stack([np.interp(elevation, angles, c) for c in np.transpose(colors)], axis=1)
+    return np.repeat(rows[:, None], 2 * height, axis=1).astype(np.float32)
+
+
+def sky(*stops: tuple[float, Sequence[float]]) -> Environment:
+    """An environment with the `gradient` of `stops`."""
+    return Environment(gradient(stops))

@@ -1,0 +1,59 @@
+"""The import report: supported features of a glTF file in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from bokehguide.scene.gltf.document import Document
+from bokehguide.scene.gltf.extensions import MATERIAL_EXTENSIONS
+from bokehguide.scene.gltf.nodes import INSTANCING
+from bokehguide.scene.gltf.textures import Textures, textures_of
+from bokehguide.scene.types import Material, Mesh, ModelCamera, Sun
+
+
+def supported(
+    document: Document,
+    meshes: Sequence[Mesh],
+    materials: Sequence[Material],
+    textures: Textures,
+    emitters: Sequence[Material],
+    suns: Sequence[Sun],
+    cameras: Sequence[ModelCamera],
+    radius: float,
+) -> Iterator[str]:
+    """Lines on material extensions, textures, vertex colours, instances, skins, lights and cameras."""
+    extensions = Counter(
+        name.removeprefix("KHR_materials_")
+        for material in document.items("materials")
+        for name in material.extensions
+        if name in MATERIAL_EXTENSIONS
+    )
+    if extensions:
+        yield f"materials with {_counted(extensions)}"
+    modes = Counter(material.alpha_mode for material in materials if material.alpha_mode != "opaque")
+    if modes:
+        yield f"alpha modes: {_counted(modes)}"
+    kinds = Counter(name.removesuffix("_texture").replace("_", " ") for m in materials for name in textures_of(m))
+    if kinds:
+        yield f"textures from {len(textures.images)} images: {_counted(kinds)}"
+    colored = sum(mesh.colors is not None for mesh in meshes)
+    if colored:
+        yield f"vertex colours: {colored} of {len(meshes)} meshes"
+    if any(INSTANCING in node.extensions for node in document.items("nodes")):
+        yield f"instances of {INSTANCING}, as separate triangles"
+    skins = sum("skin" in node for node in document.items("nodes"))
+    if skins:
+        yield f"skins: {skins}, in the pose of the file"
+    spots = sum(emitter.emission_cone is not None for emitter in emitters)
+    lights = {"point": len(emitters) - spots, "spot": spots, "sun": len(suns)}
+    if emitters or suns:
+        size = f"; point and spot lights as spheres of radius {radius:.3g} m" if emitters else ""
+        yield f"lights: {_counted({kind: count for kind, count in lights.items() if count})}{size}"
+    if cameras:
+        yield "cameras: " + ", ".join(f"{number} {camera.name}" for number, camera in enumerate(cameras))
+
+
+def _counted(counts: dict[str, int]) -> str:
+    """Names with their counts in parentheses."""
+    return ", ".join(f"{name} ({count})" for name, count in counts.items())

@@ -1,0 +1,33 @@
+"""Model files (`.glb`, `.gltf`, `.obj`, `.ply`, `.stl`)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene.files import SceneFiles, require_file
+from bokehguide.scene.types import LightSizes, Model
+
+
+def load_model(path: Path, files: SceneFiles | None = None, sizes: LightSizes | None = None) -> Model:
+    """Read a model file. Instances become triangles; the file's normals are kept.
+
+    files: the files that the model may name, by default those in its folder. sizes: of a glTF
+    file's lights. Raises BokehguideError for a missing, damaged or empty file, values that are not
+    finite and indices out of range.
+    """
+    require_file(path, "model")
+    files = files or SceneFiles(path.parent)
+    if path.suffix.lower() in (".glb", ".gltf"):
+        from bokehguide.scene.gltf import load_gltf
+
+        model = load_gltf(path, files, sizes or LightSizes())
+    else:
+        from bokehguide.scene.mesh_files import load_mesh_file
+
+        model = load_mesh_file(path, files)
+    if not model.meshes:
+        raise BokehguideError(f"{path}: holds no triangles; give a model with a surface")
+    named = {key: tuple(f"{path.name}: {line}" for line in getattr(model, key)) for key in ("supported", "warnings")}
+    return replace(model, **named)

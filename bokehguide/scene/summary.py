@@ -1,0 +1,112 @@
+"""The text of `bokehguide info`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from bokehguide.limits import FARTHEST_FOCUS
+from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length
+from bokehguide.scene.emitters import Emitters, find_emitters, lens_coverage
+from bokehguide.scene.types import Aperture, Camera, Environment, Scene, Sun
+
+
+def summarize(scene: Scene) -> str:
+    """The contents of a scene, its imported features and its warnings, one fact a line."""
+    camera, film, emitters = scene.camera, scene.film, find_emitters(scene)
+    facts = {
+        "triangles": f"{sum(len(mesh.triangles) for mesh in scene.meshes):,}",
+        "materials": _materials(scene),
+        "lights": _lights(scene, emitters),
+        "camera": f"at {_vector(camera.position)} towards {_vector(camera.target)}, {camera.fov:.4g}° across",
+        "lens": _lens(camera),
+        "aperture": _aperture(camera.aperture),
+        "film": f"{film.width} × {film.height} pixels, paths of up to {film.max_depth} segments",
+        "insets": "; ".join(f"{inset.x:g}, {inset.y:g}, {inset.width:g}, {inset.height:g}" for inset in scene.insets) or "none",
+        "coverage": _coverage(scene, emitters),
+    }
+    title = f"{scene.name}: {scene.description}" if scene.description else scene.name
+    lines = [title, *(f"  {name + ':':<14}{fact}" for name, fact in facts.items())]
+    lines += [f"  {'supported:':<14}{line}" for line in scene.supported]
+    lines += [f"  {'ignored:':<14}{warning}" for warning in scene.warnings]
+    return "\n".join(lines)
+
+
+def _materials(scene: Scene) -> str:
+    names = [material.name for material in scene.materials]
+    shown = ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
+    counts = {
+        "masked": sum(material.alpha_mode == "mask" for material in scene.materials),
+        "blended": sum(material.alpha_mode == "blend" for material in scene.materials),
+        "clear-coated": sum(material.clearcoat > 0.0 for material in scene.materials),
+        "absorbing": sum(math.isfinite(material.attenuation_distance) for material in scene.materials),
+    }
+    return "; ".join([f"{len(names)} ({shown})", *(f"{count} {name}" for name, count in counts.items() if count)])
+
+
+def _lights(scene: Scene, emitters: Emitters) -> str:
+    emitting = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
+    triangles = sum(len(mesh.triangles) for mesh in emitting)
+    near = f"{triangles:,} emissive triangles in {(~emitters.infinite).sum()} emitters"
+    peaks = emitters.infinite.sum() - len(scene.suns)
+    return "; ".join([near, *map(_sun, scene.suns), _environment(scene.environment, peaks)])
+
+
+def _sun(sun: Sun) -> str:
+    return f"sun {sun.angle:g}° across, irradiance {_vector(sun.irradiance)}, towards {_vector(sun.direction)}"
+
+
+def _environment(environment: Environment | None, peaks: int) -> str:
+    if environment is None:
+        return "no environment"
+    height, width = environment.radiance.shape[:2]
+    hidden = "" if environment.visible else ", not visible to the camera"
+    if (height, width) == (1, 1):
+        return f"environment of colour {_vector(environment.radiance[0, 0])}{hidden}"
+    return f"environment map of {width} × {height} texels with {peaks} peaks{hidden}"
+
+
+def _lens(camera: Camera) -> str:
+    if camera.aperture_radius == 0.0:
+        return f"pinhole, focused at {_focus(camera)}"
+    f_number = 1e-3 * focal_length(camera.fov) / (2.0 * camera.aperture_radius)
+    return (
+        f"radius {camera.aperture_radius:.4g} m, focused at {_focus(camera)} "
+        f"(f/{f_number:.2g} on a sensor {SENSOR_WIDTH:g} mm wide)"
+    )
+
+
+def _focus(camera: Camera) -> str:
+    return f"{camera.focus_distance:.4g} m" if camera.focus_distance < FARTHEST_FOCUS else "infinity"
+
+
+def _aperture(aperture: Aperture | None) -> str:
+    if aperture is None:
+        return "round"
+    if aperture.image is not None:
+        height, width = aperture.image.shape
+        facts = [f"a mask of {width} × {height} texels"]
+    elif aperture.blades:
+        facts = [f"{aperture.blades} blades of curvature {aperture.curvature:g}"]
+    else:
+        facts = ["round"]
+    if aperture.rotation:
+        facts.append(f"rotated by {aperture.rotation:g}°")
+    if aperture.ratio != 1.0:
+        facts.append(f"its width divided by {aperture.ratio:g}")
+    if aperture.edge:
+        facts.append(f"{'rim' if aperture.edge > 0.0 else 'centre'} brighter by {abs(aperture.edge):g}")
+    if aperture.cat_eye:
+        facts.append(f"cat's eyes of {aperture.cat_eye:g} radii towards the corners")
+    return ", ".join(facts)
+
+
+def _coverage(scene: Scene, emitters: Emitters) -> str:
+    share = lens_coverage(scene, emitters)
+    if share is None:
+        return "no emitter in the frame"
+    return f"{100.0 * share:.3g} % of the lens (median, from inside its bokeh)"
+
+
+def _vector(values: Iterable[float]) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"

@@ -1,0 +1,216 @@
+"""TOML scene files as scenes."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.limits import LARGEST
+from bokehguide.scene.environments import constant_radiance, load_environment_map
+from bokehguide.scene.files import SceneFiles, require_file
+from bokehguide.scene.model_files import load_model
+from bokehguide.scene.overrides import Overrides, override_camera
+from bokehguide.scene.shapes import SHAPES, transform, transformed
+from bokehguide.scene.tables import ANY, EMITTER_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
+from bokehguide.scene.toml.materials import read_materials
+from bokehguide.scene.toml.placing import place_emitters, place_suns
+from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Model, Scene, Sun
+from bokehguide.scene.validation import check_mesh, check_triangles
+
+SCENE_KEYS = ("camera", "film", "environment", "sun", "lights", "materials", "object")
+OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
+
+
+def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scene:
+    """The scene of a `.toml` file with the camera of `overrides`. Paths are relative to the file.
+
+    files: the files that the scene may name. Raises BokehguideError naming file, field, value and
+    remedy for invalid input.
+    """
+    root = Table(_parse(path), str(path), "", SCENE_KEYS)
+    if "camera" not in root:
+        root.missing("camera", "add [camera] with position and target")
+    warnings: list[str] = []
+    materials = read_materials(root, files)
+    objects = _read_objects(root, files, materials)
+    return Scene(
+        name=path.stem,
+        camera=override_camera(root.values["camera"], overrides, str(path), files),
+        meshes=tuple(objects.meshes),
+        materials=tuple(objects.materials),
+        film=_read_film(root),
+        environment=_read_environment(root, files, warnings),
+        suns=(*_read_suns(root), *objects.suns),
+        warnings=(*objects.lines("warnings"), *_unused_sizes(root, objects), *warnings),
+        supported=tuple(objects.lines("supported")),
+    )
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file."""
+    require_file(path, "scene")
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError as error:
+        raise BokehguideError(f"{path}: not UTF-8 text (byte {error.start}); save it so") from None
+    except (ValueError, RecursionError) as error:  # endless numbers or brackets
+        raise BokehguideError(f"{path}: not valid TOML: {error}") from None
+
+
+def _read_film(root: Table) -> FilmSettings:
+    """The `[film]` table."""
+    table = Table(root.values.get("film", {}), root.file, "film", ("width", "height", "max_depth"))
+    return FilmSettings(
+        width=table.count("width", FilmSettings.width),
+        height=table.count("height", FilmSettings.height),
+        max_depth=table.count("max_depth", FilmSettings.max_depth),
+    )
+
+
+def _read_environment(root: Table, files: SceneFiles, warnings: list[str]) -> Environment | None:
+    """The `[environment]` table, None if absent. Appends to `warnings`."""
+    if "environment" not in root:
+        return None
+    keys = ("color", "map", "intensity", "rotation", "visible")
+    table = Table(root.values["environment"], root.file, "environment", keys)
+    table.exclusive("color", "map")
+    if "map" in table:
+        radiance, found = load_environment_map(files.named(table, "map"))
+        warnings += found
+    elif "color" in table:
+        radiance = constant_radiance(table.vector("color", None, NOT_NEGATIVE))
+    else:
+        raise BokehguideError(f"{root.file}: environment: has no light; give color or map")
+    intensity = table.number("intensity", 1.0, NOT_NEGATIVE)
+    brightest = float(radiance.max()) * intensity
+    if not NOT_NEGATIVE.contains(brightest):
+        table.fail("intensity", f"makes the brightest radiance {brightest:g}; give less; the maximum is {LARGEST:g}")
+    visible = table.flag("visible", Environment.visible)
+    return Environment(radiance * np.float32(intensity), table.number("rotation", 0.0), visible)
+
+
+def _read_suns(root: Table) -> list[Sun]:
+    """The `[[sun]]` tables."""
+    values = root.values.get("sun", [])
+    if not isinstance(values, list):
+        root.fail("sun", "is not a list of tables; write [[sun]]")
+    suns = []
+    for number, entry in enumerate(values):
+        table = Table(entry, root.file, f"sun[{number}]", ("direction", "irradiance", "angle"))
+        if "irradiance" not in table:
+            table.missing("irradiance", "give [r, g, b] on a surface that faces the sun")
+        irradiance = table.vector("irradiance", None, NOT_NEGATIVE)
+        angle = table.number("angle", LightSizes.sun_angle, SUN_ANGLE)
+        suns.append(Sun(table.direction("direction"), angle, irradiance))
+    return suns
+
+
+@dataclass
+class _Objects:
+    """Meshes, suns and materials of the objects of a scene file. Each model is loaded once.
+
+    models: by path, each with the index of its first material in `materials`.
+    """
+
+    materials: list[Material]
+    sizes: LightSizes
+    files: SceneFiles
+    meshes: list[Mesh] = field(default_factory=list)
+    suns: list[Sun] = field(default_factory=list)
+    models: dict[Path, tuple[Model, int]] = field(default_factory=dict)
+
+    def load(self, table: Table) -> tuple[Model, int]:
+        """The model of an object's `file`, and the index of its first material."""
+        path = self.files.named(table, "file")
+        if path not in self.models:
+            self.models[path] = load_model(path, self.files, self.sizes), len(self.materials)
+            self.materials.extend(self.models[path][0].materials)
+        return self.models[path]
+
+    def lines(self, kind: str) -> list[str]:
+        """The lines of the models under `kind`, "warnings" or "supported"."""
+        return [line for model, _ in self.models.values() for line in getattr(model, kind)]
+
+
+def _read_lights(root: Table) -> LightSizes:
+    """The `[lights]` table."""
+    table = Table(root.values.get("lights", {}), root.file, "lights", ("radius", "sun_angle"))
+    return LightSizes(
+        radius=table.number("radius", None, EMITTER_RADIUS) if "radius" in table else None,
+        sun_angle=table.number("sun_angle", LightSizes.sun_angle, SUN_ANGLE),
+    )
+
+
+def _unused_sizes(root: Table, objects: _Objects) -> list[str]:
+    """A warning for each size in `[lights]` that no light of a model uses."""
+    models = [model for model, _ in objects.models.values()]
+    takers = {"radius": (any(model.emitters for model in models), "point and spot lights")}
+    takers["sun_angle"] = any(model.suns for model in models), "directional lights"
+    given = root.values.get("lights", {})
+    unused = [(key, kind) for key, (taken, kind) in takers.items() if key in given and not taken]
+    return [f"lights.{key}: has no effect, as no model has {kind}" for key, kind in unused]
+
+
+def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> _Objects:
+    """The `[[object]]` tables. The models' materials follow `materials`."""
+    values = root.values.get("object", [])
+    if not isinstance(values, list):
+        root.fail("object", "is not a list of tables; write [[object]]")
+    objects = _Objects(list(materials), _read_lights(root), files)
+    named, triangles = {material.name: index for index, material in enumerate(materials)}, 0
+    for number, entry in enumerate(values):
+        table = Table(entry, root.file, f"object[{number}]", OBJECT_KEYS)
+        material = _named_material(table, named)
+        matrix = _read_transform(table)
+        placed = [transformed(mesh, matrix) for mesh in _read_surface(table, objects)]
+        if material is not None:  # also replaces the model's vertex colours
+            placed = [replace(mesh, material=material, colors=None) for mesh in placed]
+        if "file" in table:
+            model, first = objects.load(table)
+            placed += place_emitters(model, first, matrix, objects.materials)
+            objects.suns += place_suns(model, matrix)
+        for mesh in placed:
+            check_mesh(mesh, f"{root.file}: {table.path}", len(objects.materials))
+        objects.meshes += placed
+        triangles += sum(len(mesh.triangles) for mesh in placed)
+        check_triangles(triangles, f"{root.file}: {table.path}")
+    return objects
+
+
+def _named_material(table: Table, named: dict[str, int]) -> int | None:
+    """The index of an object's material, None if absent."""
+    name = table.text("material")
+    if not name or name in named:
+        return named.get(name)
+    known = did_you_mean(name, named) if named else "there is no [materials] table"
+    return table.fail("material", f"is not a material of this file; {known}")
+
+
+def _read_surface(table: Table, objects: _Objects) -> list[Mesh]:
+    """The meshes of one object in its own space."""
+    table.exclusive("shape", "file")
+    if "file" in table:
+        model, first = objects.load(table)
+        return [replace(mesh, material=mesh.material + first) for mesh in model.meshes]
+    shape = table.text("shape")
+    if not shape:
+        table.missing("shape", "give a shape or a file")
+    if shape not in SHAPES:
+        table.fail("shape", f"is not a shape; {did_you_mean(shape, SHAPES)}")
+    if "material" not in table:
+        table.missing("material", "name one of [materials]")
+    return [SHAPES[shape]()]
+
+
+def _read_transform(table: Table) -> np.ndarray:
+    """The matrix `[4, 4]` of an object's translate, rotate and scale."""
+    uniform = is_number(table.values.get("scale", 1.0))
+    scale = (table.number("scale", 1.0),) * 3 if uniform else table.vector("scale", None)
+    if 0.0 in scale:
+        table.fail("scale", f"flattens the object; give {ANY.remedy} other than 0")
+    return transform(table.vector("translate", (0.0, 0.0, 0.0)), table.vector("rotate", (0.0, 0.0, 0.0)), scale)

@@ -1,0 +1,68 @@
+"""Batches: spans of pixels that are rendered together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+BATCH, FIRST_BATCH, SMALL_BATCH = 524288, 131072, 28800
+"""Pixels of a batch: in general, in the first step, and at least for another thread.
+
+The cost of Python per batch does not depend on its size, so batches are as large as memory allows, and threads have equally many.
+The first step has smaller batches: the system allocates new memory slowly, and the user waits for the first image. Below
+SMALL_BATCH the cost of Python exceeds the gain of another thread."""
+SHORTEST, LONGEST = 0.5, 1.5
+"""Least pixels of a span over the mean, and most over the intended size, before spans are moved to allowed cuts."""
+
+
+class Batches:
+    """Cuts a row of pixels into spans of about equal cost, so that no thread waits for another.
+
+    `spans` cuts the row by the costs that `cost` has received for the last spans. Costs should be reproducible: numbers of
+    rays are, seconds are not.
+
+    paths: approximate number of paths of a pixel; batches have as many times fewer pixels.
+    """
+
+    def __init__(self, threads: int, paths: int = 1):
+        self._threads, self._paths = threads, paths
+        self._most = FIRST_BATCH // paths
+        self._cuts = np.zeros(1)
+        """Bounds of the spans, as fractions of the row."""
+        self._longest = 1.0
+        """Largest size of a span over the mean."""
+
+    def spans(self, pixels: int, ends: np.ndarray | None = None) -> list[slice]:
+        """Consecutive spans of `pixels` pixels, none of them empty.
+
+        ends: allowed bounds of spans, ascending, from 0 to `pixels`; None: all.
+        """
+        if pixels == 0:
+            return []
+        rounds = math.ceil(pixels / (self._most * self._threads))
+        count = max(min(rounds * self._threads, pixels // SMALL_BATCH), 1)
+        if len(self._cuts) != count + 1:  # another size, or spans merged at equal ends
+            self._cuts = np.linspace(0.0, 1.0, count + 1)
+        self._longest = LONGEST * self._most * count / pixels
+        bounds = np.rint(self._cuts * pixels).astype(int)
+        if ends is not None:
+            after = np.searchsorted(ends, bounds).clip(1)
+            before, after = ends[after - 1], ends[after]
+            bounds = np.unique(np.where(bounds - before < after - bounds, before, after))
+            self._cuts = bounds / pixels
+        return [slice(first, last) for first, last in pairwise(bounds.tolist())]
+
+    def cost(self, costs: Sequence[float]) -> None:
+        """Set the costs of the last spans, positive."""
+        self._most = BATCH // self._paths
+        if len(costs) < 2:
+            return
+        sums, even = np.concatenate(([0.0], np.cumsum(costs))), np.linspace(0.0, 1.0, len(costs) + 1)
+        cuts = np.interp(even * sums[-1], sums, self._cuts)
+        sizes = np.diff(cuts) * len(costs)
+        # Interpolate from even spans to these, as far as the sizes allow.
+        reach = min(1.0, (self._longest - 1.0) / max(sizes.max() - 1.0, 1e-9), (1.0 - SHORTEST) / max(1.0 - sizes.min(), 1e-9))
+        self._cuts = even + reach * (cuts - even)
