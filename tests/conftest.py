@@ -1,4 +1,4 @@
-"""What holds for every test: one OpenMP thread, in this process and in those it starts."""
+"""Fixtures, and one OpenMP thread for the tests and the processes that they start."""
 
 import os
 import subprocess
@@ -7,48 +7,20 @@ from pathlib import Path
 
 import pytest
 
-# Before torch is imported: two processes with several spinning OpenMP threads each
-# stand in each other's way, and a test of a second takes a minute.
+# Set before torch is imported: several processes with spinning OpenMP threads each slow a test from a second to a minute.
 os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 # The commands that tests start are those of this checkout, installed or not.
 os.environ["PYTHONPATH"] = str(Path(__file__).parent.parent)
 
-LAMPS = """
-[camera]
-position = [0.0, 0.0, 4.0]
-target = [0.0, 0.0, 0.0]
-fov = 40.0
-aperture_radius = 0.5
-focus_distance = 3.0
-[film]
-width = 32
-height = 20
-max_depth = 3
-[environment]
-color = [0.02, 0.03, 0.05]
-[materials.wall]
-base_color = [0.5, 0.4, 0.3]
-[materials.lamp]
-base_color = [0.0, 0.0, 0.0]
-emission = [40.0, 30.0, 20.0]
-[[object]]
-shape = "box"
-material = "wall"
-translate = [-0.6, -0.3, 0.5]
-[[object]]
-shape = "sphere"
-material = "lamp"
-translate = [0.5, 0.2, -3.0]
-scale = 0.2
-"""
+from tests.support.scene_text import BOX_AND_EMITTER
 
 
 @pytest.fixture
 def lamps_file(tmp_path: Path) -> Path:
-    """A scene file of a box in focus and a lamp behind it, 32 × 20 pixels."""
-    path = tmp_path / "lamps.toml"
-    path.write_text(LAMPS)
+    """A scene file of a box in focus and an emitter behind it, 32 × 20 pixels."""
+    path = tmp_path / "emitters.toml"
+    path.write_text(BOX_AND_EMITTER)
     return path
 
 

@@ -1,0 +1,118 @@
+"""Mistakes of the user: one clear line, exit code 2, and nothing rendered or written."""
+
+import numpy as np
+import pytest
+
+from bokehguide.cli import main
+from bokehguide.image import write_exr
+
+MISTAKES = {
+    "--mode lis-x": ["lis-x", "uniform", "lis-b", "lis-o"],
+    "--spp 0": ["--spp", "'0'", "from 1 to"],
+    "--spp -4": ["--spp", "'-4'"],
+    "--spp many": ["--spp", "'many'"],
+    "--threads 0": ["--threads", "'0'", "from 1 to"],
+    "--seed -1": ["--seed", "'-1'", "from 0 to 2147483647"],
+    "--seed 2147483648": ["--seed", "'2147483648'", "from 0 to 2147483647"],
+    "--seed 1.5": ["--seed", "'1.5'"],
+    "--size 0x20": ["--size", "'0x20'", "640x360"],
+    "--size -3x20": ["--size", "'-3x20'", "640x360"],
+    "--size 20": ["--size", "'20'", "640x360"],
+    "--size 20x": ["--size", "'20x'", "640x360"],
+    "--size 1000000x1000000": ["--size", "'1000000'", "from 1 to 65536"],
+    "--size 65536x65536": ["--size", "'65536x65536'", "at most 268435456"],
+    "--threads 1025": ["--threads", "'1025'", "from 1 to 1024"],
+    "--exposure nan": ["--exposure", "'nan'", "finite"],
+    "--exposure -100.5": ["--exposure", "'-100.5'", "from -100 to 100"],
+    "--exposure 1e9": ["--exposure", "'1e9'", "from -100 to 100"],
+    f"--spp {'9' * 5000}": ["--spp", "from 1 to 2147483647"],
+    "--camera-position 1e39,0,0": ["--camera-position", "'1e39,0,0'", "1e+18"],
+    "--focus-distance 1e39": ["--focus-distance", "1e+39", "out of range"],
+    "--f-number 1e-320": ["--f-number", "1e-320", "out of range"],
+    "--f-number 1e-18 --fov 0.001": ["f_number", "larger"],
+    "--aperture-radius 1e30": ["--aperture-radius", "1e+30", "out of range"],
+    "--fov 1e-30": ["--fov", "1e-30", "0.001"],
+    "--environment 1e39,1,1": ["--environment", "1e39,1,1", "1e+18"],
+    "--environment cut.exr": ["cut.exr: is damaged"],
+    "--camera-position 1,2": ["--camera-position", "'1,2'", "X,Y,Z"],
+    "--camera-position 1,2,x": ["--camera-position", "'1,2,x'", "X,Y,Z"],
+    "--camera-target -inf,2,3": ["--camera-target"],
+    "--camera-position 0,0,4 --camera-target 0,0,4": ["target"],
+    "--focus-distance -2": ["focus", "-2"],
+    "--focus-distance 0": ["focus", "0"],
+    "--fov 190": ["fov", "190", "180"],
+    "--f-number 0": ["f-number", "0"],
+    "--aperture-radius -1": ["aperture-radius", "-1"],
+    "--f-number 2 --aperture-radius 1": ["--f-number", "--aperture-radius"],
+    "--environment 1,2": ["--environment", "1,2"],
+    "--environment none.hdr": ["none.hdr"],
+    "--device tpu": ["--device", "'tpu'", "cpu", "cuda"],
+    "--out a.png": ["--out", "a.png", ".exr"],
+    "--out emitters.toml/a.exr": ["emitters.toml/a.exr", "cannot be written", "another folder"],
+    "--out folder.exr": ["folder.exr", "is a folder"],
+    "--out shown.exr": ["shown.png", "is a folder"],
+    "--out good.exr --reference good.exr": ["--reference", "good.exr", "another path"],
+    "--out a.exr --json a.exr": ["--json", "a.exr", "another path"],
+    "--out good.exr --reference ./folder.exr/../good.exr": ["--reference", "another path"],
+    "--out a.exr --json ./a.png": ["--json", "a.png", "another path"],
+    "--reference good.exr --json good.exr": ["--json", "good.exr", "another path"],
+    "--json emitters.toml/a.json": ["emitters.toml/a.json", "cannot be written", "another folder"],
+    "--logdir emitters.toml": ["emitters.toml", "cannot be written", "another folder"],
+    "--reference none.exr": ["none.exr", "cannot be read"],
+    "--reference emitters.toml": ["emitters.toml", "not an EXR"],
+    "--reference cut.exr": ["cut.exr: is damaged"],
+    "--reference small.exr": ["small.exr: ", "32x20", "16x10"],
+    "--reference nan.exr": ["nan.exr: ", "NaN"],
+    "--spp": ["--spp", "expected one argument"],
+    "--sp 4": ["--sp"],
+    "--bogus": ["--bogus"],
+}
+
+
+@pytest.mark.parametrize("options", MISTAKES, ids=lambda options: options[:50])
+def test_render_refuses(options, lamps_file, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    write_exr("small.exr", {"beauty": np.ones((10, 16, 3), np.float32)})
+    write_exr("nan.exr", {"beauty": np.full((20, 32, 3), np.nan, np.float32)})
+    write_exr("good.exr", {"beauty": np.ones((20, 32, 3), np.float32)})
+    (tmp_path / "cut.exr").write_bytes((tmp_path / "good.exr").read_bytes()[:-20])
+    (tmp_path / "folder.exr").mkdir()
+    (tmp_path / "shown.png").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["render", "emitters.toml", *options.split()]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith("bokehguide: error: ")
+    assert err.count("\n") == 1
+    for words in MISTAKES[options]:
+        assert words in err, err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "COMMAND"),
+        (["paint"], "'paint'"),
+        (["render"], "SCENE"),
+        (["render", "none.toml"], "none.toml"),
+        (["render", "none.glb"], "none.glb"),
+        (["render", "nowhere"], "nowhere"),
+        (["info", "none.toml"], "none.toml"),
+    ],
+)
+def test_other_mistakes(arguments, words, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    out, err = capfd.readouterr()
+    assert (out, err[:19]) == ("", "bokehguide: error: ")
+    assert words in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_cuda_is_asked_for_where_there_is_none(lamps_file, tmp_path, monkeypatch, bokehguide):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    finished = bokehguide("render", lamps_file, "--device", "cuda", "--spp", 1)
+    assert finished.returncode == 2
+    assert "cuda" in finished.stderr and "cpu" in finished.stderr
+    assert finished.stderr.count("\n") <= 2

@@ -1,0 +1,94 @@
+"""`torchrun … -m bokehguide render`: several processes, one picture."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from bokehguide.image import read_exr, write_exr
+
+TORCHRUN = (sys.executable, "-m", "torch.distributed.run", "--standalone")
+
+
+def torchrun(folder, count, *arguments, restarts=0):
+    """Start a job of `count` ranks; its output goes to `job.log`."""
+    job = ("--nproc-per-node", count, "--max-restarts", restarts, "-m", "bokehguide", "render", *arguments)
+    with (folder / "job.log").open("w") as log:
+        return subprocess.Popen([*TORCHRUN, *map(str, job)], cwd=folder, stdout=log, stderr=log)
+
+
+def assert_same(path, other):
+    """Equal but for the order in which sums were made."""
+    one, two = read_exr(path), read_exr(other)
+    assert one.keys() == two.keys()
+    for name in one:
+        np.testing.assert_allclose(two[name], one[name], rtol=1e-5, atol=1e-5, err_msg=name)
+
+
+def logged_blend_weights(folder):
+    """The picture of β after step 16 in the only log in `folder`, as a PNG; None without a log."""
+    found = list(folder.glob("logs/*/*"))
+    if not found:
+        return None
+    log = EventAccumulator(str(found[0]), size_guidance={"images": 0}).Reload()
+    return next(image.encoded_image_string for image in log.Images("beta") if image.step == 16)
+
+
+OPTIONS = {
+    "uniform": (2, ("--mode", "uniform")),
+    "guided": (2, ("--mode", "guided", "--logdir", "logs", "--reference", "reference.exr")),
+    "lis-b": (3, ("--mode", "lis-b", "--crop", "3,2,25,17", "--target-noise", 0.2, "--logdir", "logs")),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OPTIONS)
+def test_the_picture_of_several_is_that_of_one(name, bokehguide, lamps_file, tmp_path):
+    count, options = OPTIONS[name]
+    write_exr(tmp_path / "reference.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
+    options = (lamps_file, *options, "--threads", 1)
+    assert bokehguide("render", *options, "--spp", 24, "--out", "one.exr").returncode == 0
+    blend_weights = logged_blend_weights(tmp_path)
+    job = torchrun(tmp_path, count, *options, "--spp", 18, "--out", "some.exr")
+    assert job.wait(120) == 0, (tmp_path / "job.log").read_text()
+    assert logged_blend_weights(tmp_path) == blend_weights
+    resumed = bokehguide("render", *options, "--spp", 24, "--out", "some.exr", "--resume")  # by one alone
+    assert resumed.returncode == 0 and "resuming some.ckpt at 18 SPP" in resumed.stderr, resumed.stderr
+    assert_same(tmp_path / "one.exr", tmp_path / "some.exr")
+    log = (tmp_path / "job.log").read_text()
+    assert log.count("wrote some.exr") == 1 and log.count("18/18") == 1, "one rank speaks"
+
+
+def test_area_restir_is_refused(lamps_file, tmp_path):
+    job = torchrun(tmp_path, 2, lamps_file, "--mode", "area-restir", "--spp", 1)
+    assert job.wait(120) != 0
+    assert "mode: area-restir reuses samples of the whole frame; render it in one process" in (tmp_path / "job.log").read_text()
+
+
+def ranks_of(job):
+    """Process numbers of a job's ranks."""
+    return [int(child) for child in Path(f"/proc/{job.pid}/task/{job.pid}/children").read_text().split()]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds the ranks in /proc")
+def test_a_rank_that_dies_is_told_of_and_the_restart_goes_on(lamps_file, bokehguide, tmp_path):
+    options = (lamps_file, "--threads", 1, "--size", "320x180", "--spp", 24, "--checkpoint-every", 0.01)
+    job = torchrun(tmp_path, 2, *options, "--out", "some.exr", restarts=1)
+    deadline = time.monotonic() + 60.0
+    while not (tmp_path / "some.ckpt").exists():
+        assert job.poll() is None and time.monotonic() < deadline, (tmp_path / "job.log").read_text()
+        time.sleep(0.01)
+    os.kill(ranks_of(job)[1], signal.SIGKILL)
+    assert job.wait(120) == 0, (tmp_path / "job.log").read_text()
+    log = (tmp_path / "job.log").read_text()
+    assert "another rank has ended" in log or "signal SIGTERM" in log
+    assert "resuming some.ckpt" in log
+    assert bokehguide("render", *options, "--out", "one.exr").returncode == 0
+    assert_same(tmp_path / "one.exr", tmp_path / "some.exr")

@@ -1,0 +1,244 @@
+"""`bokehguide render --resume`: after its end, after signals, after being killed."""
+
+import json
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from bokehguide.cli import main
+from bokehguide.cli.pictures import Pictures
+from bokehguide.errors import BokehguideError
+from bokehguide.image import read_exr, read_metadata, write_exr
+from bokehguide.scene import load_scene
+from bokehguide.train import RenderLoop, RenderSettings, load_checkpoint
+
+KILLS = 5
+
+
+@pytest.fixture
+def render(lamps_file, tmp_path, monkeypatch):
+    """Run `bokehguide render emitters.toml --out a.exr …` in this process and the test's folder; gives its exit code."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*options: object, out: str = "a.exr") -> int:
+        return main(["render", "emitters.toml", "--threads", "1", "--out", out, *map(str, options)])
+
+    return run
+
+
+def started(folder, *options: object) -> subprocess.Popen:
+    """The same as a process of its own, that has no end and saves after every step."""
+    command = [sys.executable, "-m", "bokehguide", "render", "emitters.toml", "--threads", "1", "--out", "a.exr"]
+    command += ["--spp", "1000000", "--checkpoint-every", "1e-6", *map(str, options)]
+    return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(process: subprocess.Popen, happened) -> None:
+    deadline = time.monotonic() + 60
+    while not happened():
+        assert process.poll() is None and time.monotonic() < deadline, process.communicate()
+        time.sleep(0.005)
+
+
+def assert_same_pictures(one, other) -> None:
+    first, second = read_exr(one), read_exr(other)
+    assert first.keys() == second.keys()
+    for name in first:
+        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
+
+
+def kept_spp(path, mode: str) -> int:
+    loop = RenderLoop(load_scene("emitters.toml"), RenderSettings(mode, threads=1))
+    load_checkpoint(path, loop)
+    return loop.step_number
+
+
+def test_samples_are_added_to_a_finished_render(render, tmp_path, capsys):
+    assert render("--spp", 4, "--json", "a.json") == 0
+    first = json.loads((tmp_path / "a.json").read_text())
+    assert "wrote a.ckpt (0.3 MB); --resume continues it to more SPP" in capsys.readouterr().out
+    assert render("--spp", 9, "--resume", "--json", "a.json") == 0
+    assert "bokehguide: resuming a.ckpt at 4 SPP" in capsys.readouterr().err
+    assert render("--spp", 9, out="b.exr") == 0
+    assert_same_pictures("a.exr", "b.exr")
+    header = read_metadata("a.exr")
+    assert header["spp"] == 9 and "--spp=9" in header["command"] and "resume" not in header["command"]
+    report = json.loads((tmp_path / "a.json").read_text())
+    assert report["spp"] == 9 and report["seconds"] > first["seconds"]
+    assert all(report["phases"][phase] >= seconds for phase, seconds in first["phases"].items() if phase != "output")
+    assert sum(report["phases"].values()) == pytest.approx(report["seconds"], rel=0.02)
+    assert report["samples_per_second"] == pytest.approx(9 * 640 / report["seconds"])
+
+
+def test_a_finished_render_is_written_again(render, tmp_path):
+    write_exr("reference.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
+    assert render("--spp", 3, "--reference", "reference.exr", "--json", "a.json") == 0
+    kept, first = read_exr("a.exr"), json.loads((tmp_path / "a.json").read_text())
+    (tmp_path / "a.exr").unlink()
+    assert render("--spp", 3, "--reference", "reference.exr", "--json", "a.json", "--resume") == 0
+    np.testing.assert_array_equal(read_exr("a.exr")["R"], kept["R"])
+    again = json.loads((tmp_path / "a.json").read_text())
+    assert (again["mape"], again["gaussians"], again["spp"]) == (first["mape"], first["gaussians"], 3)
+
+
+def test_without_a_checkpoint_it_starts_anew_and_says_so(render, capsys):
+    assert render("--spp", 2, "--resume") == 0
+    assert "bokehguide: no a.ckpt to resume; starting from the first step" in capsys.readouterr().err
+    assert read_metadata("a.exr")["spp"] == 2
+
+
+def test_starting_anew_by_mistake_loses_nothing(render, capsys):
+    """Of the same render; the checkpoint of another one is replaced."""
+    assert render("--spp", 5, "--mode", "uniform") == 0
+    capsys.readouterr()
+    assert render("--spp", 3, "--mode", "uniform") == 0
+    assert "a.ckpt has 5 SPP of this render and stays until this run has more; see --resume" in capsys.readouterr().err
+    assert kept_spp("a.ckpt", "uniform") == 5 and read_metadata("a.exr")["spp"] == 3
+    assert render("--spp", 6, "--mode", "uniform") == 0
+    assert kept_spp("a.ckpt", "uniform") == 6
+    capsys.readouterr()
+    assert render("--spp", 2, "--mode", "lis") == 0
+    assert "a.ckpt holds" not in capsys.readouterr().err
+    assert kept_spp("a.ckpt", "lis") == 2
+
+
+def test_no_checkpoint_where_none_is_wanted(render, tmp_path, capsys):
+    assert render("--spp", 2, "--checkpoint-every", 0) == 0
+    assert not (tmp_path / "a.ckpt").exists() and "ckpt" not in capsys.readouterr().out
+
+
+def test_what_cannot_be_resumed_is_one_line_and_changes_nothing(render, tmp_path, capsys):
+    assert render("--spp", 3, "--mode", "lis") == 0
+    written = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    mistakes = {
+        ("--mode", "lis", "--spp", 2): "has 3 SPP already; give --spp 3 or more",
+        ("--mode", "lis", "--seed", 1): "seed was 0 and is 1",
+        ("--mode", "lis-b"): "mode was lis and is lis-b",
+        ("--mode", "lis", "--size", "16x10"): "size was 32x20 and is 16x10",
+        ("--mode", "lis", "--fov", 41): "camera.fov was 40.0 and is 41.0",
+        ("--mode", "lis", "--environment", "1,1,1"): "other environment",
+    }
+    for options, named in mistakes.items():
+        capsys.readouterr()
+        assert render(*options, "--resume") == 2
+        error = capsys.readouterr().err
+        assert error.startswith("bokehguide: error: a.ckpt: ") and named in error and error.count("\n") == 1
+    (tmp_path / "a.ckpt").write_bytes(written["a.ckpt"][:5000])
+    assert render("--mode", "lis", "--resume") == 2
+    assert "a.ckpt: is damaged or no checkpoint of a render" in capsys.readouterr().err
+    (tmp_path / "a.ckpt").write_bytes(written["a.ckpt"])
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == written
+
+
+def test_a_checkpoint_that_cannot_be_written_ends_no_render(render, tmp_path, capsys):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (80_000, limits[1]))  # room for the picture
+    try:
+        assert render("--spp", 3, "--checkpoint-every", 1e-6) == 0
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    out, error = capsys.readouterr()
+    assert "bokehguide: warning: a.ckpt: cannot be written" in error and "ckpt" not in out
+    assert read_metadata("a.exr")["spp"] == 3 and not (tmp_path / "a.ckpt").exists()
+
+
+@pytest.mark.parametrize(("number", "code", "mode"), [(signal.SIGINT, 130, "guided"), (signal.SIGTERM, 143, "lis-o")])
+def test_a_signal_finishes_the_step_and_saves(number, code, mode, render, tmp_path):
+    with started(tmp_path, "--mode", mode) as process:
+        wait_for(process, (tmp_path / "a.ckpt").exists)
+        process.send_signal(number)
+        stderr = process.communicate(timeout=60)[1]
+    assert process.returncode == code, stderr
+    spp = read_metadata("a.exr")["spp"]
+    said = f"bokehguide: interrupted at {spp} of 1000000 SPP; saved, --resume continues from a.ckpt"
+    assert said in stderr and "Traceback" not in stderr
+    assert kept_spp("a.ckpt", mode) == spp
+    assert render("--mode", mode, "--spp", spp + 3, "--resume") == 0
+    assert render("--mode", mode, "--spp", spp + 3, out="b.exr") == 0
+    assert_same_pictures("a.exr", "b.exr")
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_it_loses_no_more_than_the_last_interval(render, tmp_path):
+    chance, kept = random.Random(0), 0
+    for _ in range(KILLS):
+        with started(tmp_path, "--resume") as process:
+            age = (tmp_path / "a.ckpt").stat().st_mtime_ns if kept else None
+            wait_for(process, lambda age=age: (tmp_path / "a.ckpt").exists() and (tmp_path / "a.ckpt").stat().st_mtime_ns != age)
+            time.sleep(chance.uniform(0.0, 0.2))
+            process.kill()
+        assert process.returncode == -signal.SIGKILL
+        now = kept_spp("a.ckpt", "guided")  # every step is an interval: what was saved when we looked is still there
+        assert now > kept
+        kept = now
+    assert render("--spp", kept + 2, "--resume") == 0
+    assert render("--spp", kept + 2, out="b.exr") == 0
+    assert_same_pictures("a.exr", "b.exr")
+    assert not list(tmp_path.glob(".*")), "what was half written has been cleared away"
+
+
+def test_there_is_a_picture_after_the_first_step_and_with_each_checkpoint(lamps_file, tmp_path):
+    shown = []
+    for every in ("0", "1e-6"):
+        process = started(tmp_path, "--checkpoint-every", every)
+        try:
+            wait_for(process, (tmp_path / "a.png").exists)
+            shown.append(read_metadata(tmp_path / "a.exr")["spp"])
+            assert every == "0" or wait_for(process, lambda: read_metadata(tmp_path / "a.exr")["spp"] > 5) is None
+        finally:
+            process.kill()
+            process.communicate()
+        (tmp_path / "a.png").unlink()
+    assert shown[0] == 1
+
+
+def test_a_picture_of_more_samples_stays_until_there_are_as_many(render, tmp_path, monkeypatch):
+    """Where a render is started anew by mistake."""
+    seen = []
+    assert render("--spp", 3) == 0
+    refresh = Pictures.refresh
+    monkeypatch.setattr(Pictures, "refresh", lambda self, loop: (refresh(self, loop), seen.append(read_metadata("a.exr")["spp"])))
+    assert render("--spp", 6, "--checkpoint-every", "1e-6") == 0
+    assert seen == [3, 4, 5] and read_metadata("a.exr")["spp"] == 6
+
+
+def test_pictures_that_cannot_be_shown_end_no_render(render, tmp_path, capsys, monkeypatch):
+    written = Pictures.write
+    failing = [BokehguideError("a.exr: cannot be written (No space left on device); choose another folder")]
+
+    def full_at_first(self, *arguments):
+        if failing:
+            raise failing.pop()
+        written(self, *arguments)
+
+    monkeypatch.setattr(Pictures, "write", full_at_first)
+    assert render("--spp", 3) == 0
+    assert capsys.readouterr().err.count("bokehguide: warning: a.exr: cannot be written") == 1
+    assert read_metadata("a.exr")["spp"] == 3
+
+
+def test_the_log_goes_on_where_the_checkpoint_was(render, tmp_path):
+    """Steps that were logged, but lost, are logged once."""
+    for spp, options in ((3, ()), (6, ("--resume",))):
+        assert render("--spp", spp, "--logdir", "logs", "--mode", "lis-o", *options) == 0
+        if spp == 3:
+            shutil.copy("a.ckpt", "kept.ckpt")
+        time.sleep(1.1)  # files of events are ordered by the second in their names
+    shutil.copy("kept.ckpt", "a.ckpt")
+    for _ in range(2):  # the second one has nothing left to do
+        assert render("--spp", 9, "--logdir", "logs", "--mode", "lis-o", "--resume") == 0
+    log = EventAccumulator(str(tmp_path / "logs/emitters/lis-o"), size_guidance={"images": 0}).Reload()
+    seconds = log.Scalars("time/shading")
+    assert [event.step for event in seconds] == list(range(1, 10))
+    assert [event.value for event in seconds] == sorted(event.value for event in seconds)
+    assert [event.step for event in log.Images("render")] == [1, 2, 3, 4, 8, 9]
+    texts = [event.tensor_proto.string_val[0].decode() for event in log.Tensors("settings/text_summary")]
+    assert "| spp | 9 |" in texts[-1]

@@ -1,0 +1,35 @@
+"""The reference of the scene file lists every key that the loaders accept."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from bokehguide.scene import apertures, cameras
+from bokehguide.scene.toml import materials, scene_file
+from tests.support.paths import REPOSITORY
+
+PAGE = (REPOSITORY / "docs/reference/scene-file.md").read_text(encoding="utf-8")
+SECTIONS = {
+    "Camera": cameras.CAMERA_KEYS,
+    "Aperture": apertures.KEYS,
+    "Film": ("width", "height", "max_depth"),
+    "Environment": ("color", "map", "intensity", "rotation", "visible"),
+    "Suns": ("direction", "irradiance", "angle"),
+    "Lights of models": ("radius", "sun_angle"),
+    "Materials": materials.KEYS,
+    "Objects": scene_file.OBJECT_KEYS,
+}
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_every_key_has_a_row(section):
+    text = re.search(rf"^## {section}$(.*?)(?=^## |\Z)", PAGE, re.M | re.S)[1]
+    rows = re.findall(r"^\| (`[^|]*) \|", text, re.M)
+    listed = {key for row in rows for key in re.findall(r"`(\w+)`", row)}
+    assert listed == set(SECTIONS[section])
+
+
+def test_every_table_is_named():
+    assert all(re.search(rf"\[+{table}[\].]", PAGE) for table in scene_file.SCENE_KEYS)

@@ -1,0 +1,152 @@
+"""The scripts beside the package: their mistakes are told before the first ray, and what they write."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from bokehguide.cli.scripts import run
+from bokehguide.errors import BokehguideError
+from bokehguide.image import read_metadata, read_rgb, write_exr
+from tests.support.paths import REPOSITORY
+
+SCRIPTS = REPOSITORY / "scripts"
+
+
+@pytest.fixture
+def script(tmp_path):
+    """Run a script in a folder of its own; gives the finished process with its texts."""
+
+    def run(name, *arguments):
+        command = [sys.executable, str(SCRIPTS / name), *map(str, arguments)]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+
+    return run
+
+
+MISTAKES = {
+    "render.py none.toml": "none.toml: no such file",
+    "render.py emitters.toml --size 3by4": "'3by4' is not a size",
+    "render.py emitters.toml --spp 0": "'0' is not a whole number from 1",
+    "render.py emitters.toml --out a.png": "'a.png' is no EXR; end it in .exr",
+    "render.py emitters.toml --size 32x20 --reference small.exr": "small.exr: the image is 32x20 and the reference 16x10",
+    "make_reference.py emitters.toml --out a.exr --spp 1": "--spp: 1 is not a multiple of 8",
+    "make_reference.py emitters.toml --out a.exr --size 9": "'9' is not a size",
+    "make_reference.py emitters.toml --out a.exr --seed -1": "'-1' is not a whole number from 0",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", MISTAKES)
+def test_mistakes_are_one_line(arguments, script, lamps_file, tmp_path):
+    write_exr(tmp_path / "small.exr", {"beauty": np.ones((10, 16, 3), np.float32)})
+    before = sorted(tmp_path.rglob("*"))
+    finished = script(*arguments.split())
+    assert (finished.returncode, finished.stdout) == (2, "")
+    assert finished.stderr.count("\n") == 1 and "error: " in finished.stderr
+    assert MISTAKES[arguments] in finished.stderr
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bench.py", "evaluate.py", "experiments/ztest.py"])
+def test_one_reading_of_sizes(name, script):
+    finished = script(name, "--size", "70000x20")
+    assert finished.returncode == 2
+    assert "'70000' is not a whole number from 1 to 65536" in finished.stderr
+
+
+@pytest.mark.slow
+def test_bench_measures_each_mode_and_the_peer(script, tmp_path):
+    peers = importlib.util.find_spec("mitsuba") is not None
+    options = ("--scene", "daylight", "--size", "32x18", "--spp", 1, "--warm-up", 1, "--json", "bench.json")
+    finished = script("bench.py", *options, *(["--peers"] if peers else []))
+    assert finished.returncode == 0, finished.stderr
+    rows = json.loads((tmp_path / "bench.json").read_text())
+    assert list(rows) == (["Mitsuba"] if peers else []) + ["uniform", "lis-o", "guided"]
+    assert all(row["samples_per_second"] > 0.0 for row in rows.values())
+    uniform, learning = rows["uniform"], rows["lis-o"]
+    assert (uniform["step_cost"], uniform["candidates"]) == (1.0, 0.0)
+    assert 0.0 < learning["guide_cost"] < learning["step_cost"]
+    assert "| guided |" in finished.stdout and ("| Mitsuba |" in finished.stdout) == peers
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["uniform", "lis-o"])
+def test_a_profile_names_what_takes_the_time(script, mode):
+    finished = script("profile_step.py", "--scene", "daylight", "--mode", mode, "--size", "96x54", "--spp", 1, "--warm-up", 1)
+    assert finished.returncode == 0, finished.stderr
+    title, _, _, _, *rows = finished.stdout.splitlines()
+    spent = {cells[0]: float(cells[1]) for cells in ([cell.strip() for cell in row.strip("|").split("|")] for row in rows)}
+    whole = spent.pop("whole step, without the profiler")
+    assert f"daylight {mode} 96x54" in title
+    assert {"tracer.intersect", "tracer.visible", "geometry.surface"} <= set(spent)
+    assert sum(spent.values()) > 0.5 * whole  # the profiler only adds to it
+
+
+@pytest.mark.slow
+def test_render_writes_what_the_command_writes(script, bokehguide, lamps_file, tmp_path):
+    write_exr(tmp_path / "reference.exr", {"beauty": np.ones((20, 32, 3), np.float32)})
+    finished = script(*("render.py", lamps_file, "--size", "32x20", "--spp", 3, "--out", "a.exr", "--reference", "reference.exr"))
+    assert finished.returncode == 0, finished.stderr
+    assert bokehguide("render", lamps_file, "--spp", 3, "--out", "b.exr").returncode == 0
+    np.testing.assert_array_equal(read_rgb(tmp_path / "a.exr"), read_rgb(tmp_path / "b.exr"))
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert list((tmp_path / "logs/emitters/guided").iterdir())
+
+
+@pytest.mark.slow
+def test_a_reference_is_the_mean_of_two_renders(script, bokehguide, lamps_file, tmp_path):
+    finished = script("make_reference.py", lamps_file, "--size", "16x10", "--spp", 16, "--seed", 7, "--out", "a.exr")
+    assert finished.returncode == 0, finished.stderr
+    for seed in (7, 8):
+        done = bokehguide("render", lamps_file, "--spp", 2, "--seed", seed, "--out", f"{seed}.exr")
+        assert done.returncode == 0, done.stderr
+    first, second = (read_rgb(tmp_path / f"{seed}.exr").reshape(10, 2, 16, 2, 3).mean((1, 3)) for seed in (7, 8))
+    mean = read_rgb(tmp_path / "a.exr")
+    np.testing.assert_allclose(mean, (first + second) / 2, rtol=1e-6)
+    facts = read_metadata(tmp_path / "a.exr")
+    assert (facts["spp"], facts["seed"], facts["mode"]) == (16, 7, "guided")
+    between = json.loads(facts["between_halves"])
+    assert between["mape"] == pytest.approx(np.mean(np.abs(first - second) / (mean + 0.01)), rel=1e-4)
+    assert between["relmse"] == pytest.approx(np.mean(((first - second) / (mean + 0.01)) ** 2), rel=1e-4)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed")
+def test_equal_time_gives_both_their_seconds(script, tmp_path):
+    options = ("--size", "32x18", "--seconds", 2, "--reference-spp", 16, "--cache", "cache", "--out", "out")
+    finished = script("equal_time.py", "daylight", *options)
+    assert finished.returncode == 0, finished.stderr
+    histories = json.loads((tmp_path / "out/equal_time.json").read_text())["daylight"]
+    assert histories.keys() == {"guided", "Mitsuba"}
+    for history in histories.values():
+        assert history[-1]["seconds"] >= 2.0 and history[-1]["spp"] >= 1
+        assert history[-1]["mape"]["frame"] < 1.0, "both show the same scene"
+    assert "| daylight | frame | 2 |" in finished.stdout
+    assert (tmp_path / "out/equal_time.png").stat().st_size > 10_000
+
+
+def raising(error: BaseException):
+    def main():
+        raise error
+
+    return main
+
+
+@pytest.mark.parametrize(
+    ("main", "code", "line"),
+    [
+        (lambda: None, 0, ""),
+        (lambda: 1, 1, ""),
+        (raising(BokehguideError("a.exr: is no picture")), 2, "script: error: a.exr: is no picture\n"),
+        (raising(KeyboardInterrupt()), 130, "script: interrupted; all is kept\n"),
+    ],
+)
+def test_how_scripts_end(main, code, line, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["scripts/script.py"])
+    with pytest.raises(SystemExit) as ended:
+        run(main, "all is kept")
+    assert (ended.value.code or 0, capsys.readouterr().err) == (code, line)

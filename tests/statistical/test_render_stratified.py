@@ -1,0 +1,168 @@
+"""The low-discrepancy numbers of a pixel's steps: even, uniform, independent of all others, and of a measured use."""
+
+import numpy as np
+import pytest
+import torch
+
+from bokehguide.render.random import PixelRandom, shuffle_index, sobol_point
+from tests.support.statistical import SIGNIFICANCE, chi_square, independence, sidak, uniformity, z_test
+
+PIXELS = 1 << 17
+SEQUENCES = [(0, 2), (32, 1), (33, 4), (37, 6)]
+"""Those of a render: film position, and the numbers of the first surface."""
+
+
+def over_steps(dimension: int, count: int, steps: int, pixels: int = 16, seed: int = 0, first: int = 1) -> np.ndarray:
+    """`[steps, count, pixels]`."""
+    index = torch.arange(pixels)
+    return np.stack([PixelRandom(seed, first + step, index).stratified(dimension, count).numpy() for step in range(steps)])
+
+
+def at_step(dimension: int, count: int, step: int, seed: int = 0, pixels: torch.Tensor | None = None) -> np.ndarray:
+    """`[count, N]`, by default of the first PIXELS."""
+    pixels = torch.arange(PIXELS) if pixels is None else pixels
+    return PixelRandom(seed, step, pixels).stratified(dimension, count).numpy()
+
+
+@pytest.mark.parametrize("sequence", [name for name, count in SEQUENCES if count > 1])
+@pytest.mark.parametrize("block", [0, 1, 5])
+def test_the_first_two_dimensions_of_a_pixel_are_a_0_2_sequence(sequence, block):
+    """Each aligned block of 2^m steps has one point in every elementary interval of area 2^-m."""
+    for m in range(8):
+        x, y = over_steps(sequence, 2, 1 << m, first=1 + (block << m)).transpose(1, 0, 2)
+        for across in range(m + 1):
+            cell = (x * (1 << across)).astype(int) * (1 << m - across) + (y * (1 << m - across)).astype(int)
+            assert (np.sort(cell, axis=0) == np.arange(1 << m)[:, None]).all()
+
+
+@pytest.mark.parametrize("sequence, count", SEQUENCES)
+def test_every_dimension_is_stratified(sequence, count):
+    for m in range(8):
+        numbers = over_steps(sequence, count, 1 << m)
+        assert (np.sort((numbers * (1 << m)).astype(int), axis=0) == np.arange(1 << m)[:, None, None]).all()
+
+
+@pytest.mark.parametrize("step", [0, 1, 2, 64, 1000])
+def test_uniform_over_pixels_at_any_step(step):
+    drawn = np.concatenate([at_step(sequence, count, step) for sequence, count in SEQUENCES])
+    assert sidak([uniformity(numbers) for numbers in drawn]) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("step", [1, 2, 64, 1000])
+def test_one_pixel_is_uniform_over_seeds(step):
+    pixel = torch.tensor([12345])
+    numbers = np.stack([at_step(37, 6, step, seed, pixel)[:, 0] for seed in range(4096)], axis=1)
+    for dimension in range(6):
+        assert uniformity(numbers[dimension], bins=64) > SIGNIFICANCE
+    assert independence(numbers[0], numbers[1], bins=8) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("step", [1, 3, 64, 1000])
+def test_the_dimensions_of_a_step_are_pairwise_independent(step):
+    numbers = np.concatenate([at_step(sequence, count, step) for sequence, count in SEQUENCES])
+    independent = PixelRandom(0, step, torch.arange(PIXELS)).uniform(2, 5).numpy()
+    pairs = [(a, b) for i, a in enumerate(numbers) for b in (*numbers[i + 1 :], *independent)]
+    assert sidak([independence(a, b) for a, b in pairs]) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("apart", [1, 320, 1024, 1920])
+def test_neighbouring_pixels_are_independent(apart):
+    pixels = torch.arange(PIXELS)
+    for dimension in (0, 1):
+        a, b = at_step(0, 2, 21)[0], at_step(0, 2, 21, pixels=pixels + apart)[dimension]
+        assert independence(a, b) > SIGNIFICANCE
+
+
+def test_two_steps_of_neighbouring_pixels_are_independent():
+    """Their scrambles are, not only their shifts, of which the exclusive or of two steps knows nothing."""
+    early, late = at_step(0, 2, 3)[0], at_step(0, 2, 12)[0]
+    moved = np.floor(late * 32).astype(int) ^ np.floor(early * 32).astype(int)
+    both = moved[:-1:2] * 32 + moved[1::2]
+    share = np.bincount(moved, minlength=32) / len(moved)
+    assert (share > 0.0).sum() > 4
+    assert chi_square(np.bincount(both, minlength=1024), np.outer(share, share).ravel()) > SIGNIFICANCE
+
+
+@pytest.mark.slow
+def test_sequences_of_different_names_are_paired_at_random():
+    """Over 64 steps their correlation is about that of independent numbers, 1/8; without the shuffle it is 3/4."""
+    correlations = []
+    for seed in range(200):
+        a, b = over_steps(0, 1, 64, pixels=1, seed=seed)[:, 0, 0], over_steps(33, 1, 64, pixels=1, seed=seed)[:, 0, 0]
+        correlations.append(np.corrcoef(a, b)[0, 1])
+    assert np.mean(np.square(correlations)) < 2.0 / 64
+
+
+def test_the_shuffle_keeps_aligned_blocks_together():
+    for key in (0, 1, 12345):
+        shuffled = np.array([shuffle_index(index, key) for index in range(1 << 10)])
+        for m in range(11):
+            blocks = np.sort(shuffled.reshape(-1, 1 << m), axis=1)
+            assert (blocks[:, 0] % (1 << m) == 0).all()
+            assert (blocks == blocks[:, :1] + np.arange(1 << m)).all()
+        assert (np.sort(shuffled) == np.arange(1 << 10)).all()
+    assert {tuple(shuffle_index(index, key) for index in (2, 3)) for key in range(8)} == {(2, 3), (3, 2)}
+
+
+def test_sobol_points_are_those_of_torch_in_another_order():
+    engine = torch.quasirandom.SobolEngine(6)
+    expected = engine.draw(256, dtype=torch.float64).numpy()
+    points = np.array([[sobol_point(index, dimension) for dimension in range(6)] for index in range(256)]) / 2.0**31
+    np.testing.assert_array_equal(np.unique(points, axis=0), np.unique(expected, axis=0))
+
+
+def test_other_pixels_and_compaction_change_nothing():
+    whole = PixelRandom(5, 9, torch.arange(1000))
+    index = torch.tensor([999, 0, 3, 3, 500])
+    expected = whole.stratified(37, 6)[:, index]
+    assert torch.equal(whole.select(index).stratified(37, 6), expected)
+    assert torch.equal(PixelRandom(5, 9, torch.arange(1000)[index]).stratified(37, 6), expected)
+    assert torch.equal(whole.stratified(37, 2), whole.stratified(37, 6)[:2])
+
+
+def test_numbers_differ_by_seed_step_and_name():
+    numbers = [at_step(name, 1, step, seed) for name, step, seed in ((0, 5, 0), (0, 6, 0), (0, 5, 1), (33, 5, 0))]
+    for i, a in enumerate(numbers):
+        for b in numbers[i + 1 :]:
+            assert (a != b).mean() > 0.999
+
+
+INTEGRANDS = {
+    "smooth": (lambda x, y: np.sin(3.0 * x) * y * y + x * y, 0.02),
+    "bent": (lambda x, y: np.maximum(x + y - 1.0, 0.0), 0.05),
+    "a disc": (lambda x, y: ((x - 0.4) ** 2 + (y - 0.5) ** 2 < 0.1).astype(float), 0.3),
+}
+
+
+@pytest.mark.parametrize("name", INTEGRANDS)
+def test_averages_over_64_steps_are_unbiased_and_less_noisy(name):
+    """Variance as a share of that of independent numbers."""
+    integrand, share = INTEGRANDS[name]
+    x, y = over_steps(0, 2, 64, pixels=4096).astype(float).transpose(1, 0, 2)
+    means = integrand(x, y).mean(axis=0)
+    fine = (np.arange(2000) + 0.5) / 2000
+    values = integrand(fine[:, None], fine[None])
+    assert z_test(means.mean() - values.mean(), np.sqrt(means.var(ddof=1) / 4096) + 1e-6) > SIGNIFICANCE
+    assert means.var() < share * values.var() / 64
+
+
+def test_a_sequence_may_begin_at_any_step():
+    """One that begins later is as even from there on, and knows nothing of the others."""
+    pixels = torch.arange(PIXELS)
+    late = np.stack([PixelRandom(0, step, pixels[:16]).stratified(2, 2, first=9).numpy() for step in range(9, 41)])
+    assert (np.sort((late * 32).astype(int), axis=0) == np.arange(32)[:, None, None]).all()
+    numbers = PixelRandom(0, 20, pixels).stratified(2, 2, first=9).numpy()
+    assert sidak([uniformity(row) for row in numbers]) > SIGNIFICANCE
+    for step, first in ((20, 17), (20, 1), (8, 5), (8, 1)):
+        others = PixelRandom(0, step, pixels).stratified(2, 2, first=first).numpy()
+        assert sidak([independence(a, b) for a in numbers for b in others]) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("first", [2, 3, 5, 9, 17, 33, 65, 129])
+@pytest.mark.parametrize("dimension", [0, 32, 33, 37])
+def test_the_lens_points_of_a_block_know_nothing_of_other_sequences(dimension, first):
+    """Over pixels, at the same step: film position, choice of the lobe, first bounce, light."""
+    pixels = torch.arange(PIXELS)
+    random = PixelRandom(1, first + first // 2, pixels)
+    lens, others = random.stratified(2, 3, first=first).numpy(), random.stratified(dimension, 1 if dimension == 32 else 2).numpy()
+    assert sidak([independence(a, b) for a in lens for b in others]) > SIGNIFICANCE

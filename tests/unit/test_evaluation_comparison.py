@@ -1,0 +1,128 @@
+"""What a comparison keeps from an earlier one, and errors at equal cost."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bokehguide.evaluation import compare, given_reference
+from bokehguide.evaluation.comparison import interpolated
+from bokehguide.evaluation.tables import report
+from bokehguide.image import read_exr, read_rgb, write_exr
+from bokehguide.scene import Inset, load_scene
+from bokehguide.train import RenderSettings
+
+SETTINGS = RenderSettings("uniform", 2, 7)
+
+
+@pytest.fixture
+def emitters(lamps_file, tmp_path, monkeypatch, capfd):
+    """Compare on the emitters against an even grey; gives what `metrics.json` holds and what was said."""
+    monkeypatch.chdir(tmp_path)
+    scene = load_scene(str(lamps_file))
+
+    def run(*modes, scene=scene, settings=SETTINGS, grey=0.1):
+        write_exr("grey.exr", {"beauty": np.full((20, 32, 3), grey, np.float32)})
+        reference = given_reference(Path("grey.exr"), scene)
+        compare(scene, [replace(settings, mode=mode) for mode in modes], reference, Path())
+        return json.loads(Path("metrics.json").read_text()), capfd.readouterr().out
+
+    run.scene = scene
+    return run
+
+
+def test_nothing_changed_nothing_rendered(emitters):
+    first, said = emitters("uniform", "lis")
+    assert said == ""
+    second, said = emitters("uniform", "lis")
+    assert said.splitlines() == ["uniform: kept, 2 SPP", "lis: kept, 2 SPP"]
+    assert second == first
+
+
+def test_the_reference_is_checked_by_uniform_sampling(emitters):
+    lone, _ = emitters("lis")
+    assert lone["reference_over_uniform"] == {}
+    both, _ = emitters("lis", "uniform")
+    channels = read_exr("uniform.exr")
+    light = 0.2126 * channels["R"] + 0.7152 * channels["G"] + 0.0722 * channels["B"]
+    error = np.sqrt(channels["variance.Y"].sum()) / light.size
+    found = both["reference_over_uniform"]["frame"]
+    assert found["ratio"] == pytest.approx(0.1 / light.mean(), rel=1e-5)
+    assert found["standard_error"] == pytest.approx(error / light.mean(), rel=1e-5)
+    assert found["z"] == pytest.approx((0.1 - light.mean()) / error, rel=1e-4)
+
+
+@pytest.mark.parametrize("grey, wrong", [(0.1, False), (50.0, True)])
+def test_a_reference_that_uniform_sampling_contradicts_is_told_of(grey, wrong, emitters):
+    write_exr("grey.exr", {"beauty": np.full((20, 32, 3), grey, np.float32)})
+    reference = given_reference(Path("grey.exr"), emitters.scene)
+    text = report(compare(emitters.scene, [SETTINGS], reference, Path()))
+    assert "Its mean luminance over that of uniform sampling: " in text
+    assert ("one of the two is wrong" in text) == wrong
+
+
+def changes(scene):
+    brighter = replace(scene.materials[1], emission=(40.0, 30.0, 20.5))
+    yield "its material", {"scene": replace(scene, materials=(scene.materials[0], brighter))}
+    yield "its camera", {"scene": replace(scene, camera=replace(scene.camera, fov=41.0))}
+    yield "its insets", {"scene": replace(scene, insets=(Inset(0.0, 0.0, 0.5, 0.5),))}
+    yield "its seed", {"settings": replace(SETTINGS, seed=8)}
+    yield "its threads, which its seconds depend on", {"settings": replace(SETTINGS, threads=3)}
+    yield "the reference", {"grey": 0.2}
+
+
+def test_what_a_run_depends_on_decides_whether_it_is_kept(emitters):
+    for what, changed in changes(emitters.scene):
+        emitters("uniform")
+        _, said = emitters("uniform", **changed)
+        assert said.startswith("uniform: rendered again, as the scene, the reference, the insets or the settings"), what
+
+
+def test_only_what_reuses_samples_depends_on_the_radius(emitters):
+    emitters("uniform", "area-restir")
+    _, said = emitters("uniform", "area-restir", settings=replace(SETTINGS, reuse_radius=4.0))
+    assert said.splitlines()[0] == "uniform: kept, 2 SPP" and "area-restir: rendered again" in said
+
+
+@pytest.mark.parametrize("spp", [1, 3])
+def test_another_number_of_samples_is_rendered_from_the_start(spp, emitters):
+    emitters("uniform")
+    found, said = emitters("uniform", settings=replace(SETTINGS, spp=spp))
+    assert said == "uniform: rendered again, as it has 2 SPP and cannot be continued exactly\n"
+    assert len(found["runs"]["uniform"]["rays"]) == found["modes"]["uniform"]["spp"] == spp
+
+
+def test_modes_are_added_to_those_that_are_there(emitters):
+    emitters("uniform")
+    found, said = emitters("lis")
+    assert said == "" and list(found["modes"]) == ["lis"] and found["runs"].keys() == {"uniform", "lis"}
+    found, said = emitters("lis", "uniform")
+    assert said.count("kept") == 2 and list(found["modes"]) == ["lis", "uniform"]
+    found, _ = emitters("lis", settings=replace(SETTINGS, spp=3))
+    assert found["runs"].keys() == {"lis"}, "a run of 2 SPP is not to be compared with one of 3"
+
+
+def another_picture(path):
+    write_exr(path, {"beauty": np.ones((20, 32, 3), np.float32)})
+
+
+@pytest.mark.parametrize("damage", [os.unlink, lambda path: os.truncate(path, 900), another_picture])
+def test_a_mode_without_its_picture_is_rendered_again(damage, emitters):
+    emitters("uniform", "lis")
+    whole = read_rgb("uniform.exr")
+    damage("uniform.exr")
+    _, said = emitters("uniform", "lis")
+    assert said.splitlines() == ["uniform: rendered again, as its image is missing or damaged", "lis: kept, 2 SPP"]
+    np.testing.assert_array_equal(read_rgb("uniform.exr"), whole)
+
+
+def test_a_power_law_is_a_line():
+    cost = [1.0, 3.0, 10.0, 40.0]
+    error = [2.0 * x**-0.5 for x in cost]
+    for budget in (1.0, 2.0, 17.0, 40.0):
+        assert interpolated(cost, error, budget) == pytest.approx(2.0 * budget**-0.5, rel=1e-12)
+    assert interpolated(cost, error, 0.9) is None
+    assert interpolated(cost, [0.0, 0.0, 0.0, 0.0], 17.0) == pytest.approx(0.0, abs=1e-20)

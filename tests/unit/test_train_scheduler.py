@@ -1,0 +1,115 @@
+"""Spans of pixels of equal cost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bokehguide.train.scheduler import BATCH, FIRST_BATCH, LONGEST, SHORTEST, SMALL_BATCH, Batches
+
+
+def lengths(spans: list[slice]) -> np.ndarray:
+    return np.array([span.stop - span.start for span in spans])
+
+
+@pytest.mark.parametrize("paths", [1, 4])
+@pytest.mark.parametrize("threads", [1, 2, 16])
+@pytest.mark.parametrize("pixels", [0, 1, SMALL_BATCH, 3 * SMALL_BATCH + 1, BATCH, 1280 * 720, 10 * BATCH])
+def test_every_pixel_is_in_one_span_of_a_fair_size(pixels, threads, paths):
+    """Whatever the spans cost: from one step to the next that may change as it likes."""
+    batches, rng = Batches(threads, paths), np.random.default_rng(1)
+    for _ in range(20):
+        spans = batches.spans(pixels)
+        ends = [0] + [span.stop for span in spans]
+        assert [span.start for span in spans] == ends[:-1] and ends[-1] == pixels
+        assert all(lengths(spans) >= SHORTEST * pixels // max(len(spans), 1)) and all(lengths(spans) <= LONGEST * BATCH / paths)
+        batches.cost(rng.exponential(size=len(spans)) ** 4 + 1e-3)
+
+
+@pytest.mark.parametrize("threads", [2, 5])
+def test_they_are_cut_so_that_they_cost_the_same(threads):
+    """The lower half of the picture costs 1.8 times as much as the upper one."""
+    batches, pixels = Batches(threads), 200_000
+    cost = np.where(np.arange(pixels) < pixels // 2, 1.0, 1.8)
+    assert np.ptp(lengths(batches.spans(pixels))) <= 1
+    for _ in range(6):
+        costs = [cost[span].sum() for span in batches.spans(pixels)]
+        batches.cost(costs)
+    assert max(costs) < 1.01 * min(costs)
+
+
+def test_where_they_cannot_cost_the_same_they_come_as_near_as_their_sizes_may():
+    batches = Batches(2)
+    for _ in range(30):
+        batches.spans(100_000)
+        batches.cost([1.0, 1000.0])
+    assert lengths(batches.spans(100_000)).tolist() == [75_000, 25_000]  # 0.5 is SHORTEST
+    for _ in range(30):
+        batches.spans(2 * BATCH)
+        batches.cost([1000.0, 1.0])
+    assert lengths(batches.spans(2 * BATCH)).tolist() == [BATCH // 2, 3 * BATCH // 2]
+
+
+@pytest.mark.parametrize("paths", [1, 2])
+def test_the_first_ones_are_smaller(paths):
+    batches, pixels = Batches(2, paths), 4 * BATCH
+    assert lengths(batches.spans(pixels)).tolist() == [FIRST_BATCH // paths] * (16 * paths)
+    batches.cost([1.0] * 16 * paths)
+    assert lengths(batches.spans(pixels)).tolist() == [BATCH // paths] * (4 * paths)
+
+
+def test_another_number_of_spans_begins_with_even_ones():
+    batches = Batches(2)
+    batches.spans(200_000)
+    batches.cost([1.0, 2.0])
+    assert np.ptp(lengths(batches.spans(100_000))) > 1000
+    assert lengths(batches.spans(4 * BATCH)).tolist() == [BATCH] * 4
+
+
+def bands(pixels: int, seed: int = 0) -> np.ndarray:
+    """Ends of bands of several sizes, some of them large."""
+    rng = np.random.default_rng(seed)
+    cuts = rng.choice(np.arange(1, pixels), size=min(25, pixels - 1), replace=False) if pixels > 1 else np.zeros(0, int)
+    return np.unique(np.concatenate(([0, pixels], cuts)))
+
+
+@pytest.mark.parametrize("threads", [1, 3, 16])
+@pytest.mark.parametrize("pixels", [0, 1, 100, SMALL_BATCH, 7 * SMALL_BATCH + 1, 4 * BATCH])
+def test_they_are_cut_where_they_may_be_and_every_pixel_is_in_one_span(pixels, threads):
+    """Whatever they cost, and whatever the ends are from step to step."""
+    batches, rng = Batches(threads), np.random.default_rng(1)
+    for step in range(20):
+        ends = bands(pixels, step // 10)
+        spans = batches.spans(pixels, ends)
+        places = [0] + [span.stop for span in spans]
+        assert [span.start for span in spans] == places[:-1] and places[-1] == pixels
+        assert set(places) <= set(ends.tolist()) and all(lengths(spans) > 0)
+        batches.cost(rng.exponential(size=len(spans)) ** 4 + 1e-3)
+
+
+def test_each_cut_is_at_the_nearest_end():
+    spans = Batches(4).spans(4 * SMALL_BATCH, np.array([0, 20_000, 30_000, 55_000, 70_000, 80_000, 4 * SMALL_BATCH]))
+    assert [span.stop for span in spans] == [30_000, 55_000, 80_000, 4 * SMALL_BATCH]
+
+
+def test_where_there_are_fewer_ends_than_spans_there_are_fewer_spans():
+    pixels = 8 * SMALL_BATCH
+    batches = Batches(8)
+    assert len(batches.spans(pixels)) == 8
+    for _ in range(5):
+        spans = batches.spans(pixels, np.array([0, pixels // 3, pixels]))
+        assert lengths(spans).tolist() == [pixels // 3, pixels - pixels // 3]
+        batches.cost([1.0, 3.0])
+    assert len(batches.spans(pixels, np.array([0, pixels]))) == 1
+
+
+@pytest.mark.parametrize("threads", [2, 5])
+def test_cut_where_they_may_be_they_cost_the_same_but_for_a_band(threads):
+    """The lower half of the picture costs 1.8 times as much as the upper one; spans end within half a band of even shares."""
+    batches, pixels, band = Batches(threads), 200_000, 2_000
+    cost = np.where(np.arange(pixels) < pixels // 2, 1.0, 1.8)
+    ends = np.arange(0, pixels + 1, band)
+    for _ in range(10):
+        costs = [cost[span].sum() for span in batches.spans(pixels, ends)]
+        batches.cost(costs)
+    assert len(costs) == threads and max(costs) - min(costs) < 2.0 * 1.8 * band
