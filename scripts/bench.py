@@ -1,14 +1,13 @@
-"""Speed of uniform and guided sampling: samples and rays a second, where the time goes, and what the guide costs.
+"""Speed of uniform and guided sampling: samples and rays per second, shares of a step, cost of the guide, peak memory.
 
     python scripts/bench.py --json bench.json
     python scripts/bench.py --peers
     python scripts/bench.py --aperture-radius 0.065
 
-The modes take turns, step by step, so that a busy moment of the machine strikes all alike.
-Peak memory is of a process in which a mode renders alone, as a mode's share of a common one
-cannot be told. With `--peers` Mitsuba 3 takes its turns too, PEER_SPP samples at a time on all
-cores, and all render the scene with materials that both have (`mitsuba_scene.comparable`);
-its first turn, which compiles, is not counted.
+The modes take turns, step by step, so that other load of the machine affects all modes alike. Peak memory is measured in a
+process that renders one mode alone. With `--peers` Mitsuba 3 takes turns too, PEER_SPP samples per pixel at a time on all
+cores, and all render the scene with materials that both have (`mitsuba_scene.comparable`). Mitsuba's first turn compiles
+and is not counted.
 """
 
 from __future__ import annotations
@@ -23,28 +22,31 @@ from pathlib import Path
 from bokehguide.cli.arguments import COMPILE_HELP, natural, positive, size, threads
 from bokehguide.cli.report import peak_memory_mb, write_json
 from bokehguide.cli.scripts import run
+from bokehguide.evaluation import markdown
+from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
 
 MODES = ("uniform", "lis-o", "guided")
 PEER = "Mitsuba"
 PEER_SPP = 4
-"""Of one of Mitsuba's turns."""
+"""SPP of one of Mitsuba's turns."""
 GUIDE_PHASES = ("guiding", "learning")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default="fairy-lights")
-    parser.add_argument("--size", type=size, default="1280x720", metavar="WxH", help="default 1280x720")
-    help = "metres, in place of the scene's: pixels of a wider lens have more candidates"
-    parser.add_argument("--aperture-radius", type=float, metavar="M", help=help)
-    parser.add_argument("--spp", type=positive, default=16, help="measured steps of each mode, default 16")
-    parser.add_argument("--warm-up", type=natural, default=8, help="steps before them, default 8: those of the global fit")
-    parser.add_argument("--threads", type=threads, help="default: one per core")
+    parser.add_argument("--size", type=size, default="1280x720", metavar="WxH", help="default: 1280x720")
+    radius = "metres (default: the scene's); pixels of a wider lens have more candidates"
+    parser.add_argument("--aperture-radius", type=float, metavar="M", help=radius)
+    parser.add_argument("--spp", type=positive, default=16, metavar="N", help="measured steps of each mode (default: 16)")
+    warm_up = "steps before the measurement (default: 8, the steps of the global fit)"
+    parser.add_argument("--warm-up", type=natural, default=8, metavar="N", help=warm_up)
+    parser.add_argument("--threads", type=threads, metavar="N", help="default: one per core")
     parser.add_argument("--compile", action="store_true", help=COMPILE_HELP)
     parser.add_argument("--peers", action="store_true", help="compare with Mitsuba 3 (pip install '.[peers]')")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--json", type=Path, metavar="PATH", help="also write the figures here")
     args = parser.parse_args()
     if args.peers and importlib.util.find_spec("mitsuba") is None:
         parser.error("--peers: Mitsuba is not installed; pip install '.[peers]'")
@@ -52,31 +54,38 @@ def main() -> None:
     results = measure_speed(args)
     for mode in MODES:
         results[mode]["peak_memory_mb"] = measure_memory(mode, args)
-    tell(results, args)
+    print(table(results, args))
     if args.json:
         write_json(args.json, results)
 
 
-def tell(results: dict[str, dict[str, float]], args: argparse.Namespace) -> None:
-    """Print the table."""
-    lens = "" if args.aperture_radius is None else f", aperture radius {args.aperture_radius:g} m,"
-    print(f"{args.scene}{lens} {'x'.join(map(str, args.size))}, {args.spp} SPP after {args.warm_up}")
-    print(f"{'':9}{'M samples/s':>12}{'M rays/s':>10}{'in Embree':>11}{'in guide':>10}{'candidates':>12}{'a step':>8}{'guide':>7}{'MiB':>8}")
+def table(results: dict[str, dict[str, float]], args: argparse.Namespace) -> str:
+    """The figures in Markdown. Costs of a step and of its guide are in steps of uniform sampling."""
+    lens = "" if args.aperture_radius is None else f", aperture radius {args.aperture_radius:g} m"
+    title = f"{args.scene}{lens}, {'x'.join(map(str, args.size))}, {args.spp} SPP after {args.warm_up}"
+    heads = [
+        "M samples/s",
+        "M rays/s",
+        "in Embree",
+        "in the guide",
+        "candidates / pixel",
+        "step / uniform's",
+        "guide / uniform's step",
+    ]
+    rows = [["mode", *heads, "peak MiB"]]
     for mode in MODES:
         row = results[mode]
-        rates = f"{row['samples_per_second'] / 1e6:>12.3f}{row['rays_per_second'] / 1e6:>10.3f}"
-        shares = f"{row['embree_share']:>11.1%}{row['guide_share']:>10.1%}{row['candidates']:>12.2f}"
-        costs = f"{row['step_cost']:>8.2f}{row['guide_cost']:>7.2f}"
-        print(f"{mode:<9}{rates}{shares}{costs}{row['peak_memory_mb']:>8.0f}")
-    print("candidates: of a pixel, on average; a step, guide: in steps of uniform sampling")
+        rates = [f"{row[name] / 1e6:.3f}" for name in ("samples_per_second", "rays_per_second")]
+        shares = [f"{row[name]:.1%}" for name in ("embree_share", "guide_share")]
+        costs = [f"{row[name]:.2f}" for name in ("candidates", "step_cost", "guide_cost")]
+        rows.append([mode, *rates, *shares, *costs, f"{row['peak_memory_mb']:.0f}"])
     if PEER in results:
-        rate = results[PEER]["samples_per_second"]
-        ratios = ", ".join(f"{mode} {results[mode]['samples_per_second'] / rate:.2f}" for mode in MODES)
-        print(f"{PEER:<9}{rate / 1e6:>12.3f}   ratios to it: {ratios}")
+        rows.append([PEER, f"{results[PEER]['samples_per_second'] / 1e6:.3f}", *[""] * len(heads)])
+    return f"{title}\n\n{markdown(rows)}"
 
 
 def measure_speed(args: argparse.Namespace) -> dict[str, dict[str, float]]:
-    """Rates and shares of each mode over the measured steps, and the rate of the peer."""
+    """Rates and shares of each mode over the measured steps, and the rate of Mitsuba with `--peers`."""
     loops = {mode: start(mode, args) for mode in MODES}
     peer = start_peer(args) if args.peers else None
     for loop in loops.values():
@@ -111,15 +120,14 @@ def measure_speed(args: argparse.Namespace) -> dict[str, dict[str, float]]:
 
 
 def mean_candidates(loop: RenderLoop) -> float:
-    """Of a pixel in the next step, on average."""
-    if loop.guide is None or loop.guide.candidates is None:
-        return 0.0
-    return float(loop.guide.candidates.counts().double().mean())
+    """Mean number of candidates of a pixel in the next step."""
+    candidates = getattr(loop.mode.lens, "candidates", None)
+    return 0.0 if candidates is None else float(candidates.counts().double().mean())
 
 
 def measure_memory(mode: str, args: argparse.Namespace) -> float:
-    """Peak MiB of a fresh process that renders the warm-up steps and two more."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
+    """Peak MiB of a new process that renders the warm-up steps and two more."""
+    with multiprocessing.get_context("spawn").Pool(1, dedicate_process) as pool:
         return pool.apply(render_alone, (mode, args))
 
 
@@ -140,14 +148,14 @@ def measured_scene(args: argparse.Namespace) -> Scene:
     scene = load_scene(args.scene, Overrides(width=width, height=height, aperture_radius=args.aperture_radius))
     if not args.peers:
         return scene
-    from mitsuba_scene import comparable
+    from experiments.mitsuba_scene import comparable
 
     return comparable(scene)
 
 
 def start_peer(args: argparse.Namespace) -> Callable[[int], float]:
-    """What renders one of Mitsuba's turns and gives its seconds."""
-    from mitsuba_scene import MitsubaRenderer
+    """A function of a seed that renders one of Mitsuba's turns and returns its seconds."""
+    from experiments.mitsuba_scene import MitsubaRenderer
 
     renderer = MitsubaRenderer(measured_scene(args))
 

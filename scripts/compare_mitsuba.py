@@ -1,22 +1,20 @@
-"""Does bokehguide render what Mitsuba 3 renders?
+"""The same scenes in bokehguide and in Mitsuba 3, compared by statistical tests.
 
     pip install '.[peers]'
-    python scripts/compare_mitsuba.py studies glitter
+    python scripts/compare_mitsuba.py materials glitter
     python scripts/compare_mitsuba.py scene.toml --modes lis-o --size 160x90 --json out/scene.json
 
-SCENE is a built-in scene, a scene file, a model, one of the studies (STUDIES), or "studies"
-for all of them. Both sides get the scene with materials that both have (`mitsuba_scene.comparable`);
-Mitsuba renders it with its `path` integrator through a thin lens of its own.
+SCENE is a built-in scene, a scene file, a model, a scene of `material_scenes.py`, or "materials" for all of these. Both
+renderers get the scene with materials that both have (`mitsuba_scene.comparable`). Mitsuba renders it with its `path`
+integrator through its thin lens.
 
-Each mode renders R independent runs, at four times the width and height: a box filter over
-4 × 4 pixels is a box filter over one. All means must lie within 0.5 % of Mitsuba's with a
-standard error of at most 0.15 %, from the spread among the runs and the variance that
-Mitsuba reports; pixels, blocks, insets and frame must pass the tests of `ztest.py`. Mitsuba's
-render, kept in `--cache`, should have many more samples than ours: where a pixel's samples
-all missed the lamps, its variance is 0. Mitsuba adds up in single precision, which the
-pixels are granted. Where few pixels fail, rare light may be to blame: they are rendered again
-by themselves with 16 times the samples on both sides (`second_look.py`), and count as failing
-where they fail again. Without an LLVM library (Debian: libllvm19) Mitsuba runs its slower `scalar_rgb`.
+Each mode renders R independent runs at four times the width and height; the mean of 4 × 4 pixels has the box filter of one
+pixel. Each mean must lie within 0.5 % of Mitsuba's, with a standard error of at most 0.15 % from the variance among the runs
+and Mitsuba's variance. Pixels, blocks, insets and frame must pass the tests of `mean_tests.py`. Mitsuba's render, kept in
+`--cache`, needs many more samples than the runs: a pixel whose samples all miss the emitters has variance 0. Mitsuba sums in
+single precision, so pixels are granted a relative error of ROUNDING. Rare light can fail a few pixels. These are rendered
+again with 16 times the samples in both renderers (`retest_pixels.py`) and count as failed if they fail again. Without an
+LLVM library (Debian: libllvm19) Mitsuba uses its slower variant `scalar_rgb`.
 """
 
 from __future__ import annotations
@@ -34,13 +32,13 @@ from pathlib import Path
 if importlib.util.find_spec("mitsuba") is None:
     sys.exit("compare_mitsuba: error: Mitsuba is not installed; pip install '.[peers]'")
 
-from experiment import experiment_parser
-from mitsuba_scene import CHUNK_SAMPLES, MitsubaFilm, MitsubaRenderer, comparable, left_out
-from second_look import SecondLook
-from studies import STUDIES
+from experiments.material_scenes import MATERIAL_SCENES
+from experiments.mean_tests import FINE, Outcome, Runs, at_least_two, brightness, independent_runs, judge, report
+from experiments.mitsuba_scene import CHUNK_SAMPLES, MitsubaFilm, MitsubaRenderer, comparable, left_out
+from experiments.options import experiment_parser
+from experiments.retest_pixels import PixelRetest
 from torch.nn.functional import avg_pool2d
 from tqdm import tqdm
-from ztest import FINE, Outcome, Runs, at_least_two, brightness, independent_runs, judge, report
 
 from bokehguide.cli.arguments import positive
 from bokehguide.cli.scripts import run
@@ -50,7 +48,7 @@ from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import RenderSettings
 
 ROUNDING = 1e-4
-"""Relative error granted to pixels that Mitsuba added up."""
+"""Relative error granted to pixels, as Mitsuba sums in single precision."""
 MEANS_WITHIN, STANDARD_ERROR = 5e-3, 1.5e-3
 
 
@@ -58,7 +56,7 @@ MEANS_WITHIN, STANDARD_ERROR = 5e-3, 1.5e-3
 class Comparison:
     """One mode on one scene.
 
-    ratio: of our mean luminance to Mitsuba's; outcomes: of the tests; left_out: what of the scene neither renderer had.
+    ratio: mean luminance over Mitsuba's; outcomes: of the tests; left_out: terms of the scene that neither renderer had.
     """
 
     scene: str
@@ -85,30 +83,36 @@ def main() -> int:
         scene = comparable(whole)
         lost = left_out(whole, scene)
         for line in lost:
-            print(f"{scene.name}: left out, as Mitsuba has no equal: {line}", file=sys.stderr)
+            print(f"{scene.name}: left out, as Mitsuba has no counterpart: {line}", file=sys.stderr)
         reference = mitsuba_reference(scene, args.mitsuba_spp, args.cache, deadline)
         for mode in args.modes:
             if reference.spp < args.mitsuba_spp or time.monotonic() > deadline:
-                print(f"{scene.name} {mode}: time is up; Mitsuba has {reference.spp} of {args.mitsuba_spp} SPP")
+                print(f"{scene.name} {mode}: time limit reached; Mitsuba has {reference.spp} of {args.mitsuba_spp} SPP")
                 unfinished += 1
                 continue
             runs = our_runs(scene, mode, args.runs, args.spp, args.threads)
-            again = SecondLook(scene, mode, args.runs, args.spp, args.mitsuba_spp, args.threads)
-            found = compare(scene, mode, runs, reference, args.spp * args.runs, args.cache, again)
+            retest = PixelRetest(scene, mode, args.runs, args.spp, args.mitsuba_spp, args.threads)
+            found = compare(scene, mode, runs, reference, args.spp * args.runs, args.cache, retest)
             comparisons.append(replace(found, left_out=tuple(lost)))
     if args.json:
         with replacing(args.json) as temporary:
             temporary.write_text(json.dumps([asdict(one) for one in comparisons], indent=2) + "\n")
-    return 1 if tell(comparisons) or unfinished else 0
+    return 1 if print_tables(comparisons) or unfinished else 0
 
 
 def parse() -> argparse.Namespace:
     parser = experiment_parser(__doc__, "96x54", "uniform,lis-o", scene=str)
     add = parser.add_argument
-    add("--spp", type=positive, default=4096, metavar="S", help="of one run, a multiple of 16, default 4096")
-    add("--runs", type=at_least_two, default=16, metavar="R", help="of each mode, default 16")
-    add("--mitsuba-spp", type=positive, default=131072, metavar="N", help="default 131072")
-    add("--cache", type=Path, default=Path("out/mitsuba"), metavar="DIR", help="Mitsuba's renders, default out/mitsuba")
+    add("--spp", type=positive, default=4096, metavar="S", help="SPP of one run, a multiple of 16 (default: 4096)")
+    add("--runs", type=at_least_two, default=16, metavar="R", help="runs of each mode (default: 16)")
+    add("--mitsuba-spp", type=positive, default=131072, metavar="N", help="SPP of Mitsuba (default: 131072)")
+    add(
+        "--cache",
+        type=Path,
+        default=Path("out/mitsuba"),
+        metavar="DIR",
+        help="folder of Mitsuba's renders (default: out/mitsuba)",
+    )
     add("--json", type=Path, metavar="PATH", help="write all numbers as a JSON list")
     args = parser.parse_args()
     if args.spp % FINE**2:
@@ -118,10 +122,10 @@ def parse() -> argparse.Namespace:
 
 def scenes(names: list[str], width: int, height: int) -> list[Scene]:
     """The scenes of these names at this size."""
-    names = [name for given in names for name in (STUDIES if given == "studies" else [given])]
+    names = [name for given in names for name in (MATERIAL_SCENES if given == "materials" else [given])]
     found = []
     for name in names:
-        scene = STUDIES[name]() if name in STUDIES else load_scene(name, Overrides())
+        scene = MATERIAL_SCENES[name]() if name in MATERIAL_SCENES else load_scene(name, Overrides())
         found.append(replace(scene, film=replace(scene.film, width=width, height=height)))
     return found
 
@@ -135,7 +139,7 @@ def mitsuba_reference(scene: Scene, spp: int, folder: Path, deadline: float = ma
 
 
 def by_mitsuba(scene: Scene) -> Callable[[Scene, RenderSettings, tqdm], MitsubaFilm]:
-    """What renders chunks of this scene."""
+    """A function that renders chunks of this scene."""
     renderer = MitsubaRenderer(scene)
 
     def render(_: Scene, settings: RenderSettings, bar: tqdm) -> MitsubaFilm:
@@ -147,26 +151,26 @@ def by_mitsuba(scene: Scene) -> Callable[[Scene, RenderSettings, tqdm], MitsubaF
 
 
 def our_runs(scene: Scene, mode: str, count: int, spp: int, threads: int | None = None) -> Runs:
-    """Independent renders of `spp` samples a pixel, made with finer pixels."""
+    """Independent renders of `spp` samples per pixel, made with FINE × FINE finer pixels."""
     film = replace(scene.film, width=FINE * scene.film.width, height=FINE * scene.film.height)
     runs = independent_runs(replace(scene, film=film), RenderSettings(mode, spp // FINE**2, threads=threads), count)
     return Runs(avg_pool2d(runs.mean, FINE), avg_pool2d(runs.variance, FINE) / FINE**2)
 
 
 def compare(
-    scene: Scene, mode: str, runs: Runs, reference: LongRender, spp: int, folder: Path, again: SecondLook | None = None
+    scene: Scene, mode: str, runs: Runs, reference: LongRender, spp: int, folder: Path, retest: PixelRetest | None = None
 ) -> Comparison:
-    """Ratio and tests; leaves a picture of the pixels' z-values behind."""
+    """Ratio and tests; writes an image of the pixels' z into `folder`."""
     expected = brightness(reference.radiance)
     means = runs.mean.mean((1, 2)) / expected.mean()
     others = reference.variance.sum().sqrt() / expected.sum()
     error = (means.var() / len(means) + (means.mean() * others).square()).sqrt()
-    outcomes = judge(scene, mode, runs, reference, folder, ROUNDING, again)
+    outcomes = judge(scene, mode, runs, reference, folder, ROUNDING, retest)
     return Comparison(scene.name, mode, float(means.mean()), float(error), spp, reference.spp, outcomes)
 
 
-def tell(comparisons: list[Comparison]) -> int:
-    """Print the tables; returns how much failed."""
+def print_tables(comparisons: list[Comparison]) -> int:
+    """Print the tables; returns the number of failures."""
     failed = report([outcome for one in comparisons for outcome in one.outcomes])
     print("\n| scene | mode | ours / Mitsuba | SPP, Mitsuba's | pixels within | at first | means |")
     print("| --- " * 2 + "| ---: " * 4 + "| --- |")
@@ -177,9 +181,9 @@ def tell(comparisons: list[Comparison]) -> int:
         shares = f"{pixels.within:.3%} | {pixels.at_first:.3%}"
         print(f"| {one.scene} | {one.mode} | {ratio} | {one.spp}, {one.mitsuba_spp} | {shares} | {verdict} |")
     for scene, lost in dict.fromkeys((one.scene, one.left_out) for one in comparisons if one.left_out):
-        print(f"\nLeft out of {scene}, as Mitsuba has no equal: {'; '.join(lost)}.")
+        print(f"\nLeft out of {scene}, as Mitsuba has no counterpart: {'; '.join(lost)}.")
     return failed + sum(not one.means_agree for one in comparisons)
 
 
 if __name__ == "__main__":
-    run(main, "the same command goes on with Mitsuba's render")
+    run(main, "the same command continues Mitsuba's render")

@@ -1,14 +1,14 @@
-"""Error over wall-clock time: bokehguide and Mitsuba 3, the same scene on the same machine.
+"""Error over wall-clock time of bokehguide and Mitsuba 3: the same scene on the same machine.
 
     pip install '.[peers]'
     python scripts/equal_time.py --seconds 60 --out out/equal-time
     python scripts/equal_time.py daylight --size 320x180 --seconds 20
 
-Both render the scene with materials that both have (`mitsuba_scene.comparable`), on all cores, and take turns of about
-a second until each has had its seconds, so that a busy moment of the machine strikes both alike. The clock of each starts
-with the scene in memory: building its acceleration structure and compiling count, measuring errors does not.
-The reference is made in mode `guided`, in two halves, and kept in `--cache`. Writes `equal_time.json` and
-`equal_time.png`, and prints a table: MAPE at 1, 2, 4, … seconds, and the ratio.
+Both render the scene with materials that both have (`mitsuba_scene.comparable`), on all cores. They take turns of about a
+second, so that other load of the machine affects both alike. The clock starts with the scene in memory: it includes the
+acceleration structure and compilation, and excludes the measurement of errors. The reference is rendered in mode `guided`,
+in two halves, and kept in `--cache`. Writes equal_time.json, equal_time.md and equal_time.png: MAPE at 1, 2, 4, … seconds,
+and the ratio.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from torch import Tensor
 if importlib.util.find_spec("mitsuba") is None:
     sys.exit("equal_time: error: Mitsuba is not installed; pip install '.[peers]'")
 
-from mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer, comparable
+from experiments.mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer, comparable
 
-from bokehguide.cli.arguments import COMPILE_HELP, duration, positive, size, threads
+from bokehguide.cli.arguments import COMPILE_HELP, Parser, duration, positive, size, threads
 from bokehguide.cli.report import write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import errors, made_reference, markdown, progress, regions
-from bokehguide.image import check_writable
+from bokehguide.image import check_writable, replacing
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
 
@@ -42,12 +42,12 @@ TURN = 1.0
 """Seconds of a turn."""
 PEER = "Mitsuba"
 SEED = 5_000_000
-"""Of the renders that are measured; no reference has it."""
+"""Seed of the measured renders; no reference has it."""
 
 
 @dataclass
 class Runner:
-    """One renderer at work: `advance` renders a little more, `picture` is the mean so far.
+    """One renderer: `advance` renders some more SPP and returns their number, `picture` returns the mean so far.
 
     seconds, spp: so far; history: seconds, SPP and MAPE by region after each turn.
     """
@@ -77,17 +77,17 @@ class Runner:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("scenes", nargs="*", default=list(SCENES), metavar="SCENE", help=f"default: {', '.join(SCENES)}")
-    add("--mode", choices=LENS_MODES, default="guided", help="of bokehguide, default guided")
-    add("--size", type=size, default="640x360", metavar="WxH", help="default 640x360")
-    add("--seconds", type=duration, default=60.0, metavar="S", help="of each renderer, default 60")
-    add("--reference-spp", type=positive, default=4096, metavar="N", help="default 4096")
+    add("--mode", choices=LENS_MODES, default="guided", help="of bokehguide (default: guided)")
+    add("--size", type=size, default="640x360", metavar="WxH", help="default: 640x360")
+    add("--seconds", type=duration, default=60.0, metavar="S", help="seconds of each renderer (default: 60)")
+    add("--reference-spp", type=positive, default=4096, metavar="N", help="SPP of the reference (default: 4096)")
     add("--compile", action="store_true", help=COMPILE_HELP)
-    add("--threads", type=threads, metavar="N", help="of bokehguide, default one per core; Mitsuba takes all")
-    add("--cache", type=Path, metavar="DIR", help="where references are kept, default the user's cache folder")
-    add("--out", type=Path, default=Path("out/equal-time"), metavar="DIR", help="default out/equal-time")
+    add("--threads", type=threads, metavar="N", help="threads of bokehguide (default: one per core); Mitsuba uses all cores")
+    add("--cache", type=Path, metavar="DIR", help="folder of the references (default: the user's cache folder)")
+    add("--out", type=Path, default=Path("out/equal-time"), metavar="DIR", help="folder of the results (default: out/equal-time)")
     args = parser.parse_args()
     check_writable(args.out / "equal_time.json")
     races = {}
@@ -96,16 +96,19 @@ def main() -> None:
         scene = comparable(load_scene(name, Overrides(width=width, height=height)))
         races[scene.name] = race(scene, args)
     write_json(args.out / "equal_time.json", {name: {one.name: one.history for one in pair} for name, pair in races.items()})
-    print(table(races, args.seconds))
+    text = table(races, args.seconds)
+    with replacing(args.out / "equal_time.md") as temporary:
+        temporary.write_text(text + "\n")
+    print(text)
     draw(races, args.out / "equal_time.png")
 
 
 def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
-    """Both renderers with their histories."""
+    """Both runners with their histories."""
     settings = RenderSettings(spp=args.reference_spp, threads=args.threads, compile=args.compile)
     reference = made_reference(scene, settings, args.out / f"{scene.name}-reference.exr", args.cache).radiance
     masks = {name: mask for name, mask in regions(scene).items() if name in ("frame", "insets")}
-    runners = [ours(scene, args), mitsubas(scene)]
+    runners = [bokehguide_runner(scene, args), mitsuba_runner(scene)]
     with progress(f"{scene.name}, {args.seconds:g} s of each", round(args.seconds / TURN)) as bar:
         while any(runner.seconds < args.seconds for runner in runners):
             for runner in (one for one in runners if one.seconds < args.seconds):
@@ -114,7 +117,7 @@ def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
     return runners
 
 
-def ours(scene: Scene, args: argparse.Namespace) -> Runner:
+def bokehguide_runner(scene: Scene, args: argparse.Namespace) -> Runner:
     start = time.perf_counter()
     loop = RenderLoop(scene, RenderSettings(args.mode, 1 << 20, SEED, threads=args.threads, compile=args.compile))
     built = time.perf_counter() - start
@@ -126,7 +129,7 @@ def ours(scene: Scene, args: argparse.Namespace) -> Runner:
     return Runner(args.mode, advance, lambda: loop.film.radiance().cpu(), built)
 
 
-def mitsubas(scene: Scene) -> Runner:
+def mitsuba_runner(scene: Scene) -> Runner:
     start = time.perf_counter()
     renderer = MitsubaRenderer(scene)
     built = time.perf_counter() - start
@@ -136,7 +139,7 @@ def mitsubas(scene: Scene) -> Runner:
 
     def advance() -> int:
         nonlocal done
-        spp = max(1, min(done, most))  # 1, 1, 2, 4, …: a first picture soon, then few launches
+        spp = max(1, min(done, most))  # 1, 1, 2, 4, …: an early first picture, then few launches
         total.add_(renderer.picture(spp, SEED + done), alpha=spp)
         done += spp
         return spp
@@ -145,7 +148,7 @@ def mitsubas(scene: Scene) -> Runner:
 
 
 def table(races: dict[str, list[Runner]], seconds: float) -> str:
-    """MAPE of both at 1, 2, 4, … seconds and at the end."""
+    """MAPE of both at 1, 2, 4, … seconds and at the end, in Markdown."""
     times = [2.0**power for power in range(20) if 2.0**power < seconds] + [seconds + 2.0 * TURN]
     rows = [["scene", "region", "seconds", "MAPE", "SPP", f"{PEER}'s MAPE", "SPP", "ratio"]]
     for name, (own, peer) in races.items():

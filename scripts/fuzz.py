@@ -1,10 +1,10 @@
-"""Thousands of damaged files: each is refused in a line or two, or renders; nothing else happens, and nothing is printed.
+"""Damaged files: the loaders must refuse each in one or two lines, or render it, and must print nothing.
 
     scripts/fuzz.py [FORMAT ...] --cases 2000 --seed 0
 
-prints a table, and leaves the files of failures in `--out`, each with the trace beside it, and of slow cases. Needs the test
-extra (hypothesis). Cases run in processes of their own, which may take --memory MB more than they start with (on Linux),
-and --seconds each, so that a crash, a hang or a bomb is a failure like others.
+prints a table, and writes the files of failures with their traces, and the files of slow cases, into `--out`. It needs the
+test extra (hypothesis). Cases run in processes of their own, with --memory MB beyond the memory at the start (on Linux) and
+--seconds for each case, so that crashes, hangs and decompression bombs count as failures.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ FORMATS = ("glb", "gltf", "toml", "hdr", "exr", "images", "obj", "ply", "stl", "
 BATCH = 500
 """Cases in one process."""
 KEPT = 20
-"""Failures of a batch whose files are kept."""
+"""Number of failures of a batch whose files are kept."""
 
 
 @dataclass
 class Tally:
-    """What came of the cases of a format. peak: MB of memory in use; slowest: seconds of a case, of processor time."""
+    """Results of the cases of a format. peak: MB of memory; slowest: processor seconds of the slowest case."""
 
     cases: int = 0
     loaded: int = 0
@@ -69,13 +69,17 @@ def main() -> int:
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("formats", nargs="*", metavar="FORMAT", help=f"of {' '.join(FORMATS)} (default: all)")
-    parser.add_argument("--cases", type=int, default=2000, help="of each format (default: 2000)")
+    parser.add_argument("--cases", type=int, default=2000, metavar="N", help="cases of each format (default: 2000)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--memory", type=int, default=2560, metavar="MB", help="that a process may take (default: 2560)")
-    parser.add_argument("--seconds", type=float, default=60.0, help="for one case, before it counts as one that hangs (default: 60)")
-    parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="where failures go (default: out/fuzz)")
-    parser.add_argument("--json", type=Path, metavar="PATH", help="write the table's numbers there too")
-    parser.add_argument("--together", action="store_true", help="all formats in one process: quicker for few cases")
+    parser.add_argument("--memory", type=int, default=2560, metavar="MB", help="memory of a process (default: 2560)")
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, metavar="S", help="limit of one case, beyond which it hangs (default: 60)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/fuzz"), metavar="DIR", help="folder of the failures (default: out/fuzz)"
+    )
+    parser.add_argument("--json", type=Path, metavar="PATH", help="also write the numbers of the table here")
+    parser.add_argument("--together", action="store_true", help="run all formats in one process, which is faster for few cases")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     unknown = set(options.formats) - set(FORMATS)
@@ -86,36 +90,50 @@ def parse() -> argparse.Namespace:
 
 
 def batch(formats: list[str], cases: int, seed: int, options: argparse.Namespace) -> dict[str, Tally]:
-    """Run cases in a process; where it dies, that is a failure of the format it was at, and the later ones go on without."""
+    """Run cases in a process. If it dies, the format at work has failed, and a new process runs the later formats."""
     tallies: dict[str, Tally] = {}
     left = list(formats)
     while left:
         with tempfile.TemporaryDirectory() as folder:
             result = Path(folder) / "result.jsonl"
             command = [sys.executable, __file__, "--worker", *left, "--cases", str(cases), "--seed", str(seed)]
-            command += ["--memory", str(options.memory), "--seconds", str(options.seconds), "--out", str(options.out), "--json", str(result)]
+            command += [
+                "--memory",
+                str(options.memory),
+                "--seconds",
+                str(options.seconds),
+                "--out",
+                str(options.out),
+                "--json",
+                str(result),
+            ]
             finished = subprocess.run(command, capture_output=True, text=True)
             lines = result.read_text().splitlines() if result.exists() else []
         done = {entry["name"]: Tally(**entry["tally"]) for entry in map(json.loads, lines)}
         if finished.stderr and not finished.returncode:
-            next(iter(done.values())).failures.append(f"{' '.join(done)}: what no reader may print: {finished.stderr[:1500]}")
+            next(iter(done.values())).failures.append(f"{' '.join(done)}: a reader printed: {finished.stderr[:1500]}")
         tallies |= done
         left = [name for name in left if name not in done]
         if left:
-            died = f"the process died ({finished.returncode}), see {options.out / left[0]}-last: {finished.stderr[:500]} … {finished.stderr[-1000:]}"
+            output = f"{finished.stderr[:500]} … {finished.stderr[-1000:]}"
+            died = f"the process died ({finished.returncode}), see {options.out / left[0]}-last: {output}"
             tallies[left.pop(0)] = Tally(cases, failures=[died])
     return tallies
 
 
 def table(tallies: dict[str, Tally]) -> str:
-    lines = ["| format | cases | loaded | refused | failures | peak memory (MB) | slowest case (s) |", "|---|---:|---:|---:|---:|---:|---:|"]
+    """All formats in Markdown."""
+    lines = [
+        "| format | cases | loaded | refused | failures | peak memory (MB) | slowest case (s) |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
     for name, t in tallies.items():
         lines.append(f"| {name} | {t.cases} | {t.loaded} | {t.refused} | {len(t.failures)} | {t.peak:.0f} | {t.slowest:.2f} |")
     return "\n".join(lines)
 
 
 def work(options: argparse.Namespace) -> int:
-    """All cases of some formats in this process; a line of JSON for each format that is done."""
+    """Run all cases of some formats in this process; appends a line of JSON for each finished format."""
     os.environ["OMP_NUM_THREADS"] = "1"
     from fuzzing.samples import SAMPLES
     from fuzzing.trial import trial
@@ -146,14 +164,14 @@ def lay_out(sample, folder: Path) -> None:
 
 
 def limit_memory(megabytes: int) -> None:
-    """Let the process have so much more than it has."""
+    """Limit the memory of this process to `megabytes` beyond its present memory."""
     if sys.platform == "linux":
         now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (now + megabytes * 2**20,) * 2)
 
 
 def peak_memory() -> float:
-    """MB, of all that the process ever had at once."""
+    """Peak memory of this process in MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10)
 
 
@@ -166,7 +184,9 @@ def run_format(name: str, samples: list, folder: Path, options: argparse.Namespa
     options.out.mkdir(parents=True, exist_ok=True)
 
     @hypothesis.seed(options.seed)
-    @hypothesis.settings(max_examples=options.cases, database=None, deadline=None, suppress_health_check=list(hypothesis.HealthCheck))
+    @hypothesis.settings(
+        max_examples=options.cases, database=None, deadline=None, suppress_health_check=list(hypothesis.HealthCheck)
+    )
     @hypothesis.given(strategies.data())
     def run(data: strategies.DataObject) -> None:
         sample = data.draw(strategies.sampled_from(samples))
@@ -176,7 +196,7 @@ def run_format(name: str, samples: list, folder: Path, options: argparse.Namespa
             lay_out(sample, folder)
             state["sample"] = sample
         (folder / file).write_bytes(broken)
-        last.write_bytes(broken)  # a crash leaves no time for it
+        last.write_bytes(broken)  # kept if the process crashes
         one_case(tally, folder, sample, f"{name}-{options.seed}-{tally.cases}", options)
         (folder / file).write_bytes(sample.files[file])
 
@@ -186,7 +206,7 @@ def run_format(name: str, samples: list, folder: Path, options: argparse.Namespa
 
 
 def one_case(tally: Tally, folder: Path, sample, label: str, options: argparse.Namespace) -> None:
-    """Count what comes of the files in `folder`; whatever is raised, and is no refusal, is a failure."""
+    """Load the files in `folder` and count the result; an exception that is no refusal is a failure."""
     from fuzzing.trial import trial
 
     faulthandler.dump_traceback_later(options.seconds, exit=True)

@@ -1,12 +1,11 @@
-"""Make a reference image in two independent halves, whose difference says how good it is.
+"""Render a reference image in two independent halves, whose difference estimates its error.
 
     python scripts/make_reference.py fairy-lights --size 320x180 --spp 8192 --half \\
         --out references/fairy-lights-320x180.exr
 
-Each half gets half of the SPP and a seed of its own. It is rendered at twice the width and height
-with a quarter of its SPP, and averaged over 2×2 pixels: with a box filter that is the same picture,
-and a larger frame shows the guide smaller spots and keeps the processor busier. Where the halves differ by a relMSE of e,
-their mean differs from the truth by about e / 4.
+Each half has half of the SPP and its own seed. It is rendered at twice the width and height with a quarter of its SPP, and
+averaged over 2×2 pixels. With a box filter this is the same image; the larger frame resolves smaller highlights for the guide
+and makes larger batches. If the relMSE between the halves is e, the relMSE of their mean is about e / 4.
 """
 
 import argparse
@@ -25,12 +24,20 @@ from bokehguide.train import MODES, RenderSettings
 def main() -> None:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", help="a built-in scene, a .toml scene file or a model")
-    parser.add_argument("--size", type=size, default="320x180", help="WxH, default 320x180")
-    parser.add_argument("--spp", type=positive, default=8192, help="of both halves together, default 8192, a multiple of 8")
+    parser.add_argument("--size", type=size, default="320x180", metavar="WxH", help="default: 320x180")
+    parser.add_argument(
+        "--spp", type=positive, default=8192, metavar="N", help="SPP of both halves together, a multiple of 8 (default: 8192)"
+    )
     parser.add_argument("--mode", choices=MODES, default="guided")
-    parser.add_argument("--seed", type=natural, default=1000, help="of the first half; the second takes the next one")
+    parser.add_argument(
+        "--seed",
+        type=natural,
+        default=1000,
+        metavar="N",
+        help="seed of the first half; the second half has the next seed (default: 1000)",
+    )
     parser.add_argument("--half", action="store_true", help="store 16-bit floats")
-    parser.add_argument("--out", type=exr, required=True, help="the EXR to write")
+    parser.add_argument("--out", type=exr, required=True, metavar="PATH.exr", help="output file")
     args = parser.parse_args()
     if args.spp % 8:
         parser.error(f"argument --spp: {args.spp} is not a multiple of 8: two halves of 2×2 renders")
@@ -54,7 +61,7 @@ def main() -> None:
 
 
 def render_half(scene: Scene, mode: str, spp: int, seed: int) -> Tensor:
-    """Radiance `[H / 2, W / 2, 3]` of `spp` samples in each of the scene's pixels."""
+    """Radiance `[H / 2, W / 2, 3]` of `spp` samples per pixel of the scene."""
     title = f"{scene.name} {mode}, seed {seed}"
     with progress(title, spp) as bar:
         film = render(scene, RenderSettings(mode=mode, spp=spp, seed=seed), bar)

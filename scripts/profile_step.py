@@ -1,11 +1,10 @@
-"""Where the time of a step goes, function by function.
+"""Time of a step, function by function.
 
     python scripts/profile_step.py --mode guided
     python scripts/profile_step.py --scene chrome --mode uniform --size 640x360 --compile
 
-One thread renders; with `--compile` it does so again with compiled kernels, which are compiled first. What PyTorch, NumPy
-and Embree do counts for the function that calls them. The profiler's own time, and waiting for a busy machine, are in all rows but
-the last.
+One thread renders. With `--compile` it renders again with compiled kernels, which are compiled first. Time in PyTorch,
+NumPy and Embree counts for the calling function. All rows but the last include the profiler's overhead.
 """
 
 from __future__ import annotations
@@ -16,38 +15,54 @@ import pstats
 import time
 from collections import Counter
 from pathlib import Path
+from typing import NamedTuple
 
 from bokehguide.cli.arguments import Parser, natural, positive, size
 from bokehguide.cli.scripts import run
+from bokehguide.evaluation import markdown
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import MODES, RenderLoop, RenderSettings
 
 PACKAGE = "bokehguide"
 SHOWN = 40
+"""Rows of the table."""
+
+
+class Profile(NamedTuple):
+    """Nanoseconds per ray by function; rays per sample; nanoseconds of processor time per ray without the profiler."""
+
+    functions: Counter[str]
+    rays_per_sample: float
+    whole: float
 
 
 def main() -> None:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default="fairy-lights")
     parser.add_argument("--mode", choices=MODES, default="guided")
-    parser.add_argument("--size", type=size, default="1280x720", metavar="WxH", help="default 1280x720")
-    parser.add_argument("--spp", type=positive, default=4, help="profiled steps, default 4")
-    parser.add_argument("--warm-up", type=natural, default=9, help="steps before them, default 9")
-    parser.add_argument("--compile", action="store_true", help="profile compiled kernels beside eager ones")
+    parser.add_argument("--size", type=size, default="1280x720", metavar="WxH", help="default: 1280x720")
+    parser.add_argument("--spp", type=positive, default=4, metavar="N", help="profiled steps (default: 4)")
+    parser.add_argument("--warm-up", type=natural, default=9, metavar="N", help="steps before the measurement (default: 9)")
+    parser.add_argument("--compile", action="store_true", help="also profile compiled kernels")
     args = parser.parse_args()
-    ways = {"eager": profiled(args, compiled=False)}
+    profiles = {"eager": profiled(args, compiled=False)}
     if args.compile:
-        ways["compiled"] = profiled(args, compiled=True)
-    rays = ways["eager"][1]
-    print(f"{args.scene} {args.mode} {'x'.join(map(str, args.size))}, one thread, {rays:.2f} rays a sample: ns a ray")
-    print(f"{'':56}" + "".join(f"{way:>10}" for way in ways))
-    for name, _ in sum((found[0] for found in ways.values()), Counter()).most_common(SHOWN):
-        print(f"{name:56}" + "".join(f"{found[0][name]:10.1f}" for found in ways.values()))
-    print(f"{'in all, without the profiler':56}" + "".join(f"{found[2]:10.1f}" for found in ways.values()))
+        profiles["compiled"] = profiled(args, compiled=True)
+    print(table(profiles, args))
 
 
-def profiled(args: argparse.Namespace, compiled: bool) -> tuple[Counter[str], float, float]:
-    """Nanoseconds a ray by function, rays a sample, and nanoseconds of processor time a ray of steps that are not profiled."""
+def table(profiles: dict[str, Profile], args: argparse.Namespace) -> str:
+    """The SHOWN functions that take most of the time, in Markdown."""
+    rays = profiles["eager"].rays_per_sample
+    title = f"{args.scene} {args.mode} {'x'.join(map(str, args.size))}, one thread, {rays:.2f} rays per sample: ns per ray"
+    rows = [["function", *profiles]]
+    for name, _ in sum((profile.functions for profile in profiles.values()), Counter()).most_common(SHOWN):
+        rows.append([name, *(f"{profile.functions[name]:.1f}" for profile in profiles.values())])
+    rows.append(["whole step, without the profiler", *(f"{profile.whole:.1f}" for profile in profiles.values())])
+    return f"{title}\n\n{markdown(rows)}"
+
+
+def profiled(args: argparse.Namespace, compiled: bool) -> Profile:
     scene = load_scene(args.scene, Overrides(*args.size))
     loop = RenderLoop(scene, RenderSettings(args.mode, args.warm_up + 2 * args.spp, threads=1, compile=compiled))
     for _ in range(args.warm_up):
@@ -56,19 +71,20 @@ def profiled(args: argparse.Namespace, compiled: bool) -> tuple[Counter[str], fl
     plain = sum(loop.step().rays for _ in range(args.spp))
     plain = (time.process_time() - start) / plain
     threads = [cProfile.Profile(), cProfile.Profile()]
-    loop._pool.submit(threads[0].enable).result()
+    loop.workers.submit(threads[0].enable).result()
     with threads[1]:
         rays = sum(loop.step().rays for _ in range(args.spp))
-    loop._pool.submit(threads[0].disable).result()
+    loop.workers.submit(threads[0].disable).result()
     seconds: Counter[str] = Counter()
     for thread in threads:
         seconds += by_function(pstats.Stats(thread))
     samples = args.spp * scene.film.width * scene.film.height
-    return Counter({name: 1e9 * value / rays for name, value in seconds.items()}), rays / samples, 1e9 * plain
+    functions = Counter({name: 1e9 * value / rays for name, value in seconds.items()})
+    return Profile(functions, rays / samples, 1e9 * plain)
 
 
 def by_function(stats: pstats.Stats) -> Counter[str]:
-    """Seconds within each function of the package; those of other functions count for their callers."""
+    """Seconds in each function of the package; seconds of other functions count for their callers."""
     seconds: Counter[str] = Counter()
     for place, (_, _, own, _, callers) in stats.stats.items():
         if ours(place):

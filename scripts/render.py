@@ -1,7 +1,6 @@
-"""One render from the scene to the EXR, readable from top to bottom: the loop `bokehguide render` runs.
+"""A complete render in Python, from the scene to the EXR: the loop of `bokehguide render`.
 
-One SPP is one training step: sample the lens, trace, put the samples on the film, and teach the
-guide from the same samples. Try
+One SPP is one training step: sample the lens, trace paths, add the samples to the film, train the guide on the samples.
 
     python scripts/render.py fairy-lights --mode guided --spp 64 --size 320x180
     tensorboard --logdir logs
@@ -31,31 +30,30 @@ def main() -> None:
     parser.add_argument("--out", type=exr, default="render.exr")
     args = parser.parse_args()
 
-    # The scene: plain data, no rays yet.
+    # The scene is plain data.
     width, height = args.size
     scene = load_scene(args.scene, Overrides(width=width, height=height))
     check_writable(args.out)
     reference = read_reference(args.reference, width, height) if args.reference else None
 
-    # The model and its optimiser live in the loop: Gaussians, blend weights, polynomials.
+    # The loop owns the model with its optimiser (Gaussians, blend weights, polynomials), the film and the worker threads.
     settings = RenderSettings(mode=args.mode, spp=args.spp, seed=args.seed)
-    loop = RenderLoop(scene, settings)
-    logger = RenderLogger(args.logdir, scene, settings)
+    with RenderLoop(scene, settings) as loop:
+        logger = RenderLogger(args.logdir, scene, settings)
+        progress = trange(settings.spp, unit="SPP")
+        for _ in progress:
+            stats = loop.step()  # sample, trace, accumulate, train
+            radiance = loop.film.radiance()  # the mean so far, [H, W, 3]
+            errors = {}
+            if reference is not None:
+                errors = {"mape": mape(radiance, reference), "relmse": relmse(radiance, reference)}
+            logger.log(loop, stats, errors, loop.film)
+            progress.set_postfix(kl=stats.kl, gaussians=stats.gaussians, **errors)
+        logger.finish(loop, settings.spp, loop.film)
 
-    progress = trange(settings.spp, unit="SPP")
-    for _ in progress:
-        stats = loop.step()  # sample, trace, accumulate, learn, refit
-        radiance = loop.film.radiance()  # the mean so far, [H, W, 3]
-        errors = {}
-        if reference is not None:
-            errors = {"mape": mape(radiance, reference), "relmse": relmse(radiance, reference)}
-        logger.log(loop, stats, errors, loop.film)
-        progress.set_postfix(kl=stats.kl, gaussians=stats.gaussians, **errors)
-
-    logger.finish(loop, settings.spp, loop.film)
     write_exr(args.out, loop.film.layers(), describe_render(scene, settings, settings.spp))
     write_png(args.out.with_suffix(".png"), tone_map(loop.film.radiance()))
-    print(f"wrote {args.out}; see the curves with: tensorboard --logdir {args.logdir}")
+    print(f"wrote {args.out}; curves: tensorboard --logdir {args.logdir}")
 
 
 if __name__ == "__main__":

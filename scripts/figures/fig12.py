@@ -2,16 +2,16 @@
 
     python scripts/figures/fig12.py
 
-Writes fig12.png, crops of alpha beside the reference, and fig12.json: mean absolute error, mean
-error with its standard error over the pixels, and the share of pixels outside 0 … 1, by region.
-One render of lis-o feeds three estimates of alpha:
+Writes fig12.png, crops of alpha beside the reference, fig12.md and fig12.json: mean absolute error, mean error with its
+standard error over the pixels, and the share of pixels outside 0 … 1, by region. One render of lis-o gives three estimates
+of alpha:
 
-- counted: the share of all draws that met something. Draws outside the lens count as empty, and
-  those inside do not carry their weight: biased, with circles as in the paper's figure;
-- weighted: the mean of w alpha, w = 1 / (A q). Unbiased, noisy, and often above 1;
-- lis-o: that of the film, with a control variate (see `Film`). Unbiased, and exact where all is opaque.
+- counted: the share of all draws that hit a surface. Draws outside the lens count as empty and draws inside have no weight.
+  This estimate is biased, with the circles of the paper's figure;
+- weighted: the mean of w alpha, w = 1 / (A q). This estimate is unbiased, noisy, and often above 1;
+- lis-o: the estimate of the film, with a control variate. It is unbiased, and exact if all surfaces are opaque.
 
-`guided` has the last one too. Uniform sampling has no weights, and thus no such trouble.
+`guided` has the estimate of the film. Draws of uniform sampling have equal weights.
 """
 
 from __future__ import annotations
@@ -23,33 +23,33 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from common import figure_options, settings, sized, write_json
+from common import figure_options, settings, sized, write_json, write_table
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from torch import Tensor
 
 from bokehguide.cli.scripts import run
-from bokehguide.evaluation import progress, regions
+from bokehguide.evaluation import markdown, progress, regions
 from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
 from bokehguide.render.film import Film, FilmSamples
-from bokehguide.render.pixels import Pixels
+from bokehguide.runtime.indexing import Pixels
 from bokehguide.scene import Inset, Scene
 from bokehguide.train import RenderLoop, RenderSettings
 
 REFERENCE_SHARE, REFERENCE_SEED = 16, 6_000_000
-"""SPP of the reference, uniform and without bounces, for one of a mode's."""
+"""SPP of the reference per SPP of a mode, and its seed. The reference is uniform and without bounces."""
 BELOW, ABOVE = "#0072b2", "#d55e00"
 """Colours of alpha below 0 and above 1."""
 ROUNDING = 1e-5
-"""Alpha may be so far outside 0 … 1."""
+"""Tolerance of alpha outside 0 … 1."""
 SHOWN = 3
-"""Rows of a scene: its frame and so many insets less one."""
+"""Rows of a scene: its frame and SHOWN - 1 insets."""
 LABELS = {"counted": "lis-o\ncounted", "weighted": "lis-o\nweighted", "lis-o": "lis-o\ncontrol variate"}
 
 
 class AlphaFilm(Film):
-    """A film that also keeps the two plain estimates of alpha, as sums over the steps `[H · W]`."""
+    """A film with two further estimates of alpha, as sums over the steps `[H · W]`."""
 
     def __init__(self, width: int, height: int):
         super().__init__(width, height)
@@ -68,7 +68,20 @@ def main() -> None:
     write_figure(options.out / "fig12.png", scenes, alphas)
     numbers = {scene.name: {"spp": options.spp, "alpha": measured(scene, found)} for scene, found in zip(scenes, alphas)}
     write_json(numbers, options.out / "fig12.json")
+    tables = [alpha_table(scene, measured(scene, found)) for scene, found in zip(scenes, alphas)]
+    write_table(tables, options.out / "fig12.json")
     print(f"wrote {options.out / 'fig12.png'} and .json")
+
+
+def alpha_table(scene: Scene, errors: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
+    """Errors of alpha over the frame, by estimate."""
+    rows = [[scene.name, "mean absolute error", "mean error ± standard error", "pixels outside 0 to 1"]]
+    for name, by_region in errors.items():
+        one = by_region["frame"]
+        bias = f"{one['mean error']:+.5f} ± {one['its standard error']:.5f}"
+        label = LABELS.get(name, name).replace("\n", ", ")
+        rows.append([label, f"{one['mean absolute error']:.4f}", bias, f"{one['outside 0 to 1']:.2%}"])
+    return markdown(rows)
 
 
 def alphas_of(scene: Scene, options: argparse.Namespace) -> dict[str, Tensor]:
@@ -78,7 +91,7 @@ def alphas_of(scene: Scene, options: argparse.Namespace) -> dict[str, Tensor]:
     sums = {"counted": lis.counted, "weighted": lis.weighted}
     plain = {name: (total / options.spp).reshape(shape) for name, total in sums.items()}
     alphas = {mode: torch.from_numpy(film.layers()["alpha"]) for mode, film in films.items()}
-    # Nothing that is seen directly depends on bounces.
+    # Alpha depends on primary hits alone.
     unlit = replace(scene, film=replace(scene.film, max_depth=1))
     long = replace(settings("uniform", options), spp=REFERENCE_SHARE * options.spp, seed=REFERENCE_SEED)
     reference = torch.from_numpy(rendered(unlit, long).layers()["alpha"])
@@ -86,10 +99,10 @@ def alphas_of(scene: Scene, options: argparse.Namespace) -> dict[str, Tensor]:
 
 
 def rendered(scene: Scene, settings: RenderSettings) -> AlphaFilm:
-    """The film after a whole render."""
-    loop = RenderLoop(scene, settings)
-    loop.film = AlphaFilm(scene.film.width, scene.film.height)
-    with progress(f"{scene.name} {settings.mode}", settings.spp) as bar:
+    """The film of one render."""
+    title = f"{scene.name} {settings.mode}"
+    with progress(title, settings.spp) as bar, RenderLoop(scene, settings) as loop:
+        loop.film = AlphaFilm(scene.film.width, scene.film.height)
         for _ in range(settings.spp):
             loop.step()
             bar.update()
@@ -97,7 +110,7 @@ def rendered(scene: Scene, settings: RenderSettings) -> AlphaFilm:
 
 
 def measured(scene: Scene, alphas: Mapping[str, Tensor]) -> dict[str, dict[str, dict[str, float]]]:
-    """What the errors of each estimate are, by region."""
+    """Errors of each estimate by region."""
     found = {}
     for name in (name for name in alphas if name != "reference"):
         found[name] = {}
@@ -114,7 +127,7 @@ def measured(scene: Scene, alphas: Mapping[str, Tensor]) -> dict[str, dict[str, 
 
 
 def write_figure(path: Path, scenes: Sequence[Scene], alphas: Sequence[Mapping[str, Tensor]]) -> None:
-    """For each scene a row of frames and one for each inset, of alpha by estimate, with the mean absolute errors."""
+    """Write alpha by estimate: for each scene a row of frames and a row for each inset, with mean absolute errors."""
     rows = [(scene, found, region) for scene, found in zip(scenes, alphas) for region in list(crops(scene))[:SHOWN]]
     heights = [crop_height(*crops(scene)[region]) for scene, _, region in rows]
     names = list(alphas[0])
@@ -137,19 +150,19 @@ def write_figure(path: Path, scenes: Sequence[Scene], alphas: Sequence[Mapping[s
 
 
 def crops(scene: Scene) -> dict[str, tuple[slice, slice]]:
-    """Pixels of the frame and of each inset by the names of `regions`."""
+    """Slices of the frame and of each inset, by the names of `regions`."""
     insets = {f"inset-{number}": inset for number, inset in enumerate(scene.insets, start=1)}
     boxes = {"frame": Inset(0.0, 0.0, 1.0, 1.0), **insets}
     return {region: box.pixels(scene.film.width, scene.film.height) for region, box in boxes.items()}
 
 
 def crop_height(rows: slice, columns: slice) -> float:
-    """For one unit of width."""
+    """Height of a crop of width 1."""
     return (rows.stop - rows.start) / (columns.stop - columns.start)
 
 
 def grey(alpha: Tensor) -> np.ndarray:
-    """Alpha `[H, W]` in grey, and in colour where it is out of range, `[H, W, 3]`."""
+    """Alpha `[H, W]` in grey, and in BELOW or ABOVE out of range, `[H, W, 3]`."""
     picture = np.repeat(alpha.clamp(0.0, 1.0).numpy()[..., None], 3, axis=2)
     picture[(alpha < -ROUNDING).numpy()] = to_rgb(BELOW)
     picture[(alpha > 1.0 + ROUNDING).numpy()] = to_rgb(ABOVE)
@@ -157,4 +170,4 @@ def grey(alpha: Tensor) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    run(main, "what is finished is kept, and the same command goes on")
+    run(main, "finished renders are kept, and the same command continues")

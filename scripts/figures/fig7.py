@@ -1,8 +1,8 @@
-"""Fig. 7: fixed Gaussians against those whose centres shift by polynomials (lis-b against lis-o), on chrome.
+"""Fig. 7: fixed Gaussians and Gaussians shifted by polynomials (lis-b and lis-o), on chrome.
 
     python scripts/figures/fig7.py
 
-Writes fig7.png, crops of both beside the reference with their MAPE, and fig7.json.
+Writes fig7.png, crops of both beside the reference with their MAPE, fig7.md and fig7.json.
 """
 
 from common import compared, figure_options, write_numbers
@@ -20,4 +20,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run(main, "what is finished is kept, and the same command goes on")
+    run(main, "finished renders are kept, and the same command continues")

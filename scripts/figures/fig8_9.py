@@ -2,9 +2,8 @@
 
     python scripts/figures/fig8_9.py
 
-Writes fig8.png, the crops; fig9.png, MAPE over the insets against SPP and against time; fig8_9.json.
-Area ReSTIR traces some forty times the rays of the others, so it gets a quarter of their SPP: its
-crops say so, and its curve is drawn as far as it goes.
+Writes fig8.png, the crops; fig9.png, MAPE over the insets against SPP and against time; fig8_9.md; fig8_9.json. Area ReSTIR
+traces about forty times the rays of the other modes and gets a quarter of their SPP. Its crops show its SPP.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
 SCENES = ("fairy-lights", "occluded", "chrome", "night-street")
 RESTIR = Variant("area-restir", "area-restir", "fewer-spp", spp_divisor=4)
 METHODS = ("uniform", RESTIR, "lis", "lis-b", "lis-o", "guided")
-"""Those of the paper, in its order, and this project's own."""
+"""The methods of the paper in its order, and `guided`."""
 
 
 def main() -> None:
@@ -38,7 +37,7 @@ def main() -> None:
 
 
 def write_curves(path: Path, comparisons: Sequence[Comparison]) -> None:
-    """A column for each scene, a row for each cost."""
+    """Write a figure with a column for each scene and a row for each cost."""
     figure = Figure((WIDTH, 4.2), layout="constrained")
     rows = figure.subplots(len(COSTS), len(comparisons), sharey="col", squeeze=False)
     for row, cost in zip(rows, COSTS):
@@ -49,9 +48,9 @@ def write_curves(path: Path, comparisons: Sequence[Comparison]) -> None:
     for axes, comparison in zip(rows[0], comparisons):
         axes.set_title(comparison.scene.name, fontsize=NORMAL)
     add_legend(figure)
-    figure.supxlabel(f"{RESTIR.label} has 1/{RESTIR.spp_divisor} of the others' samples per pixel", fontsize=SMALL)
+    figure.supxlabel(f"{RESTIR.label} has 1/{RESTIR.spp_divisor} of the samples per pixel of the other modes", fontsize=SMALL)
     save(figure, path)
 
 
 if __name__ == "__main__":
-    run(main, "what is finished is kept, and the same command goes on")
+    run(main, "finished renders are kept, and the same command continues")

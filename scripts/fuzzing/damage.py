@@ -13,9 +13,8 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import torch
-from hypothesis import strategies
-
 from fuzzing.gltf_samples import packed_glb
+from hypothesis import strategies
 
 WORDS = (0, 1, -1, 2**15, 2**16, 2**20, 2**27, 2**30, 2**31 - 1, -(2**31), 9000, 12345678)
 """Counts, sizes and offsets."""
@@ -27,14 +26,52 @@ VALUES = (
 )
 TOKENS = (
     *("0", "-1", "1", "0.0", "-0.0", "1e400", "nan", "inf", "-inf", "1e18", "1e-320", "9" * 30, "9" * 5000, "4294967295"),
-    *("2147483648", "1000000000", "99999999", "x", '""', '"\\u001b\\n"', "'../../x'", "true", "[]", "{}", "[" * 3000, "{a=" * 300),
-    *("[1, 2, 3]", "[nan, 0, 0]", "[[1]]", "[1e18, 1e18, 1e18]", "a.b.c.d = 1", "1979-05-27", "\ud83d\ude00", "\0", "=", "\n", "#", '"' * 3),
-    *("[materials.x]", "[[object]]", "[a]\n[a]", "1/2/3", "-1/-1/-1", "9/9/9", "list", "property", "element", "vertex", "end_header"),
+    *(
+        "2147483648",
+        "1000000000",
+        "99999999",
+        "x",
+        '""',
+        '"\\u001b\\n"',
+        "'../../x'",
+        "true",
+        "[]",
+        "{}",
+        "[" * 3000,
+        "{a=" * 300,
+    ),
+    *(
+        "[1, 2, 3]",
+        "[nan, 0, 0]",
+        "[[1]]",
+        "[1e18, 1e18, 1e18]",
+        "a.b.c.d = 1",
+        "1979-05-27",
+        "\ud83d\ude00",
+        "\0",
+        "=",
+        "\n",
+        "#",
+        '"' * 3,
+    ),
+    *(
+        "[materials.x]",
+        "[[object]]",
+        "[a]\n[a]",
+        "1/2/3",
+        "-1/-1/-1",
+        "9/9/9",
+        "list",
+        "property",
+        "element",
+        "vertex",
+        "end_header",
+    ),
 )
 
 
 class Damage(NamedTuple):
-    """One thing done to a file. where and what choose among the places and things that there are, modulo their number."""
+    """One change of a file. where, what: choices among the places and the changes, modulo their numbers."""
 
     kind: str
     where: int
@@ -68,7 +105,9 @@ def repeat(data: bytes, where: int, what: int) -> bytes:
 def word(data: bytes, where: int, what: int) -> bytes:
     """A whole number or a float of four bytes in the place of others, more often near the start than anywhere."""
     at = where // 2 % (len(data) if where % 2 else min(len(data), 600))
-    kinds = [struct.pack(order + "i", value) for value in WORDS for order in "<>"] + [struct.pack("<f", value) for value in FLOATS]
+    kinds = [struct.pack(order + "i", value) for value in WORDS for order in "<>"] + [
+        struct.pack("<f", value) for value in FLOATS
+    ]
     return data[:at] + kinds[what % len(kinds)] + data[at + 4 :]
 
 
@@ -80,7 +119,7 @@ def token(data: bytes, where: int, what: int) -> bytes:
 
 
 def line(data: bytes, where: int, what: int) -> bytes:
-    """A line again somewhere else, or many times, or what stands behind its = replaced."""
+    """A line again somewhere else, or many times, or the value after its = replaced."""
     lines = data.split(b"\n")
     at, to = where % len(lines), what // 4 % len(lines)
     if what % 4 == 0:
@@ -146,12 +185,16 @@ def png_checksums(data: bytes, where: int, what: int) -> bytes:
     length = struct.unpack_from(">I", data, start)[0]
     chunk = bytearray(data[start + 4 : start + 8 + length])
     if length:
-        chunk = bytearray(flip(bytes(chunk), 4 + where // 8 % length, what)) if what % 2 else chunk[:4] + word(bytes(chunk[4:]), where, what)[:length]
+        chunk = (
+            bytearray(flip(bytes(chunk), 4 + where // 8 % length, what))
+            if what % 2
+            else chunk[:4] + word(bytes(chunk[4:]), where, what)[:length]
+        )
     return data[: start + 4] + bytes(chunk) + struct.pack(">I", zlib.crc32(chunk)) + data[start + 12 + length :]
 
 
 def state_value(data: bytes, where: int, what: int) -> bytes:
-    """In what a checkpoint holds, written again as torch would."""
+    """Damage within the values of a checkpoint, saved again by torch."""
     try:
         state = torch.load(io.BytesIO(data), weights_only=True)
         change(state, where, what, (*VALUES, *TENSORS, CIRCLE))
@@ -163,7 +206,14 @@ def state_value(data: bytes, where: int, what: int) -> bytes:
 
 
 TENSORS = (
-    *(torch.zeros(0), torch.zeros(3), torch.full((400,), torch.nan), torch.full((4,), 2**40), torch.tensor(7), torch.full((4,), -1)),
+    *(
+        torch.zeros(0),
+        torch.zeros(3),
+        torch.full((400,), torch.nan),
+        torch.full((4,), 2**40),
+        torch.tensor(7),
+        torch.full((4,), -1),
+    ),
     *(torch.zeros(1).expand(10**9), torch.zeros(3, 3, dtype=torch.complex64), torch.zeros(9, dtype=torch.bool)),
 )
 CIRCLE: list = []
@@ -202,7 +252,7 @@ KINDS: dict[str, tuple[Callable[[bytes, int, int], bytes], ...]] = {
     ".stl": (*BYTES, *TEXT),
     ".ckpt": (*BYTES, *[stored_record] * 4, *[state_value] * 5),
 }
-"""By what a file's name ends in; others get BYTES."""
+"""Kinds of damage by the suffix of the file; other suffixes get BYTES."""
 
 
 def damages(suffix: str) -> strategies.SearchStrategy[list[Damage]]:

@@ -14,12 +14,15 @@ SQUARE = np.float32([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
 def gltf_parts() -> tuple[dict, bytes]:
     """The JSON and the one buffer of a file that has nearly everything."""
     arrays = {
-        "POSITION": (SQUARE, 5126, "VEC3"), "NORMAL": (np.tile(np.float32([0, 0, 1]), (4, 1)), 5126, "VEC3"),
-        "TEXCOORD_0": (SQUARE[:, :2] / 2 + 0.5, 5126, "VEC2"), "COLOR_0": (np.full((4, 4), 200, np.uint8), 5121, "VEC4"),
+        "POSITION": (SQUARE, 5126, "VEC3"),
+        "NORMAL": (np.tile(np.float32([0, 0, 1]), (4, 1)), 5126, "VEC3"),
+        "TEXCOORD_0": (SQUARE[:, :2] / 2 + 0.5, 5126, "VEC2"),
+        "COLOR_0": (np.full((4, 4), 200, np.uint8), 5121, "VEC4"),
         "TANGENT": (np.tile(np.float32([1, 0, 0, 1]), (4, 1)), 5126, "VEC4"),
         "indices": (np.uint16([0, 1, 2, 0, 2, 3]), 5123, "SCALAR"),
         "TRANSLATION": (np.float32([[0, 0, 0], [0, 0, -2]]), 5126, "VEC3"),
-        "sparse": (np.uint16([1, 0]), 5123, "SCALAR"), "values": (np.float32([[2, 0, 0]]), 5126, "VEC3"),
+        "sparse": (np.uint16([1, 0]), 5123, "SCALAR"),
+        "values": (np.float32([[2, 0, 0]]), 5126, "VEC3"),
     }
     data, views, accessors = bytearray(), [], []
     for number, (array, kind, form) in enumerate(arrays.values()):
@@ -34,36 +37,52 @@ def gltf_parts() -> tuple[dict, bytes]:
 
 
 def gltf_scene() -> dict:
-    """All of the JSON but what describes the buffer."""
+    """The JSON without the description of the buffer."""
     attributes = {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2, "COLOR_0": 3, "TANGENT": 4}
     plain = {"attributes": {"POSITION": 0}, "indices": 5, "mode": 4, "material": 1}
     instances = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 6}}}
-    spot = {"type": "spot", "intensity": 3.0, "color": [1, 1, 1], "range": 9, "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.5}}
+    spot = {
+        "type": "spot",
+        "intensity": 3.0,
+        "color": [1, 1, 1],
+        "range": 9,
+        "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.5},
+    }
     lights = [spot, {"type": "directional", "intensity": 2.0}, {"type": "point"}]
     moved = {"KHR_texture_transform": {"offset": [0.1, 0], "rotation": 0.3, "scale": [2, 2]}}
     pbr = {"baseColorFactor": [1, 1, 1, 0.9], "metallicFactor": 0.5, "roughnessFactor": 0.4}
     wood = {
-        "name": "wood", "alphaMode": "BLEND", "doubleSided": True, "normalTexture": {"index": 0, "scale": 0.8},
+        "name": "wood",
+        "alphaMode": "BLEND",
+        "doubleSided": True,
+        "normalTexture": {"index": 0, "scale": 0.8},
         "pbrMetallicRoughness": {**pbr, "baseColorTexture": {"index": 0, "texCoord": 0, "extensions": moved}},
     }
     glass = {
-        "KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_ior": {"ior": 1.4},
+        "KHR_materials_transmission": {"transmissionFactor": 1},
+        "KHR_materials_ior": {"ior": 1.4},
         "KHR_materials_volume": {"thicknessFactor": 1.0, "attenuationDistance": 0.5, "attenuationColor": [0.9, 1, 1]},
-        "KHR_materials_clearcoat": {"clearcoatFactor": 1.0}, "KHR_materials_specular": {"specularFactor": 0.5},
+        "KHR_materials_clearcoat": {"clearcoatFactor": 1.0},
+        "KHR_materials_specular": {"specularFactor": 0.5},
     }
     return {
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, 3, 4]}],
-        "extensionsUsed": ["KHR_lights_punctual"], "extensionsRequired": ["KHR_texture_transform"],
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 3, 4]}],
+        "extensionsUsed": ["KHR_lights_punctual"],
+        "extensionsRequired": ["KHR_texture_transform"],
         "extensions": {"KHR_lights_punctual": {"lights": lights}},
         "nodes": [
             {"mesh": 0, "children": [1, 2], "rotation": [0, 0, 0, 1], "scale": [1, 2, 1], "translation": [0, 0, 0]},
-            {"mesh": 1, "extensions": instances}, {"extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": [0, 1, 1]},
+            {"mesh": 1, "extensions": instances},
+            {"extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": [0, 1, 1]},
             {"camera": 0, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 5, 1]},
             {"extensions": {"KHR_lights_punctual": {"light": 1}}},
         ],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": 5, "material": 0}]}, {"primitives": [plain]}],
         "materials": [wood, {"emissiveFactor": [1, 0.5, 0], "extensions": glass}],
-        "textures": [{"source": 0, "sampler": 0}], "samplers": [{"wrapS": 33071, "wrapT": 33648, "magFilter": 9729}],
+        "textures": [{"source": 0, "sampler": 0}],
+        "samplers": [{"wrapS": 33071, "wrapT": 33648, "magFilter": 9729}],
         "cameras": [{"type": "perspective", "perspective": {"yfov": 0.8, "znear": 0.1}}],
     }
 
@@ -84,9 +103,13 @@ def draco_glb() -> bytes:
     zeros = [{"componentType": 5126, "count": 4, "type": "VEC3"}, {"componentType": 5125, "count": 6, "type": "SCALAR"}]
     packed = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
     document = {
-        "asset": {"version": "2.0"}, "nodes": [{"mesh": 0}], "extensionsRequired": list(packed), "accessors": zeros,
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0}],
+        "extensionsRequired": list(packed),
+        "accessors": zeros,
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "extensions": packed}]}],
-        "bufferViews": [{"buffer": 0, "byteLength": len(data)}], "buffers": [{"byteLength": len(data)}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(data)}],
+        "buffers": [{"byteLength": len(data)}],
     }
     return packed_glb(json.dumps(document).encode(), data)
 

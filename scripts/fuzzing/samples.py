@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
+from fuzzing.gltf_samples import SQUARE, draco_glb, glb, gltf_parts
 from PIL import Image
 
 from bokehguide.scene import load_scene
 from bokehguide.train import RenderLoop, RenderSettings, save_checkpoint
-from fuzzing.gltf_samples import SQUARE, draco_glb, glb, gltf_parts
 
 LIT = """
 [camera]
@@ -55,7 +55,7 @@ roughness = 0.3
 clearcoat = 0.5
 alpha_mode = "blend"
 opacity = 0.8
-[materials.lamp]
+[materials.emitter]
 base_color = [0.0, 0.0, 0.0]
 emission = [40.0, 30.0, 20.0]
 emission_cone = { axis = [0.0, 0.0, 1.0], inner = 20.0, outer = 30.0 }
@@ -66,7 +66,7 @@ rotate = [0.0, 45.0, 0.0]
 translate = [-0.6, -0.3, 0.5]
 [[object]]
 shape = "rectangle"
-material = "lamp"
+material = "emitter"
 translate = [0.5, 0.2, -3.0]
 scale = 0.2
 [[object]]
@@ -83,10 +83,10 @@ vt 1 1
 vn 0 0 1
 usemtl wood
 f 1/1/1 2/2/1 3/3/1
-usemtl lamp
+usemtl emitter
 f 1/1/1 3/3/1 4/2/1
 """
-MTL = "newmtl wood\nKd 0.5 0.5 0.5\nmap_Kd wood.png\nnewmtl lamp\nKd 0 0 0\nKe 5 4 3\n"
+MTL = "newmtl wood\nKd 0.5 0.5 0.5\nmap_Kd wood.png\nnewmtl emitter\nKd 0 0 0\nKe 5 4 3\n"
 PLY = """ply
 format ascii 1.0
 comment TextureFile wood.png
@@ -205,22 +205,26 @@ def textures() -> Sample:
     files = {"wood.png": image("PNG", "P"), "deep.png": deep_png(), "wood.jpg": image("JPEG"), "wood.webp": image("WEBP")}
     slots = {"specular_color": "deep.png", "transmission": "wood.jpg", "emission": "wood.webp"}
     more = "".join(f'{slot}_texture = "{name}"\n' for slot, name in slots.items()) + "emission = [1.0, 1.0, 1.0]\n"
-    text = LIT.replace("NAME", "hdr").replace("[materials.lamp]", more + "[materials.lamp]")
+    text = LIT.replace("NAME", "hdr").replace("[materials.emitter]", more + "[materials.emitter]")
     return Sample(files | {"scene.toml": text.encode(), "square.stl": ascii_stl(), "sky.hdr": hdr()}, tuple(files), "scene.toml")
 
 
 SAMPLES: dict[str, Callable[[Path], list[Sample]]] = {
-    "glb": lambda folder: [Sample({"square.glb": data}, ("square.glb",), "square.glb") for data in (glb(image("PNG", "RGBA")), draco_glb())],
+    "glb": lambda folder: [
+        Sample({"square.glb": data}, ("square.glb",), "square.glb") for data in (glb(image("PNG", "RGBA")), draco_glb())
+    ],
     "gltf": lambda folder: [gltf()],
     "toml": lambda folder: [Sample(scene_with("hdr", hdr()).files, ("scene.toml",), "scene.toml")],
     "hdr": lambda folder: [scene_with("hdr", hdr())],
     "exr": lambda folder: [scene_with("exr", exr(folder, kind)) for kind in EXR_KINDS],
     "images": lambda folder: [textures()],
     "obj": lambda folder: [Sample(OBJ_FILES, ("square.obj", "square.mtl", "wood.png"), "square.obj")],
-    "ply": lambda folder: [Sample({"a.ply": data, "wood.png": image("PNG")}, ("a.ply",), "a.ply") for data in (PLY.encode(), binary_ply())],
+    "ply": lambda folder: [
+        Sample({"a.ply": data, "wood.png": image("PNG")}, ("a.ply",), "a.ply") for data in (PLY.encode(), binary_ply())
+    ],
     "stl": lambda folder: [Sample({"a.stl": data}, ("a.stl",), "a.stl") for data in (ascii_stl(), binary_stl())],
     "ckpt": lambda folder: [checkpoint(folder, mode) for mode in ("lis-o", "guided")],
 }
-"""What there is of each format; made in a folder of its own."""
+"""Samples of each format, made in a folder of their own."""
 EXR_KINDS = (OpenEXR.ZIP_COMPRESSION, OpenEXR.PIZ_COMPRESSION, OpenEXR.NO_COMPRESSION, OpenEXR.DWAA_COMPRESSION)
 OBJ_FILES = {"square.obj": OBJ.encode(), "square.mtl": MTL.encode(), "wood.png": image("PNG")}

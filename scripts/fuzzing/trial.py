@@ -1,4 +1,4 @@
-"""What must hold of any file: it is refused in one or two lines, or makes a scene that can be traced."""
+"""Requirements on a loader: it refuses a file in one or two lines, or makes a scene that can be traced."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.scene import Scene, describe, load_scene
-from bokehguide.scene.types import Film
+from bokehguide.scene import Scene, load_scene, summarize
+from bokehguide.scene.types import FilmSettings
 from bokehguide.train import RenderLoop, RenderSettings, load_checkpoint
 
 LONGEST = 1500
-"""Characters of a message."""
+"""Largest number of characters of a message."""
 
 
 class Fault(Exception):
-    """What must not be."""
+    """A violated requirement."""
 
 
 def trial(path: Path) -> bool:
-    """Load a scene or a checkpoint, and trace; returns whether it could be loaded. Raises Fault, or whatever goes wrong."""
+    """Load a scene or a checkpoint, and trace; returns whether it was loaded. Raises Fault or any other exception."""
     try:
         if path.suffix == ".ckpt":
             loop = sound_loop(path.with_name("scene.toml"), path.stem)
@@ -34,7 +34,7 @@ def trial(path: Path) -> bool:
         return False
     if path.suffix != ".ckpt":
         check_scene(scene)
-        small = replace(scene, film=Film(16, 9, min(scene.film.max_depth, 4)))
+        small = replace(scene, film=FilmSettings(16, 9, min(scene.film.max_depth, 4)))
         loop = RenderLoop(small, RenderSettings("uniform", threads=1))
     loop.step()
     loop.guide_images()
@@ -53,25 +53,27 @@ def sound_scene(path: Path) -> Scene:
 
 
 def check_message(text: str, path: Path) -> None:
-    """It names a file of the scene, fits on a screen, and does nothing to the terminal."""
+    """Raise Fault unless a message names a file of the scene, has at most two lines, and is printable."""
     lines = text.splitlines()
     if not lines or len(lines) > 2 or not all(line.isprintable() for line in lines) or len(text) > LONGEST:
         raise Fault(f"a message of {len(lines)} lines, {len(text)} characters: {text[:300]!r}")
     if str(path.parent) not in text:
         raise Fault(f"a message that names no file: {text!r}")
     if any(word in text for word in ("MemoryError", "allocate", "bad_alloc", "Cannot allocate")):
-        raise Fault(f"it took the memory there is before it was refused: {text!r}")
+        raise Fault(f"memory ran out before the file was refused: {text!r}")
 
 
 def check_scene(scene: Scene) -> None:
-    """The arrays are such as the renderer may trust."""
+    """Raise Fault unless the arrays and texts of a scene are valid."""
     for mesh in scene.meshes:
         for name in ("vertices", "normals", "uvs", "tangents", "colors"):
             values = getattr(mesh, name)
-            if values is not None and (values.dtype != np.float32 or len(values) != len(mesh.vertices) or not np.isfinite(values).all()):
+            if values is not None and (
+                values.dtype != np.float32 or len(values) != len(mesh.vertices) or not np.isfinite(values).all()
+            ):
                 raise Fault(f"{name} are {values.dtype} {values.shape}, or not finite")
         if mesh.triangles.dtype != np.int32 or mesh.triangles.min() < 0 or mesh.triangles.max() >= len(mesh.vertices):
             raise Fault("indices lead out of the vertices")
-    told = [*describe(scene).splitlines(), *scene.warnings, *scene.honoured]
-    if not all(line.isprintable() for line in told):
-        raise Fault(f"what is told cannot be printed: {[line for line in told if not line.isprintable()][0]!r}")
+    texts = [*summarize(scene).splitlines(), *scene.warnings, *scene.supported]
+    if not all(line.isprintable() for line in texts):
+        raise Fault(f"a text is not printable: {next(line for line in texts if not line.isprintable())!r}")

@@ -1,4 +1,4 @@
-"""Ways to break the estimator, each of which a statistical test has to notice."""
+"""Defects of the estimator, each of which the statistical tests must detect."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from bokehguide.models import lens_distribution
+from bokehguide.models import gaussian_mixture
 from bokehguide.render import mis
 from bokehguide.render.film import Film
-from bokehguide.render.pixels import Pixels
+from bokehguide.runtime.indexing import Pixels
 
 
 def drop_zero(add: Callable) -> Callable:
-    """Leave draws outside the aperture out of N: the film skips what is not finite."""
+    """Leave draws outside the aperture out of N: the film skips samples that are not finite."""
 
     def mutated(film: Film, pixels: Pixels, samples, *rest):
         samples.radiance[:, samples.weight == 0.0] = math.nan
@@ -25,7 +25,7 @@ def drop_zero(add: Callable) -> Callable:
 
 
 def drop_weight(add: Callable) -> Callable:
-    """Forget 1 / (A q)."""
+    """Omit the weight 1 / (A q)."""
 
     def mutated(film: Film, pixels: Pixels, samples, *rest):
         samples.weight = (samples.weight > 0.0).float()
@@ -35,7 +35,7 @@ def drop_weight(add: Callable) -> Callable:
 
 
 def drop_cosine(density: Callable) -> Callable:
-    """Forget cosθ in the density on the lens."""
+    """Omit cosθ in the density on the lens."""
 
     def mutated(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
         ray = torch.cat((lens_points - focus[:2], -focus[2:3]))
@@ -45,20 +45,20 @@ def drop_cosine(density: Callable) -> Callable:
 
 
 def drop_mis(heuristic: Callable) -> Callable:
-    """Count light that both techniques find twice."""
+    """Count light that both techniques find twice: weight 1 in MIS."""
     return lambda pdf, other: torch.ones_like(heuristic(pdf, other))
 
 
 MUTATIONS = {
     "drop-zero": (Film, "add", drop_zero),
     "drop-weight": (Film, "add", drop_weight),
-    "drop-cosine": (lens_distribution, "lens_density", drop_cosine),
+    "drop-cosine": (gaussian_mixture, "lens_density", drop_cosine),
     "drop-mis": (mis, "power_heuristic", drop_mis),
 }
 
 
 class Mutation:
-    """A context in which a part of the renderer is replaced by a broken one."""
+    """A context in which one function of the renderer is replaced by its broken variant; without a name nothing is."""
 
     def __init__(self, name: str | None):
         self.name = name

@@ -1,29 +1,33 @@
-"""What mode `guided` is worth beside others at equal SPP, with intervals, and whether it is worse anywhere.
+"""Modes over several seeds at equal SPP: errors with confidence intervals, and block by block.
 
-    python scripts/seeds.py
-    python scripts/seeds.py night-street --modes uniform,lis-o,guided --seeds 8 --spp 64
+    python scripts/experiments/seeds.py
+    python scripts/experiments/seeds.py night-street --modes uniform,lis-o,guided --seeds 8 --spp 64
 
-Every mode is rendered with so many seeds. The table has the rays of a sample, MAPE and relMSE over the insets (over the
-frame for a scene without), averaged over the seeds, and the errors of the last mode over each other one's, with 95 %
-intervals (Student's t of the logarithms' differences). Below it stands, of all blocks of 32 x 32 pixels, the largest ratio of the last mode's relMSE
-to the first one's, and how many of them are above WORSE with 95 % confidence for all blocks at once (Bonferroni).
-Writes seeds.md and, of each scene, SCENE-first.png, the first seed of the last mode at 8 SPP beside the first mode's at 8
-and at 256 SPP, into `--out`.
+Each mode is rendered with several seeds. The table has rays per sample, MAPE and relMSE over the insets (over the frame for
+a scene without insets), averaged over the seeds. It also has the errors of the last mode over the errors of each other
+mode, with 95 % intervals (Student's t of the differences of logarithms). A sentence below the table compares blocks of
+32 × 32 pixels: the worst ratio of the last mode's relMSE to the first mode's, and the number of blocks above WORSE with
+95 % confidence for all blocks at once (Bonferroni). Writes seeds.md, and for each scene SCENE-first.png: the last mode at
+8 SPP beside the first mode at 8 and at 256 SPP.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import torch
-from experiment import experiment_parser, load_scenes
 from scipy import stats
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from experiments.options import experiment_parser, load_scenes
 
 from bokehguide.cli.arguments import COMPILE_HELP, positive
 from bokehguide.cli.scripts import run
@@ -35,17 +39,19 @@ from bokehguide.train import RenderLoop, RenderSettings
 
 FIRST_SEED = 6_000_000
 REFERENCE_SHARE = 16
-"""SPP of a reference for one of a render's."""
+"""SPP of a reference per SPP of a render."""
 BLOCK, WORSE = 32, 1.1
 EARLY, LATE = 8, 256
 
 
 def main() -> None:
     parser = experiment_parser(__doc__, "320x180", "uniform,lis-o,guided")
-    parser.add_argument("--spp", type=positive, default=64, metavar="N", help="default 64")
-    parser.add_argument("--seeds", type=positive, default=8, metavar="N", help="renders of each mode, default 8")
-    parser.add_argument("--cache", type=Path, metavar="DIR", help="where references are kept, default the user's cache folder")
-    parser.add_argument("--out", type=Path, default=Path("out/seeds"), metavar="DIR", help="default out/seeds")
+    parser.add_argument("--spp", type=positive, default=64, metavar="N", help="default: 64")
+    parser.add_argument("--seeds", type=positive, default=8, metavar="N", help="renders of each mode (default: 8)")
+    parser.add_argument("--cache", type=Path, metavar="DIR", help="folder of the references (default: the user's cache folder)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/seeds"), metavar="DIR", help="folder of the results (default: out/seeds)"
+    )
     parser.add_argument("--compile", action="store_true", help=COMPILE_HELP)
     args = parser.parse_args()
     check_writable(args.out / "seeds.md")
@@ -60,7 +66,7 @@ def main() -> None:
 
 
 def report(scene: Scene, args: argparse.Namespace) -> Iterator[str]:
-    """The table of one scene, and the sentence on its blocks."""
+    """Lines of the table of one scene and of the sentence on its blocks."""
     settings = RenderSettings(spp=args.spp, threads=args.threads, compile=args.compile)
     path = args.out / f"{scene.name}-reference.exr"
     reference = made_reference(scene, replace(settings, spp=REFERENCE_SHARE * args.spp), path, args.cache).radiance.float()
@@ -69,7 +75,7 @@ def report(scene: Scene, args: argparse.Namespace) -> Iterator[str]:
     pictures = {mode: images for mode, (images, _) in done.items()}
     found = {mode: measured(images, reference, mask) for mode, images in pictures.items()}
     last = args.modes[-1]
-    yield f"| {scene.name} | rays a sample | MAPE | relMSE | MAPE of {last} over it | relMSE of {last} over it |"
+    yield f"| {scene.name} | rays per sample | MAPE | relMSE | MAPE of {last} over it | relMSE of {last} over it |"
     yield "| --- | ---: | ---: | ---: | ---: | ---: |"
     for mode, values in found.items():
         means = " | ".join(f"{value:.4f}" for value in values.mean(0).tolist())
@@ -80,16 +86,16 @@ def report(scene: Scene, args: argparse.Namespace) -> Iterator[str]:
 
 
 def renders(scene: Scene, settings: RenderSettings, count: int) -> tuple[list[Tensor], float]:
-    """Radiance `[H, W, 3]` at seeds from FIRST_SEED on, and the rays of a sample."""
+    """Radiance `[H, W, 3]` at `count` seeds from FIRST_SEED on, and rays per sample."""
     pictures, rays, samples = [], 0, 0
     with progress(f"{scene.name} {settings.mode}", count * settings.spp) as bar:
         for seed in range(FIRST_SEED, FIRST_SEED + count):
-            loop = RenderLoop(scene, replace(settings, seed=seed))
-            for _ in range(settings.spp):
-                stats = whole_step(loop)
-                rays, samples = rays + stats.rays, samples + stats.samples
-                bar.update()
-            pictures.append(loop.film.radiance().cpu())
+            with RenderLoop(scene, replace(settings, seed=seed)) as loop:
+                for _ in range(settings.spp):
+                    stats = whole_step(loop)
+                    rays, samples = rays + stats.rays, samples + stats.samples
+                    bar.update()
+                pictures.append(loop.film.radiance().cpu())
     return pictures, rays / samples
 
 
@@ -113,26 +119,28 @@ def log_error(ours: Tensor, others: Tensor) -> Tensor:
 
 
 def blocks(ours: list[Tensor], others: list[Tensor], reference: Tensor, modes: list[str]) -> str:
+    """The sentence on the relMSE of blocks."""
     if len(ours) == 1:
-        return "One seed: nothing to say of blocks."
+        return "Blocks are compared over two seeds or more."
     one, other = (torch.stack([by_block(image, reference) for image in images]) for images in (ours, others))
     ratio = (one.mean(0) / other.mean(0).clamp(min=1e-12)).double()
     quantile = stats.t.ppf(1.0 - 0.05 / len(ratio), 2 * len(ours) - 2)
     worse = int((ratio * torch.exp(-quantile * log_error(one, other).double()) > WORSE).sum())
     return (
-        f"Of {len(ratio)} blocks of {BLOCK} x {BLOCK} pixels, the relMSE of {modes[-1]} over that of {modes[0]} is {ratio.max():.2f} "
-        f"in the worst and {ratio.median():.3f} in the median; {int((ratio > WORSE).sum())} are above {WORSE}, and {worse} surely."
+        f"Of {len(ratio)} blocks of {BLOCK} x {BLOCK} pixels, the relMSE of {modes[-1]} over that of {modes[0]} is "
+        f"{ratio.max():.2f} in the worst and {ratio.median():.3f} in the median; {int((ratio > WORSE).sum())} are above {WORSE}, "
+        f"{worse} of them with 95 % confidence."
     )
 
 
 def by_block(image: Tensor, reference: Tensor) -> Tensor:
-    """relMSE of each block, `[blocks]`; those at the right and lower edge may be smaller."""
+    """relMSE of each block, `[blocks]`; blocks at the right and lower edge may be smaller."""
     squares = ((image - reference) / (reference + EPSILON)).square().mean(2)
     return avg_pool2d(squares[None, None], BLOCK, ceil_mode=True, count_include_pad=False).flatten()
 
 
 def early_picture(scene: Scene, args: argparse.Namespace) -> None:
-    """The last mode at EARLY SPP beside the first one's at EARLY and at LATE."""
+    """Write the last mode at EARLY SPP beside the first mode at EARLY and at LATE SPP."""
     parts = []
     for mode, spp in ((args.modes[-1], EARLY), (args.modes[0], EARLY), (args.modes[0], LATE)):
         parts += renders(scene, RenderSettings(mode, spp, threads=args.threads, compile=args.compile), 1)[0]

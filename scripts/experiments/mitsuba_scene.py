@@ -1,13 +1,12 @@
-"""A scene in Mitsuba 3, as far as both renderers mean the same by it.
+"""Scenes in Mitsuba 3, reduced to terms that both renderers define alike.
 
-`comparable` reduces a scene to what has an exact counterpart, and `left_out` tells what that
-cost: coats over a base, specular lobes of dielectrics, normal maps, attenuation, spotlights'
-cones, vertex colours, and the like. Metals and
-rough glass are made smooth enough that Mitsuba's separable Smith term and the
-height-correlated one differ by less than a thousandth up to 85° from the normal.
+`comparable` reduces a scene to terms with an exact counterpart, and `left_out` lists the removed terms: coats over a base,
+specular lobes of dielectrics, normal maps, attenuation, cones of spotlights, vertex colours. Metals and rough glass are made
+so smooth that Mitsuba's separable Smith term and the height-correlated term differ by less than 0.1 % up to 85° from the
+normal.
 
-Mitsuba counts cut-outs that a path passes as segments, and its light samples are blocked by
-them; scenes with opacity need a `max_depth` beyond which there is no light to speak of.
+Mitsuba counts cut-outs on a path as segments, and cut-outs block its light samples. Scenes with opacity need a `max_depth`
+beyond which the radiance is negligible.
 """
 
 from __future__ import annotations
@@ -26,24 +25,24 @@ from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Camera, Environment, Material, Mesh, Scene, Texture
 
-mi.set_variant("llvm_ad_rgb", "scalar_rgb")  # the second where no LLVM library is found
+mi.set_variant("llvm_ad_rgb", "scalar_rgb")  # the second variant without an LLVM library
 
 METAL_ROUGHNESS = (0.05, 0.2)
 GLASS_ROUGHNESS = (0.1, 0.2)
-"""Ranges that roughness is brought into; glass below 0.063 is smooth."""
+"""Ranges to which roughness is clamped; glass below SMOOTH_GLASS is smooth."""
 SMOOTH_GLASS = 0.063
 FINE_MASK = 32
-"""Texels of a cut-out's image to one of the texture, across and down."""
+"""Texels of a cut-out's mask per texel of the texture, across and down."""
 NEAR, FAR = 1e-4, 1e5
 """Clipping planes of Mitsuba's camera, metres."""
 CHUNK_SAMPLES = 1 << 22
-"""Most samples of one render: Mitsuba keeps them all in memory."""
+"""Largest number of samples of one render, which Mitsuba keeps in memory."""
 APART = 1e-5
-"""The back of a lamp that emits from both faces lies this far behind its front, in scene sizes."""
+"""Distance of the back of a two-sided emitter behind its front, in scene sizes."""
 
 
 def comparable(scene: Scene) -> Scene:
-    """`scene` with materials that Mitsuba has too; lamps are shaded flat, as their radiance is."""
+    """`scene` with materials that Mitsuba has too; emitters have flat normals, as their radiance is constant over directions."""
     if scene.camera.aperture is not None:
         raise BokehguideError(f"{scene.name}: Mitsuba's aperture is round; remove [camera.aperture] to compare")
     if scene.suns:
@@ -57,7 +56,7 @@ def comparable(scene: Scene) -> Scene:
 
 
 def left_out(scene: Scene, reduced: Scene) -> list[str]:
-    """What `comparable` made of `scene` lacks or has otherwise: a line for each term, with the materials it concerns."""
+    """Terms of `scene` that `comparable` removed or changed: a line for each term, with its materials."""
     lost: dict[str, list[str]] = {}
     for number in sorted({mesh.material for mesh in scene.meshes}):
         before, after = scene.materials[number], reduced.materials[number]
@@ -74,7 +73,7 @@ def left_out(scene: Scene, reduced: Scene) -> list[str]:
 
 
 def _comparable_material(material: Material) -> Material:
-    """A Lambertian surface, a metal or glass, whichever comes closest."""
+    """The closest of a Lambertian surface, a metal and glass."""
     kept = ("name", "base_color", "ior", "thin", "emission", "double_sided", "opacity", "alpha_mode", "alpha_cutoff")
     terms = {name: getattr(material, name) for name in (*kept, "base_color_texture", "emission_texture")}
     if material.transmission >= 0.5:
@@ -88,12 +87,13 @@ def _comparable_material(material: Material) -> Material:
 
 @dataclass(frozen=True)
 class MitsubaFilm:
-    """What one render of Mitsuba brought: as much of a `Film` as a comparison needs."""
+    """The result of one render of Mitsuba, with the methods of a `Film` that a comparison needs."""
 
     mean: Tensor
     second_moment: Tensor
     spp: int
     bad_count = 0
+    bad_samples = ()
 
     def radiance(self) -> Tensor:
         """Mean radiance, float64 `[H, W, 3]`."""
@@ -110,23 +110,23 @@ class MitsubaRenderer:
 
     def __init__(self, scene: Scene):
         path = _path(scene)
-        self._scene = mi.load_dict(_described(scene) | {"integrator": {"type": "moment", "path": path}})
+        self._scene = mi.load_dict(_scene_dictionary(scene) | {"integrator": {"type": "moment", "path": path}})
         self._path = mi.load_dict(path)
 
     def look_at(self, column: int, row: int) -> None:
-        """From now on render this pixel alone."""
+        """Restrict later renders to this pixel."""
         parameters = mi.traverse(self._scene)
         parameters["sensor.film.crop_offset"] = [column, row]
         parameters["sensor.film.crop_size"] = [1, 1]
         parameters.update()
 
     def picture(self, spp: int, seed: int) -> Tensor:
-        """Radiance `[H, W, 3]` of an independent render, without the moments that `render` pays for."""
+        """Radiance `[H, W, 3]` of an independent render, without the moments of `render`."""
         image = mi.render(self._scene, integrator=self._path, spp=spp, seed=seed)
         return torch.from_numpy(np.array(image, np.float64)[..., :3].copy())
 
     def render(self, spp: int, seed: int) -> MitsubaFilm:
-        """An independent render of `spp` samples a pixel, at least 2."""
+        """An independent render of `spp` ≥ 2 samples per pixel."""
         # Channels: RGB of the mean, then X, Y, Z of the mean and of the squares.
         image = np.array(mi.render(self._scene, spp=spp, seed=seed), np.float64)
         if not np.isfinite(image).all():
@@ -135,29 +135,33 @@ class MitsubaRenderer:
 
 
 def _path(scene: Scene) -> dict[str, Any]:
-    """The integrator. No roulette: paths end at the last segment."""
+    """The integrator, without Russian roulette: paths end at the last segment."""
     return {"type": "path", "max_depth": scene.film.max_depth, "rr_depth": 100}
 
 
-def _described(scene: Scene) -> dict[str, Any]:
-    described: dict[str, Any] = {"type": "scene", "sensor": _sensor(scene)}
+def _scene_dictionary(scene: Scene) -> dict[str, Any]:
+    parts: dict[str, Any] = {"type": "scene", "sensor": _sensor(scene)}
     materials = [mi.load_dict(_bsdf(material)) for material in scene.materials]
     size = max(float(np.ptp(mesh.vertices, axis=0).max()) for mesh in scene.meshes)
     for number, mesh in enumerate(scene.meshes):
         material = scene.materials[mesh.material]
-        described[f"mesh{number}"] = _shape(mesh, material, materials[mesh.material])
+        parts[f"mesh{number}"] = _shape(mesh, material, materials[mesh.material])
         if material.emits and material.double_sided:
-            described[f"mesh{number}back"] = _shape(_back(mesh, APART * size), material, materials[mesh.material])
+            parts[f"mesh{number}back"] = _shape(_back(mesh, APART * size), material, materials[mesh.material])
     if scene.environment is not None:
-        described["environment"] = environment_emitter(scene.environment)
-    return described
+        parts["environment"] = environment_emitter(scene.environment)
+    return parts
 
 
 def _sensor(scene: Scene) -> dict[str, Any]:
     camera: Camera = scene.camera
     lens = {"type": "perspective"}  # thinlens refuses a radius of 0
     if camera.aperture_radius > 0.0:
-        lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": min(camera.focus_distance, FARTHEST_FOCUS)}
+        lens = {
+            "type": "thinlens",
+            "aperture_radius": camera.aperture_radius,
+            "focus_distance": min(camera.focus_distance, FARTHEST_FOCUS),
+        }
     film = {"type": "hdrfilm", "width": scene.film.width, "height": scene.film.height, "rfilter": {"type": "box"}}
     place = mi.ScalarTransform4f().look_at(list(camera.position), list(camera.target), list(camera.up))
     return lens | {
@@ -182,7 +186,7 @@ def _bsdf(material: Material) -> dict[str, Any]:
             bsdf = {"type": "dielectric"} | index
         else:
             bsdf = {"type": "roughdielectric", "distribution": "ggx", "alpha": alpha} | index
-    elif material.metallic > 0.0:  # Schlick's Fresnel term, as glTF has it
+    elif material.metallic > 0.0:  # Schlick's Fresnel term, as in glTF
         metal = {"type": "principled", "base_color": color, "metallic": 1.0, "roughness": material.roughness}
         bsdf = {"type": "twosided", "bsdf": metal}
     else:
@@ -191,14 +195,14 @@ def _bsdf(material: Material) -> dict[str, Any]:
 
 
 def _color(factor: tuple[float, float, float], texture: Texture | None) -> dict[str, Any]:
-    """A colour, or an image of which it is a factor."""
+    """A colour, or an image multiplied by it."""
     if texture is None:
         return {"type": "rgb", "value": list(factor)}
     return _bitmap(texture.image[..., :3] * np.asarray(factor, np.float32), texture)
 
 
 def _opacity(material: Material) -> dict[str, Any] | float:
-    """The opacity of a material that is not opaque. Mitsuba cuts nothing out by itself: a fine image does."""
+    """The opacity of a material that is not opaque. Mitsuba has no cut-outs, so a fine image replaces the threshold."""
     texture, cuts = material.base_color_texture, material.alpha_mode == "mask"
     if texture is None or texture.image.shape[2] < 4:
         return float(material.opacity >= material.alpha_cutoff) if cuts else material.opacity
@@ -264,13 +268,15 @@ def _back(mesh: Mesh, distance: float) -> Mesh:
 
 
 def environment_emitter(environment: Environment) -> dict[str, Any]:
-    """The map with Mitsuba's rows, and turned: its centre lies at +z where ours lies at -z.
+    """The map with Mitsuba's rows, rotated: its centre lies at +z in Mitsuba and at -z in bokehguide.
 
     Mitsuba's first and last rows are the poles and its columns are texels; with twice as
-    many rows and one, its bilinear interpolant is ours.
+    many rows plus one, both bilinear interpolants agree.
     """
     if not environment.visible:
-        raise BokehguideError("environment: Mitsuba has none that light but cannot be seen")
+        raise BokehguideError(
+            "environment: Mitsuba has no environment that is invisible to the camera; set visible = true to compare"
+        )
     radiance = np.asarray(environment.radiance, np.float32)
     if radiance.shape[:2] == (1, 1):
         return {"type": "constant", "radiance": {"type": "rgb", "value": radiance[0, 0].tolist()}}

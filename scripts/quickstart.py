@@ -1,6 +1,6 @@
 """`make render`: fairy-lights with uniform and with guided lens sampling, side by side.
 
-    python scripts/demo.py out
+python scripts/quickstart.py out
 """
 
 import os
@@ -29,7 +29,7 @@ def main(out: Path) -> None:
     pair = out / f"{SCENE}-side-by-side.png"
     side_by_side([labelled(images[mode], f"{MODES[mode]}, MAPE {errors[mode]:.3f}") for mode in MODES]).save(pair)
 
-    print(f"\n{'':12}{'MAPE':<8}EXR (a PNG of the same name lies beside it)")
+    print(f"\n{'':12}{'MAPE':<8}EXR (with a PNG of the same name)")
     for mode, image in images.items():
         print(f"{mode:<12}{errors[mode]:<8.4f}{image}")
     print(f"\nside by side  {pair}\nTensorBoard   {out / 'logs'}")
@@ -38,7 +38,7 @@ def main(out: Path) -> None:
 
 
 def render(mode: str, image: Path, logs: Path) -> None:
-    """Run the command a user would type."""
+    """Run the command line."""
     command = [sys.executable, "-m", "bokehguide", "render", SCENE, "--mode", mode, "--size", SIZE, "--spp", str(SPP)]
     command += ["--out", str(image), "--logdir", str(logs), "--reference", str(REFERENCE), "--checkpoint-every", "0"]
     finished = subprocess.run(command, check=False)
@@ -47,7 +47,7 @@ def render(mode: str, image: Path, logs: Path) -> None:
 
 
 def labelled(image: Path, text: str) -> Image.Image:
-    """The tone-mapped image under a line of text."""
+    """The tone-mapped image below a line of text."""
     display = to_8_bit(tone_map(torch.from_numpy(read_rgb(image))))
     height, width = display.shape[:2]
     canvas = Image.new("RGB", (width, height + 24))

@@ -1,6 +1,6 @@
 """Small scenes, each of one kind of material or light, that Mitsuba can render too.
 
-Their lamps are large enough that few samples suffice, and small enough to be bokeh.
+Their emitters are large enough for few samples, and small enough for bokeh.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_box, unit_rectangle, unit_sphere
-from bokehguide.scene.types import Camera, Environment, Film, Inset, Material, Mesh, Scene, Texture
+from bokehguide.scene.types import Camera, Environment, FilmSettings, Inset, Material, Mesh, Scene, Texture
 
 CAMERA = Camera((0.0, 0.7, 3.0), (0.0, 0.4, 0.0), fov=40.0, aperture_radius=0.08, focus_distance=3.0)
 INSETS = (Inset(0.05, 0.05, 0.4, 0.4), Inset(0.3, 0.45, 0.4, 0.45))
@@ -19,7 +19,7 @@ WHITE = Material("white", (0.7, 0.7, 0.7), specular=0.0)
 
 
 def diffuse() -> Scene:
-    """Matt bodies on a chequered ground."""
+    """Diffuse bodies on a chequered ground."""
     red = Material("red", (0.7, 0.2, 0.1), specular=0.0)
     return _stage("diffuse", [(_ball(-0.45), red), (_box(0.5), WHITE)])
 
@@ -48,7 +48,7 @@ def rough_glass() -> Scene:
 
 
 def textured_emitter() -> Scene:
-    """A picture that shines, two small ones out of focus, and one that shines to both sides."""
+    """Emitters with textures: one large, two small out of focus, and one that emits from both faces."""
     picture = Texture(_picture(6, 8), wrap=("clamp", "clamp"))
     screen = Material("screen", (0.0, 0.0, 0.0), specular=0.0, emission=(3.0, 3.0, 3.0), emission_texture=picture)
     board = replace(screen, name="board", emission=(2.0, 1.0, 3.0), double_sided=True)
@@ -57,18 +57,18 @@ def textured_emitter() -> Scene:
     near = _placed(unit_rectangle(), (-0.5, 0.3, 0.0), (0.0, 60.0, 5.0), (0.3, 0.25, 1.0))
     signs = [_placed(unit_rectangle(), (x, 1.15, -2.5), (0.0, -20.0, 0.0), (0.06, 0.04, 1.0)) for x in (-0.6, 0.5)]
     bodies = [(above, screen), (near, board), (_ball(0.45), WHITE), *((mesh, sign) for mesh in signs)]
-    return _stage("textured-emitter", bodies, lamps=False)
+    return _stage("textured-emitter", bodies, emitters=False)
 
 
-def environment_lamps() -> Scene:
-    """Lamps at infinity, in a map that is turned."""
+def environment_emitters() -> Scene:
+    """Emitters at infinity, in a rotated environment map."""
     sky = np.random.default_rng(4).uniform(0.1, 0.3, (32, 64, 3)).astype(np.float32)
     radiance = sky.repeat(4, axis=0).repeat(4, axis=1)
-    lamps = ((61, 144, (24, 10, 3)), (59, 153, (6, 20, 9)), (60, 163, (8, 8, 24)), (22, 40, (99, 99, 99)))
-    # Three in view, and one from behind that lights the bodies.
-    for row, column, color in lamps:
+    emitters = ((61, 144, (24, 10, 3)), (59, 153, (6, 20, 9)), (60, 163, (8, 8, 24)), (22, 40, (99, 99, 99)))
+    # Three in view, and one behind the camera that lights the bodies.
+    for row, column, color in emitters:
         radiance[row : row + 2, column : column + 2] = color
-    scene = _stage("environment-lamps", [(_ball(-0.45), WHITE), (_box(0.5), WHITE)], lamps=False)
+    scene = _stage("environment-emitters", [(_ball(-0.45), WHITE), (_box(0.5), WHITE)], emitters=False)
     return replace(scene, environment=Environment(radiance, rotation=37.0))
 
 
@@ -82,23 +82,23 @@ def alpha_mask() -> Scene:
     return _stage("alpha-mask", [(left, leaf), (right, veil), (_ball(0.1), WHITE)], max_depth=16)
 
 
-STUDIES: dict[str, Callable[[], Scene]] = {
+MATERIAL_SCENES: dict[str, Callable[[], Scene]] = {
     "diffuse": diffuse,
     "metal": metal,
     "smooth-glass": smooth_glass,
     "rough-glass": rough_glass,
     "textured-emitter": textured_emitter,
-    "environment-lamps": environment_lamps,
+    "environment-emitters": environment_emitters,
     "alpha-mask": alpha_mask,
 }
 
 
-def _stage(name: str, bodies: list[tuple[Mesh, Material]], max_depth: int = 6, lamps: bool = True) -> Scene:
-    """Bodies on a ground that a picture covers four times, under a sky; with a ceiling lamp and three small ones."""
+def _stage(name: str, bodies: list[tuple[Mesh, Material]], max_depth: int = 6, emitters: bool = True) -> Scene:
+    """Bodies on a ground with a tiled texture, under a sky; optionally a ceiling emitter and three small ones."""
     tiles = Texture(_picture(8, 8), transform=(4.0, 0.0, 0.3, 0.0, 4.0, 0.1))
     ground = Material("ground", (0.8, 0.8, 0.8), specular=0.0, base_color_texture=tiles)
     parts = [(_placed(unit_rectangle(), (0.0, 0.0, -1.0), (-90.0, 0.0, 0.0), 4.0), ground), *bodies]
-    if lamps:
+    if emitters:
         ceiling = Material("ceiling", (0.0, 0.0, 0.0), specular=0.0, emission=(4.0, 3.8, 3.5))
         bulb = Material("bulb", (0.0, 0.0, 0.0), specular=0.0, emission=(12.0, 8.0, 4.0))
         centres = np.array([[-1.0, 1.1, -2.5], [0.1, 1.3, -3.5], [0.9, 0.9, -2.0]])
@@ -111,7 +111,7 @@ def _stage(name: str, bodies: list[tuple[Mesh, Material]], max_depth: int = 6, l
         camera=CAMERA,
         meshes=meshes,
         materials=tuple(material for _, material in parts),
-        film=Film(96, 54, max_depth),
+        film=FilmSettings(96, 54, max_depth),
         environment=Environment(np.ascontiguousarray(sky)),
         insets=INSETS,
     )
@@ -130,13 +130,13 @@ def _box(x: float) -> Mesh:
 
 
 def _picture(height: int, width: int) -> np.ndarray:
-    """Random colours that no turn and no mirror leaves as they are, float32 `[height, width, 3]`."""
+    """Random colours without rotational or mirror symmetry, float32 `[height, width, 3]`."""
     picture = np.random.default_rng(1).uniform(0.1, 1.0, (height, width, 3))
     picture[: height // 2, : width // 2] *= 0.3
     return picture.astype(np.float16).astype(np.float32)
 
 
 def _holes(size: int) -> np.ndarray:
-    """Opacities, a third of them 0, float32 `[size, size]`."""
+    """Opacities, about a third of them 0, float32 `[size, size]`."""
     rng = np.random.default_rng(2)
     return np.where(rng.random((size, size)) < 0.35, 0.0, 1.0).astype(np.float32)

@@ -1,13 +1,12 @@
-"""What a step and the memory cost as pixels, triangles, lamps and SPP grow.
+"""Cost of a step and memory as the numbers of pixels, triangles, emitters and SPP grow.
 
-    python scripts/scaling.py --out out/scaling
-    python scripts/scaling.py --modes guided --lamps 10,100,1000
+    python scripts/experiments/scaling.py --out out/scaling
+    python scripts/experiments/scaling.py --modes guided --emitters 10,100,1000
 
-One of the four grows while the others stay: 0.5 million pixels, 100,000 triangles, 100 lamps,
-and steps after the first 8. The scene is a field of hills in focus before lamps far behind it, each of
-eight triangles. Every figure is of a process of its own: seconds from the scene to the first picture, the median of
-STEPS later steps, peak memory, and what the guide holds. Writes `scaling.json` and `scaling.png`, and
-prints a table; its last column is the exponent of the step's seconds from the row before.
+One of the four numbers grows while the others keep the values of BASE. The scene is a field of hills in focus; the emitters
+lie far behind it, each of eight triangles. Every row comes from a process of its own: seconds from the scene to the first
+picture, median seconds of STEPS later steps, peak memory, and the memory of the guide. Writes scaling.json, scaling.md and
+scaling.png. The last column is the exponent of the step's seconds from the row before.
 """
 
 from __future__ import annotations
@@ -18,54 +17,62 @@ import multiprocessing
 import statistics
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from torch import Tensor
 
 from bokehguide.cli.arguments import threads
 from bokehguide.cli.report import peak_memory_mb, write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation.tables import markdown
-from bokehguide.image import check_writable
-from bokehguide.scene import Camera, Environment, Film, Material, Mesh, Scene
+from bokehguide.image import check_writable, replacing
+from bokehguide.runtime.process import dedicate_process
+from bokehguide.scene import Camera, Environment, FilmSettings, Material, Mesh, Scene
 from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
 
 STEPS = 3
-"""Steps whose median is told."""
+"""Number of measured steps; the table has their median."""
 WARM_UP = 8
-"""Steps before them: those of the paper's global fit."""
-STILL = {"pixels": 500_000, "triangles": 100_000, "lamps": 100, "spp": WARM_UP}
-"""What each of the four is while another one grows."""
+"""Steps before the measured ones: those of the paper's global fit."""
+BASE = {"pixels": 500_000, "triangles": 100_000, "emitters": 100, "spp": WARM_UP}
+"""Values of the numbers that do not grow."""
 GROWING = {
     "pixels": (100_000, 500_000, 2_000_000, 8_000_000),
     "triangles": (1_000, 10_000, 100_000, 1_000_000, 5_000_000),
-    "lamps": (10, 100, 1_000, 10_000),
+    "emitters": (10, 100, 1_000, 10_000),
     "spp": (8, 64, 512),
 }
 MATERIALS = (
     Material("hills", (0.5, 0.45, 0.4), roughness=0.6),
-    Material("lamp", (0.0, 0.0, 0.0), specular=0.0, emission=(1.0, 0.8, 0.5)),
+    Material("emitter", (0.0, 0.0, 0.0), specular=0.0, emission=(1.0, 0.8, 0.5)),
 )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--modes", type=modes, default=["uniform", "guided"], help="default uniform,guided")
+    parser.add_argument("--modes", type=modes, default=["uniform", "guided"], metavar="A,B,...", help="default: uniform,guided")
     for name, values in GROWING.items():
         shown = ",".join(map(str, values))
-        parser.add_argument(f"--{name}", type=numbers, default=list(values), metavar="N,N,...", help=f"default {shown}")
-    parser.add_argument("--threads", type=threads, help="default: one per core")
-    parser.add_argument("--out", type=Path, default=Path("out/scaling"), metavar="DIR", help="default out/scaling")
+        parser.add_argument(f"--{name}", type=numbers, default=list(values), metavar="N,N,...", help=f"default: {shown}")
+    parser.add_argument("--threads", type=threads, metavar="N", help="default: one per core")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/scaling"), metavar="DIR", help="folder of the results (default: out/scaling)"
+    )
     args = parser.parse_args()
     check_writable(args.out / "scaling.json")
     rows = []
     for growing in GROWING:
         for mode in args.modes:
             for value in getattr(args, growing):
-                rows.append({"mode": mode, "growing": growing, **measured(mode, STILL | {growing: value}, args.threads)})
+                rows.append({"mode": mode, "growing": growing, **measured(mode, BASE | {growing: value}, args.threads)})
                 print(f"{mode} {growing} {value}: {rows[-1]['step']:.3f} s", file=sys.stderr)
     write_json(args.out / "scaling.json", {"rows": rows})
-    print(table(rows))
+    text = table(rows)
+    with replacing(args.out / "scaling.md") as temporary:
+        temporary.write_text(text + "\n")
+    print(text)
     draw(rows, args.out / "scaling.png")
 
 
@@ -84,14 +91,14 @@ def modes(text: str) -> list[str]:
 
 
 def measured(mode: str, amounts: dict[str, int], workers: int | None) -> dict[str, float]:
-    """The costs of a render in a fresh process."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
+    """The costs of a render in a new process."""
+    with multiprocessing.get_context("spawn").Pool(1, dedicate_process) as pool:
         return amounts | pool.apply(costs, (mode, amounts, workers))
 
 
 def costs(mode: str, amounts: dict[str, int], workers: int | None) -> dict[str, float]:
     """first: seconds from the scene to the first step's end; step: of a later one; MiB of the process, the guide, its record."""
-    scene = hills(amounts["pixels"], amounts["triangles"], amounts["lamps"])
+    scene = hills(amounts["pixels"], amounts["triangles"], amounts["emitters"])
     start = time.perf_counter()
     loop = RenderLoop(scene, RenderSettings(mode, amounts["spp"] + STEPS, threads=workers))
     loop.step()
@@ -104,30 +111,33 @@ def costs(mode: str, amounts: dict[str, int], workers: int | None) -> dict[str, 
 
 
 def guide_memory(loop: RenderLoop) -> tuple[float, float]:
-    """MiB of all that the guides hold, optimisers and candidates too, and of the record buffer."""
-    if loop.guide is None:
-        return 0.0, 0.0
-    held = [value for guide in (loop.guide, loop.light_guide) if guide is not None for value in guide.state_dict().values()]
-    held += [value for one in loop.guide.optimizers.values() for state in one.state.values() for value in state.values()]
-    held += [] if loop.guide.candidates is None else [loop.guide.candidates.start, loop.guide.candidates.gaussian]
-    sizes = (sum(value.numel() * value.element_size() for value in values) for values in (held, loop.guide.record.state_dict().values()))
-    return tuple(size / 2**20 for size in sizes)
+    """MiB of the lens and light strategies with their optimisers and candidates, and of the record buffer alone."""
+    lens, lights = loop.mode.lens, loop.mode.lights
+    tensors = [*lens.state_dict().values(), *lights.state_dict().values()]
+    tensors += [value for one in lens.optimizers.values() for state in one.state.values() for value in state.values()]
+    candidates, record = getattr(lens, "candidates", None), getattr(lens, "record_buffer", None)
+    tensors += [] if candidates is None else [candidates.start, candidates.gaussian]
+    return mebibytes(tensors), 0.0 if record is None else mebibytes(record.state_dict().values())
 
 
-def hills(pixels: int, triangles: int, lamps: int) -> Scene:
-    """The scene, with as near as can be so many pixels, triangles of hills, and lamps."""
+def mebibytes(tensors: Iterable[Tensor]) -> float:
+    return sum(tensor.numel() * tensor.element_size() for tensor in tensors) / 2**20
+
+
+def hills(pixels: int, triangles: int, emitters: int) -> Scene:
+    """The scene, with about these numbers of pixels and triangles of hills, and this number of emitters."""
     height = max(round(math.sqrt(pixels * 9 / 16)), 1)
     camera = Camera((0.0, 1.2, 4.0), (0.0, 0.6, 0.0), fov=45.0, aperture_radius=0.08, focus_distance=4.0)
     sky = Environment(np.full((1, 1, 3), 0.05, np.float32))
-    meshes = (terrain(max(round(math.sqrt(triangles / 2)), 1)), octahedra(lamps))
-    return Scene("hills", camera, meshes, lit(lamps), Film(round(height * 16 / 9), height), sky)
+    meshes = (terrain(max(round(math.sqrt(triangles / 2)), 1)), octahedra(emitters))
+    return Scene("hills", camera, meshes, lit(emitters), FilmSettings(round(height * 16 / 9), height), sky)
 
 
-def lit(lamps: int) -> tuple[Material, ...]:
-    """The materials, with the same light in all however many lamps there are."""
-    surface, lamp = MATERIALS
-    scale = 2e5 / lamps
-    return surface, Material(lamp.name, lamp.base_color, specular=0.0, emission=tuple(scale * c for c in lamp.emission))
+def lit(emitters: int) -> tuple[Material, ...]:
+    """The materials; all emitters together have the same power for every number of emitters."""
+    surface, emitter = MATERIALS
+    scale = 2e5 / emitters
+    return surface, Material(emitter.name, emitter.base_color, specular=0.0, emission=tuple(scale * c for c in emitter.emission))
 
 
 def terrain(side: int) -> Mesh:
@@ -142,7 +152,7 @@ def terrain(side: int) -> Mesh:
 
 
 def octahedra(count: int) -> Mesh:
-    """Lamps of 4 mm radius in a random cloud behind the hills."""
+    """Emitters of 4 mm radius in a random cloud behind the hills."""
     rng = np.random.default_rng(7)
     centre = rng.uniform((-6.0, 0.2, -9.0), (6.0, 4.0, -5.0), (count, 3))
     corners = 0.004 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
@@ -152,7 +162,10 @@ def octahedra(count: int) -> Mesh:
 
 
 def table(rows: list[dict]) -> str:
-    cells = [["mode", "growing", "number", "first picture s", "step s", "ns a sample", "MiB", "guide MiB", "record MiB", "exponent"]]
+    """All rows in Markdown."""
+    cells = [
+        ["mode", "growing", "number", "first picture s", "step s", "ns per sample", "MiB", "guide MiB", "record MiB", "exponent"]
+    ]
     before: dict | None = None
     for row in rows:
         along = before is not None and (before["mode"], before["growing"]) == (row["mode"], row["growing"])
@@ -165,11 +178,12 @@ def table(rows: list[dict]) -> str:
 
 
 def value(row: dict) -> int:
+    """The growing number of a row."""
     return row[row["growing"]]
 
 
 def draw(rows: list[dict], path: Path) -> None:
-    """Seconds of a step and memory over each of the four, on log axes."""
+    """Seconds of a step and memory over each growing number, on log axes."""
     from matplotlib.figure import Figure
 
     from bokehguide.evaluation.curves_figure import label
@@ -187,7 +201,7 @@ def draw(rows: list[dict], path: Path) -> None:
         label(axis.yaxis)
         axis.tick_params(labelsize=SMALL, which="both")
         axis.grid(alpha=0.3, which="both")
-    axes[0, 0].set_ylabel("seconds a step", fontsize=NORMAL)
+    axes[0, 0].set_ylabel("seconds per step", fontsize=NORMAL)
     axes[1, 0].set_ylabel("peak MiB", fontsize=NORMAL)
     axes[0, 0].legend(fontsize=SMALL)
     save(figure, path)

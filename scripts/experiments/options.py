@@ -1,4 +1,4 @@
-"""The options that the experiments share."""
+"""Command-line options shared by the experiments."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 import math
 from collections.abc import Callable
 
-from bokehguide.cli.arguments import size, threads
+from bokehguide.cli.arguments import Parser, size, threads
 from bokehguide.scene import BUILTIN, Overrides, Scene, load_scene
 from bokehguide.train import MODES
 
@@ -17,20 +17,18 @@ def builtin(text: str) -> str:
     return text
 
 
-def experiment_parser(
-    doc: str, frame: str, default_modes: str, scene: Callable[[str], str] = builtin
-) -> argparse.ArgumentParser:
-    """A parser with the options that every experiment has; `frame` is the default `--size`.
+def experiment_parser(doc: str | None, frame: str, default_modes: str, scene: Callable[[str], str] = builtin) -> Parser:
+    """A parser with the options that all experiments share.
 
-    scene: reads one scene's name.
+    frame, default_modes: defaults of `--size` and `--modes`; scene: reads the name of a scene.
     """
-    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
-    add("scenes", nargs="*", default=list(BUILTIN), type=scene, metavar="SCENE", help="default: all built-in ones")
-    add("--size", type=size, default=size(frame), metavar="WxH", help=f"default {frame}")
-    add("--modes", type=modes, default=modes(default_modes), help=f"default {default_modes}")
-    add("--threads", type=threads, help="default: one per core")
-    limit = "start no new render after so many seconds; the same command goes on"
+    add("scenes", nargs="*", default=list(BUILTIN), type=scene, metavar="SCENE", help="default: all built-in scenes")
+    add("--size", type=size, default=size(frame), metavar="WxH", help=f"default: {frame}")
+    add("--modes", type=modes, default=modes(default_modes), metavar="A,B,...", help=f"default: {default_modes}")
+    add("--threads", type=threads, metavar="N", help="default: one per core")
+    limit = "start no new render after this many seconds; the same command continues"
     add("--time-limit", type=float, default=math.inf, metavar="SECONDS", help=limit)
     return parser
 
