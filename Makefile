@@ -1,21 +1,41 @@
-# make         the same as make render
-# make render  a first picture: fairy-lights with uniform and with guided lens sampling, into out/
-# make test    the tests
-# make clean   remove .venv and out/
-# make help    this list
+# make            the same as make render
+# make render     a first picture: fairy-lights with uniform and with guided lens sampling, into out/
+# make test       the essential tests
+# make test-all   all tests, with those marked slow
+# make lint       ruff (lint and format) and pyright
+# make docs       the documentation, into out/site
+# make results    every figure and table of docs/results, again (days; SETTING=reduced: about 20 minutes)
+# make clean      remove .venv and out/
+# make help       this list
 
 PYTHON ?= python3
 VENV := .venv
 EXTRAS ?= test
+SETTING ?= full
 READY := $(VENV)/.ready-$(EXTRAS)
+PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: render test clean help
+.PHONY: render test test-all lint docs results clean help
 
 render: $(READY)
-	$(VENV)/bin/python scripts/demo.py out
+	$(VENV)/bin/python scripts/quickstart.py out
 
 test: $(READY)
-	$(VENV)/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m "not slow"
+
+test-all: $(READY)
+	$(PYTEST)
+
+lint: $(VENV)/.ready-lint
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/pyright
+
+docs: $(VENV)/.ready-docs
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict
+
+results: $(READY)
+	$(VENV)/bin/python scripts/results.py --setting $(SETTING)
 
 clean:
 	rm -rf $(VENV) out
@@ -23,10 +43,10 @@ clean:
 help:
 	@sed -n 's/^# //p' Makefile
 
-# Installed again only when what is to be installed has changed.
-$(READY): pyproject.toml constraints.txt
+# Installed again only when pyproject.toml or constraints.txt has changed; the stem names the extras.
+$(VENV)/.ready-%: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("bokehguide needs Python 3.11 or newer, and " \
 	    "$(PYTHON) is " + sys.version.split()[0] + "; try make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install --quiet -c constraints.txt -e '.[$(EXTRAS)]'
+	$(VENV)/bin/python -m pip install --quiet -c constraints.txt -e '.[$*]'
 	@touch $@
