@@ -1,6 +1,5 @@
 """Models made by others, compared with trimesh where that reads them right."""
 
-import importlib.util
 import json
 import struct
 
@@ -105,7 +104,6 @@ def test_an_unsupported_required_extension():
         load_model(path)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("DracoPy") is None, reason="no DracoPy here")
 def test_draco():
     path = MODELS / "chess-board.glb"
     model = load_model(path)

@@ -1,7 +1,6 @@
-"""KHR_draco_mesh_compression with and without DracoPy."""
+"""KHR_draco_mesh_compression."""
 
-import sys
-
+import DracoPy
 import numpy as np
 import pytest
 
@@ -26,14 +25,12 @@ def compressed(data: bytes, **attributes: int) -> Builder:
 
 
 def packed() -> bytes:
-    draco = pytest.importorskip("DracoPy")
     triangles = INDICES.reshape(2, 3).astype(np.uint32)
-    return draco.encode(SQUARE, triangles, quantization_bits=0, tex_coord=UVS.astype(np.float64))
+    return DracoPy.encode(SQUARE, triangles, quantization_bits=0, tex_coord=UVS.astype(np.float64))
 
 
 def test_a_packed_mesh(tmp_path):
-    draco = pytest.importorskip("DracoPy")
-    kinds = {a["attribute_type"]: a["unique_id"] for a in draco.decode(packed()).attributes}
+    kinds = {a["attribute_type"]: a["unique_id"] for a in DracoPy.decode(packed()).attributes}
     builder = compressed(packed(), POSITION=kinds[0], TEXCOORD_0=kinds[3])
     (mesh,) = load_scene(builder.save(tmp_path / "packed.glb")).meshes
     corners = mesh.vertices[mesh.triangles].reshape(-1, 3) - [0, 0, 3]
@@ -49,22 +46,6 @@ def test_an_attribute_that_is_not_in_there(tmp_path):
 
 @pytest.mark.parametrize("data", [b"junk" * 9, b"DRACO\2\2\1\1" + bytes(40)])
 def test_damaged_data(tmp_path, data):
-    pytest.importorskip("DracoPy")
     with pytest.raises(BokehguideError, match=rf"bad\.glb: meshes\[0\]\.primitives\[0\]: damaged {DRACO}") as caught:
         load_scene(compressed(data, POSITION=0).save(tmp_path / "bad.glb"))
     assert "\n" not in str(caught.value)
-
-
-def test_without_a_decoder_it_is_an_error_that_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "DracoPy", None)  # as if it were not installed
-    path = compressed(b"", POSITION=0).save(tmp_path / "small.glb")
-    with pytest.raises(BokehguideError, match=rf"small\.glb: uses {DRACO}; .*pip install bokehguide\[draco\]"):
-        load_scene(path)
-
-
-def test_an_uncompressed_primitive_beside_it_needs_no_decoder(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "DracoPy", None)
-    builder = Builder()
-    builder.node(mesh=builder.mesh())
-    builder.gltf.extensionsUsed.append(DRACO)
-    assert len(load_scene(builder.save(tmp_path / "plain.glb")).meshes) == 1

@@ -1,7 +1,8 @@
-"""KHR_draco_mesh_compression, decoded with the optional package DracoPy."""
+"""KHR_draco_mesh_compression, decoded by DracoPy."""
 
 from __future__ import annotations
 
+import DracoPy
 import numpy as np
 
 from bokehguide.errors import BokehguideError
@@ -13,12 +14,8 @@ DRACO = "KHR_draco_mesh_compression"
 def read_draco(document: Document, primitive: Part) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Attributes `[V, width]` by their glTF names, in their stored types, and indices int64.
 
-    Raises BokehguideError if DracoPy is missing or the data are damaged.
+    Raises BokehguideError if the data are damaged.
     """
-    try:
-        import DracoPy
-    except ImportError:
-        raise BokehguideError(f"{document.file}: uses {DRACO}; to read it, pip install bokehguide[draco]") from None
     packed = primitive.extension(DRACO)
     view = document.required(packed, "bufferView", "bufferViews")
     try:
