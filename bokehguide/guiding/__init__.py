@@ -1,1 +1,1 @@
-"""Guided lens sampling: the strategies that learn, and their parts."""
+"""Guided lens sampling: lens samplers, light strategies and sample reuse that learn during the render."""

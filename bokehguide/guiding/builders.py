@@ -1,4 +1,4 @@
-"""Compositions of strategies: one function for each mode of `modes.py`."""
+"""Functions that build the strategies of the modes in `modes.py`, one for each mode."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def guided(context: ModeContext) -> Mode:
 
 
 def paper_lens(context: ModeContext, learns_blend: bool, learns_offsets: bool) -> LensSampler:
-    """The paper's guide; a pinhole has one lens point, and nothing to learn."""
+    """The paper's guide, or the uniform lens for a pinhole: a pinhole has one lens point, so that there is nothing to learn."""
     if is_pinhole(context):
         return UniformLens(context)
     return GaussianGuide(context, context.settings.gaussian, learns_blend, learns_offsets)
 
 
 def is_pinhole(context: ModeContext) -> bool:
-    """Whether the aperture is a point."""
+    """Whether the aperture radius is 0."""
     return context.scene.camera.aperture_radius == 0.0

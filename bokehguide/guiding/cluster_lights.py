@@ -1,4 +1,4 @@
-"""Light sampling at primary hits: a table of probabilities chooses clusters, and resampling keeps one of several candidates."""
+"""Light sampling at primary hits: a table of probabilities chooses clusters of lights, and resampling keeps one sample."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.indexing import indices, scatter
 
 VOXEL_SHARE = 0.125
-"""Share of light samples that the voxel grid chooses, so that every light has a positive density."""
+"""Share of light samples for which the voxel grid chooses the cluster. Every light then has a positive density."""
 
 
 class ClusterSample(NamedTuple):
@@ -38,9 +38,10 @@ class ClusterSample(NamedTuple):
 
 
 class VoxelLights:
-    """Distribution of the first epoch: the voxel grid chooses lights.
+    """Distribution of light samples in the first epoch: the voxel grid chooses the clusters.
 
-    row: row of each point in the table that the samples train, int32 `[N]`. candidates: number of light samples per kept one.
+    row: row of each point in the table of probabilities that learns from the samples, int32 `[N]`. candidates: number of light
+    samples from which `resampled` keeps one.
     """
 
     first_step = 1
@@ -86,10 +87,10 @@ class VoxelLights:
 
 
 class ClusterTables(NamedTuple):
-    """Probabilities of C clusters in each of R rows, unchanged since `first_step`.
+    """Probabilities of C clusters in each of R rows. The probabilities have not changed since the step `first_step`.
 
-    visibility: expected visible share of each cluster's light, positive, `[R, C]`. first_far: first cluster of the environment,
-    `[1]`, on the device, so that no kernel waits for the host.
+    visibility: expected visible share of each cluster's light, positive, `[R, C]`. first_far: number of the first cluster of the
+    environment, `[1]`, on the device, so that no kernel waits for the host.
     """
 
     table: ClusterTable
@@ -99,9 +100,9 @@ class ClusterTables(NamedTuple):
 
 
 class _MixtureQuery(NamedTuple):
-    """A `PointQuery` with the rows of the table, int32 `[N]`.
+    """A `PointQuery` with the row of each point in the table, int32 `[N]`.
 
-    by_voxel: whether the voxel grid chooses the sample, bool `[N]`. cluster: choice of the table for the others, int32 `[N]`.
+    by_voxel: whether the voxel grid chooses the cluster, bool `[N]`. cluster: choice of the table elsewhere, int32 `[N]`.
     """
 
     points: Tensor
@@ -116,7 +117,7 @@ class _MixtureQuery(NamedTuple):
 
 
 class MixtureLights:
-    """Mixture of a table of clusters and the voxel grid; the weight of the grid is VOXEL_SHARE."""
+    """Mixture of two choices of clusters: by a table, and by the voxel grid with the weight VOXEL_SHARE."""
 
     def __init__(
         self, power: PowerLightSampler, row: Tensor, tables: ClusterTables, candidates: int = GuidedConfig.light_candidates
@@ -175,7 +176,7 @@ class MixtureLights:
         return ClusterSample(*self._power.lights.triangle_sample(query.points, cluster, share, uniforms[1:]), cluster, share)
 
     def _triangle_cluster(self, query: _MixtureQuery, uniforms: Tensor) -> Tensor:
-        """Clusters of triangles `[N]`: the chosen ones, or new ones of the voxel grid from uniform numbers `[N]`."""
+        """Clusters of triangles `[N]`: from the table, or by the voxel grid from uniform numbers `[N]`."""
         grid = self._power.lights.grid
         cluster = query.cluster.clamp(max=grid.clusters - 1)
         if query.by_voxel.device.type != "cpu":
@@ -215,7 +216,7 @@ def _environment_cluster(power: PowerLightSampler, element: Tensor, light: Light
 def _chosen(
     table: ClusterTable, row: Tensor, environment_share: Tensor, uniforms: Tensor, first_far: Tensor
 ) -> tuple[Tensor, ...]:
-    """Clusters `[N]` from uniform numbers `[N]`; 1 where the voxel grid chooses, else 0; 1 for the environment, else 0."""
+    """Arrays `[N]`: clusters from uniform numbers; 1 where the voxel grid chooses, else 0; 1 for the environment, else 0."""
     cluster = table.sample(row, (uniforms - VOXEL_SHARE) / (1.0 - VOXEL_SHARE))
     by_voxel = uniforms < VOXEL_SHARE
     is_far = torch.where(by_voxel, uniforms < VOXEL_SHARE * environment_share, cluster >= first_far)
@@ -232,7 +233,7 @@ def _mixture_share(
 
 
 class _Reservoir(NamedTuple):
-    """The candidate kept so far. value: contribution, `[3, N]`. target: its luminance times the expected visibility, `[N]`."""
+    """The kept light sample. value: contribution, `[3, N]`. target: luminance of `value` times expected visibility, `[N]`."""
 
     direction: Tensor
     distance: Tensor
@@ -252,10 +253,11 @@ def resampled(
     random: PixelRandom,
     candidates: int,
 ) -> DirectLight:
-    """One of several light samples, kept in proportion to its target (Talbot et al. 2005).
+    """One of several light samples, chosen in proportion to the targets by resampled importance sampling (Talbot et al. 2005).
 
-    draw: makes samples from uniform numbers `[6, N]`. uniforms: of the first candidate. The MIS weights are those of a single
-    sample, so only the kept candidate needs a shadow ray.
+    Only the kept light sample needs a shadow ray. The MIS weights are those of a single light sample.
+
+    draw: function that makes light samples from uniform numbers `[6, N]`. uniforms: numbers of the first light sample.
     """
     light = draw(uniforms)
     scattered = scattering.evaluate(light.direction)
@@ -285,7 +287,7 @@ def _target(light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: 
 def _updated(
     kept: _Reservoir, total: Tensor, light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: Tensor, uniform: Tensor
 ) -> tuple[_Reservoir, Tensor]:
-    """Reservoir after one more candidate, and the sum of the targets `[N]`."""
+    """Reservoir after one more light sample, and the sum of the targets `[N]`."""
     value = mis.light_contribution(light.radiance, light.pdf, *scattered)
     target = luminance(value) * visibility
     total = total + target

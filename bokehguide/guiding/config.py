@@ -1,4 +1,4 @@
-"""Settings of the lens samplers that learn. Every default is a measured one: `scripts/ablations.py` sets these fields."""
+"""Settings of the learning lens samplers. `scripts/ablations.py` measures the effect of each field."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class HighlightConfig:
-    """Which cells of a record are highlights, and which of them belong together (sections 4.2.2 and 4.2.3).
+    """Thresholds that find highlights in the record of primary hits (sections 4.2.2 and 4.2.3).
 
-    radiance_threshold: least luminance of a highlight's cell, in units of the frame's mean.
+    radiance_threshold: least luminance of a highlight's cell, over the mean luminance of the frame.
     coc_threshold: least diameter of a highlight's circle of confusion, pixels.
-    depth_gap: connected cells belong to two highlights where their sorted depths differ by more than this many cell widths.
+    depth_gap: least gap, in cell widths, at which the sorted depths of connected cells are split into two highlights.
     """
 
     radiance_threshold: float = 8.0
@@ -23,13 +23,13 @@ class HighlightConfig:
 class GaussianConfig:
     """Settings of the paper's modes `lis`, `lis-b` and `lis-o`.
 
-    blend: β at the start, in `lis` at all times (section 6.1).
+    blend: initial β (section 6.1). In `lis`, β keeps this value.
     blend_rate, offset_rate: learning rates of the logit of β and of the polynomial coefficients (section 6.1).
     offset_degree: degree of the polynomials (Eq. 28).
-    fits: number of fits before `lis-o` freezes its Gaussians, or the first later epoch that has any.
+    fits: number of fits before `lis-o` freezes the Gaussians. Without a Gaussian, `lis-o` waits until the end of a later epoch.
     sigma_scale: α of σ = α R_b (section 4.2.4).
-    offset_slack: pixels this many σ beyond a frozen Gaussian's disc keep it as a candidate, as its mean may move.
-    highlights: which cells are highlights.
+    offset_slack: enlargement, in σ, of the disc of pixels that have a frozen Gaussian as a candidate. Offsets may move its mean.
+    highlights: thresholds for highlights.
     """
 
     blend: float = 0.8
@@ -44,41 +44,41 @@ class GaussianConfig:
 
 @dataclass(frozen=True)
 class GuidedConfig:
-    """Settings of the mode `guided`. A part that is switched off is left out of the estimator, which stays unbiased.
+    """Settings of the mode `guided`. The estimator is unbiased with any part switched off.
 
     Proposals from the scene's emitters:
-    known_emitters: whether the field begins with the scene's emitters.
-    emitter_scale: size of an emitter's proposal by that of the emitter. A smaller proposal leaves light to the uniform part.
-    emitter_shapes: whether parallelograms and emitters of the map are drawn in their own shape, else as ellipses.
-    ellipsoids: whether other emitters are ellipsoids, else balls.
-    clip_to_lens: whether ellipses are drawn only near the lens.
-    candidate_slack: pixels this many radii beyond an emitter's disc on the raster have the emitter as a candidate.
+    known_emitters: whether the field initially contains the scene's emitters.
+    emitter_scale: size of an emitter's proposal over the size of the emitter. Below 1, the uniform part samples the rim.
+    emitter_shapes: whether parallelograms and emitters of the map have exact densities, else ellipses.
+    ellipsoids: whether ellipsoids approximate all other emitters, else balls.
+    clip_to_lens: whether ellipses are clipped to a strip near the lens.
+    candidate_slack: enlargement, in radii of the emitter, of the disc of pixels that have the emitter as a candidate.
 
-    Highlights found on the way:
-    find_highlights: whether the record is searched for highlights.
-    depth_layers: whether the record keeps highlights at different depths apart.
-    virtual_images: whether light from mirrors and glass is recorded at its virtual image.
-    highlight_axes: half axes of a found ellipsoid by the standard deviations of its light. An even disc has 2.
-    highlights: which cells are highlights.
+    Highlights found during the render:
+    find_highlights: whether the record of primary hits is searched for highlights.
+    depth_layers: whether the record separates highlights at different depths in one cell.
+    virtual_images: whether the record places light from mirrors and glass at its virtual image.
+    highlight_axes: half axes of a highlight's ellipsoid over the standard deviations of its light. An even disc would need 2.
+    highlights: thresholds for highlights.
 
     Mixture:
-    learn_success_rates: whether proposals are weighted by the success rates of earlier draws.
+    learn_success_rates: whether the weights of proposals include the success rates of earlier draws.
     first_blend: β in the first epoch. min_blend, max_blend: bounds of β.
-    blend_pool: pixels across the squares that share the moments from which β is learned.
+    blend_pool: side, in pixels, of the squares over which the moments for β are averaged.
     stratify: whether lens points are stratified over each epoch.
 
     Paths:
-    split_count: paths after the primary hit of a sample of weight 1; others split in proportion to their weight.
-    max_split_count: most paths of any sample.
-    reuse_group: pixels along the longer and the shorter side of a group that reuses primary hits, powers of two.
-    min_spread: least GGX α of a reused surface by the angle in radians between the views of a group.
+    split_count: number of paths after the primary hit of a sample of weight 1. The number is proportional to the weight.
+    max_split_count: largest number of paths of a sample.
+    reuse_group: longer and shorter side, in pixels, of a group that reuses primary hits. Both are powers of two.
+    min_spread: least GGX α of a reused surface, over the angle in radians between two lens points of a group.
     control_variate: whether the weights of reused samples are a control variate for the radiance.
-    control_shrinkage: squared standard errors of a coefficient that halve it where they equal its square.
+    control_shrinkage: factor of a coefficient's squared standard error. A coefficient whose square equals the product is halved.
 
     Light samples at primary hits:
-    learn_lights: whether clusters of lights are chosen by learned second moments.
-    light_candidates: candidates of which one light sample is resampled.
-    learn_visibility: whether candidates are weighted by the learned visibility of their cluster.
+    learn_lights: whether learned second moments determine the probabilities of clusters of lights.
+    light_candidates: number of light samples from which resampling keeps one.
+    learn_visibility: whether the resampling weights include the learned visibility of the cluster.
     """
 
     known_emitters: bool = True

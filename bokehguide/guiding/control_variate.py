@@ -1,10 +1,12 @@
 """The weights of lens samples as a control variate for the radiance.
 
 Weights W / (A q) have the mean 1 in every pixel. Where the radiance is constant, all noise comes from the weights, and
-radiance - c (weight - 1) is free of noise. Near guided highlights the correlation is low. The coefficient c is the slope of a
-regression over earlier epochs: a c from the same epoch would bias the picture. Where an edge crosses a cell, c is wrong for some
-pixels: |c| is at most the pixel's own mean radiance of earlier epochs. A dark pixel stays exactly dark, and no mean is negative
-where the mean weight stays below 2.
+radiance - c (weight - 1) is free of noise. Near guided highlights, the correlation is low.
+
+The coefficient c is the slope of a linear regression of radiance on weight, for a cell of pixels and over earlier epochs. A
+coefficient from the same epoch would bias the picture. Where an edge crosses a cell, the coefficient does not fit all pixels of
+the cell. Therefore |c| is at most the pixel's mean radiance of earlier epochs. A dark pixel stays exactly dark, and a mean is
+never negative where the mean weight is below 2.
 """
 
 from __future__ import annotations
@@ -21,13 +23,13 @@ from bokehguide.runtime.distributed import ROWS_PER_BAND, RankSums
 from bokehguide.runtime.indexing import Pixels, gather_pixels, pixel_numbers
 
 CELL = 4
-"""Pixels along the side of the squares that have a coefficient of their own; bands of rows hold whole squares."""
+"""Side of a cell in pixels. Each cell has one coefficient, and a band of rows contains whole cells."""
 MIN_WEIGHT_VARIANCE = 1e-3
-"""Variance of weights below which the weights count as constant."""
+"""Least variance of weights as a divisor, so that the slopes of almost constant weights are small."""
 
 
 class NoControlVariate(nn.Module):
-    """Leaves the radiance as it is."""
+    """Null object in place of `ControlVariate`: does not change the radiance."""
 
     def corrected(self, places: Pixels, radiance: Tensor, weight: Tensor) -> Tensor:
         return radiance
@@ -42,9 +44,9 @@ class NoControlVariate(nn.Module):
 class ControlVariate(RankSums):
     """Learns coefficients for a film, cell by cell.
 
-    shrinkage: squared standard errors of a coefficient that halve it where they equal its square; of samples without reuse.
-    sums: `[8, cells]`, of samples, weights w, w², w v, v², and v in its three channels. v is the radiance, in w v and v² its
-    luminance.
+    shrinkage: factor of a coefficient's squared standard error. A coefficient whose square equals the product is halved. The
+    standard error assumes independent samples.
+    sums: `[8, cells]`, sums of 1, w, w², w v, v² and three channels of the radiance. w is the weight, and v the luminance.
     """
 
     coefficients: Tensor
@@ -70,12 +72,12 @@ class ControlVariate(RankSums):
         return numbers // self._width // CELL * self._across + numbers % self._width // CELL
 
     def coefficient(self, places: Pixels) -> Tensor:
-        """c `[3, N]` of some pixels of the film, 0 in the first epoch."""
+        """Coefficients c `[3, N]` of some pixels of the film, 0 in the first epoch."""
         bound = gather_pixels(self.bound, places)
         return self.coefficients.index_select(1, self._cells(places)).clamp(-bound, bound)
 
     def add(self, places: Pixels, radiance: Tensor, weight: Tensor) -> None:
-        """Add samples `[3, N]` with their weights `[N]`. Samples that are not finite count for none."""
+        """Add samples `[3, N]` with their weights `[N]`. Samples that are not finite are ignored."""
         radiance, weight = radiance.double(), weight.double()  # squares of large float32 numbers overflow
         light = luminance(radiance)
         rows = torch.stack((torch.ones_like(light), weight, weight * weight, weight * light, light * light, *radiance))
@@ -83,7 +85,7 @@ class ControlVariate(RankSums):
         self.mine.index_add_(1, self._cells(places), rows.nan_to_num(0.0, 0.0, 0.0))
 
     def update(self, picture: Callable[[], Tensor]) -> None:
-        """End an epoch: set the coefficients by all samples so far; collective. picture: see `StepSummary`."""
+        """End an epoch: compute the coefficients from all samples so far; collective. picture: see `StepSummary`."""
         self.merge()
         self.bound.copy_(self.ranks.total(picture()).clamp(min=0.0))
         count, weight, squares, product, light_squares = self.sums[:5]

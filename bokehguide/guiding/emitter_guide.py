@@ -1,16 +1,17 @@
-"""The lens sampler of the mode `guided`: the scene's emitters are known before the first ray, other highlights are found.
+"""The lens sampler of the mode `guided`, which knows the scene's emitters and finds other highlights during the render.
 
 Differences from the paper's guide (`gaussian_guide.py`), each measured to reduce the error:
 
-- The field begins with the scene's emitters: emissive pieces, peaks of the environment map, suns. The record finds their
-  reflections and refractions. A record places light from mirrors and glass at its virtual image, and separates depths.
-- A component is an even ellipse on the lens instead of a Gaussian, clipped near the lens. An emitter of the map has the map's
-  radiance on the lens.
-- Learning takes place at the ends of epochs, whose lengths grow in powers of two. Within an epoch no distribution changes, so
-  all lens points are stratified over the epoch.
-- Success rates of draws are learned for each emitter and tile.
+- The field initially contains the scene's emitters: connected emissive triangles, peaks of the environment map, and suns. The
+  record of primary hits finds their reflections and refractions. The record places light from mirrors and glass at its virtual
+  image, and separates highlights at different depths.
+- A component of the mixture is an ellipse of constant density on the lens, not a Gaussian. The ellipse is clipped near the lens.
+  Parallelograms and emitters of the environment map have exact densities.
+- Learning takes place at the ends of epochs. An epoch is a range of steps whose length is a power of two. No distribution changes
+  within an epoch, so lens points are stratified over the epoch.
+- Each tile of the frame learns a success rate for each emitter.
 - Paths split after the primary hit in proportion to the weight of the lens point.
-- β has the least variance, by second moments that neighbouring pixels share.
+- β minimises the variance, given second moments averaged over neighbouring pixels.
 """
 
 from __future__ import annotations
@@ -44,23 +45,25 @@ from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.indexing import ActiveEntries, gather_pixels, scatter_add
 
 MAX_RATIO = 1e18
-"""Contributions are clamped to this, so that their squares stay finite in single precision."""
+"""Contributions in learning are clamped to this value, so that their squares stay finite in single precision."""
 PRIOR_MOMENT = 1e-3
-"""Second moment of either part of the mixture before any sample, in units of the frame's mean squared."""
+"""Initial second moment of either part of the mixture, over the squared mean luminance of the frame."""
 
 
 class DrawnEmitters(NamedTuple):
-    """Slots `[K]` of the emitters that a batch has drawn, and the squares `[K]` of their contributions over the expected ones."""
+    """Draws of a batch: slots `[K]` of the emitters, and squares `[K]` of contribution over expected contribution."""
 
     slots: Tensor
     squared: Tensor
 
 
 class EmitterGuide(Guide):
-    """Ellipses of emitters and highlights, blended with the uniform lens. An epoch draws from the state at its start.
+    """Mixture of emitters, found highlights and the uniform lens. All steps of an epoch draw from the state at its start.
 
-    moments: Σ β² f² p / q³ of the ellipses and Σ (1 - β)² f² u / q³ of the uniform part, `[2, pixels]`. Their roots are in
-    the ratio of β to 1 - β at the β of least variance. Of ellipses small against the lens, neither depends on the β of the draw.
+    moments: Σ β² f² p / q³ of the proposals and Σ (1 - β)² f² u / q³ of the uniform part, `[2, pixels]`. f is the radiance. p and
+    u are the densities of the two parts, and q is the density of the mixture. At the β of least variance, β / (1 - β) is the
+    square root of the ratio of both moments. If ellipses are small against the lens, the moments do not depend on the β of the
+    draws.
     """
 
     record_buffer: VoxelRecord
@@ -84,14 +87,14 @@ class EmitterGuide(Guide):
         self._proposals = emitter_proposals(context.scene, self.camera, config)
         self.success_rates = SuccessRates(self.camera, len(self._proposals.field), self.ranks)
         self.register_buffer("unit", torch.tensor(1.0))
-        """Luminance in units of which the success rates count contributions, about."""
+        """Unit of luminance for the success rates: the approximate mean luminance of the frame."""
         self.paths_per_sample = config.split_count
         self._geometry = context.tracer.geometry
         self.refit(1.0)
 
     @torch.no_grad()
     def query(self, batch: PixelBatch) -> LensQuery:
-        # The first two dimensions of a Sobol' sequence are the most even: they are the place on the lens.
+        # The first two dimensions of a Sobol' sequence are the most even, and choose the lens point.
         first = int(self.epoch) if self.config.stratify else batch.step
         uniforms = batch.random.stratified(dimensions.LENS, 3, first).roll(1, 0)
         if self.candidates is None:
@@ -112,28 +115,28 @@ class EmitterGuide(Guide):
         return EllipseMixture(lens, batch.focus, beta, start, mean, outline, weight, scale, shapes, self.config.clip_to_lens)
 
     def initial_queries(self, batch: PixelBatch) -> Iterable[LensQuery]:
-        """One uniform query in the first step, as its weights may differ from 1."""
+        """One uniform query before the first step, because the weights of the first step may differ from 1."""
         if batch.step > 1 or self.candidates is None:
             return ()
         return (UniformQuery(self.camera.lens, batch.focus, batch.random.uniform(dimensions.INITIAL_LENS, 2)),)
 
     def is_independent(self, step: int) -> bool:
-        """At the start of an epoch; within one, weights are stratified."""
+        """Whether the step starts an epoch: within an epoch, stratified weights depend on earlier steps."""
         return step == int(self.epoch)
 
     def splitting(self, weight: Tensor) -> SplitPaths:
-        """Counts in proportion to the weight (Vorba and Křivánek 2016)."""
+        """Path counts in proportion to the weight of the lens point (Vorba and Křivánek 2016)."""
         return SplitPaths((self.config.split_count * weight).round().clamp(1, self.config.max_split_count))
 
     def observers(self, batch: PixelBatch) -> Sequence[PathObserver]:
         if not self.config.virtual_images:
             return ()
-        # The frame's mean is not known before the second step: all light may be a highlight's.
+        # The frame's mean luminance is unknown in the first step, so that all light may come from highlights.
         threshold = 0.5 * self.config.highlights.radiance_threshold * batch.mean_luminance * (batch.step > 1)
         return (HighlightImages(self._geometry, batch.focus.shape[1], threshold),)
 
     def recorded_distance(self, samples: BatchSamples) -> Tensor:
-        """The distance of virtual images, where they are observed."""
+        """Distance of the virtual image, `[N]`, if the mode observes virtual images; else of the primary hit."""
         for images in cast(Sequence[HighlightImages], samples.lens_observers):
             return images.distances()
         return super().recorded_distance(samples)
@@ -153,7 +156,7 @@ class EmitterGuide(Guide):
         return DrawnEmitters(slots, contribution.nan_to_num(0.0, MAX_RATIO).clamp(max=MAX_RATIO).square())
 
     def recorded_luminance(self, paths: PathSamples) -> Tensor:
-        """All light but that of the proposals' emitters seen directly."""
+        """Luminance `[N]` without the light that comes directly from emitters with proposals."""
         hit = paths.triangle >= 0
         known = self._proposals.triangles[paths.triangle.clamp(min=0).long()] & hit
         light = _luminance_beside(paths.radiance, paths.emission, known)
@@ -167,7 +170,7 @@ class EmitterGuide(Guide):
 
     @torch.no_grad()
     def update(self, summary: StepSummary) -> None:
-        """End a step: where an epoch ends with it, fit the field to the record and set every β; collective."""
+        """End a step. If the step ends an epoch, fit the field to the record and compute β of every pixel. Collective."""
         if not summary.ends_epoch:
             self.record_buffer.end_step()
             return
@@ -176,7 +179,7 @@ class EmitterGuide(Guide):
         if self.config.learn_success_rates:
             self.success_rates.update()
         self.unit.fill_(mean_luminance)
-        if summary.step == 1:  # its samples came before the frame's mean, the unit of all later moments, was known
+        if summary.step == 1:  # convert to the unit of later moments, the frame's mean luminance
             self.moments /= mean_luminance**2
         self.refit(summary.mean_luminance)
         self.beta.copy_(self._least_variance_blend())
@@ -190,7 +193,7 @@ class EmitterGuide(Guide):
 
     @torch.no_grad()
     def refit(self, mean_luminance: float) -> None:
-        """The field: the proposals, and the record's other highlights; then list each pixel's candidates. Collective."""
+        """Fill the field with the scene's emitters and the record's highlights, and list each pixel's candidates. Collective."""
         self.record_buffer.merge_voxels()
         self.highlight_cells, *found = fit_ellipsoids(self.record_buffer, self.camera, mean_luminance, self.config)
         field = self._proposals.field
@@ -202,7 +205,7 @@ class EmitterGuide(Guide):
         self.set_candidates()
 
     def set_candidates(self) -> None:
-        """List each pixel's candidates; to be called after any change of the field."""
+        """List each pixel's candidates. Call this method after each change of the field."""
         shapes, found = self._proposals.shapes, len(self.field) - len(self._proposals.field)
         self._numbers = pad(torch.stack((shapes.environment_index, shapes.parallelogram_index)), (0, found), value=-1)
         """Number of each component among the map's emitters and among the parallelograms, -1 for none, int64 `[2, G]`."""
@@ -217,11 +220,11 @@ class EmitterGuide(Guide):
         self.success_rates.merge()
 
     def load_state_dict(self, state_dict, *args, **kwargs):
-        """Load the learned state and the field; then list each pixel's candidates.
+        """Load the learned state and the field, and list each pixel's candidates.
 
-        Raises ValueError for a state that no render has.
+        Raises ValueError for a state that no render can have.
         """
-        for name in ("highlight_cells", "outlines"):  # a fit decides how many there are
+        for name in ("highlight_cells", "outlines"):  # the sizes depend on the fit
             setattr(self, name, torch.empty_like(state_dict[name], device=self.beta.device))
         result = super().load_state_dict(state_dict, *args, **kwargs)
         if not self.ranks.alone:  # each rank adds up the moments of its own pixels
@@ -242,7 +245,7 @@ def _luminance_beside(radiance: Tensor, emission: Tensor, known: Tensor) -> Tens
 
 @kernel
 def _moments(beta: Tensor, ellipses: Tensor, density: Tensor, ratio: Tensor) -> Tensor:
-    """Terms of samples in `EmitterGuide.moments`, `[2, N]`; ellipses, density: densities of the ellipses and of the mixture."""
+    """Summands of `EmitterGuide.moments`, `[2, N]`; ellipses, density: densities of the proposals and of the mixture."""
     share = beta * ellipses / density.clamp(min=1e-37)
     squared = ratio.clamp(max=MAX_RATIO) * ratio.clamp(max=MAX_RATIO) * (beta > 0.0)  # other pixels have no β to learn
     return torch.stack((squared * share * beta, squared * (1.0 - share) * (1.0 - beta)))

@@ -1,4 +1,4 @@
-"""The scene's emitters, as the field of the mode `guided` begins with them."""
+"""The scene's emitters as proposals: the initial field of the mode `guided`."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from bokehguide.scene.types import Scene
 INFINITY = 1e5
 """Distance of emitters at infinity, in focus distances."""
 MAX_EMPTINESS = 16.0
-"""A piece whose outline has more than this many times its visible area is a tangle, left to the record."""
+"""Largest ratio of outline area to visible area. A tangled emitter with a larger ratio is no proposal; the record may find it."""
 MAX_DISC = 3.0
-"""An emitter's disc of this many lens radii is no proposal: nine draws in ten would miss the lens."""
+"""Largest radius of an emitter's projection on the lens, in lens radii. With a larger radius, most draws would miss the lens."""
 
 
 @dataclass
 class EmitterProposals:
-    """Emitters that the lens can see out of focus, camera frame.
+    """L emitters that the lens can see out of focus, camera frame.
 
-    field: their balls; outlines: `packed` squared half axes, `[6, L]`; shapes: parallelograms and emitters of the map among
-    them. triangles: triangles of the scene whose light straight into the lens the proposals cover, bool `[T + 1]`, the last for a
-    miss; whole_environment: whether they cover all emitters of the environment in sight.
+    field: enclosing balls of the emitters. outlines: `packed` squared half axes, `[6, L]`. shapes: parallelograms and emitters of
+    the map among the emitters. triangles: whether the proposals cover the light that a triangle of the scene sends directly into
+    the lens, bool `[T + 1]`; the last entry is for a miss. whole_environment: whether the proposals cover all visible emitters of
+    the environment.
     """
 
     field: GaussianField
@@ -64,7 +65,7 @@ def emitter_proposals(scene: Scene, camera: ThinLensCamera, config: GuidedConfig
     scale = torch.where(infinite, INFINITY * camera.lens.focus_distance, 1.0)
     world = centre - torch.where(infinite, 0.0, camera.position.cpu())
     mean, radius = (axes.T @ world) * scale, size_scale * reach * scale
-    # Of a cone the extent is the tangent, and the ball in it has the sine.
+    # The extent of a cone is the tangent of its angle. The radius of a ball inside the cone is the sine.
     cones = balls(radius / (1.0 + reach.square()).sqrt())
     outline = torch.where(infinite, cones, _ellipsoids(axes.T @ outline @ axes, config.ellipsoids) * size_scale**2)
     energy = bright * radius.square()
@@ -73,7 +74,7 @@ def emitter_proposals(scene: Scene, camera: ThinLensCamera, config: GuidedConfig
     compact = area <= MAX_EMPTINESS * size.square()
     visible = scene.environment is None or scene.environment.visible
     proposed = (mean[2] > radius) & (~infinite | visible) & compact & (energy > 0.0) & energy.isfinite()
-    # Near the focus, or through a tiny lens, an emitter's disc is far larger than the lens: there is nothing to guide.
+    # Near the focal plane, or with a tiny lens, the projection of an emitter is far larger than the lens, and guiding has no use.
     away, lens = (mean[2] - camera.lens.focus_distance).abs(), camera.lens
     proposed &= (away > radius) & (MAX_DISC * away * lens.radius > radius * lens.focus_distance)
     field = GaussianField()
@@ -93,7 +94,10 @@ def _in_sight(mean: Tensor, radius: Tensor, camera: ThinLensCamera) -> Tensor:
 
 
 def _shapes(scene: Scene, emitters: Emitters, proposed: Tensor, camera: ThinLensCamera, own: bool) -> EmitterShapes:
-    """Parallelograms and emitters of the map among the `proposed` emitters, bool `[emitters]`; own: whether any has a shape."""
+    """Parallelograms and emitters of the map among the `proposed` emitters, bool `[emitters]`.
+
+    own: whether these emitters have exact densities; False: all are ellipsoids.
+    """
     device = camera.position.device
     drawn = proposed & own
     of_map, parallelogram = torch.zeros_like(proposed), torch.from_numpy(emitters.half_edges.any(axis=(1, 2))) & drawn
@@ -123,10 +127,10 @@ def _shapes(scene: Scene, emitters: Emitters, proposed: Tensor, camera: ThinLens
 
 
 def _ellipsoids(squared: Tensor, ellipsoids: bool) -> Tensor:
-    """`packed` outlines `[6, L]` of squared half axes `[L, 3, 3]`; else of the balls around them."""
+    """`packed` outlines `[6, L]` of squared half axes `[L, 3, 3]`; if not `ellipsoids`, of the enclosing balls."""
     return packed(squared) if ellipsoids else balls(torch.linalg.eigvalsh(squared)[:, -1].clamp(min=0.0).sqrt())
 
 
 def _numbered(kind: Tensor) -> Tensor:
-    """0, 1, … for those of a kind, bool `[L]`, -1 for the others."""
+    """Consecutive numbers from 0 where `kind`, bool `[L]`, is true, and -1 elsewhere."""
     return torch.where(kind, kind.cumsum(0) - 1, -1)

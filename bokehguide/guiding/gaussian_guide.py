@@ -25,7 +25,7 @@ from bokehguide.runtime.indexing import ActiveEntries, Pixels, gather_pixels, sc
 
 
 class Gradients(NamedTuple):
-    """Gradients of the one-sample KL of one batch: of the logits of its pixels' β, `[N]`, and of the polynomial coefficients."""
+    """Gradients of one batch's one-sample KL: blend, for the logits of the pixels' β, `[N]`; offsets, for the polynomials."""
 
     pixels: Pixels
     blend: Tensor | None
@@ -33,13 +33,13 @@ class Gradients(NamedTuple):
 
 
 class GaussianGuide(Guide):
-    """Projected Gaussians, blended with the uniform lens.
+    """Mixture of projected Gaussians and the uniform lens.
 
-    A step draws from the state at its start. A pixel without candidates at the start of an epoch stays uniform until
-    the epoch ends, so that its lens points may be stratified over the epoch (see `render/random.py`).
+    A step draws from the state at its start. If a pixel has no candidates at the start of an epoch, the pixel samples the lens
+    uniformly until the epoch ends. The lens points of these pixels are stratified over the epoch (see `render/random.py`).
 
     learns_blend: whether β is learned (Eq. 26). learns_offsets: whether Gaussians are frozen after some fits, and polynomial
-    offsets of their means learned from then on (Eq. 27 to 29).
+    offsets of their means are then learned (Eq. 27 to 29).
     """
 
     record_buffer: RecordBuffer
@@ -60,7 +60,7 @@ class GaussianGuide(Guide):
 
     @torch.no_grad()
     def query(self, batch: PixelBatch) -> LensQuery:
-        """Uniform in the first step."""
+        """The mixture of a batch, or the uniform lens in the first step."""
         if batch.step == 1:
             return UniformQuery(self.camera.lens, batch.focus, batch.random.uniform(dimensions.LENS, 2))
         uniforms = batch.random.uniform(dimensions.LENS, dimensions.LENS_COUNT)  # independent, as learning uses the lens points
@@ -74,7 +74,7 @@ class GaussianGuide(Guide):
 
     @torch.no_grad()
     def mixture(self, pixels: Pixels, raster: Tensor, focus: Tensor, start: Tensor, gaussian: Tensor) -> GaussianMixture:
-        """The mixture of N pixels at raster positions `[2, N]`; start, gaussian: their candidates (see `CandidateList.batch`)."""
+        """The mixture of N pixels at raster positions `[2, N]`; start, gaussian: candidates (see `CandidateList.batch`)."""
         mean, lens = self.field.mean.index_select(1, gaussian), self.camera.lens
         if self.offsets is not None:
             mean = mean + self.offsets(gaussian, raster.index_select(1, owners(start, len(gaussian))))
@@ -82,14 +82,14 @@ class GaussianGuide(Guide):
         return GaussianMixture(lens, focus, self.blend(pixels), start, mean, self.field.sigma.index_select(0, gaussian), weight)
 
     def _stratify_uniform(self, batch: PixelBatch, uniforms: Tensor) -> None:
-        """Replace, in uniform numbers `[5, N]`, the lens points of pixels that stay uniform by stratified ones."""
+        """Replace two of the uniform numbers `[5, N]` by stratified numbers, in pixels that stay uniform until the epoch ends."""
         uniform = ActiveEntries(gather_pixels(self.uniform, batch.pixels))
         if len(uniform) > 0:
             uniform.scatter(uniforms[2:4], batch.random.select(uniform.index).stratified(dimensions.LENS, 2, int(self.epoch)))
 
     @torch.no_grad()
     def learn_from(self, samples: BatchSamples, query: MixtureQuery[GaussianMixture], ratio: Tensor) -> Gradients:
-        """Gradients of the one-sample KL (Eq. 25) for one sample a pixel."""
+        """Gradients of the one-sample KL (Eq. 25) for one sample per pixel."""
         batch, at = samples.batch, samples.drawn.at
         assert at is not None
         blend = blend_gradient(query.mixture, ratio, at) if self.learns_blend else None
@@ -104,7 +104,7 @@ class GaussianGuide(Guide):
         self._gradients: list[Gradients] = learned_of(records)
 
     def update(self, summary: StepSummary) -> None:
-        """End a step: one Adam step, then, until the Gaussians are frozen, the next fit; collective."""
+        """End a step: take one Adam step, and fit the Gaussians again unless they are frozen. Collective."""
         if self.learns_blend and self.ranks.any(bool(self._gradients))[0]:
             self.blend.logit.grad = torch.zeros_like(self.blend.logit)
             for gradients in self._gradients:
@@ -143,11 +143,11 @@ class GaussianGuide(Guide):
         self.set_candidates()
 
     def set_candidates(self, slack: float = 0.0) -> None:
-        """List the candidates of the pixels that do not stay uniform; to be called after any change of the field."""
+        """List the candidates of the pixels that do not stay uniform. Call this method after each change of the field."""
         self.candidates = draw_candidates(self.field, self.camera, slack, self.uniform) if len(self.field) else None
 
     def freeze(self) -> None:
-        """Keep the Gaussians from now on, and learn polynomial offsets."""
+        """Stop the fits, and start to learn polynomial offsets."""
         self.offsets = PolynomialOffset(self.field, self.camera, self.config.offset_degree)
         self.optimizers["offsets"] = torch.optim.Adam(self.offsets.parameters(), lr=self.config.offset_rate)
         self.set_candidates(self.config.offset_slack)
@@ -156,7 +156,7 @@ class GaussianGuide(Guide):
         self.record_buffer.merge()
 
     def load_state_dict(self, state_dict, *args, **kwargs):
-        """Load Gaussians, β, the record and, of a frozen guide, offsets; then list each pixel's candidates.
+        """Load Gaussians, β and the record, and the offsets of a frozen guide. Then list each pixel's candidates.
 
         Adam's moments are not part of this state. Load the states of `optimizers` afterwards.
         """

@@ -1,4 +1,4 @@
-"""A lens sampler that learns from a record of primary hits: the common base of the paper's guide and the mode `guided`."""
+"""A lens sampler that learns from a record of primary hits: the base class of `GaussianGuide` and `EmitterGuide`."""
 
 from __future__ import annotations
 
@@ -25,17 +25,20 @@ from bokehguide.runtime.device import to_device
 
 @dataclass(kw_only=True)
 class GuideRecord(LensRecord):
-    """The report of one batch to a guide. records: for the record of primary hits. learned: for the parameters of the mixture,
-    None for a batch without candidates."""
+    """The report of one batch to a guide.
+
+    records: samples for the record of primary hits. learned: result of `learn_from`, None for a batch without candidates.
+    """
 
     records: Records
     learned: object | None = None
 
 
 class Guide(LensSampler):
-    """Learns, step by step, where on the lens each pixel should look: records primary hits, fits a field, lists candidates.
+    """Learns the lens distribution of each pixel: records primary hits, fits a field of highlights, and lists candidates.
 
-    `query` and `record` work on batches of pixels, side by side; `update` ends a step.
+    A candidate of a pixel is a component of the field that the pixel may see through the lens. Threads call `query` and `record`
+    concurrently, with different batches of pixels. `update` ends a step.
     """
 
     learns = True
@@ -43,14 +46,14 @@ class Guide(LensSampler):
     highlight_cells: Tensor
     epoch: Tensor
     candidates: CandidateList | None = None
-    """Components of the field that each pixel may see, None where the field is empty."""
+    """Candidates of each pixel, None if the field is empty."""
 
     def __init__(self, context: ModeContext):
         super().__init__(context)
         self.field = GaussianField()
         self.register_buffer("highlight_cells", torch.zeros(0, dtype=torch.int64))
         self.register_buffer("epoch", torch.tensor(1))
-        """First step of the epoch; kept on the host, which asks for it."""
+        """First step of the epoch, on the host, so that no reader waits for the device."""
 
     @property
     def component_count(self) -> int:
@@ -62,7 +65,7 @@ class Guide(LensSampler):
         report = GuideRecord(records=self._primary_hits(samples, weight, good))
         report.figures = weight.new_zeros(4, dtype=torch.float64)
         for query in samples.query.mixtures:
-            # Radiance counts in units of the frame's mean, and for nothing while that is 0.
+            # The unit of radiance is the frame's mean luminance. While the mean is 0, the ratio is 0.
             unit = samples.batch.mean_luminance or math.inf
             ratio = finite(luminance(paths.radiance), good) * weight / unit
             report.learned = self.learn_from(samples, query, ratio)
@@ -70,18 +73,18 @@ class Guide(LensSampler):
         return report
 
     def learn_from(self, samples: BatchSamples, query: MixtureQuery[Any], ratio: Tensor) -> object:
-        """Terms of one sample a pixel for learning the mixture.
+        """Report of one sample per pixel for learning the mixture; `accumulate` receives it as `GuideRecord.learned`.
 
-        ratio: L / (A q) in units of the mean luminance, `[N]`, 0 outside the lens.
+        ratio: L / (A q) over the mean luminance of the frame, `[N]`, 0 outside the lens.
         """
         raise NotImplementedError
 
     def recorded_luminance(self, paths: PathSamples) -> Tensor:
-        """Luminance `[N]` for the record."""
+        """Luminance `[N]` of the samples for the record."""
         return luminance(paths.radiance)
 
     def recorded_distance(self, samples: BatchSamples) -> Tensor:
-        """Distance `[N]` along each camera ray at which the record places its light."""
+        """Distance `[N]` along each camera ray at which the record places the light of the ray."""
         return samples.paths.distance
 
     def _primary_hits(self, samples: BatchSamples, weight: Tensor, good: Tensor) -> Records:
@@ -93,7 +96,7 @@ class Guide(LensSampler):
         return Records(torch.where(weight > 0.0, cells, -1), position, light)
 
     def images(self, beta: Tensor) -> dict[str, Tensor]:
-        """β, the record and its highlight cells; the last two with their margin."""
+        """Images of β, the record and its highlight cells. The last two images include the margin of the record."""
         beta = beta.reshape(self.camera.height, self.camera.width)
         if self.candidates is not None:
             beta = beta * (self.candidates.counts() > 0).reshape(beta.shape)
@@ -113,12 +116,12 @@ class Guide(LensSampler):
 
 
 def learned_of(records: Sequence[GuideRecord]) -> list:
-    """`GuideRecord.learned` of the batches that have it."""
+    """All values of `GuideRecord.learned` that are not None."""
     return [record.learned for record in records if record.learned is not None]
 
 
 def finite(light: Tensor, good: Tensor) -> Tensor:
-    """Luminance `[N]` of the samples that the film took, 0 for the others."""
+    """Luminance `[N]` of the samples that are on the film, 0 for all other samples."""
     return light.nan_to_num(0.0, 0.0, 0.0) * good
 
 
@@ -131,7 +134,7 @@ def _figures(query: MixtureQuery, weight: Tensor, loss: Tensor) -> Tensor:
 def _positions(points: Tensor, directions: Tensor, distance: Tensor, far: Tensor) -> Tensor:
     """Positions `[3, N]` at `distance` `[N]` along camera-frame directions `[3, N]` from lens points `[2, N]`.
 
-    Rays that met nothing begin at the middle of the lens and end at `far`.
+    Rays that left the scene begin at the lens centre and end at the distance `far`.
     """
     hit = distance < MISS_DISTANCE
     origin = torch.stack((points[0] * hit, points[1] * hit, torch.zeros_like(distance)))

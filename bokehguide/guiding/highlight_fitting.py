@@ -1,4 +1,4 @@
-"""Discovery of highlights in a record, and the fit of Gaussians or ellipsoids to them (sections 4.2.2 to 4.2.4)."""
+"""Detection of highlights in a record of primary hits, and fits of Gaussians or ellipsoids (sections 4.2.2 to 4.2.4)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bokehguide.render.vector import length
 def find_highlights(
     record: RecordBuffer | VoxelRecord, camera: ThinLensCamera, mean_luminance: float, config: HighlightConfig = HighlightConfig()
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Cells `[K]` of the record that are bright and out of focus, their positions `[3, K]` and mean luminance `[K]`."""
+    """Bright cells of the record that are out of focus: cells `[K]`, positions `[3, K]` and mean luminance `[K]`."""
     cells, points, light = record.bright(config.radiance_threshold * mean_luminance)
     defocused = camera.coc_diameter(points[2]) >= config.coc_threshold
     return cells[defocused], points[:, defocused], light[defocused]
@@ -27,8 +27,10 @@ def label_patches(
 ) -> Tensor:
     """Patch number of each highlight cell, int64 `[K]` from 0 without gaps.
 
-    Cells that touch on the raster form a patch. A patch is split at gaps between the sorted depths of its cells, as one emitter
-    may lie behind another. depth, width: of each cell, metres, `[K]`. depth_gap: see `HighlightConfig`.
+    Cells that touch on the raster form a patch. One emitter may lie behind another, so gaps between the sorted depths of its
+    cells split the patch.
+
+    depth, width: depth and width of each cell, metres, `[K]`. depth_gap: see `HighlightConfig`.
     """
     from kornia.contrib import connected_components_union_find  # the import takes half a second
 
@@ -48,11 +50,13 @@ def label_patches(
 def fit_ellipsoids(
     record: VoxelRecord, camera: ThinLensCamera, mean_luminance: float, config: GuidedConfig = GuidedConfig()
 ) -> tuple[Tensor, ...]:
-    """One ellipsoid for each patch of highlight cells: the cells `[K]`; means `[3, G]`, outlines `[6, G]` (see
-    `EllipseMixture`), largest half axes seen from the lens and energies `[G]`.
+    """Fit one ellipsoid to each of G patches of highlight cells.
 
-    Mean and covariance are weighted by the light: a few cells at the edge, seldom lit, would enlarge the patch's box several
-    times. The Gaussian with this mean and covariance has the least KL divergence from the light.
+    Returns the cells `[K]`, means `[3, G]`, outlines `[6, G]` (see `EllipseMixture`), largest half axes seen from the lens `[G]`
+    and energies `[G]`.
+
+    Mean and covariance are weighted by the light. An unweighted bounding box would be several times larger, because of a few dim
+    cells at the edge. The Gaussian with this mean and covariance has the least KL divergence from the light.
     """
     if not config.find_highlights:
         none = torch.zeros(6, 0, device=record.sums.device)
@@ -67,7 +71,7 @@ def fit_ellipsoids(
     empty = torch.zeros(6, count, device=points.device)
     mean = empty[:3].index_add(1, patch, share * points)
     x, y, z = points - mean[:, patch]
-    within = width * width / 12.0  # variance of an even cell
+    within = width * width / 12.0  # variance of a uniform distribution over a cell
     moments = torch.stack((x * x + within, x * y, x * z, y * y + within, y * z, z * z))
     outline = config.highlight_axes * config.highlight_axes * empty.index_add(1, patch, share * moments)
     spread = 0.5 * (outline[0] + outline[3])
@@ -84,9 +88,9 @@ def fit_gaussians(
 ) -> Tensor:
     """Replace the field by one Gaussian for each patch of highlight cells; returns the cells `[K]`.
 
-    Each cell is as wide as a pixel at its depth (Eq. 24). The mean is the centre of the patch's bounding box. R_b is the radius
-    of the sphere about the mean that contains a ball of this width in every cell. A sphere about the box would reach its
-    corners: σ would be the radius R of a disc, for which R / 1.78 is best.
+    Each cell has the width of a pixel at the depth of the cell (Eq. 24). The mean is the centre of the patch's bounding box. R_b
+    is the radius of the smallest sphere about the mean that contains a ball of this width at every cell. A sphere around the box
+    would also contain the corners of the box, and σ would be too large: for a disc of radius R, the best σ is R / 1.78.
     """
     cells, points, light = find_highlights(record, camera, mean_luminance, config.highlights)
     width = points[2] * camera.pixel_slope

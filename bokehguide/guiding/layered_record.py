@@ -1,4 +1,4 @@
-"""The record of the mode `guided`, which keeps highlights at different depths apart."""
+"""The record of primary hits in the mode `guided`, which separates highlights at different depths in one cell."""
 
 from __future__ import annotations
 
@@ -15,27 +15,30 @@ from bokehguide.runtime.distributed import Ranks
 from bokehguide.runtime.indexing import indices, indices_of_each
 
 OCTAVES, PER_OCTAVE = 8, 4
-"""Layers of depth on either side of the focal plane, by defocus |1 - focus distance / Z|, to which the width of a circle of
-confusion is proportional: this many doublings up to 4, and layers in each doubling."""
+"""Layers of depth on either side of the focal plane: number of octaves, and layers in each octave.
+
+The octaves divide the defocus |1 - focus distance / Z|, up to a defocus of 4. The diameter of a circle of confusion is
+proportional to the defocus."""
 SIDE = OCTAVES * PER_OCTAVE
 LAYERS = 2 * SIDE
 CELLS_PER_VOXEL = 8
-"""Cells of the raster for each voxel that may exist. Voxels with the least light are dropped beyond this number. The same number
-of samples may wait."""
+"""Number of raster cells divided by the largest number of voxels. Beyond this number, the record drops the voxels with the least
+light. The largest number of waiting samples is the same."""
 MIN_ROWS = 1 << 17
-"""Least number of new rows that are summed by voxel at a time."""
+"""Least number of new rows at which the record sums them by voxel."""
 
 
 class VoxelRecord(Raster):
-    """A raster with a margin. Cells keep sample count and radiance; bright cells also keep their light by depth, in voxels.
+    """A raster with a margin, whose cells store number and radiance of samples. Bright cells also store their light in voxels.
 
-    Only samples above a threshold create voxels, at the next `merge_voxels`: the number of voxels follows the highlights and not
-    cells times depths. Positions are averaged as in `RecordBuffer`.
+    A voxel is one layer of depth in one cell. Only samples above a threshold create voxels, at the next `merge_voxels`. The
+    number of voxels therefore grows with the highlights, not with cells times layers. Positions are averaged as in
+    `RecordBuffer`.
 
-    by_depth: whether a cell has one voxel for each layer of depth, else one voxel. sums: `[2, cells]`: count, Σ L.
-    voxels: float64 `[K, 6]`, in ascending order: number (cell · LAYERS + layer, from near to far), count, Σ L,
-    Σ L·(X/Z, Y/Z, 1/Z), camera frame. waiting: the same of samples since the last `merge_voxels`, of all ranks up to the last
-    `merge`.
+    by_depth: whether a cell has one voxel for each layer of depth, else one for all depths. sums: `[2, cells]`: count, Σ L.
+    voxels: float64 `[K, 6]`, in ascending order. The columns are number (cell · LAYERS + layer, from near to far), count, Σ L and
+    Σ L·(X/Z, Y/Z, 1/Z), camera frame. waiting: rows of the same columns from samples since the last `merge_voxels`. They include
+    the samples of all ranks up to the last `merge`.
     """
 
     voxels: Tensor
@@ -51,15 +54,15 @@ class VoxelRecord(Raster):
         self.register_buffer("_lit", torch.zeros(self.sums.shape[1], dtype=torch.bool), persistent=False)
         """Cells that have voxels."""
         self._new: list[Tensor] = []
-        """Rows of this rank's samples since the last `merge`."""
+        """Rows from samples of this rank since the last `merge`."""
         self._new_count, self._waiting_count = 0, 0.0
-        """Numbers of samples in `_new` and in `waiting`, on the host."""
+        """Numbers of samples in `_new` and in `waiting`, stored on the host."""
         self._max_voxels = self.sums.shape[1] // CELLS_PER_VOXEL
         self._min_rows = 0
-        """Least number of new rows to sum, so that the cost stays proportional to the samples."""
+        """Least number of new rows at which `_sum_new` sums, so that the cost is proportional to the number of samples."""
 
     def add(self, batches: Sequence[Records], threshold: float) -> None:
-        """Add samples to their cells. Samples above the threshold, or in cells with voxels, are added to voxels as well."""
+        """Add samples to their cells. Samples above the threshold and samples in cells with voxels are also added to voxels."""
         count, radiance = self.mine
         least, parts = to_device(threshold, count.device, torch.float32), []
         for cells, points, luminance in batches:
@@ -89,7 +92,7 @@ class VoxelRecord(Raster):
         return torch.where(defocus < 0.0, SIDE - 1 - place, SIDE + place) * self._by_depth
 
     def _sum_new(self) -> None:
-        """Sum the new rows by voxel, on a single rank together with the waiting ones, in the order of the samples."""
+        """Sum the new rows by voxel, in the order of the samples. A single rank sums them together with the waiting rows."""
         if self.ranks.alone:
             self._set_waiting(_summed([self.waiting, *self._new]))
             self._min_rows = len(self.waiting)
@@ -106,12 +109,12 @@ class VoxelRecord(Raster):
             self._min_rows = 0
 
     def _set_waiting(self, rows: Tensor) -> None:
-        """Replace the waiting rows and the new rows by these rows on the host."""
+        """Replace both the waiting rows and the new rows by the given rows on the host."""
         self.waiting, self._waiting_count = rows.to(self.sums.device), float(rows[:, 1].sum())
         self._new, self._new_count = [], 0
 
     def end_step(self) -> None:
-        """Merge the voxels within an epoch if more samples wait than voxels may exist; collective."""
+        """Merge the voxels within an epoch if the number of waiting samples exceeds the largest number of voxels; collective."""
         [new] = self.ranks.totals(self._new_count)
         if new + self._waiting_count > self._max_voxels:
             self.merge_voxels()
@@ -134,7 +137,8 @@ class VoxelRecord(Raster):
     def bright(self, threshold: float) -> tuple[Tensor, Tensor, Tensor]:
         """Cells int64 `[K]`, positions `[3, K]` and mean luminance `[K]` of voxels whose mean luminance is above the threshold.
 
-        The mean is over the cell's samples that reached the voxel: samples in nearer voxels were blocked.
+        The mean includes the samples of the cell at this depth and beyond. Samples that end in nearer voxels did not reach the
+        voxel.
         """
         number, count, light, x, y, inverse_depth = self.voxels.T.contiguous()
         cells = number.long() // LAYERS
@@ -146,7 +150,7 @@ class VoxelRecord(Raster):
         return cells[index], points.float(), radiance[index].float()
 
     def _load_from_state_dict(self, state_dict, prefix, *args):
-        """Raises ValueError for voxels that no record has."""
+        """Raises ValueError for voxels that no record can have."""
         for name in ("voxels", "waiting"):
             rows = state_dict[prefix + name]
             self._require_rows(rows)
@@ -169,7 +173,7 @@ class VoxelRecord(Raster):
 
 @kernel
 def _classified(cells: Tensor, luminance: Tensor, lit: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
-    """Cells of samples, 0 outside the raster; 1 inside, else 0; luminance inside; 1 for samples of voxels, else 0; `[N]` each."""
+    """Arrays `[N]`: cells of samples, 0 outside the raster; 1 inside, else 0; luminance inside; 1 for voxel samples, else 0."""
     inside, cells = cells >= 0, cells.clamp(min=0)
     light = torch.where(inside, luminance, 0.0)
     bright = inside & ((light > threshold) | lit.index_select(0, cells))
@@ -177,7 +181,7 @@ def _classified(cells: Tensor, luminance: Tensor, lit: Tensor, threshold: Tensor
 
 
 def _summed(parts: list[Tensor]) -> Tensor:
-    """Rows of lists summed by voxel, in ascending order; on the CPU, for the same bits on every rank."""
+    """Rows of all lists, summed by voxel, in ascending order. The sums run on the CPU, so that all ranks get the same bits."""
     if not parts:
         return torch.zeros(0, 6, dtype=torch.float64)
     rows = torch.cat([part.cpu() for part in parts])

@@ -1,4 +1,4 @@
-"""Light samples at primary hits, chosen by learned second moments."""
+"""The light strategy of the mode `guided`: light samples at primary hits, chosen by learned second moments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bokehguide.render.observer import PathObserver
 
 
 class LearnedLights(LightStrategy):
-    """The choice of light samples by a `LearnedLightSampler`, which learns at the ends of epochs."""
+    """Light strategy in which a `LearnedLightSampler` chooses light samples. The sampler learns at the ends of epochs."""
 
     learns = True
 
@@ -47,7 +47,7 @@ class LearnedLights(LightStrategy):
         self.sampler.merge()
 
     def load_state_dict(self, state_dict, *args, **kwargs):
-        """Load the sampler by its own method, which restores its distribution; PyTorch does not call the methods of parts."""
+        """Load the sampler by `LearnedLightSampler.load_state_dict`, which PyTorch does not call for submodules."""
         own = {name.removeprefix("sampler."): value for name, value in state_dict.items()}
         return self.sampler.load_state_dict(own, *args, **kwargs)
 

@@ -19,7 +19,10 @@ M = TypeVar("M", bound=LensMixture)
 
 @dataclass(frozen=True)
 class UniformQuery(LensQuery):
-    """Lens points of density W/A, 1/A on a round aperture (Eq. 9), from uniform numbers `[2, N]`, for focus points `[3, N]`."""
+    """Lens points with the density W / A (Eq. 9), from uniform numbers `[2, N]`, for focus points `[3, N]`.
+
+    A round aperture has the density 1 / A.
+    """
 
     lens: Lens
     focus: Tensor
@@ -36,10 +39,12 @@ class UniformQuery(LensQuery):
 
 @dataclass(frozen=True)
 class MixtureQuery(LensQuery, Generic[M]):
-    """Lens points of a mixture (Eq. 26), from as many uniform numbers as it takes.
+    """Lens points of a mixture (Eq. 26), from the uniform numbers that `mixture.sample` takes.
 
-    Points of pixels without candidates are, to the bit, as `UniformQuery` has them. gaussian: component of the field of each
-    candidate, int64 `[M]`. slots: of the success rates of each candidate, `[M]`, where these are learned.
+    A pixel without candidates gets the same bits as from `UniformQuery`.
+
+    gaussian: component of the field for each candidate, int64 `[M]`. slots: slot of each candidate's success rate, `[M]`, None if
+    success rates are not learned.
     """
 
     mixture: M

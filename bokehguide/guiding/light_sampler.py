@@ -1,8 +1,8 @@
-"""Learned light sampling at primary hits: probabilities of clusters of lights, by tile of the frame, learned epoch by epoch.
+"""Learned light sampling at primary hits: each tile of the frame learns the probabilities of clusters of lights.
 
 With a guided lens, direct light at primary hits causes most of the remaining noise. The power and the distance of an emitter
-ignore shadows, glossy reflections and the orientation of surfaces. The second moments of the contributions of each cluster
-include these effects. Probabilities in proportion to the roots of the second moments minimize the variance.
+do not predict shadows, glossy reflections and the orientation of surfaces. The second moments of the contributions of each
+cluster include these effects. Probabilities in proportion to the square roots of the second moments minimise the variance.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.distributed import Ranks, RankSums
 
 TILES, SMALLEST = 80, 4
-"""Largest number of tiles along the longer side of the frame; smallest number of pixels along the side of a tile.
+"""Largest number of tiles along the longer side of the frame, and least side of a tile in pixels.
 
 A smaller tile has too few samples to learn from."""
 POOLS = ((1, 0.5), (3, 0.3), (7, 0.2))
-"""Squares of tiles that pool their second moments: tiles along the side, and weight."""
+"""Squares of tiles over which second moments are averaged: tiles along the side, and weight of the average."""
 PRIOR_VISIBLE = 0.2
-"""Visible samples of each cluster in each tile that are assumed in advance."""
+"""Prior: number of visible samples of each cluster in each tile before the first sample."""
 MIN_VISIBILITY = 0.05
 """Smallest expected visibility of a cluster."""
 MAX_CONTRIBUTION = 1e30
-"""Contributions are clamped to this, so that second moments stay finite."""
+"""Contributions in learning are clamped to this value, so that second moments stay finite."""
 
 
 class LightSamples(NamedTuple):
-    """Light samples at primary hits, `[K]` each, one for each path.
+    """Light samples at primary hits, one for each of K paths; all fields are `[K]`.
 
-    row, cluster: see `ClusterRecord`. contribution_rms: the same field of `ClusterRecord` times the visibility.
+    row, cluster: see `ClusterRecord`. contribution_rms: `ClusterRecord.contribution_rms` times the visibility.
     visibility: unblocked share of the light.
     """
 
@@ -51,7 +51,7 @@ class LightSamples(NamedTuple):
 
 
 class LightSampleRecorder(PathObserver):
-    """Records the light samples of one trace that a table of clusters chose. samples: none or one batch."""
+    """Records the light samples of one trace whose cluster a table chose. samples: list of at most one batch."""
 
     def __init__(self) -> None:
         self.samples: list[LightSamples] = []
@@ -64,9 +64,11 @@ class LightSampleRecorder(PathObserver):
 
 
 class LearnedLightSampler(RankSums):
-    """Learns which clusters of lights to sample at primary hits.
+    """Learns the probabilities with which primary hits sample clusters of lights.
 
-    `add` takes the light samples of a step; `update` ends an epoch. power: owner of the lights and of the voxel grid.
+    `add` takes the light samples of a step; `update` ends an epoch.
+
+    power: light sampler that owns the lights and the voxel grid.
     sums: float64 `[3, tiles, clusters]`: Σ contribution_rms² (see `LightSamples`), number of samples, Σ visibility.
     probability, visibility: probability and expected visibility in the present epoch, `[tiles, clusters]`, 0 in the first epoch.
     """
@@ -92,7 +94,7 @@ class LearnedLightSampler(RankSums):
         self.register_buffer("probability", torch.zeros(shape, device=device))
         self.register_buffer("visibility", torch.zeros(shape, device=device))
         self.register_buffer("epoch", torch.tensor(1))
-        # Constants on the device: no kernel waits for the host.
+        # Constants are on the device, so that no kernel waits for the host.
         self._count = torch.tensor([clusters.count], dtype=torch.int32, device=device)
         self._first_far = torch.tensor([clusters.triangles], device=device)
         self._candidates, self._learns_visibility = config.light_candidates, config.learn_visibility
@@ -128,7 +130,7 @@ class LearnedLightSampler(RankSums):
             total.index_add_(0, place, values)  # double precision: the order of ranks does not matter
 
     def update(self, step: int) -> None:
-        """Begin an epoch at `step`: set the probabilities by all samples so far; collective."""
+        """Begin an epoch at `step`: compute the probabilities from all samples so far; collective."""
         self.merge()
         self.epoch.fill_(step)
         moments, tried, arrived = (self._pooled(total) for total in self.sums)
@@ -139,7 +141,7 @@ class LearnedLightSampler(RankSums):
         self._tables = self._make_tables()
 
     def _pooled(self, total: Tensor) -> Tensor:
-        """A sum `[tiles, clusters]`, pooled over the squares around each tile."""
+        """A sum `[tiles, clusters]`, averaged over the squares around each tile."""
         clusters = total.shape[1]
         pooled = torch.zeros(self._down, self._across, clusters, dtype=total.dtype, device=total.device)
         for width, share in POOLS:
@@ -161,14 +163,14 @@ class LearnedLightSampler(RankSums):
 
 @kernel
 def _rows(tiles: Tensor, clusters: Tensor, contribution_rms: Tensor, visibility: Tensor, count: Tensor) -> tuple[Tensor, ...]:
-    """Places of samples in a table with `count` clusters in a row, int32 `[N]`, and the summands, float64 `[N]` each."""
+    """Flat table indices of samples, int32 `[N]`, and the summands, float64 `[N]` each. count: clusters in a row of the table."""
     counted = (clusters >= 0).double()
     contribution_rms = contribution_rms.double().nan_to_num(0.0, MAX_CONTRIBUTION).clamp(max=MAX_CONTRIBUTION)
     return tiles * count + clusters.clamp(min=0), contribution_rms * contribution_rms * counted, counted, visibility * counted
 
 
 def _means(count: int, width: int) -> Tensor:
-    """Matrix of running means over `width` of `count` tiles, fewer at the ends, float64 `[count, count]`."""
+    """Matrix that averages `count` tiles over windows of `width` tiles, shorter at the ends, float64 `[count, count]`."""
     place = torch.arange(count)
     near = ((place - place[:, None]).abs() <= width // 2).double()
     return near / near.sum(1, keepdim=True)

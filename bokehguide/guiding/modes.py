@@ -12,10 +12,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ModeEntry:
-    """A mode's name, and the function that builds it from a `ModeContext`, as "module:function".
+    """An entry of the registry.
 
-    rows_per_band: rows of the film that one rank renders together. whole_frame: whether the mode needs the frame in one
-    process, without a crop and without a noise target. summary: the lens points in a few words, for the command line.
+    builder: name "module:function" of the function that builds the mode from a `ModeContext`. summary: short description of the
+    lens points. rows_per_band: number of consecutive film rows that one rank renders. whole_frame: whether one process must
+    render the whole frame, without a crop and without a noise target.
     """
 
     builder: str
@@ -42,4 +43,4 @@ MODES = {
         "bokehguide.baselines.restir.mode:area_restir_lis", "as lis-o, then resampled", whole_frame=True
     ),
 }
-"""All modes by name. Imports of a mode's module wait until a render asks for the mode."""
+"""All modes by name. A mode's module is imported when a render first needs the mode."""

@@ -1,17 +1,19 @@
-"""Reuse of primary hits among neighbouring pixels: each pixel sees the hits of its group through a lens point of its own.
+"""Reuse of primary hits among neighbouring pixels: each pixel of a group also uses the hits of the other pixels.
 
-Many pixels see a point that is out of focus. The light of the paths from a primary hit of one pixel goes to the other
-pixels of its group as well (Bekaert, Sbert and Halton 2002): through the lens point from which the other pixel's focus point
-and the same surface are in line, by Area ReSTIR's reconnection (`models/reconnection.py`), if nothing blocks the ray.
+Many pixels see the same point out of focus. A pixel therefore uses the paths from the primary hits of the other pixels in its
+group (Bekaert, Sbert and Halton 2002). The pixel sees such a hit through another lens point: the lens point on the line from the
+hit through the pixel's own focus point. This is the reconnection of Area ReSTIR (`models/reconnection.py`). A shadow ray tests
+whether a surface blocks the line.
 
-The combination is multiple importance sampling with the balance heuristic. A point x that the densities
-p_k = q_k |∂l_k / ∂x| of a group's pixels k find counts for pixel i as W V_i |∂l_i / ∂x| / (A Σ_k V_k p_k). V is the visibility
-from a pixel. A point in focus is seen by one pixel alone, and counts as W / (A q). At silhouettes a shading normal may face
-one of two pixels and be replaced for the other: x is not the same surface for both, and V is 0 between them.
+Multiple importance sampling with the balance heuristic combines the hits. Pixel k finds a point x with the density
+p_k = q_k |∂l_k / ∂x|. In pixel i, the weight of x is W V_i |∂l_i / ∂x| / (A Σ_k V_k p_k), where V_k is the visibility between x
+and the lens point of pixel k. Only one pixel sees a point in focus, and the weight of this point is W / (A q). At a silhouette,
+the shading normal of x may face one pixel, and another normal may replace it for a second pixel. The pixels then do not see the
+same surface, and V is 0.
 
-Groups are tiles of the film that lie elsewhere in every step, wide or high, so that no tile shows. They end where bands of rows
-and of columns end, so that ranks, batches and the blocks of adaptive sampling hold whole groups. The noise of the pixels of a
-group is correlated.
+Groups are wide or high tiles of the film. Their positions change with every step, so that no tile is visible in the picture. No
+group crosses the end of a band of rows or columns, so that ranks, batches and blocks of adaptive SPP contain whole groups. The
+noise of the pixels of a group is correlated.
 """
 
 from __future__ import annotations
@@ -44,25 +46,31 @@ from bokehguide.runtime.indexing import ActiveEntries, Pixels, indices, pixel_nu
 from bokehguide.runtime.timer import PhaseTimer
 
 COLUMNS = 32
-"""Columns of a film after which groups end."""
+"""Number of columns in a band. Groups end at the end of a band."""
 GROUP_SPACING = 3.0
-"""Mean distance between the pixels of a group, pixels."""
+"""Mean distance between two pixels of a group, in pixels."""
 PAIRS_AT_ONCE = 65536
-"""Pairs of pixels that a CPU handles together, about: more would leave the cache, and fewer would cost more Python."""
+"""Approximate number of pixel pairs in one operation on a CPU. More pairs exceed the cache; fewer have more Python overhead."""
 NOWHERE, INFINITE = 1e15, 1e30
 
 
 class Reused(NamedTuple):
-    """The samples of N pixels after reuse: Σ W L / (A q) over all pixels that found them, `[3, N]`, and the sum of the weights
-    alone, whose mean is 1, `[N]`."""
+    """The samples of N pixels after reuse.
+
+    radiance: sum of weighted radiance over all hits that a pixel uses, `[3, N]`. weight: sum of the weights, `[N]`; its mean is
+    1.
+    """
 
     radiance: Tensor
     weight: Tensor
 
 
 class _Hits(NamedTuple):
-    """The primary hits of a batch, camera frame: plane `[3, N]` of the surface (see `Reservoirs`), depth `[N]`, and whether
-    others may reuse the hit, bool `[N]`; place: of the sample among the primary hits, int64 `[N]`, -1 for none."""
+    """The primary hits of a batch, camera frame.
+
+    plane: of the surface, `[3, N]` (see `Reservoirs`). depth: `[N]`. reusable: whether other pixels may use the hit, bool `[N]`.
+    place: index of the sample in `PrimaryHits`, int64 `[N]`, -1 for none.
+    """
 
     plane: Tensor
     depth: Tensor
@@ -71,12 +79,14 @@ class _Hits(NamedTuple):
 
 
 class _Views(NamedTuple):
-    """J views of hits by other pixels. In one row of viewers, no pixel views or is viewed twice.
+    """J views: in a view, a pixel (viewer) sees the primary hit of another pixel (source).
 
-    source, viewer: pixel that found the hit and pixel that views it, int64 `[J]`. points: lens points of the views `[2, J]`.
-    jacobian: |∂l' / ∂l| times the transmittance of the view; passing: W / A at the lens point; `[J]`. outgoing: unit directions
-    from the hits to the lens points `[3, J]`. on_surface: views of surfaces, int64 `[K]`; path_count: number of their paths in
-    all. ends: where the views of each row of viewers end, the first at 0.
+    The views come in rows of viewers. Within a row, each pixel is the viewer of at most one view and the source of at most one.
+
+    source, viewer: int64 `[J]`. points: lens points of the views, `[2, J]`. jacobian: |∂l' / ∂l| times the transmittance along
+    the view, `[J]`. passing: W / A at the lens point, `[J]`. outgoing: unit directions from the hits to the lens points, `[3,
+    J]`. on_surface: views whose hit is on a surface, int64 `[K]`. path_count: total number of paths of these hits. ends: 0, and
+    the end of each row of viewers.
     """
 
     source: Tensor
@@ -93,8 +103,9 @@ class _Views(NamedTuple):
 class _LensRays(NamedTuple):
     """Rays from hits to lens points.
 
-    outgoing: unit directions of the light; origin, direction: world frame, `[3, J]`; distance: length, `[J]`, MISS_DISTANCE from
-    hits at infinity; path_counts: numbers of paths whose light arrives, 0 below the surface, `[J]`.
+    outgoing: unit directions of the light, world frame, `[3, J]`. origin, direction: of the rays, world frame, `[3, J]`.
+    distance: length of the rays, `[J]`, MISS_DISTANCE for hits at infinity. path_counts: number of paths of the hit, 0 if the
+    lens point is below the surface, `[J]`.
     """
 
     outgoing: Tensor
@@ -105,10 +116,10 @@ class _LensRays(NamedTuple):
 
 
 class PixelPathReuse:
-    """Reuses the samples of the pixels of a film. Threads may call it side by side, with batches of whole groups.
+    """Reuses primary hits among the pixels of a film. Threads may call `reuse` concurrently, with batches of whole groups.
 
-    width: of the film, pixels; seed: of the groups' places; group: pixels along the longer and the shorter side of a group;
-    min_spread: see `GuidedConfig`.
+    width: of the film, pixels. seed: of the positions of groups. group: longer and shorter side of a group, pixels. min_spread:
+    see `GuidedConfig`.
     """
 
     def __init__(
@@ -124,7 +135,10 @@ class PixelPathReuse:
         self._group, self._min_spread = group, min_spread
 
     def reuse(self, samples: BatchSamples, timer: PhaseTimer) -> Reused:
-        """Reuse the samples of one batch. Its rays are added to `paths.rays`. Samples that are not finite stay in their pixel."""
+        """Reuse the samples of one batch, and add the number of shadow rays to `paths.rays`.
+
+        Samples that are not finite are not reused, and stay in their pixel.
+        """
         lens, paths, batch, drawn = self._camera.lens, samples.paths, samples.batch, samples.drawn
         hits = self._hits(samples)
         transmittance = self._own_transmittance(hits, samples, timer)
@@ -165,15 +179,16 @@ class PixelPathReuse:
         return _Hits(plane, torch.where(infinite, INFINITE, depth), reusable, place)
 
     def _view_angle(self, depth: Tensor) -> Tensor:
-        """Angle in radians `[N]` between the lens points through which pixels of a group see a point at `depth` `[N]`, about."""
+        """Approximate angle `[N]`, radians, at points of `depth` `[N]` between the lens points of two pixels of a group."""
         camera, focus = self._camera, self._camera.lens.focus_distance
         spacing = GROUP_SPACING * camera.pixel_slope * focus * depth / (depth - focus).abs().clamp(min=1e-9)
         return spacing.clamp(max=2.0 * camera.lens.radius) / depth
 
     def _looks_alike(self, hits: PrimaryHits, least: Tensor) -> Tensor:
-        """Primary hits that look alike from all lens points of a group: opaque, with α of at least `least`; bool `[K]`.
+        """Whether the paths of a primary hit are good samples for all lens points of a group, bool `[K]`.
 
-        Paths of one pixel do not know the reflection that another pixel sees in a smoother surface.
+        This holds for opaque surfaces with a roughness α of at least `least`. In a smoother surface, another pixel sees another
+        reflection.
         """
         surface, materials = hits.surface, self._tracer.geometry.materials
         alike = (surface.alpha >= least) & (surface.facing > 0.0)
@@ -186,7 +201,7 @@ class PixelPathReuse:
         return alike
 
     def _own_transmittance(self, hits: _Hits, samples: BatchSamples, timer: PhaseTimer) -> Tensor:
-        """Transmittance `[N]` of the translucent surfaces before the pixels' own hits, as `_views` has it for other pixels."""
+        """Transmittance `[N]` of the translucent surfaces between each pixel's own lens point and primary hit."""
         if not self._tracer.geometry.materials.has_translucent:
             return torch.ones_like(hits.depth)
         rays = self._lens_rays(hits.place, samples.drawn.points, samples.batch.focus, samples.paths.primary_hits)
@@ -196,7 +211,7 @@ class PixelPathReuse:
         return torch.where(hits.reusable, transmittance, 1.0)
 
     def _views(self, viewers: Tensor, hits: _Hits, samples: BatchSamples, timer: PhaseTimer) -> _Views:
-        """The views of all hits by each row of pixels of `viewers`, int64 `[R, N]`, -1 for none."""
+        """The views of all N hits by R rows of other pixels; viewers: int64 `[R, N]`, -1 for no viewer."""
         rows, count = viewers.shape
         viewer = viewers.flatten()
         focus_of_viewer = samples.batch.focus.index_select(1, viewer.clamp(min=0))
@@ -212,7 +227,7 @@ class PixelPathReuse:
         counts = rays.path_counts * (passing.index_select(0, index) > 0.0)
         arriving, traced = self._tracer.visibility.visible_rays(rays.origin, rays.direction, rays.distance, counts, timer)
         samples.paths.rays += traced
-        # The host knows which rays arrive, and with them the sizes of all arrays that follow.
+        # The host stores which rays arrive, and therefore has the sizes of all later arrays.
         begins = torch.arange(rows + 1) * count
         ends = torch.searchsorted(arriving.rays, begins if index.device.type != "cpu" else torch.searchsorted(index, begins))
         on_surface = indices(arriving.distance < MISS_DISTANCE)
@@ -226,7 +241,10 @@ class PixelPathReuse:
         return _Views(source, viewer, through, jacobian, passing, outgoing, on_surface, path_count, ends.tolist())
 
     def _lens_rays(self, place: Tensor, points: Tensor, focus: Tensor, hits: PrimaryHits | None) -> _LensRays:
-        """Rays to lens points `[2, J]` from the primary hits at `place` `[J]`; from infinity beyond `focus` `[3, J]` for -1."""
+        """Rays to lens points `[2, J]` from the primary hits at `place` `[J]`, or from infinity where `place` is -1.
+
+        focus: focus points, `[3, J]`.
+        """
         if hits is None:
             ray = self._camera.rays(focus, points)
             distance = torch.full_like(points[0], MISS_DISTANCE)
@@ -246,7 +264,7 @@ class PixelPathReuse:
 
 
 class PixelReuse(SampleReuse):
-    """The sample reuse of the mode `guided`: `PixelPathReuse`, with the weights as a control variate for the radiance."""
+    """The sample reuse of the mode `guided`: `PixelPathReuse`, and the weights as a control variate for the radiance."""
 
     learns = True
     weighted = True
@@ -255,7 +273,7 @@ class PixelReuse(SampleReuse):
         super().__init__()
         seed, group, spread = context.settings.seed, config.reuse_group, config.min_spread
         self.paths = PixelPathReuse(context.camera, context.tracer, context.film_width, seed, group, spread)
-        # Where the lens vignettes, the mean weight is not known.
+        # With a vignetting lens, the mean weight is unknown.
         known = config.control_variate and not context.camera.lens.vignettes
         self.control_variate = ControlVariate(context, config.control_shrinkage) if known else NoControlVariate()
 
@@ -277,7 +295,7 @@ class PixelReuse(SampleReuse):
 
 
 def _densities(query: LensQuery, views: _Views, count: int) -> Tensor:
-    """q of the viewers, of `count` pixels, at the lens points of the views, `[J]`."""
+    """Densities q of the viewers at the lens points of the views, `[J]`. count: number of pixels in the batch."""
     if not query.varies:
         return query.pdf(views.points)
     found = []
@@ -301,9 +319,9 @@ def _radiance(views: _Views, hits: _Hits, paths: PathSamples) -> Tensor:
 
 
 def _members(places: Pixels, width: int, key: int, group: tuple[int, int], device: torch.device) -> Tensor:
-    """For each other place in a group, the pixel there for each of N pixels, by its number among them, int64 `[.., N]`, or -1.
+    """The other pixels in the groups of N pixels, as indices into the N pixels, int64 `[members - 1, N]`; -1 for no pixel.
 
-    places: of the pixels on a film of this width; key: random bits for the origin of the groups.
+    places: pixels of the film. width: of the film. key: random bits that determine the positions of the groups.
     """
     numbers = pixel_numbers(places, device)
     first, last = (places.start, places.stop - 1) if isinstance(places, slice) else (int(places[0]), int(places[-1]))
@@ -315,8 +333,8 @@ def _members(places: Pixels, width: int, key: int, group: tuple[int, int], devic
 
 
 def _offsets(width: int, key: int, group: tuple[int, int], device: torch.device) -> Tensor:
-    """Differences of pixel numbers from each pixel of a band, row by row, to each other place in its group, int64
-    `[.., ROWS_PER_BAND * width]`; out of all films where the band ends before the place."""
+    """Offsets in pixel numbers from each pixel of a band to the other pixels of its group, int64
+    `[members - 1, ROWS_PER_BAND * width]`. If the other pixel is outside the band, the offset leads outside any film."""
     across, down = group if key & 1 else group[::-1]
     right, below = (key >> 8) % across, (key >> 16) % down
     sizes = (across * down, ROWS_PER_BAND, width)
@@ -328,7 +346,7 @@ def _offsets(width: int, key: int, group: tuple[int, int], device: torch.device)
 
 
 def _repeated(values: Tensor, times: int) -> Tensor:
-    """Values `[.., N]` so many times, `[.., times N]`; as they are for once."""
+    """Values `[.., N]` repeated `times` times, `[.., times N]`."""
     return values if times == 1 else values.repeat(*[1] * (values.ndim - 1), times)
 
 
@@ -339,14 +357,17 @@ def _passing(lens: Lens, points: Tensor, focus: Tensor) -> Tensor:
 
 @kernel
 def _reconnected(points: Tensor, focus: Tensor, other: Tensor, depth: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
-    """Lens points `[2, N]` that see the hits of `points` and `focus` through `other` focus points; the Jacobian `[N]`."""
+    """Reconnected lens points `[2, N]` and Jacobians `[N]`.
+
+    A hit on the ray from `points` through `focus` is also on the ray from its reconnected lens point through `other`.
+    """
     through = reconnect(points, (other - focus)[:2], depth, focus[2])
     return through, reconnection_jacobian(plane, points, through)
 
 
 @kernel
 def _ray_to(through: Tensor, position: Tensor, normal: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
-    """Unit directions from surfaces to points `[3, N]`, whether they lie on the normal's side, and rays off the surface."""
+    """Unit directions from surfaces to points `[3, N]`, whether the points are on the normal's side, and rays off the surface."""
     offset_to = through - position
     outgoing = offset_to / length(offset_to)
     origin = position + normal * offset

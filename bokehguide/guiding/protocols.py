@@ -1,8 +1,8 @@
-"""The three strategies of a mode, and the data that a step of rendering passes to them.
+"""The three strategies of a mode, and the data that a step of rendering passes to the strategies.
 
-A step reads: pixels, focus points, lens query, lens points, rays, paths, reuse, film, record, update. A `LensSampler` answers
-the lens query, a `LightStrategy` chooses light samples at primary hits, and a `SampleReuse` lets pixels use each other's
-samples. The base classes are complete strategies that learn nothing; a subclass overrides the methods that it needs.
+The stages of a step are pixels, focus points, lens query, lens points, rays, paths, reuse, film, record and update. A
+`LensSampler` answers the lens query, a `LightStrategy` chooses light samples at primary hits, and a `SampleReuse` lets pixels use
+samples of other pixels. The base classes learn nothing. A subclass overrides the methods that it needs.
 """
 
 from __future__ import annotations
@@ -30,17 +30,16 @@ from bokehguide.scene.types import Scene
 
 
 def starts_epoch(step: int) -> bool:
-    """Whether an epoch begins with a step: 1, 2, 3, 5, 9, 17, … so that lengths of epochs are powers of two."""
+    """Whether an epoch starts at a step. Epochs start at 1, 2, 3, 5, 9, 17, …, so that their lengths are powers of two."""
     return step == 1 or (step - 1) & (step - 2) == 0
 
 
 @dataclass(frozen=True)
 class ModeContext:
-    """All that strategies may be built from.
+    """The arguments of the constructors of strategies.
 
-    scene, camera, tracer: of the render. film_width, film_height: of the rendered part of the frame, pixels.
-    settings: the render's `RenderSettings`. ranks: the processes that share the work.
-    owned: pixels of the frame that this rank answers for, bool `[pixels]`.
+    film_width, film_height: size of the rendered part of the frame, pixels. settings: the `RenderSettings` of the render. ranks:
+    the processes of the render. owned: pixels of the frame for which this rank holds the learned state, bool `[pixels]`.
     """
 
     scene: Scene
@@ -57,9 +56,10 @@ class ModeContext:
 class PixelBatch:
     """N pixels in one step.
 
-    places: pixels of the film; pixels: the same pixels of the frame. raster: positions on the film, pixels, `[2, N]`;
-    subpixel: the same within the pixel. focus: focus points x_F, camera frame, metres, `[3, N]`. random: the random numbers
-    of this step. mean_luminance: mean luminance of the frame before this step; 1 in the first step.
+    places: indices of the pixels on the film. pixels: indices of the same pixels in the frame; a crop has a smaller film. raster:
+    positions in the frame, pixels, `[2, N]`. subpixel: positions within the pixel, 0 to 1, `[2, N]`. focus: focus points x_F,
+    camera frame, metres, `[3, N]`. random: random numbers of this step. mean_luminance: mean luminance of the frame before this
+    step, 1 in the first step.
     """
 
     step: int
@@ -75,9 +75,9 @@ class PixelBatch:
 class LensPoints(NamedTuple):
     """One lens point for each of N pixels.
 
-    points: metres, `[2, N]`. weight: W / (A q) of Eq. 11, 0 for a point that passes no light, `[N]`. at: the mixture's
-    densities at the points, where a query has a mixture. candidate: which candidate of the mixture was drawn, int64 `[N]`,
-    -1 for the uniform part.
+    points: metres, `[2, N]`. weight: W / (A q) of Eq. 11, 0 for a point that transmits no light, `[N]`. at: densities of the
+    mixture at the points, None without a mixture. candidate: candidate from which the point was drawn, int64 `[N]`, -1 for the
+    uniform part; None if the query does not report candidates.
     """
 
     points: Tensor
@@ -89,8 +89,8 @@ class LensPoints(NamedTuple):
 class LensQuery:
     """The distribution of lens points of one batch of pixels. Measure: lens area, 1/m².
 
-    varies: whether the density depends on the pixel; else `pdf` takes any number of points. mixtures: the query itself where it
-    draws from a mixture (`MixtureQuery`), else none.
+    varies: whether the density depends on the pixel. If not, `pdf` takes any number of points. mixtures: the query itself if it
+    is a `MixtureQuery`, else empty.
     """
 
     varies = True
@@ -101,11 +101,11 @@ class LensQuery:
         raise NotImplementedError
 
     def pdf(self, points: Tensor) -> Tensor:
-        """Density `[N]` of `sample` at lens points `[2, N]`, one a pixel."""
+        """Density `[N]` of `sample` at lens points `[2, N]`, one for each pixel."""
         raise NotImplementedError
 
     def own_pdf(self, drawn: LensPoints) -> Tensor:
-        """Density `[N]` at the points of `sample`."""
+        """Density `[N]` at the points that `sample` has drawn."""
         return self.pdf(drawn.points)
 
 
@@ -113,8 +113,8 @@ class LensQuery:
 class StepSummary:
     """The state of the frame after a step.
 
-    mean_luminance: of the frame so far. picture: mean radiance so far of the film's pixels, `[3, pixels]`, 0 in pixels of
-    other ranks; a function, as few strategies ask for it.
+    mean_luminance: of the frame so far. picture: function that returns the mean radiance so far of the film's pixels,
+    `[3, pixels]`, 0 in pixels of other ranks.
     """
 
     step: int
@@ -129,8 +129,11 @@ class StepSummary:
 
 @dataclass
 class LensRecord:
-    """The report of one batch to its lens sampler. figures: guided pixels, their draws outside the lens, the sum of their β
-    and the one-sample KL, float64 `[4]`; None where nothing is guided."""
+    """The report of one batch to its lens sampler.
+
+    figures: number of guided pixels, number of their draws outside the lens, sum of their β, and one-sample KL, float64 `[4]`;
+    None without guided pixels.
+    """
 
     figures: Tensor | None = None
 
@@ -139,8 +142,8 @@ class LensRecord:
 class BatchSamples:
     """The samples of one batch.
 
-    directions: of the camera rays, unit, world frame, `[3, N]`. lens_observers, light_observers: those of either strategy.
-    film: the samples as the film takes them.
+    directions: unit directions of the camera rays, world frame, `[3, N]`. lens_observers, light_observers: observers of the lens
+    sampler and of the light strategy. film: samples before reuse, in the form that the film adds.
     """
 
     batch: PixelBatch
@@ -154,9 +157,11 @@ class BatchSamples:
 
 
 class Strategy(nn.Module):
-    """A strategy of a mode. `accumulate` may run beside that of other strategies; `update` and `merge` are collective.
+    """Base class of strategies. Threads may call `accumulate` of different strategies concurrently.
 
-    learns: whether the strategy needs `accumulate` and `update`. A render whose strategies do not learn skips both.
+    `update` and `merge` are collective: every rank calls them, in the same order.
+
+    learns: whether the strategy needs `accumulate` and `update`. If no strategy learns, a render does not call the two methods.
     """
 
     learns = False
@@ -165,19 +170,19 @@ class Strategy(nn.Module):
         """Add the records of a step's batches, in the order of the pixels."""
 
     def update(self, summary: StepSummary) -> None:
-        """End a step: learn from all records so far."""
+        """End a step: learn from all reports so far. Collective."""
 
     def merge(self) -> None:
-        """Let every rank know the samples of all."""
+        """Exchange the samples of all ranks. Collective."""
 
     def check(self, step: int) -> None:
-        """Raises ValueError for a loaded state that no render has after `step` steps."""
+        """Raises ValueError if no render can have the loaded state after `step` steps."""
 
 
 class LensSampler(Strategy):
-    """Draws lens points, and may learn from the paths that begin there. This base class learns nothing.
+    """Draws lens points, and may learn from the paths that begin at these points. This base class learns nothing.
 
-    weighted: whether weights may differ from 1 where nothing is vignetted. paths_per_sample: mean number of paths of a sample.
+    weighted: whether weights may differ from 1 without vignetting. paths_per_sample: approximate number of paths of a sample.
     """
 
     weighted = True
@@ -189,11 +194,11 @@ class LensSampler(Strategy):
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
 
     def query(self, batch: PixelBatch) -> LensQuery:
-        """The distribution of a batch. A query depends on earlier steps only."""
+        """The lens distribution of a batch. The distribution depends only on earlier steps."""
         raise NotImplementedError
 
     def initial_queries(self, batch: PixelBatch) -> Iterable[LensQuery]:
-        """Queries whose samples initialise the film's features before the first sample counts."""
+        """Queries whose samples initialise the control variates of the film's features. These samples are not in the picture."""
         return ()
 
     def is_independent(self, step: int) -> bool:
@@ -201,19 +206,22 @@ class LensSampler(Strategy):
         return True
 
     def splitting(self, weight: Tensor) -> Splitting:
-        """How paths split at the primary hits of samples of these weights `[N]`."""
+        """Strategy by which paths split at the primary hits of samples with the weights `[N]`."""
         return UNSPLIT
 
     def observers(self, batch: PixelBatch) -> Sequence[PathObserver]:
-        """Observers of the batch's paths, made for `record`."""
+        """Observers of the batch's paths, for use by `record`."""
         return ()
 
     def record(self, samples: BatchSamples, good: Tensor) -> LensRecord:
-        """The report of a batch, for `accumulate`; good: samples that the film took, bool `[N]`. Threads call it side by side."""
+        """The report of a batch, for `accumulate`. Threads call this method concurrently.
+
+        good: whether a sample is finite and on the film, bool `[N]`.
+        """
         return LensRecord()
 
     def check(self, step: int) -> None:
-        # Adam's fused step does not look at the sizes of its moments.
+        # Adam's fused step does not check the sizes of its moments.
         for optimizer in self.optimizers.values():
             for parameter, state in optimizer.state.items():
                 for name, moment in state.items():
@@ -231,12 +239,12 @@ class LensSampler(Strategy):
         return {}
 
     def blend_weights(self) -> Tensor:
-        """β of every pixel of the frame, `[pixels]`; 0 where nothing is guided."""
+        """β of every pixel of the frame, `[pixels]`; 0 without guiding."""
         return torch.zeros(self.camera.width * self.camera.height)
 
 
 class LightStrategy(Strategy):
-    """Chooses light samples at primary hits. This base class chooses by power, as the path tracer does by itself."""
+    """Chooses light samples at primary hits. This base class chooses by power, like all later vertices of the path tracer."""
 
     def __init__(self, context: ModeContext):
         super().__init__()
@@ -247,32 +255,32 @@ class LightStrategy(Strategy):
         return self._by_power.at(points)
 
     def observers(self) -> Sequence[PathObserver]:
-        """Observers of a batch's paths, made for `record`."""
+        """Observers of a batch's paths, for use by `record`."""
         return ()
 
     def record(self, samples: BatchSamples) -> object:
-        """The report of a batch, for `accumulate`. Threads call it side by side."""
+        """The report of a batch, for `accumulate`. Threads call this method concurrently."""
         return None
 
 
 class SampleReuse(Strategy):
-    """Lets pixels use each other's samples. This base class lets none.
+    """Lets pixels use samples of other pixels. In this base class, a pixel uses only its own sample.
 
-    weighted: whether reused samples have weights other than 1.
+    weighted: whether reused samples may have weights other than 1.
     """
 
     weighted = False
 
     def cuts(self, width: int, height: int) -> np.ndarray | None:
-        """Pixels of a film, ascending from 0 to their number, between which batches may be cut; None: between any two."""
+        """Pixel numbers at which a film may be cut into batches, ascending from 0 to the number of pixels; None: all."""
         return None
 
     def expose(self, samples: BatchSamples, film: Callable[[Pixels, FilmSamples], Tensor], timer: PhaseTimer) -> Tensor:
-        """Put a batch on the film, by calling `film`; returns the finite samples, bool `[N]`."""
+        """Add a batch to the film by calling `film`; returns whether samples are finite, bool `[N]`."""
         return film(samples.batch.places, samples.film)
 
     def second_pass(self, spans: Sequence[slice]) -> Sequence[slice]:
-        """Spans of pixels that `resample` is called for after all batches of a step."""
+        """Spans of pixels for which the loop calls `resample` after all batches of a step."""
         return ()
 
     def resample(self, span: slice, step: int, timer: PhaseTimer) -> tuple[FilmSamples, int]:
@@ -282,7 +290,7 @@ class SampleReuse(Strategy):
 
 @dataclass
 class Mode:
-    """A way to render: how lens points are drawn, how lights are chosen at primary hits, how samples are reused."""
+    """The three strategies of a render: for lens points, for light samples at primary hits, and for the reuse of samples."""
 
     lens: LensSampler
     lights: LightStrategy
@@ -290,7 +298,7 @@ class Mode:
 
     @property
     def weighted(self) -> bool:
-        """Whether samples may have weights other than 1 where nothing is vignetted."""
+        """Whether samples may have weights other than 1 without vignetting."""
         return self.lens.weighted or self.reuse.weighted
 
     @property

@@ -1,4 +1,4 @@
-"""The record buffer: primary hits, reprojected as a pinhole camera sees them (section 4.2.1)."""
+"""The record buffer: sums over primary hits in the cells of a pinhole image (section 4.2.1)."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from bokehguide.runtime.distributed import Ranks, RankSums
 from bokehguide.runtime.indexing import ActiveEntries, indices
 
 MARGIN = 0.1
-"""Width of the border around the frame, as a share of the frame's width: circles of confusion of highlights outside the frame
+"""Width of the margin around the frame, as a share of the frame's width. The circle of confusion of a highlight in the margin may
 reach into the frame."""
 
 FAR = 1000.0
-"""Distance at which the environment is recorded, in focus distances."""
+"""Distance at which the record places the environment, in focus distances."""
 
 
 class Records(NamedTuple):
-    """Samples for a record: their cells, int64 `[N]`, camera-frame positions `[3, N]` and luminance `[N]`."""
+    """Samples for a record: cells, int64 `[N]`, positions `[3, N]` in the camera frame, and luminance `[N]`."""
 
     cells: Tensor
     points: Tensor
@@ -30,9 +30,9 @@ class Records(NamedTuple):
 
 
 class Raster(RankSums):
-    """A raster with a margin, whose cells keep sums over samples: the first is their count, the second Σ L.
+    """A raster with a margin, whose cells store sums over samples.
 
-    sums: `[planes, cells]`.
+    sums: `[planes, cells]`. The first plane is the number of samples, the second is Σ L.
     """
 
     _size: Tensor
@@ -55,7 +55,7 @@ class Raster(RankSums):
 
 @kernel
 def _cells(raster: Tensor, depth: Tensor, size: Tensor) -> Tensor:
-    """`Raster.cells` of raster positions `[2, N]` and depths `[N]`; size: the border, width and height, int64 `[3, 1]`."""
+    """`Raster.cells` of raster positions `[2, N]` and depths `[N]`; size: margin, width and height, int64 `[3, 1]`."""
     border, width, height = size
     column, row = (raster + border).floor().nan_to_num(-1.0).clamp(-1.0, 1e6)
     inside = (depth > 0.0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
@@ -63,10 +63,10 @@ def _cells(raster: Tensor, depth: Tensor, size: Tensor) -> Tensor:
 
 
 class RecordBuffer(Raster):
-    """A raster whose cells keep sample count, radiance and position.
+    """A raster whose cells store number, radiance and positions of samples.
 
-    The mean of positions is weighted by radiance, so that the background does not move a small highlight. Slopes and inverse
-    depths are averaged, so that a dim environment far behind an emitter does not move the emitter.
+    The mean position of a cell is weighted by radiance, so that the background hardly moves a small highlight. The mean is over
+    slopes and inverse depths, so that a dim environment far behind an emitter hardly moves the emitter.
     sums: `[5, cells]`: count, Σ L, Σ L·(X/Z, Y/Z, 1/Z), camera frame.
     """
 

@@ -1,7 +1,7 @@
-"""Success rates of draws: the contribution of each emitter's draws over the expected one, tile by tile of the frame.
+"""Success rates: for each tile of the frame and each emitter, the contribution of draws over the expected contribution.
 
-The radiance and size of an emitter predict its contribution where nothing blocks the light. Draws of occluded emitters, or of
-emitters that face away, fail. The share of failures is learned from the draws.
+The radiance and the size of an emitter predict its contribution if nothing blocks the light. If a surface occludes the emitter,
+or the emitter faces away, draws contribute nothing. The success rate corrects the prediction.
 """
 
 from __future__ import annotations
@@ -18,20 +18,23 @@ from bokehguide.runtime.indexing import Pixels, pixel_numbers
 TILE = 4
 """Pixels along the side of a tile."""
 SLOTS_PER_PIXEL = 0.5
-"""Slots of the table by pixel. Tiles and emitters that share a slot share a rate, which is no worse than no rate."""
+"""Number of slots of the hash table per pixel. Pairs of tile and emitter may share a slot, and then share a rate."""
 PRIOR_DRAWS = 0.5
-"""Successful draws of each emitter in each tile that are assumed in advance. The prior weighs less with more draws. A fixed prior
-would draw a bright occluded emitter many times for each draw of a dim visible one."""
+"""Prior: number of successful draws of each emitter in each tile before the first draw. The weight of the prior decreases with
+the number of draws. With a constant weight, tiles would draw a bright occluded emitter far more often than a dim visible
+emitter."""
 MAX_RATE = 5.0
 """Largest rate."""
 
 
 class SuccessRates(RankSums):
-    """Learns the root mean square of each emitter's contribution in each tile, over the expected contribution.
+    """Learns the root mean square of contribution over expected contribution, for each pair of tile and emitter.
 
-    `slots` names a tile and an emitter; `add` takes draws; `update` ends an epoch; an epoch uses `learned_scale`.
-    sums: `[2, slots]`, of draws and of the squares of their contributions. emitters: number of emitters at the start of the
-    field; other components have slot 0, of rate 1.
+    `slots` returns the slot of a pair in a hash table. `add` takes draws, `update` ends an epoch, and `learned_scale` returns the
+    rates of the present epoch.
+
+    sums: number of draws, and sum of the squared ratios, `[2, slots]`. emitters: number of the scene's emitters, which are the
+    first components of the field. All other components have slot 0 with the rate 1.
     """
 
     def __init__(self, camera: ThinLensCamera, emitters: int, ranks: Ranks | None = None):
@@ -39,23 +42,23 @@ class SuccessRates(RankSums):
         super().__init__(torch.zeros(2, slots, dtype=torch.float64, device=device), ranks)
         self._width, self._bounds = camera.width, torch.tensor([[emitters], [slots - 1]], dtype=torch.int32, device=device)
         self.register_buffer("rates", torch.ones(slots, device=device))
-        """The rates of the present epoch, by slot: a part of the state, as the sums hold draws of the epoch already."""
+        """Rates of the present epoch, by slot. They are saved, because the sums already include draws of this epoch."""
 
     def slots(self, pixels: Pixels, owner: Tensor, component: Tensor) -> Tensor:
-        """Slots int32 `[M]` of components `[M]` of the field; owner: index into `pixels` of the pixel of each, `[M]`."""
+        """Slots int32 `[M]` of components `[M]` of the field, each for the pixel `pixels[owner]`; owner: `[M]`."""
         numbers = pixel_numbers(pixels, component.device).int()
         row = numbers // self._width
         tile = row // TILE * (-(-self._width // TILE)) + (numbers - row * self._width) // TILE
         return _slots(tile, owner, component, self._bounds)
 
     def add(self, slots: Tensor, squared: Tensor) -> None:
-        """Add draws in slots `[K]`, and the squares of their contributions over the expected ones, `[K]`."""
+        """Add draws with their slots `[K]` and the squares `[K]` of contribution over expected contribution."""
         squared = squared.double()  # in single precision the sums would depend on the order of the batches
         self.mine[0].index_add_(0, slots, torch.ones_like(squared))
         self.mine[1].index_add_(0, slots, squared)
 
     def update(self) -> None:
-        """Set the rates by all draws so far; collective."""
+        """Compute the rates from all draws so far; collective."""
         self.merge()
         draws, squares = self.sums
         draws = draws + PRIOR_DRAWS

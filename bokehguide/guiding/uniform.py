@@ -8,7 +8,7 @@ from bokehguide.render import dimensions
 
 
 class UniformLens(LensSampler):
-    """Lens points of density W/A, independent from step to step as in the paper's comparator."""
+    """Lens points with the density W / A, independent from step to step as in the paper's comparisons."""
 
     weighted = False
 

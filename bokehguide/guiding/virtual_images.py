@@ -24,12 +24,12 @@ from bokehguide.runtime.device import to_device
 from bokehguide.runtime.indexing import ActiveEntries, PendingIndices, scatter_add
 
 NARROW = 4.0
-"""Density per steradian of BSDF samples above which a surface shows virtual images: a GGX α below 0.14."""
+"""Least density of a BSDF sample, per steradian, at which a surface shows virtual images: a GGX α below 0.14."""
 LEAST_SHARE = 0.5
-"""Images of concave mirrors nearer than this share of the distance to the primary hit are ignored: one stray path would create a
-highlight whose circle of confusion covers the whole picture."""
+"""Least distance of an image over the distance to the primary hit. Concave mirrors may form nearer images. A single such path
+could create a highlight whose circle of confusion covers the whole picture, so that the search ignores nearer images."""
 IDENTITY = (1.0, 0.0, 0.0, 1.0, 1.0)
-"""Rows of ABCD at the eye, in air (see `propagate_abcd`)."""
+"""Rows of ABCD at the start of a camera ray, in air (see `propagate_abcd`)."""
 SMALLEST = 1e-37
 """Divisor in place of an offset of 0, for an image at infinity."""
 GRAZING = 0.02
@@ -40,8 +40,8 @@ class _Vertex(NamedTuple):
     """One vertex of each of K paths, and the direction in which the path continues.
 
     place: index of each path in the other arrays, by path number, int32 `[P]`. owner: index of each vertex in the arrays of
-    `hit`, None if the order is the same. outgoing, direction: unit, world frame, `[3, K]`. front, thin, transmission, ior: see
-    `Surface`. pdf: density of the direction, 1/sr.
+    `hit`, None for the same order. outgoing, direction: unit directions back to the previous vertex and on to the next vertex,
+    world frame, `[3, K]`. front, thin, transmission, ior: see `Surface`. pdf: density of `direction`, 1/sr.
     """
 
     place: Tensor
@@ -56,11 +56,11 @@ class _Vertex(NamedTuple):
     pdf: Tensor
 
     def triangles(self, place: Tensor) -> Tensor:
-        """Triangles of the vertices at `place`."""
+        """Triangles on which the vertices at `place` lie."""
         return self.hit.triangle.index_select(0, self._hits(place))
 
     def distances(self, place: Tensor) -> Tensor:
-        """Distances from the previous vertex, of the vertices at `place`."""
+        """Distances from the previous vertices to the vertices at `place`."""
         return self.hit.distance.index_select(0, self._hits(place))
 
     def _hits(self, place: Tensor) -> Tensor:
@@ -68,10 +68,10 @@ class _Vertex(NamedTuple):
 
 
 class _Event(NamedTuple):
-    """Light that arrives along some paths.
+    """Light that arrives along K paths.
 
-    vertices: of the paths, from the eye. paths: int64 `[K]`. distance: from the last vertex, `[K]`. radiance: contribution to the
-    rays, `[3, K]`.
+    vertices: all vertices from the lens to the light. paths: int64 `[K]`. distance: from the last vertex to the emitter, `[K]`.
+    radiance: contribution to the camera rays, `[3, K]`.
     """
 
     vertices: list[_Vertex]
@@ -99,7 +99,7 @@ class _View(NamedTuple):
 class ImageRecorder(PathObserver):
     """Records the vertices of the paths of N rays, and the light that arrives along the paths.
 
-    Only the few rays that see a highlight are searched (`ImageDistances`).
+    `ImageDistances` searches for virtual images along the few rays that see a highlight.
     """
 
     def __init__(self, geometry: Geometry, count: int):
@@ -135,11 +135,11 @@ class ImageRecorder(PathObserver):
         self.events.append(_Event(vertices, paths, light.distance, contribution))
 
     def rays(self, paths: Tensor) -> Tensor:
-        """Rays `[K]` of some paths, int64 `[K]`."""
+        """Ray of each path, int64 `[K]`."""
         return paths if self._rays is None else self._rays.index_select(0, paths)
 
     def distances_of(self, samples: PathSamples, bright: float) -> ImageDistances:
-        """Apparent distances of the samples of the trace; bright: luminance of a highlight."""
+        """Distances at which the light of the samples appears to originate; bright: least luminance of a highlight."""
         return ImageDistances(self, samples.radiance, samples.distance, bright)
 
 
@@ -160,12 +160,14 @@ class HighlightImages(ImageRecorder):
 
 
 class ImageDistances:
-    """Apparent distances of the light along N rays, from a record of paths and the radiance that they found.
+    """Apparent distances of the light along N rays, from a record of paths and the radiance of the rays.
 
-    On a CPU, the constructor computes the distances and releases the record. On a GPU, the host must wait for the indices of rays
-    that see highlights in mirrors and glass. `distances` waits, so that other work may be queued first.
+    On a CPU, the constructor computes the distances and releases the record. On a GPU, the host needs the indices of the rays
+    that see highlights in mirrors and glass. Only `distances` waits for these indices, so that the caller may queue other work
+    first.
 
-    images: record. radiance: of the rays, `[3, N]`. own: distances of the primary hits, `[N]`. bright: luminance of a highlight.
+    images: record of the paths. radiance: of the rays, `[3, N]`. own: distances of the primary hits, `[N]`. bright: least
+    luminance of a highlight.
     """
 
     def __init__(self, images: ImageRecorder, radiance: Tensor, own: Tensor, bright: float):
@@ -177,9 +179,9 @@ class ImageDistances:
     def distances(self) -> Tensor:
         """Distance along each ray, `[N]`, at which most of its light appears to originate.
 
-        If virtual images are more than half of the luminance: the distance of the brightest image, MISS_DISTANCE for an image at
-        infinity or behind the eye. Otherwise: the ray's own distance. Rays that are not bright and continue in a mirror or glass
-        get MISS_DISTANCE.
+        If virtual images give more than half of the luminance, the result is the distance of the brightest image. For an image at
+        infinity or behind the lens, the result is MISS_DISTANCE. Otherwise, the result is the distance of the primary hit. A ray
+        that is not bright and continues in a mirror or glass gets MISS_DISTANCE.
         """
         if self._distances is None:
             assert self._search is not None
@@ -204,7 +206,7 @@ class _Search:
         return found > 0.0
 
     def _possible(self, bright: Tensor) -> tuple[list[_View], list[Tensor]]:
-        """Views of the events along bright rays, and whether each entry met only mirrors and glass, bool `[K]`.
+        """Views of the events along bright rays, and whether the path of each entry met only mirrors and glass, bool `[K]`.
 
         bright: bool `[N]`.
         """
@@ -256,8 +258,9 @@ def _least_density(event: _Event, places: list[Tensor]) -> Tensor:
 def propagate_abcd(abcd: Tensor, distance: Tensor) -> Tensor:
     """ABCD `[5, N]` after propagation by `distance` `[N]`.
 
-    Rows: A and B, the offsets from the axis of a ray that starts beside the axis and of a ray that starts at an angle; C and D,
-    the angles of these two rays times the refractive index; and the refractive index of the medium.
+    The matrix describes two rays near the axis. The first ray starts beside the axis, and the second ray starts at an angle to
+    the axis. Rows A and B are the offsets of the two rays from the axis. Rows C and D are the angles of the two rays times the
+    refractive index. The fifth row is the refractive index of the medium.
     """
     return torch.cat((abcd[:2] + distance / abcd[4] * abcd[2:4], abcd[2:]))
 
@@ -266,7 +269,7 @@ def propagate_abcd(abcd: Tensor, distance: Tensor) -> Tensor:
 def _image(abcd: Tensor, distance: Tensor) -> Tensor:
     """Distances `[N]` of the images of points at `distance` `[N]` beyond the last vertex of ABCD `[5, N]`.
 
-    Images behind the eye get MISS_DISTANCE.
+    Images behind the lens get MISS_DISTANCE.
     """
     across, along = propagate_abcd(abcd, distance)[:2]
     place = along / torch.where(across == 0.0, SMALLEST, across)
@@ -297,20 +300,24 @@ def _propagate_through(
 
 
 def mirror_power(corners: Tensor, normals: Tensor, incoming: Tensor) -> Tensor:
-    """Power of mirrors, dioptres (1/m), `[N]`: inverse distance of the image behind the mirror minus that of the object.
+    """Power of mirrors, dioptres (1/m), `[N]`: 1 / distance of the image behind the mirror - 1 / distance of the object.
 
-    The mean over the two principal planes (Coddington's equations). corners, normals: of triangles with interpolated normals,
-    `[3, 3, N]` each, corner first; incoming: unit directions `[3, N]` of arriving rays.
+    The power is the mean over the two principal planes (Coddington's equations).
+
+    corners, normals: of triangles with interpolated normals, `[3, 3, N]` each, corner first. incoming: unit directions `[3, N]`
+    of arriving rays.
     """
     tangential, sagittal, cosine, _ = principal_curvatures(corners, normals, incoming)
     return tangential / cosine + sagittal * cosine
 
 
 def refraction_power(corners: Tensor, normals: Tensor, incoming: Tensor, direction: Tensor, front: Tensor, ior: Tensor) -> Tensor:
-    """Power `[N]` of refracting surfaces, from their mean curvature; see `mirror_power`. Distances are divided by the index.
+    """Power `[N]` of refracting surfaces, from their mean curvature; see `mirror_power`.
 
-    direction: unit, of the refracted rays, `[3, N]`. front: 1 where rays arrive from outside, else 0, `[N]`. ior: of the inside,
-    `[N]`.
+    Each distance in the definition of the power is divided by the refractive index of its medium.
+
+    direction: unit directions of the refracted rays, `[3, N]`. front: 1 where rays arrive from outside, else 0, `[N]`. ior:
+    refractive index inside the surface, `[N]`.
     """
     tangential, sagittal, cosine, normal = principal_curvatures(corners, normals, incoming)
     before, beyond = torch.where(front > 0.0, 1.0, ior), torch.where(front > 0.0, ior, 1.0)
