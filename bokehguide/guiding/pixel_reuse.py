@@ -84,9 +84,9 @@ class _Views(NamedTuple):
     The views come in rows of viewers. Within a row, each pixel is the viewer of at most one view and the source of at most one.
 
     source, viewer: int64 `[J]`. points: lens points of the views, `[2, J]`. jacobian: |∂l' / ∂l| times the transmittance along
-    the view, `[J]`. passing: W / A at the lens point, `[J]`. outgoing: unit directions from the hits to the lens points, `[3,
-    J]`. on_surface: views whose hit is on a surface, int64 `[K]`. path_count: total number of paths of these hits. ends: 0, and
-    the end of each row of viewers.
+    the view, `[J]`. passing: W / A at the lens point, `[J]`. outgoing: unit directions from hits to lens points,
+    `[3, J]`. on_surface: views whose hit is on a surface, int64 `[K]`. path_count: total number of paths of these hits. ends: 0,
+    and the end of each row of viewers.
     """
 
     source: Tensor

@@ -1,4 +1,4 @@
-"""Distributions of lens points, and the modules that learn their parameters. Nothing here depends on a scene."""
+"""Distributions of lens points, and the modules that learn their parameters. This package does not depend on a scene."""
 
 from bokehguide.models.base import LensDensity, LensDistribution, LensMixture, LensSample
 from bokehguide.models.blend_weight import BlendWeightMap

@@ -1,7 +1,7 @@
-"""Distributions of lens points in the manner of torch.distributions: `sample`, `pdf` and `log_prob`.
+"""Distributions of lens points, with the methods `sample`, `pdf` and `log_prob` as in torch.distributions.
 
-One object holds the distributions of N pixels, one density q for each. Lens points are `[2, N]`, metres, in the camera frame.
-Densities are per unit lens area (1/m²). The caller supplies uniform numbers and so controls their seeds and stratification.
+One object holds the distributions of N pixels: a density q for each pixel. Lens points are `[2, N]`, metres, in the camera frame.
+Densities are per unit lens area (1/m²). The caller supplies the uniform numbers, and so controls their seeds and stratification.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from bokehguide.render.lens import Lens
 from bokehguide.runtime.compile.kernels import kernel
 
 WEIGHT_STEPS = 2.0**40
-"""Mixture weights are whole multiples of 1 / WEIGHT_STEPS when a candidate is drawn. Sums of whole numbers are exact."""
+"""For the draw of a candidate, mixture weights are rounded to multiples of 1 / WEIGHT_STEPS: sums of whole numbers are exact."""
 
 
 class LensSample(NamedTuple):
     """One lens point for each of N pixels.
 
-    points: `[2, N]`, metres; a point may lie outside the aperture. candidate: the candidate that each point was drawn from,
-    int64 `[N]`, -1 for the uniform part; None if the distribution does not report candidates.
+    points: `[2, N]`, metres. A point may lie outside the aperture. candidate: candidate from which the point was drawn, int64
+    `[N]`, -1 for the uniform part; None if the distribution does not report candidates.
     """
 
     points: Tensor
@@ -32,7 +32,8 @@ class LensSample(NamedTuple):
 class LensDensity(NamedTuple):
     """Densities of a mixture at one lens point for each of N pixels, 1/m².
 
-    points: the lens points `[2, N]`; components: p_i of all candidates, `[M]`; mixture: p_GMM, `[N]`; density: q, `[N]`.
+    points: lens points, `[2, N]`. components: densities p_i of all M candidates, `[M]`. mixture: p_GMM = Σ w_i p_i, `[N]`.
+    density: q, `[N]`.
     """
 
     points: Tensor
@@ -42,9 +43,9 @@ class LensDensity(NamedTuple):
 
 
 class LensDistribution:
-    """The densities q of N pixels on the lens plane.
+    """Base class of distributions on the lens plane, with a density q for each of N pixels.
 
-    lens: the aperture. A subclass implements `sample` and `pdf`.
+    A subclass implements `sample` and `pdf`. lens: the aperture.
     """
 
     def __init__(self, lens: Lens):
@@ -66,11 +67,12 @@ class LensDistribution:
 class LensMixture(LensDistribution):
     """q = β Σ w_i p_i + (1 - β) W / A (Eq. 26), one mixture for each of N pixels.
 
-    The M candidates of all pixels are packed: pixel i owns `start[i] : start[i + 1]`. A pixel without candidates has β = 0.
-    A p_i may reach beyond the aperture; draws outside the aperture are samples of value 0.
-    A subclass implements `sample` and `component_pdf`. Its constructor calls `_set_weights`.
+    w_i is the weight and p_i the density of candidate i. β is the weight of all candidates. W is the transmission and A the area
+    of the aperture. Pixel i owns the candidates `start[i] : start[i + 1]` of the M candidates of all pixels. A pixel without
+    candidates has β = 0. A density p_i may extend beyond the aperture: lens points outside the aperture are samples of value 0.
+    A subclass implements `sample` and `component_pdf`. The constructor of a subclass calls `_set_weights`.
 
-    lens: the aperture. focus: x_F, `[3, N]`, metres. start: int64 `[N + 1]`. count: M.
+    lens: the aperture. focus: focus points x_F, `[3, N]`, metres. start: int64 `[N + 1]`. count: M.
     """
 
     guided: Tensor
@@ -87,28 +89,28 @@ class LensMixture(LensDistribution):
         """Pixel that owns each candidate, int64 `[M]`."""
 
     def _set_weights(self, beta: Tensor, weight: Tensor) -> None:
-        """Set β `[N]` and the mixture weights. weight: `[M]`, of any scale; 0 excludes a candidate."""
+        """Set β `[N]` and the mixture weights. weight: unnormalised weights, `[M]`; 0 excludes a candidate."""
         total = torch.zeros(self.focus.shape[1], dtype=torch.float64, device=weight.device)
         total.index_add_(0, self.owner, weight.double())
         self.guided = total > 0.0
         self.beta = beta * self.guided
         self.weight, steps = _normalised(weight, total, self.owner)
-        # Whole numbers have the same sums in every batch that a pixel may be in.
+        # Sums of whole numbers are exact, so that they do not depend on the batch of a pixel.
         cumulative = torch.zeros(len(steps) + 1, dtype=torch.int64, device=weight.device)
         torch.cumsum(steps, 0, out=cumulative[1:])
         self._ends = cumulative[1:]
         self._low, self._high = (cumulative.index_select(0, bound) for bound in (self._start[:-1], self._start[1:]))
 
     def choose(self, uniforms: Tensor) -> Tensor:
-        """Draw a candidate for each pixel by weight, int64 `[N]`, from uniform numbers `[N]`.
+        """Draw a candidate for each pixel in proportion to the weights, int64 `[N]`, from uniform numbers `[N]`.
 
-        The result is an arbitrary valid index for a pixel that is not guided and for a number outside 0 … 1.
+        If a pixel is not guided or a number is outside 0 … 1, the result is an arbitrary valid index.
         """
         passed = _ends_before(self._ends, self._low, self._high, uniforms, self.owner)
         return self._start[:-1].clone().index_add_(0, self.owner, passed).clamp_(max=len(self.owner) - 1)
 
     def component_pdf(self, points: Tensor) -> Tensor:
-        """p_i of all candidates, each at the lens point of its owner, `[M]`. points: `[2, N]`."""
+        """Densities p_i of all candidates, `[M]`, each at the lens point of the pixel that owns it. points: `[2, N]`."""
         raise NotImplementedError
 
     def mixture_pdf(self, components: Tensor) -> Tensor:
@@ -137,14 +139,14 @@ def owners(start: Tensor, count: int) -> Tensor:
 
 @kernel
 def _normalised(weight: Tensor, total: Tensor, owner: Tensor) -> tuple[Tensor, Tensor]:
-    """Weights `[M]` divided by their owners' totals `[N]`, float32, and the same in WEIGHT_STEPS, int64."""
-    share = weight.double() / total.clamp(min=1e-300).index_select(0, owner)  # a total of 0 has weights of 0
+    """Weights `[M]` divided by the totals `[N]` of their owners: as float32, and rounded to whole WEIGHT_STEPS as int64."""
+    share = weight.double() / total.clamp(min=1e-300).index_select(0, owner)  # a total of 0 gives weights of 0
     return share.float(), (share * WEIGHT_STEPS).long()
 
 
 @kernel
 def _ends_before(ends: Tensor, low: Tensor, high: Tensor, uniforms: Tensor, owner: Tensor) -> Tensor:
-    """1 for each candidate before the drawn one of its owner, else 0, int64 `[M]`.
+    """1 for each candidate before the drawn candidate of the same pixel, else 0, int64 `[M]`.
 
     ends: cumulative weights of the packed list, `[M]`; low, high: their values before and after each pixel, `[N]`.
     """

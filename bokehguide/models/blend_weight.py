@@ -8,14 +8,14 @@ import torch
 from torch import Tensor, nn
 
 MIN_BLEND, MAX_BLEND = 0.05, 0.95
-"""Bounds of β (section 5.1). Sample weights stay below 20, and both parts of the mixture keep being sampled."""
+"""Bounds of β (section 5.1). They limit sample weights to 20, and both parts of the mixture keep a positive probability."""
 
 
 class BlendWeightMap(nn.Module):
     """β of every pixel: `β = 0.05 + 0.9 sigmoid(logit)`, 0.8 at the start (sections 5.1 and 6.1).
 
-    A sample without radiance, or outside the lens, has the gradient 0. Adam's momentum may still change β in such a step. β of a
-    pixel without candidates never changes. The logit and Adam's two moments take 12 bytes a pixel.
+    A sample without radiance or outside the lens has the gradient 0. Adam's momentum may still change β in such a step. β of a
+    pixel without candidates never changes. The logit and Adam's two moments take 12 bytes per pixel.
 
     pixels: number of pixels, H · W; start: β at the start.
     """
@@ -26,7 +26,7 @@ class BlendWeightMap(nn.Module):
         self.logit = nn.Parameter(torch.full((pixels,), math.log(share / (1.0 - share))))
 
     def forward(self, pixels: slice | Tensor = slice(None)) -> Tensor:
-        """β of pixels, by default of all, `[N]`."""
+        """β of the given pixels, by default of all pixels, `[N]`."""
         # As a tanh, because the last bits of torch.sigmoid depend on the place in an array.
         return MIN_BLEND + (MAX_BLEND - MIN_BLEND) * (0.5 + 0.5 * torch.tanh(0.5 * self.logit[pixels]))
 

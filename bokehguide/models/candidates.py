@@ -1,6 +1,6 @@
-"""Candidates: the Gaussians that each pixel may see through the lens, as a packed list.
+"""Candidates of each pixel: the Gaussians that the pixel may see through the lens, in one packed list.
 
-Each Gaussian is rasterised as a disc, so the work grows with the pixels that the discs cover.
+The code rasterises a disc for each Gaussian, so that the cost grows with the number of covered pixels.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from bokehguide.render.camera import ThinLensCamera
 from bokehguide.runtime.indexing import Pixels, gather_pixels, indices
 
 MAX_CANDIDATES = 16
-"""A pixel keeps this number of its strongest Gaussians."""
+"""Largest number of candidates of a pixel. A pixel keeps the Gaussians with the largest weights."""
 STRIP_PIXELS, CHUNK_PIXELS = 1 << 18, 1 << 21
-"""Bounds on memory: pixels of a strip of rows, and covered pixels of the discs that are rasterised at a time."""
+"""Bounds on memory: pixels in a strip of rows, and covered pixels of all discs in one chunk."""
 PIXEL_MARGIN = 0.7072
-"""Half the diagonal of a pixel, by which discs grow, because the test is at pixel centres."""
+"""Half the diagonal of a pixel. Discs are enlarged by this length, because the test uses pixel centres."""
 
 
 @dataclass
@@ -60,10 +60,10 @@ class CandidateList:
 def draw_candidates(
     field: GaussianField, camera: ThinLensCamera, slack: float = 0.0, excluded: Tensor | None = None
 ) -> CandidateList:
-    """List the Gaussians that each pixel may see: the discs of Eq. 22 on the raster that cover the pixel.
+    """List the candidates of each pixel: the Gaussians whose disc of Eq. 22 on the raster covers the pixel.
 
-    slack: enlargement of the discs in units of σ, for means that move (polynomial offsets); excluded: pixels without candidates,
-    bool `[pixels]`.
+    slack: enlargement of the discs in units of σ, because polynomial offsets move the means. excluded: pixels that get no
+    candidates, bool `[pixels]`.
     """
     center, radius = field.footprints(camera)
     lens = camera.lens
@@ -85,13 +85,14 @@ def draw_candidates(
 
 
 def _rasterise(center: Tensor, radius: Tensor, top: int, counts: Tensor) -> tuple[Tensor, Tensor]:
-    """The discs that the pixels of a strip of rows from `top` on keep: their number, int64 `[pixels]`, and the discs, int64
+    """Discs that cover the pixels of a strip of rows: the number of discs of each pixel, int64 `[pixels]`, and the discs, int64
     `[M]`.
 
-    Discs are in the order of pixels, and of the arguments within a pixel. They are rasterised in chunks, and hardly in pixels
-    that have MAX_CANDIDATES, so that memory is bounded for any number of overlapping discs.
+    Discs are in the order of pixels, and within a pixel in the order of the arguments. The code works in chunks, and skips most
+    pixels that already have MAX_CANDIDATES, so that memory is bounded for any number of overlapping discs.
 
-    counts: number of discs of each pixel so far, int32 `[rows, width]`; is updated.
+    top: first row of the strip. counts: number of discs of each pixel so far, int32 `[rows, width]`; this function updates the
+    numbers.
     """
     area = (2.0 * radius.double() + 2.0).clamp(max=counts.shape[1]) * (2.0 * radius + 2.0).clamp(max=len(counts))
     chunk = (area.cumsum(0) / CHUNK_PIXELS).long()
@@ -117,9 +118,9 @@ def _runs(values: Tensor) -> list[tuple[int, int]]:
 
 
 def _covered_pixels(center: Tensor, radius: Tensor, top: int, counts: Tensor) -> tuple[Tensor, Tensor]:
-    """Pixels of a strip whose centres lie in discs, and the disc of each: int64 `[M]` both, disc by disc.
+    """Pixels of a strip whose centres lie in discs, and the disc of each pixel, int64 `[M]` each, in the order of discs.
 
-    A row of a disc is left out if all its pixels have MAX_CANDIDATES (see `_rasterise`).
+    The result omits a row of a disc if all pixels of the row have MAX_CANDIDATES (see `_rasterise`).
     """
     height, width = counts.shape
     first = (center[1] - radius - 0.5).ceil().clamp(top, top + height).long()

@@ -1,7 +1,7 @@
-"""The lens distribution of mode `guided`: constant densities on the ellipses and shapes that emitters cover on the lens.
+"""The lens distribution of mode `guided`: constant densities on the ellipses and other shapes that emitters cover on the lens.
 
-A ball of constant radiance, seen through a focus point x_F, lights a disc of the lens evenly. A constant density on the disc has
-sample weights with a relative second moment of 1. The best Gaussian, with σ = R / 1.78, has 1.54.
+Through a focus point x_F, a ball of constant radiance lights a disc of the lens evenly. The second moment of sample weights over
+their squared mean is 1 for a constant density on the disc. For the best Gaussian, with σ = R / 1.78, the ratio is 1.54.
 docs/explanation/lens-densities.md derives the formulas.
 """
 
@@ -23,24 +23,24 @@ from bokehguide.runtime.device import to_device
 from bokehguide.runtime.indexing import ActiveEntries
 
 MIN_SQUARED_ASPECT = 1e-4
-"""Least squared height of an ellipse over its squared vertical extent, so that emitters seen edge-on do not become lines."""
+"""Least squared height of an ellipse over its squared vertical extent. An edge-on emitter then has an ellipse, not a line."""
 MAX_SQUARED_DEPTH = 0.9
-"""Greatest squared half axis along z, over the squared distance to x_F along z. The outline is an ellipse only below 1."""
+"""Largest squared half axis along z over the squared distance to x_F along z. The outline is an ellipse only below 1."""
 MIN_CLIP_END = -0.9
 """Least `StripClip.high`. Single precision does not resolve the area of a narrower strip."""
 MIN_STRIP_SHARE = 1e-7
-"""Least `StripClip.share`. The lens is a vanishing part of the largest ellipses."""
+"""Least `StripClip.share`. For the largest ellipses, the share of the strip would round to 0."""
 INSIDE = 1.0 - 1e-6
 """Factor of sampled radii, so that rounding moves no sample outside its ellipse."""
 TINY = 1e-30
-"""Least divisor where a length may be 0."""
+"""Least divisor for lengths that may be 0."""
 
 
 class EmitterShapes(NamedTuple):
-    """Candidates with a shape other than an ellipsoid: emitters of the environment map, and parallelograms.
+    """Candidates with exact densities: emitters of the environment map, and parallelograms.
 
-    environment_index, parallelogram_index: index of each candidate in `environment` and in `parallelograms`, -1 for none,
-    int64 `[M]`; luminance: of each parallelogram, `[P]`.
+    environment_index, parallelogram_index: index of each candidate in `environment` and in `parallelograms`, int64 `[M]`, -1 for
+    other candidates. luminance: of each parallelogram, `[P]`.
     """
 
     environment: EnvironmentEmitters | None
@@ -51,11 +51,13 @@ class EmitterShapes(NamedTuple):
 
 
 class StripClip(NamedTuple):
-    """The strip of each of M ellipses that is sampled: the part between two tangents of the lens circle.
+    """The strips of M ellipses from which samples are drawn: the parts between two tangents of the lens circle.
 
-    The tangents are perpendicular to the line from the lens centre to the ellipse's centre. Coordinates are those in which the
-    ellipse is the unit disc. axis: unit vector across the strip, `[2, M]`; low, high: the strip's ends along the axis, below -1
-    and above 1 where nothing is clipped; below, share: fractions of the disc before and inside the strip; `[M]` each.
+    The tangents are perpendicular to the line from the lens centre to the ellipse's centre. In the coordinates of the fields, the
+    ellipse is the unit disc.
+
+    axis: unit vector across the strip, `[2, M]`. low, high: ends of the strip along the axis, `[M]`; without clipping, they are
+    below -1 and above 1. below, share: fractions of the disc before the strip and inside the strip, `[M]`.
     """
 
     axis: Tensor
@@ -79,16 +81,16 @@ class Ellipses(NamedTuple):
 
 
 class EllipseMixture(LensMixture):
-    """A mixture of constant densities: the outlines of ellipsoids as x_F sees them, clipped to the lens by `StripClip`.
+    """A mixture of constant densities on ellipses: the outlines of ellipsoids seen from x_F, clipped to the lens by `StripClip`.
 
-    Candidates listed in `shapes` have the density of their own shape instead (`models/emitters/`).
-    An ellipse's weight is its luminance times its area, times √(share inside the lens · share of the strip), which minimises the
-    variance of the estimate. The weight of another shape is the flux that passes the lens.
+    Candidates in `shapes` have exact densities instead (`models/emitters/`).
+    The weight of an ellipse is luminance · area · √(share inside the lens · share of the strip), which minimises the variance of
+    the estimate. The weight of another shape is the flux through the lens.
 
-    mean: centres of the ellipsoids, `[3, M]`, metres, camera frame; outline: their squared half axes, `[6, M]`, as `packed`; no
-    ellipsoid is in focus. weight: luminance times area on the lens over π, of the whole ellipse, `[M]`; learned_scale: learned
-    factor of each weight, `[M]`. clip_to_lens: whether ellipses are clipped.
-    The other arguments are as in GaussianMixture.
+    mean: centres of the ellipsoids, `[3, M]`, metres, camera frame. No ellipsoid may be in focus. outline: squared half axes of
+    the ellipsoids, `[6, M]`, as returned by `packed`. weight: luminance · area on the lens / π of the whole ellipse, `[M]`.
+    learned_scale: learned factor of each weight, `[M]`. clip_to_lens: whether ellipses are clipped.
+    For the other arguments, see `GaussianMixture`.
     """
 
     def __init__(
@@ -108,20 +110,19 @@ class EllipseMixture(LensMixture):
         radius = to_device(lens.radius, focus.device, torch.float32)
         self.ellipses, contribution = _ellipses(mean, outline, focus.index_select(1, self.owner), weight, radius, clip_to_lens)
         self._shaped: list[ViewedEnvironment | ViewedParallelograms] = []
-        """Groups of candidates with shapes other than ellipses. Each group samples and evaluates its own."""
+        """Groups of candidates with exact densities. Each group samples and evaluates its candidates."""
         if shapes is not None and shapes.environment is not None:
             self._add_environment(shapes.environment, shapes.environment_index, weight, contribution, radius)
         if shapes is not None and shapes.parallelograms is not None:
             self._add_parallelograms(shapes.parallelograms, shapes.parallelogram_index, shapes.luminance, contribution, radius)
         self.expected_contribution = contribution
-        """Root mean square of the contribution of an unoccluded draw of each candidate, `[M]`: luminance times area on the lens
-        over π, times the share or root of shares as in the weight."""
+        """Root mean square of the contribution of an unoccluded draw, `[M]`: the weight before `learned_scale`."""
         self._set_weights(beta, contribution * learned_scale)
 
     def _add_environment(
         self, emitters: EnvironmentEmitters, number: Tensor, weight: Tensor, contribution: Tensor, radius: Tensor
     ) -> None:
-        """Give emitters of the map their own densities, and set their contributions by the flux that passes the lens, `[M]`."""
+        """Give emitters of the map exact densities, and set their contributions `[M]` to the flux through the lens."""
         inside, whole = _inside_lens(self.ellipses, radius)
         viewed = ViewedEnvironment(emitters, number, self.owner, self.focus, whole > 0.0)
         share = torch.minimum(viewed.entries.select(inside), viewed.share)
@@ -131,7 +132,7 @@ class EllipseMixture(LensMixture):
     def _add_parallelograms(
         self, emitters: ParallelogramEmitters, number: Tensor, luminance: Tensor, contribution: Tensor, radius: Tensor
     ) -> None:
-        """Give parallelograms their own densities, and set their contributions by the area that they cover of the lens, `[M]`."""
+        """Give parallelograms exact densities, and set their contributions `[M]` from the area that they cover on the lens."""
         viewed = ViewedParallelograms(emitters, number, self.owner, self.focus, radius)
         luminance = luminance.index_select(0, viewed.entries.select(number).clamp(min=0))
         viewed.entries.scatter(contribution, luminance * viewed.area / math.pi)
@@ -140,8 +141,8 @@ class EllipseMixture(LensMixture):
     def sample(self, uniforms: Tensor) -> LensSample:
         """One lens point for each pixel, from uniform numbers `[3, N]`; reports candidates.
 
-        The first number chooses the candidate, the others the point. Stratified numbers give stratified points on every candidate
-        and on the aperture.
+        The first number chooses the candidate, and the other numbers choose the point. Stratified numbers give stratified points
+        on every candidate and on the aperture.
         """
         points, guided = self.lens.sample(uniforms[1:3]), uniforms[0] < self.beta
         candidate = self.choose(uniforms[0] / self.beta)
@@ -153,7 +154,7 @@ class EllipseMixture(LensMixture):
         """Lens points `[2, K]` of candidates int64 `[K]`, from uniform numbers `[2, K]`."""
         points = _sample_ellipses(self.ellipses, candidate, uniforms)
         for viewed in self._shaped:
-            place_of = torch.full_like(self.owner, -1)  # of each of the M candidates in this group
+            place_of = torch.full_like(self.owner, -1)  # place of each of the M candidates in this group
             viewed.entries.scatter(place_of, torch.arange(len(viewed.entries), device=place_of.device))
             place = place_of.index_select(0, candidate)
             own = ActiveEntries(place >= 0)
@@ -171,12 +172,12 @@ class EllipseMixture(LensMixture):
 def _ellipses(
     mean: Tensor, outline: Tensor, focus: Tensor, weight: Tensor, lens_radius: Tensor, clip_to_lens: bool
 ) -> tuple[Ellipses, Tensor]:
-    """Outlines of ellipsoids as x_F sees them on the lens, and their weights times the root of their shares.
+    """Outlines of ellipsoids on the lens, seen from x_F; and the weights times √(share inside the lens · share of the strip).
 
-    S holds the packed squared half axes, and e = mean - x_F. A plane through x_F of normal n touches the ellipsoid where
-    nᵀ (e eᵀ - S) n = 0, which is the dual conic of the outline. Let (x, y) = -e_xy / e_z, and let S be divided by e_z².
-    The outline is an ellipse with the centre x_F + d_F (x + S_xz, y + S_yz) / (1 - S_zz). Its matrix of squared half axes is
-    d_F² / (1 - S_zz)² times M below.
+    S is the matrix of squared half axes, and e = mean - x_F. A plane through x_F with the normal n touches the ellipsoid if
+    nᵀ (e eᵀ - S) n = 0. The matrix e eᵀ - S is the dual conic of the outline. Let (x, y) = -e_xy / e_z, and divide S by e_z².
+    The outline is an ellipse with the centre x_F + d_F (x + S_xz, y + S_yz) / (1 - S_zz). The matrix of its squared half axes is
+    d_F² / (1 - S_zz)² times the matrix M in the code.
     """
     gap = focus[2] - mean[2]
     x, y = (mean[0:2] - focus[0:2]) / gap
@@ -210,7 +211,7 @@ def _strip_clip(center: Tensor, width: Tensor, tilt: Tensor, height: Tensor, len
 
 
 def _no_clip(like: Tensor) -> StripClip:
-    """Strips that hold their ellipses as a whole, for `like` `[M]`."""
+    """Strips that contain the whole ellipse, with the shape and device of `like`, `[M]`."""
     none, one = torch.zeros_like(like), torch.ones_like(like)
     return StripClip(torch.stack((one, none)), -2.0 * one, 2.0 * one, none, one)
 
@@ -218,9 +219,10 @@ def _no_clip(like: Tensor) -> StripClip:
 def _towards_center(
     center: Tensor, width: Tensor, tilt: Tensor, height: Tensor, lens_radius: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Distances of ellipse centres from the lens centre, and Lᵀu for the unit vectors u from the lens centre to them, `[M]` each.
+    """Distances `[M]` of ellipse centres from the lens centre, and the two components `[M]` of Lᵀu.
 
-    L maps the unit disc to the ellipse. In coordinates of the disc Lᵀu points along u, and |Lᵀu| is the half extent along u.
+    u is the unit vector from the lens centre towards the ellipse's centre. L maps the unit disc to the ellipse. Lᵀu is the axis
+    of the strip in coordinates of the disc, and |Lᵀu| is the half extent of the ellipse along u.
     """
     distance = center.square().sum(0).sqrt()
     centred = distance < 1e-6 * lens_radius  # u is arbitrary: (1, 0)
@@ -232,7 +234,8 @@ def _towards_center(
 def overlap(center: Tensor, width: Tensor, tilt: Tensor, height: Tensor, lens_radius: Tensor) -> Tensor:
     """Approximate share `[M]` of ellipses (see `Ellipses`) inside the lens circle; 0 where nothing is inside.
 
-    The share along the line of centres, times the ratio of areas where the ellipse is larger than the lens.
+    The approximation is the share along the line through both centres. If the ellipse is larger than the lens, a ratio of areas
+    is a further factor.
     """
     distance, across, up = _towards_center(center, width, tilt, height, lens_radius)
     reach = (across * across + up * up).sqrt().clamp(min=TINY)
@@ -249,7 +252,7 @@ def _disc_cdf(x: Tensor) -> Tensor:
 def _disc_quantile(share: Tensor) -> Tensor:
     """The inverse of `_disc_cdf`: x = ∓cos θ with θ - sin θ cos θ = π · share, by Newton's method.
 
-    The start is the series θ = t + t³ / 15 with t = ∛(3π/2 · share), of the smaller of both sides.
+    The initial value is the series θ = t + t³ / 15 with t = ∛(3π/2 · share), where share is the smaller one of both sides.
     """
     half = torch.minimum(share, 1.0 - share).clamp(min=0.0)
     angle = ((1.5 * math.pi * half).clamp(min=TINY).log() / 3.0).exp()  # the last bits of `pow` depend on the place in an array
@@ -262,7 +265,7 @@ def _disc_quantile(share: Tensor) -> Tensor:
 
 @kernel
 def _inside_lens(ellipses: Ellipses, lens_radius: Tensor) -> tuple[Tensor, Tensor]:
-    """`overlap` of the ellipses; and 1 for ellipses that lie inside the lens circle as a whole, else 0. `[M]` each."""
+    """`overlap` of the ellipses; and 1 if the whole ellipse is inside the lens circle, else 0; `[M]` each."""
     center, width, tilt, height, _ = ellipses
     m_xx, m_xy, m_yy = width * width, width * tilt, tilt * tilt + height * height
     long_axis = (0.5 * (m_xx + m_yy) + (0.25 * (m_xx - m_yy).square() + m_xy * m_xy).sqrt()).sqrt()

@@ -10,10 +10,10 @@ from bokehguide.render.camera import ThinLensCamera
 
 
 class GaussianField(nn.Module):
-    """G highlights in the camera frame, shared by all pixels. A fit sets the buffers (section 4.2).
+    """G highlights in the camera frame, common to all pixels. A fit sets the buffers (section 4.2).
 
-    mean: `[3, G]`, metres; radius: R_b, of the bounding sphere of the highlight's patch, `[G]`, metres; sigma: α R_b, `[G]`,
-    metres; energy: radiance times projected area of the patch, `[G]`.
+    mean: `[3, G]`, metres. radius: R_b, radius of the sphere around the highlight's patch, `[G]`, metres. sigma: α R_b, `[G]`,
+    metres. energy: radiance times projected area of the patch, `[G]`.
     """
 
     mean: Tensor
@@ -33,7 +33,7 @@ class GaussianField(nn.Module):
     def assign(self, mean: Tensor, radius: Tensor, sigma: Tensor, energy: Tensor) -> None:
         """Replace all Gaussians.
 
-        Raises ValueError for a Gaussian that is not finite or has no extent or energy.
+        Raises ValueError for a Gaussian that is not finite, and for a Gaussian without extent or energy.
         """
         values = torch.cat((mean, radius[None], sigma[None], energy[None]))
         if not bool(values.isfinite().all()) or not bool((values[3:] > 0.0).all()):
@@ -45,15 +45,16 @@ class GaussianField(nn.Module):
     def lens_weights(self, focus_distance: float) -> Tensor:
         """Unnormalised mixture weights `[G]`: the energy that each highlight sends through the lens.
 
-        The area of a highlight on the lens scales with k². Eq. 12-17 as printed leave this factor out.
+        The area of a highlight on the lens is proportional to k². The printed Eq. 12-17 omit this factor.
         """
         return self.energy * lens_magnification(self.mean[2], focus_distance).square()
 
     def footprints(self, camera: ThinLensCamera) -> tuple[Tensor, Tensor]:
-        """Raster centres `[2, G]` and radii `[G]` in pixels of the discs in which Eq. 22 keeps Gaussians.
+        """Discs of the pixels that have each Gaussian as a candidate (Eq. 22): centres `[2, G]` on the raster, radii `[G]` in
+        pixels.
 
-        A Gaussian is kept if its projected mean lies within r + |k|σ of the lens centre. On the focal plane this is a disc of
-        radius (r |Z - d_F| + σ d_F) / Z about the pinhole projection.
+        A Gaussian is a candidate of a pixel if its projected mean lies within r + |k|σ of the lens centre. The focus points of
+        these pixels form a disc of radius (r |Z - d_F| + σ d_F) / Z about the pinhole projection of the mean.
         """
         lens, depth = camera.lens, self.mean[2]
         radius = (lens.radius * (depth - lens.focus_distance).abs() + self.sigma * lens.focus_distance) / depth

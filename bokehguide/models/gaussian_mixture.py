@@ -1,4 +1,4 @@
-"""The paper's guided distribution: 3D Gaussians projected through the focus point (Eq. 18-22 and 26)."""
+"""The lens distribution of the paper: 3D Gaussians projected through the focus point (Eq. 18-22 and 26)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from bokehguide.runtime.indexing import ActiveEntries
 class GaussianMixture(LensMixture):
     """A mixture of 3D Gaussians projected through x_F by bipolar cones (Eq. 16-21). Eq. 22 excludes candidates.
 
-    mean: `[3, M]`, metres, camera frame; sigma: `[M]`, metres; beta: β, `[N]`; weight: of the candidates, `[M]`, of any scale.
-    The other arguments are as in LensMixture.
+    mean: `[3, M]`, metres, camera frame. sigma: `[M]`, metres. beta: β, `[N]`. weight: unnormalised weights of the candidates,
+    `[M]`. For the other arguments, see `LensMixture`.
     """
 
     def __init__(self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, mean: Tensor, sigma: Tensor, weight: Tensor):
@@ -31,7 +31,7 @@ class GaussianMixture(LensMixture):
     def sample(self, uniforms: Tensor) -> LensSample:
         """One lens point for each pixel, from uniform numbers `[5, N]`; candidates are not reported.
 
-        A guided draw is a point of the 3D Gaussian, projected through x_F (section 4.1.3).
+        A guided lens point is a random point of the 3D Gaussian, projected through x_F (section 4.1.3).
         """
         points = self.lens.sample(uniforms[2:4])
         guided = ActiveEntries(uniforms[0] < self.beta)

@@ -1,7 +1,7 @@
 """The one-sample KL divergence and its gradients in closed form (Eq. 25).
 
-The loss of a batch is -Σ ratio · log(A q), with ratio = L / (A q) held constant. The ratio contains the importance weight that
-Eq. 25 leaves out (Müller et al. 2019). A draw outside the aperture has the ratio 0 and no gradient.
+The loss of a batch is -Σ ratio · log(A q). The factor ratio = L / (A q) is a constant of the differentiation. It contains the
+importance weight that Eq. 25 omits (Müller et al. 2019). A lens point outside the aperture has the ratio 0 and the gradient 0.
 Tests compare these formulas with automatic differentiation of the same loss.
 """
 
@@ -27,7 +27,7 @@ def one_sample_kl(ratio: Tensor, density: Tensor, area: float) -> Tensor:
 def blend_gradient(guide: GaussianMixture, ratio: Tensor, at: LensDensity) -> Tensor:
     """∂ loss / ∂ logit of β, `[N]`; 0 for pixels that are not guided.
 
-    ratio: `[N]`; at: densities at the samples. A sample that rounding puts outside the rim has q = 0 and the ratio 0.
+    ratio: `[N]`; at: densities at the samples. If rounding moves a sample outside the rim, q and the ratio are 0.
     """
     slope = BlendWeightMap.slope(guide.beta) * guide.guided
     uniform = guide.lens.transmission(at.points) * (1.0 / guide.lens.area)
@@ -42,7 +42,7 @@ def offset_gradient(
     ratio: Tensor,
     at: LensDensity,
 ) -> Tensor:
-    """∂ loss / ∂ coefficients, float64 `[3, 6, G]`, through the candidate of the largest w p at each sample.
+    """∂ loss / ∂ coefficients, float64 `[3, 6, G]`. Only the candidate with the largest w p at each sample has a gradient.
 
     gaussian: Gaussian of each candidate, `[M]`; raster: raster positions, `[2, N]`; ratio: `[N]`; at: densities at the samples.
     """
@@ -67,6 +67,6 @@ def offset_gradient(
 
 @kernel
 def _slopes(points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor, scale: Tensor, basis: Tensor) -> Tensor:
-    """Terms of the gradient, float64 `[18, K]`: scale times ∂ log p / ∂μ, each component times each row of the basis `[6, K]`."""
+    """Terms of the gradient, float64 `[18, K]`: each component of scale · ∂ log p / ∂μ times each row of the basis `[6, K]`."""
     of_mean = scale * log_density_gradient(points, focus, mean, sigma)
     return torch.stack([(slope * row).double() for slope in of_mean for row in basis])

@@ -24,11 +24,11 @@ def monomials(position: Tensor, degree: int = 2) -> Tensor:
 class PolynomialOffset(nn.Module):
     """D(x_r), the offset of each Gaussian's mean as a polynomial of the raster position; 0 at the start.
 
-    The argument of the polynomial is (raster - pinhole centre) / radius of the Gaussian on the raster. D is in units of the
-    Gaussian's R_b, so that one learning rate suits every scene and resolution. A Gaussian that no pixel samples in a step has
-    the gradient 0; Adam's momentum may still move the Gaussian.
+    The argument of the polynomial is (raster position - pinhole projection of the mean) / radius of the Gaussian's disc on the
+    raster. The coefficients are in units of the Gaussian's R_b. One learning rate then suits every scene and resolution. If no
+    pixel samples a Gaussian in a step, its gradient is 0. Adam's momentum may still move the Gaussian.
 
-    degree: of the polynomial; coefficients: `[3, 6, G]`, component by monomial by Gaussian.
+    degree: of the polynomial. coefficients: component by monomial by Gaussian, `[3, 6, G]`.
     """
 
     center: Tensor

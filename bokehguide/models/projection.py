@@ -14,15 +14,15 @@ from torch import Tensor
 from bokehguide.render.vector import cross, dot
 
 FAR_OUTSIDE = 1e15
-"""Coordinates in metres of lens points that see nothing of an emitter."""
+"""Coordinates, in metres, of the lens point that stands for a failed draw: far outside any aperture."""
 LENS_MARGIN = 1.001
-"""Emitters are clipped to the lens circle times this factor, so that rounding moves no point of the lens beyond the clip."""
+"""Factor of the radius of the lens circle for clipping, so that rounding moves no point of the lens beyond the clip."""
 
 
 def lens_magnification(depth: Tensor, focus_distance: float) -> Tensor:
-    """k = d_F / (d_F - Z) `[N]`: the magnification of lengths at depth Z on the lens plane, through x_F.
+    """k = d_F / (d_F - Z) `[N]`: a length at depth Z, projected through x_F, is |k| times as long on the lens plane.
 
-    k has a pole at the focal plane. Points in focus are never guided.
+    k has a pole at the focal plane, so that the guides exclude points in focus.
     """
     return focus_distance / (focus_distance - depth)
 
@@ -30,7 +30,7 @@ def lens_magnification(depth: Tensor, focus_distance: float) -> Tensor:
 def project_to_lens(points: Tensor, focus: Tensor) -> Tensor:
     """Lens points `[2, N]` where the lines from `points` through `focus` (both `[3, N]`) meet the lens plane.
 
-    The form k p - (Z / d_F) k x_F keeps digits where x_F + k (p - x_F) cancels, for a distant focus.
+    For a distant focus, the form x_F + k (p - x_F) loses digits by cancellation. The code uses k p - (Z / d_F) k x_F.
     """
     k = focus[2] / (focus[2] - points[2])
     return points[:2] * k - focus[:2] * (points[2] / (focus[2] - points[2]))
@@ -39,8 +39,8 @@ def project_to_lens(points: Tensor, focus: Tensor) -> Tensor:
 def lens_density(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
     """Density `[N]` per unit area of the lens plane of an isotropic 3D Gaussian seen through x_F (Eq. 16, 17 and 21).
 
-    Both directions ±ω from x_F reach the same lens point. The error functions of Eq. 21 cancel in F(ω) + F(-ω), which leaves
-    (σ² + a²) / (2πσ²) · exp(-s² / 2σ²) · cosθ / |x_F - x_l|², with a = e·ω, s = |e × ω| and e = μ - x_F.
+    The directions ω and -ω from x_F belong to the same lens point. The error functions of Eq. 21 cancel in F(ω) + F(-ω), and the
+    density is (σ² + a²) / (2πσ²) · exp(-s² / 2σ²) · cosθ / |x_F - x_l|², with a = e·ω, s = |e × ω| and e = μ - x_F.
     The integral over the whole plane is 1.
 
     lens_points: `[2, N]`; focus, mean: `[3, N]`; sigma: `[N]`.
@@ -65,8 +65,8 @@ def log_density_gradient(lens_points: Tensor, focus: Tensor, mean: Tensor, sigma
 def _ray_coordinates(lens_points: Tensor, focus: Tensor, mean: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """a = e·ω, s² = |e × ω|² and |x_F - x_l| for the lines from x_F through the lens points.
 
-    s comes from a cross product, because |e|² - a² loses all digits of a small, distant Gaussian. The cross product is taken
-    about the lens point, because x_F, the other point of the line, may lie far beyond μ.
+    s is computed from a cross product, because |e|² - a² loses all digits for a small, distant Gaussian. The cross product uses
+    the vector from the lens point to μ, because the vector from x_F to μ may be very long.
     """
     e = mean - focus
     ray = torch.cat((lens_points - focus[:2], -focus[2:3]))

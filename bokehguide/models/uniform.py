@@ -8,7 +8,7 @@ from bokehguide.models.base import LensDistribution, LensSample
 
 
 class UniformLensDistribution(LensDistribution):
-    """q = W / A in every pixel, which is 1 / A on an even aperture. W is the transmission on the axis."""
+    """q = W / A in every pixel. W is the transmission of the aperture on the axis, and A is the area of the aperture."""
 
     def sample(self, uniforms: Tensor) -> LensSample:
         """One lens point in the aperture for each pixel, from uniform numbers `[2, N]`."""

@@ -1,4 +1,4 @@
-"""Rendering as training: the loop, adaptive SPP, checkpoints and logs."""
+"""Rendering and learning, step by step: the loop, adaptive SPP (samples per pixel), checkpoints and logs."""
 
 from bokehguide.guiding.modes import MODES
 from bokehguide.runtime.distributed import Ranks, restarts

@@ -1,9 +1,9 @@
-"""Adaptive SPP: a render that stops, block by block, where its estimated error reaches a target.
+"""Adaptive SPP: a render that stops in each block of pixels when the estimated error reaches a target.
 
-A stopping rule that looks at its own samples biases the picture: rendering stops early where highlights are not found yet. Two
-renders of half the SPP each have random numbers and strategies of their own, and each decides for the other. The number of a
-pixel's samples in one half depends on the other half alone. Both halves stay unbiased, and the picture is their mean, with equal
-weights.
+A rule that stops a render by the render's own samples causes a bias, because it stops early where highlights are not found yet.
+Therefore two independent renders (halves) have half of the samples per pixel (SPP) each. The error of one half decides where the
+other half stops. The number of a pixel's samples in one half depends only on the other half, so that both halves are unbiased.
+The picture is the mean of both halves with equal weights.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from bokehguide.train.settings import RenderSettings
 from bokehguide.train.step_stats import StepStats
 
 BLOCK = 32
-"""Pixels across the squares that stop together. They hold whole groups of `guiding/pixel_reuse.py`."""
+"""Side of a block in pixels. All pixels of a block stop together. A block contains whole groups of `guiding/pixel_reuse.py`."""
 POOLED = 5
-"""Pixels across the squares about a pixel whose mean is the expected radiance."""
+"""Side, in pixels, of the square around a pixel whose mean estimates the radiance of the pixel."""
 FIRST_ROUND = 8
-"""Steps of each half in the first round; every later round has as many as all before it."""
+"""Number of steps of each half in the first round. Each later round has as many steps as all earlier rounds together."""
 
 
 def make_loop(scene: Scene, settings: RenderSettings, ranks: Ranks | None = None) -> RenderLoop | AdaptiveLoop:
-    """The loop that renders with these settings. Raises BokehguideError as `RenderLoop`."""
+    """An `AdaptiveLoop` if the settings have a target noise, else a `RenderLoop`. Raises BokehguideError as `RenderLoop`."""
     return RenderLoop(scene, settings, ranks) if settings.target_noise is None else AdaptiveLoop(scene, settings, ranks)
 
 
 def relative_error(first: Tensor, second: Tensor) -> Tensor:
     """Estimated error of the mean of two independent pictures `[C, H, W]`, relative to the truth (plus 0.01), `[C, H, W]`.
 
-    Half the difference of the two is as large as the error of their mean. The estimate of the truth is their mean in the pixel
-    or, where that is less, around the pixel: a rare highlight makes a pixel too bright, and its neighbours do not have the
-    highlight. Features that both pictures missed go undetected.
+    Half of the difference of two pictures has the magnitude of the error of their mean. The denominator uses the mean of both
+    pictures in the pixel or around the pixel, whichever is less. A rare highlight makes a single pixel too bright, but not its
+    neighbours. Features that both pictures missed go undetected.
     """
     mean = (0.5 * (first + second)).clamp(min=0.0)
     about = avg_pool2d(mean[None], POOLED, 1, POOLED // 2, count_include_pad=False)[0]
@@ -57,7 +57,7 @@ def relative_error(first: Tensor, second: Tensor) -> Tensor:
 
 
 def to_blocks(images: Tensor) -> Tensor:
-    """Images `[C, H, W]` in blocks `[C, blocks, BLOCK, BLOCK]`; blocks that reach over the edge repeat the edge."""
+    """Images `[C, H, W]` cut into blocks `[C, blocks, BLOCK, BLOCK]`. Blocks beyond the edge of the image repeat the edge."""
     height, width = images.shape[1:]
     rows, columns = math.ceil(height / BLOCK), math.ceil(width / BLOCK)
     padded = pad(images, (0, columns * BLOCK - width, 0, rows * BLOCK - height), mode="replicate")
@@ -72,7 +72,7 @@ def from_blocks(blocks: Tensor, height: int, width: int) -> Tensor:
 
 
 class HalfLoop(RenderLoop):
-    """One of the two renders. Steps render where either half needs samples; the film takes the samples that this half needs."""
+    """One of the two halves. A step renders all blocks in which either half is open. The film adds samples only in open blocks."""
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None, tracer: PathTracer | None = None):
         super().__init__(scene, settings, ranks, tracer)
@@ -86,11 +86,11 @@ class HalfLoop(RenderLoop):
         self._counted = counted
 
     def freeze(self) -> None:
-        """Learn no more."""
+        """Stop learning."""
         self._learns = False
 
     def _light_so_far(self) -> tuple[float, float]:
-        """Of all samples, on the film or not: the other half decides which of them count."""
+        """Includes samples that are not on the film, because the other half decides which samples are on the film."""
         mine = slice(None) if self._share is None else self._share
         light = self.brightness[:, mine].cpu().numpy()
         return float(light.sum()), float(self.step_number * light.shape[1])
@@ -109,25 +109,25 @@ class HalfLoop(RenderLoop):
     def end_round(self) -> Tensor:
         """Estimated relative error `[pixels]` of the mean of both halves; collective.
 
-        The means before the round and in the round have equally many samples. Half their difference is an error of the half's
-        mean, and the mean of two halves has an error smaller by √2.
+        The mean before the round and the mean in the round are over equally many samples of this half. Half of their difference
+        estimates the error of the half. The error of the mean of both halves is smaller by the factor √2.
         """
         mine = self._mine_of_film().to(self.brightness.device)
         means = self.ranks.total(self.brightness * mine) / (self.step_number // 2)
         self.brightness[0] += self.brightness[1]
         self.brightness[1] = 0.0
-        # Block by block: other blocks may have ended, by a decision of the other half.
+        # Each block separately: in other blocks, the samples of the round may be missing, by a decision of the other half.
         before, now = to_blocks(means.reshape(2, self.film.height, self.film.width))
         error = from_blocks(relative_error(before, now), self.film.height, self.film.width)
         return error.flatten() / math.sqrt(2.0)
 
 
 class AdaptiveLoop:
-    """As `RenderLoop`, until no block of 32 × 32 pixels has an estimated error above `settings.target_noise`.
+    """A loop like `RenderLoop` that stops each block of 32 × 32 pixels at the estimated error `settings.target_noise`.
 
-    Steps alternate between the halves. Rounds end when both have 16, 32, 64, … steps; then each half ends in the blocks where
-    the error of the other reaches the target. A half that has ended in a block goes on off the film while the other needs its
-    decisions: the decisions of a half depend on its own samples alone.
+    Steps alternate between two halves. When both halves have 16, 32, 64, … steps, each half stops in the blocks in which the
+    error of the other half has reached the target. A half may stop in a block before the other half. It then continues to render
+    the block without adding samples to the film, because the other half needs its error estimate.
     """
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None = None):
@@ -144,7 +144,7 @@ class AdaptiveLoop:
         self._block = pixels // film.width // BLOCK * across + pixels % film.width // BLOCK
         self._size = torch.bincount(self._block)
         self.open = torch.ones(2, len(self._size), dtype=torch.bool, device=settings.device)
-        """Blocks in which each half continues, bool `[2, blocks]`."""
+        """Whether each half adds samples to the film in each block, bool `[2, blocks]`."""
 
     def __enter__(self) -> Self:
         return self
@@ -172,7 +172,7 @@ class AdaptiveLoop:
         return {phase: total[phase] for phase in PHASES}
 
     def step(self) -> StepStats:
-        """One more sample for each pixel of the open blocks, in one of the halves."""
+        """Render one more sample for each pixel of the open blocks, in one of the halves."""
         stats = self.halves[self.step_number % 2].step()
         steps = self.halves[1].step_number
         if self.step_number == 2 * steps and steps >= FIRST_ROUND and steps & (steps - 1) == 0:
@@ -186,7 +186,7 @@ class AdaptiveLoop:
         self._close(errors)
 
     def _close(self, errors: Tensor) -> None:
-        """End each half in the blocks where the error of the other, `[2, blocks]`, reaches the target."""
+        """Stop each half in the blocks in which the error of the other half has reached the target. errors: `[2, blocks]`."""
         assert self.settings.target_noise is not None
         self.open &= errors.flip(0) > self.settings.target_noise
         if not bool(self.open.all()):
@@ -197,9 +197,10 @@ class AdaptiveLoop:
         return sums.index_add_(0, self._block, error) / self._size
 
     def _render_open_blocks(self) -> None:
-        """Render the open blocks only. A half learns until it ends a block of the other.
+        """Render only open blocks. A half stops learning when it first stops a block of the other half.
 
-        Until then it learns from all of its own pixels, so neither its learned state nor its decisions depend on the other half.
+        Before this time, a half learns from all of its own pixels. Its learned state and its decisions therefore do not depend on
+        the other half.
         """
         active = self.open.any(0)[self._block]
         for half, counted, decided in zip(self.halves, self.open, self.open.flip(0)):
@@ -239,7 +240,7 @@ class AdaptiveLoop:
 
 
 class HalvesFilm:
-    """The mean of two films, with the methods of a film that a render writes."""
+    """The mean of two films, with the methods of `Film` that the output of a render needs."""
 
     def __init__(self, first: Film, second: Film):
         self._films = (first, second)
@@ -252,7 +253,7 @@ class HalvesFilm:
 
     @property
     def bad_samples(self) -> list[BadSample]:
-        """As `Film`; the seed names the half."""
+        """As `Film`. The seed of a bad sample identifies the half."""
         return earliest([bad for film in self._films for bad in film.bad_samples])
 
     def radiance(self) -> Tensor:
@@ -270,7 +271,7 @@ class HalvesFilm:
         return float(relative_error(first, second).mean())
 
     def layers(self) -> dict[str, np.ndarray]:
-        """As `Film.layers`: means of the two, but the sum of the sample counts and the variance of the mean."""
+        """As `Film.layers`: the means of both films, the sum of the sample counts, and the variance of the mean."""
         first, second = (film.layers() for film in self._films)
         layers = {name: 0.5 * (first[name] + second[name]) for name in first}
         layers["sample_count"] *= 2.0

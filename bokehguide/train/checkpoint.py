@@ -24,9 +24,9 @@ from bokehguide.train.loop import RenderLoop
 from bokehguide.train.settings import RenderSettings
 
 DATA = ("camera.aperture", "meshes", "materials", "environment", "suns")
-"""Inputs of a render that no single line can show."""
+"""Inputs of a render that do not fit in one line of a message, stored as digests."""
 NAMED = 4
-"""Number of differences that an error message names."""
+"""Largest number of differences in an error message."""
 
 
 def save_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop, seconds: float) -> None:
@@ -47,8 +47,8 @@ def save_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop, seconds: 
 def load_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> float:
     """Load the state of a saved render into a new loop; returns the seconds that the render had taken.
 
-    Raises BokehguideError for a file that is missing or damaged, and for a file of another version, scene or setting than the
-    loop's. SPP and threads may differ.
+    Raises BokehguideError for a file that is missing or damaged, and for a file with another version, scene or setting than the
+    loop. The number of samples per pixel and the number of threads may differ.
     """
     whole = _read(path, loop)
     try:
@@ -71,7 +71,7 @@ def saved_steps(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> int:
 
 
 def _read(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> dict[str, Any]:
-    """The content of a file of the loop's render. Raises as `load_checkpoint`."""
+    """The content of a checkpoint of the loop's render. Raises BokehguideError as `load_checkpoint`."""
     try:
         with zipfile.ZipFile(path) as archive:
             records = archive.infolist()
@@ -103,8 +103,9 @@ def _read(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> dict[str, Any]:
 def require_kind(saved: object, own: Any) -> None:
     """Raise ValueError unless `saved` can be a later state of `own`, the same part of a new loop's state.
 
-    Refuses numbers of another type. Refuses tensors of another type, tensors that are not finite or larger than their storage,
-    and negative or huge whole numbers in tensors. The film and the strategies check shapes when they load their states.
+    The check fails for numbers of another type, and for tensors of another type. It fails for tensors that are not finite or that
+    exceed their storage, and for negative or very large whole numbers in tensors. The film and the strategies check the shapes of
+    their states.
     """
     if isinstance(saved, Tensor):
         _require_tensor(saved, own)
@@ -145,7 +146,7 @@ def _damaged(path: str | Path) -> BokehguideError:
 
 
 def fingerprint(scene: Scene, settings: RenderSettings) -> dict[str, str]:
-    """All inputs that determine the bits of a render, by name: values as text, inputs in DATA as digests."""
+    """All inputs that determine the bits of a render, by name. Inputs in DATA are digests, and all other inputs are text."""
     camera, film = scene.camera, scene.film
     values = {"software": f"bokehguide {__version__}", "mode": settings.mode, "seed": settings.seed}
     values |= {"size": f"{film.width}x{film.height}", "max_depth": film.max_depth, "device": settings.device}

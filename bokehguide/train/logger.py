@@ -25,8 +25,8 @@ class RenderLogger:
     The modes of a scene are sibling folders, so `tensorboard --logdir logdir/SCENE` overlays their curves. An older log of the
     same mode is removed.
 
-    exposure: EV of the images; resumed: the last step of a checkpoint, after which the log continues and TensorBoard discards
-    later entries; silent: write nothing, for all ranks but the first, which still take part in collective calls.
+    exposure: EV of the images. resumed: last step of the checkpoint. The log continues after this step, and TensorBoard discards
+    later entries of the old log. silent: write nothing. All ranks except the first are silent, but take part in collective calls.
     """
 
     def __init__(
@@ -59,8 +59,8 @@ class RenderLogger:
     ) -> None:
         """Write the scalars of one step, and images at powers of two; collective.
 
-        errors: by name (`mape`, `relmse`). Without a reference `errors` is empty, and the log has the estimated relative noise
-        of `picture`, the film so far.
+        errors: by name (`mape`, `relmse`); empty without a reference. In this case, the logger writes the estimated relative
+        noise of `picture`, the film so far.
         """
         scalars = {f"error/{name}": value for name, value in errors.items()} or {"error/relative_noise": picture.relative_noise()}
         scalars |= {

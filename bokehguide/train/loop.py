@@ -34,14 +34,15 @@ PHASES = ("tracing rays", "shading", "guiding", "learning", "output")
 
 
 class RenderLoop:
-    """Renders a scene step by step; after each step `film` holds the picture so far. A context, which ends its workers.
+    """Renders a scene step by step. After each step, `film` holds the picture so far.
 
-    Random numbers are keyed by pixel, and reports of batches are added in the order of the pixels or in double precision.
-    The cuts between batches and the number of threads change the speed, and no bit.
+    The loop is a context manager that ends its worker threads.
+    Random numbers depend on the pixel, and the loop adds reports of batches in the order of the pixels or in double precision.
+    The batches and the number of threads therefore change no bit.
 
-    ranks: the processes that share the work. They have the same learned state, each knows the film and β of its own pixels,
-    and all of them take every step, `picture` and `state_dict` together. tracer: of another loop with the same scene and
-    device.
+    ranks: processes that render the picture together. All ranks have the same learned state, but each rank has the film and β of
+    its own pixels. All ranks must call `step`, `picture` and `state_dict` together. tracer: `PathTracer` of another loop with the
+    same scene and device, to be used again.
 
     Raises BokehguideError for a crop that leaves the frame, and for a mode that needs the whole frame on several ranks.
     """
@@ -55,11 +56,11 @@ class RenderLoop:
         self.tracer = tracer or PathTracer(scene, device)
         self._window = *_, width, height = settings.window(self.camera.width, self.camera.height)
         self._frame_pixels = box_pixels(self._window, self.camera.width).to(device) if settings.crop else None
-        """Pixels of the frame that are the film's, int64 `[pixels]`; None where all are."""
+        """Pixels of the frame that are on the film, int64 `[pixels]`; None if all pixels are."""
         self._share = self.ranks.rows(width, height, entry.rows_per_band, device)
-        """Pixels of the film that are this rank's, int64 `[N]`; None where all are."""
+        """Pixels of the film that this rank renders, int64 `[N]`; None if it renders all pixels."""
         self._places = self._share
-        """Pixels of the film that steps render."""
+        """Pixels of the film that this rank renders in each step, as in `_share`."""
         owned = self._of_frame(self._of_film(width * height))
         context = ModeContext(scene, self.camera, self.tracer, width, height, settings, self.ranks, owned)
         self.mode = entry.build(context)
@@ -92,12 +93,12 @@ class RenderLoop:
         return Film(width, height, self.settings.seed, self.camera.position.device, features, (left, top))
 
     def render_only(self, active: Tensor) -> None:
-        """From now on render the film's pixels that are `active`, bool `[pixels]`."""
+        """From now on, render only the `active` pixels of the film, bool `[pixels]`."""
         self._places = indices(active & self._mine_of_film().to(active.device))
 
     @property
     def phases(self) -> dict[str, float]:
-        """Seconds of wall time so far by phase, all of PHASES."""
+        """Seconds of wall time so far, for each phase in PHASES."""
         return {phase: self._phases[phase] for phase in PHASES}
 
     def step(self) -> StepStats:
@@ -120,7 +121,7 @@ class RenderLoop:
 
     @torch.no_grad()
     def _render_batch(self, places: Pixels) -> BatchResult:
-        """One sample for each of some of the film's pixels."""
+        """One sample for each of the given pixels of the film."""
         mode, timer = self.mode, PhaseTimer()
         with timer.measure("guiding"):
             pixels = self._pixels(places)  # pixels and focus points
@@ -148,7 +149,7 @@ class RenderLoop:
         return PixelBatch(self.step_number, places, pixels, raster, raster - corner, focus, random, self._mean_luminance)
 
     def _trace(self, batch: PixelBatch, query: LensQuery, drawn: LensPoints, timer: PhaseTimer) -> BatchSamples:
-        """Paths from lens points, and the samples that they make."""
+        """Trace paths from lens points, and make samples of them."""
         lens, lights = self.mode.lens, self.mode.lights
         origins, directions = self.camera.rays(batch.focus, drawn.points)
         of_lens, of_lights = lens.observers(batch), lights.observers()
@@ -166,7 +167,7 @@ class RenderLoop:
         return BatchSamples(batch, query, drawn, directions, paths, of_lens, of_lights, film)
 
     def _initialise(self, batch: PixelBatch, timer: PhaseTimer) -> int:
-        """Show the film's features some samples that do not count; returns the number of rays."""
+        """Initialise the film's features with samples that are not in the picture; returns the number of rays."""
         rays = 0
         for query in self.mode.lens.initial_queries(batch):
             drawn = query.sample()
@@ -202,7 +203,7 @@ class RenderLoop:
         return BatchResult(0, rays, timer)
 
     def _learn(self, results: Sequence[BatchResult]) -> None:
-        """Hand the records of all batches to the strategies, and end their step."""
+        """Pass the reports of all batches to the strategies, and end the step of the strategies."""
         light, count = self.ranks.totals(*self._light_so_far())
         self._mean_luminance = light / max(count, 1.0)
         summary = StepSummary(self.step_number, self._mean_luminance, self._picture_so_far)
@@ -240,7 +241,7 @@ class RenderLoop:
         return self.film.radiance().reshape(-1, 3).T * self._mine_of_film().to(self.settings.device)
 
     def _of_frame(self, of_film: Tensor) -> Tensor:
-        """The same of the frame, bool `[pixels]`: pixels beyond a crop belong to the first rank."""
+        """Pixels of the frame that belong to given pixels of the film, bool `[pixels]`. The first rank gets pixels outside a crop."""
         if self._frame_pixels is None:
             return of_film
         of_frame = torch.full((self.camera.width * self.camera.height,), self.ranks.first)
@@ -271,9 +272,10 @@ class RenderLoop:
         return state | {"bad_count": sum(count for count, _ in found), "bad_samples": [tuple(each) for each in bad]}
 
     def state_dict(self) -> dict[str, object]:
-        """All that later steps depend on, and the times so far; collective.
+        """All values on which later steps depend, and the times so far; collective.
 
-        The state is the same whatever the number of ranks, and tensors may be the loop's own, as in any state dict.
+        The state does not depend on the number of ranks. Its tensors may be the tensors of the loop, as in any state dict of
+        PyTorch.
         """
         with self.workers.serial():
             state: dict[str, object] = {"step": self.step_number, "film": self._film_state()}
@@ -286,8 +288,9 @@ class RenderLoop:
             return state | self.ranks.merged(by_pixel, self._of_frame(self._mine_of_film()))
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from the state of a loop of the same scene and settings (but SPP, threads and ranks): later steps
-        have the same bits.
+        """Continue from the state of another loop, so that later steps have the same bits.
+
+        The scene and the settings must be equal. Only `spp`, `threads` and the number of ranks may differ.
 
         Raises KeyError, RuntimeError or ValueError where the state does not fit.
         """
@@ -304,12 +307,12 @@ class RenderLoop:
             self._phases = Counter(state["phases"])
 
     def guide_images(self) -> dict[str, Tensor]:
-        """Pictures of the learned state, `[H, W, 3]` in 0 … 1; none where nothing is learned. Collective."""
+        """Pictures of the learned state by name, `[H, W, 3]` in 0 … 1; empty without learning. Collective."""
         owned = self._of_frame(self._mine_of_film())
         beta = self.ranks.merged({"beta": self.mode.lens.blend_weights()}, owned)["beta"]
         return self.mode.lens.images(beta)
 
 
 def _work(results: Sequence[BatchResult]) -> list[int]:
-    """Samples and rays of each batch, by which the next step's batches are cut."""
+    """Number of samples and rays of each batch: the costs from which `Batches` cuts the next step."""
     return [result.samples + result.rays for result in results]

@@ -9,22 +9,22 @@ from itertools import pairwise
 import numpy as np
 
 BATCH, FIRST_BATCH, SMALL_BATCH = 524288, 131072, 28800
-"""Pixels of a batch: in general, in the first step, and at least for another thread.
+"""Pixels of a batch: largest number, largest number in the first step, and smallest number if there are several batches.
 
-The cost of Python per batch does not depend on its size, so batches are as large as memory allows, and threads have equally many.
-The first step has smaller batches: the system allocates new memory slowly, and the user waits for the first image. Below
-SMALL_BATCH the cost of Python exceeds the gain of another thread."""
+The Python overhead of a batch does not depend on its size. Batches are therefore as large as memory allows, and all threads have
+equally many batches. The first step has smaller batches, because the system allocates new memory slowly, and the user waits for
+the first image. Below SMALL_BATCH pixels, the Python overhead exceeds the gain of another thread."""
 SHORTEST, LONGEST = 0.5, 1.5
-"""Least pixels of a span over the mean, and most over the intended size, before spans are moved to allowed cuts."""
+"""Least size of a span over the mean size, and largest size over the intended size, before bounds move to allowed cuts."""
 
 
 class Batches:
     """Cuts a row of pixels into spans of about equal cost, so that no thread waits for another.
 
-    `spans` cuts the row by the costs that `cost` has received for the last spans. Costs should be reproducible: numbers of
-    rays are, seconds are not.
+    `spans` cuts the row by the costs that `cost` has received for the last spans. Costs should be reproducible, such as numbers
+    of rays; seconds are not reproducible.
 
-    paths: approximate number of paths of a pixel; batches have as many times fewer pixels.
+    paths: approximate number of paths of a pixel. The number of pixels of a batch is divided by this number.
     """
 
     def __init__(self, threads: int, paths: int = 1):

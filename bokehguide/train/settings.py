@@ -18,7 +18,7 @@ LENS_MODES = tuple(name for name, entry in MODES.items() if not entry.whole_fram
 class RenderSettings:
     """Settings of one render.
 
-    mode: a name of the registry `bokehguide.guiding.modes.MODES`. spp: samples per pixel, one a step.
+    mode: a name of the registry `bokehguide.guiding.modes.MODES`. spp: samples per pixel; one step renders one sample per pixel.
     seed: of all random numbers.
     device: "cpu" or "cuda" (shading, guiding and learning; Embree runs on the CPU).
     threads: worker threads; None: one for each core.
@@ -26,8 +26,8 @@ class RenderSettings:
     1920 pixels; 50 · width / 1920 covers the same part of a smaller picture.
     crop: x, y, width, height in pixels from the top left, of the part of the frame to render.
     target_noise: estimated relative error at which a block of pixels ends; None: all pixels get spp samples.
-    compile: whether kernels are compiled (see `runtime/compile/kernels.py`). Compilation takes minutes once on a machine; the
-    picture is the same but for rounding.
+    compile: whether kernels are compiled (see `runtime/compile/kernels.py`). The first compilation on a machine takes minutes.
+    Compilation changes the picture only by rounding.
     gaussian: settings of the paper's modes. guided: settings of the mode `guided`.
     Raises BokehguideError for a value out of range.
     """
@@ -65,7 +65,7 @@ class RenderSettings:
             raise BokehguideError(f"target_noise: {self.mode} reuses samples of the whole frame; choose another mode")
 
     def window(self, width: int, height: int) -> tuple[int, int, int, int]:
-        """The crop, or all, of a frame of this size. Raises BokehguideError where the crop leaves it."""
+        """The crop of a frame of this size, by default the whole frame. Raises BokehguideError if the crop leaves the frame."""
         x, y, across, down = self.crop or (0, 0, width, height)
         if not (x >= 0 and y >= 0 and 0 < across <= width - x and 0 < down <= height - y):
             box = f"{x},{y},{across},{down}"
@@ -74,5 +74,5 @@ class RenderSettings:
 
     @property
     def whole_frame(self) -> bool:
-        """Whether the mode needs the frame in one process, without a crop and without a noise target."""
+        """Whether one process must render the whole frame, without a crop and without a target noise."""
         return MODES[self.mode].whole_frame

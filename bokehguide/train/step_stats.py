@@ -15,7 +15,11 @@ from bokehguide.runtime.timer import PhaseTimer
 
 @dataclass
 class StepStats:
-    """Figures of a step, on all ranks; kl, beta and outside are NaN where nothing was guided."""
+    """Figures of a step, summed over all ranks.
+
+    samples, rays: numbers in this step. kl, beta, outside: one-sample KL, mean β, and share of lens points outside the aperture,
+    over the guided pixels; NaN without guided pixels. gaussians: number of components of the learned field.
+    """
 
     step: int
     samples: int
@@ -29,7 +33,7 @@ class StepStats:
 
 @dataclass
 class BatchResult:
-    """The outcome of a batch, beside the film. lens, lights: the records for the mode's strategies."""
+    """The results of a batch, except the film. lens, lights: reports to the lens sampler and to the light strategy."""
 
     samples: int
     rays: int

@@ -1,4 +1,4 @@
-"""The modes `area-restir` and `area-restir+lis`: spatial reuse on the samples of the uniform lens and of `lis-o`."""
+"""The modes `area-restir` and `area-restir+lis`: spatial reuse of samples of the uniform lens and of `lis-o`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def area_restir_lis(context: ModeContext) -> Mode:
 
 
 class AreaRestir(SampleReuse):
-    """Every pixel resamples its own sample and its neighbours', in a second pass over the frame."""
+    """Sample reuse in which each pixel resamples its own sample and the samples of its neighbours, in a second pass over the frame."""
 
     weighted = True
 

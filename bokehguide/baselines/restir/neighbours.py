@@ -1,4 +1,4 @@
-"""The neighbours whose samples a pixel reuses: points of the R2 sequence in a disc."""
+"""The neighbours from which a pixel reuses samples: points of the R2 sequence in a disc."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 TABLE_SIZE = 8192
-"""Number of offsets. Each pixel uses consecutive offsets from a random start on."""
+"""Number of offsets in the table. Each pixel uses consecutive offsets, from a random start."""
 
 
 def disc_offsets(count: int) -> Tensor:
@@ -23,7 +23,7 @@ def disc_offsets(count: int) -> Tensor:
 class Neighbourhood:
     """Chooses `count` neighbours within `radius` pixels of each pixel of a frame.
 
-    A small disc holds few pixels, and some of them are chosen more than once.
+    A small disc contains few pixels, so that a pixel may occur more than once.
     """
 
     def __init__(self, width: int, height: int, radius: float, count: int, device: torch.device | str = "cpu"):

@@ -10,14 +10,15 @@ from torch import Tensor
 
 @dataclass
 class Reservoirs:
-    """One sample for each of N pixels: a point of u × lens × random numbers, its target value and its weight.
+    """One sample for each of N pixels, with its target value and its weight.
 
-    Pixel and step determine the random numbers, which are not stored. Lengths are in metres, in the camera frame.
+    A sample consists of a sub-pixel position u, a lens point, and the random numbers of the path. The pixel and the step
+    determine the random numbers, so that a reservoir does not store them. Lengths are in metres, in the camera frame.
 
     subpixel: u, from the pixel's top left corner, `[2, N]`. lens_points: `[2, N]`.
     depth: of the primary hit along the axis, NO_DEPTH for a miss, `[N]`. plane: (n_x, n_y, n·x₁) of the geometric normal n at the
     primary hit x₁, (0, 0, 1) for a miss, `[3, N]`. triangle: of the primary hit, -1 for a miss, int32 `[N]`.
-    target: p̂, luminance times transmission of the lens, 0 outside the aperture, `[N]`. weight: 1 / (A q), `[N]`.
+    target: p̂, luminance · transmission of the lens, 0 outside the aperture, `[N]`. weight: 1 / (A q), `[N]`.
     """
 
     subpixel: Tensor

@@ -1,15 +1,16 @@
 """The two shift mappings of Area ReSTIR, from samples of one pixel to samples of another.
 
-A sample is a sub-pixel position u, a lens point and the random numbers of its path. Both shifts keep u and the random numbers,
-map the lens point and trace the path again:
+A sample consists of a sub-pixel position u, a lens point and the random numbers of the path. Both shifts keep u and the random
+numbers, map the lens point and trace the path again:
 
 - The lens copy keeps the lens point.
-- The reconnection takes the lens point from which the new pixel sees the same primary hit or, for a miss, the same direction
-  (`models/reconnection.py`). The shift fails if the lens point is outside the aperture or its ray meets another surface.
+- The reconnection uses the lens point from which the new pixel sees the same primary hit. For a miss, the new pixel sees the same
+  direction (`models/reconnection.py`). The shift fails if the lens point is outside the aperture or the ray meets another
+  surface.
 
-The measure is du × dA_lens × random numbers, so the Jacobian of a shift is |∂l' / ∂l|. Both shifts are invertible: a reconnection
-succeeds in both directions or in neither, because both rays must meet the same point, with the same random numbers at translucent
-surfaces.
+The measure is du × dA_lens × random numbers, so that the Jacobian of a shift is |∂l' / ∂l|. Both shifts are invertible. A
+reconnection succeeds in both directions or in neither direction, because both rays must meet the same point. Both rays use the
+same random numbers at translucent surfaces.
 """
 
 from __future__ import annotations
@@ -35,18 +36,18 @@ FITTED_RADIUS = 50.0
 def same_point(triangle: Tensor, expected: Tensor) -> Tensor:
     """Whether rays met the `expected` triangles, bool `[N]`; -1 means a miss.
 
-    A ray meets a triangle once, so the test needs no tolerance. Rounding may move a ray at an edge to the next triangle, which
-    is too rare to matter.
+    A ray meets a triangle at most once, so that the test needs no tolerance. At an edge, rounding may move the hit to the
+    adjacent triangle. This is too rare to matter.
     """
     return triangle == expected
 
 
 def copied_share(coc: Tensor, radius: float) -> Tensor:
-    """γ, the share of neighbours whose lens points are copied, `[N]`: the fit of Area ReSTIR's authors.
+    """γ, the share of neighbours with a lens copy, `[N]`, by the fit of Area ReSTIR's authors.
 
-    coc: diameter of the circle of confusion at the hit of the pixel's pinhole ray, pixels, `[N]`. The diameter must not depend
-    on the sample, or the shift would not be a mapping. radius: of the neighbourhood, pixels. The fit holds for FITTED_RADIUS,
-    and the diameter scales with the neighbourhood.
+    coc: diameter of the circle of confusion at the hit of the pixel's pinhole ray, pixels, `[N]`. The diameter must not depend on
+    the sample, because the choice of the shift must be the same for all samples. radius: of the neighbourhood, pixels. The fit
+    holds for FITTED_RADIUS. For another radius, the function scales the diameter by the ratio of the radii.
     """
     coc = coc * (FITTED_RADIUS / radius)
     return torch.where(coc <= 2.0, 1.0, 17.939 / (coc + 21.383) + 0.1)
@@ -54,7 +55,7 @@ def copied_share(coc: Tensor, radius: float) -> Tensor:
 
 @dataclass
 class Shifted:
-    """Samples in their new pixels, black where the shift failed.
+    """Samples after a shift, black if the shift failed.
 
     radiance: times the transmission W, `[3, N]`; target: p̂, `[N]`; jacobian: of the shift, `[N]`; rays: number of traced rays.
     """
@@ -65,7 +66,7 @@ class Shifted:
     rays: int = 0
 
     def split(self, count: int) -> tuple[Shifted, Shifted]:
-        """The first `count` samples, with the rays of all, and the others."""
+        """The first `count` samples and the remaining samples. The first part has the number of rays of both parts."""
         first = Shifted(self.radiance[:, :count], self.target[:count], self.jacobian[:count], self.rays)
         return first, Shifted(self.radiance[:, count:], self.target[count:], self.jacobian[count:])
 
@@ -92,7 +93,7 @@ class Shift:
     ) -> Shifted:
         """Shift samples from the pixels `source` to the pixels `target`.
 
-        Black samples, and samples whose new lens point is outside the aperture, are not traced.
+        The method traces no rays for black samples and for samples whose new lens point is outside the aperture.
 
         random: random numbers of the samples' paths. source, target: flat indices, int64 `[N]`; reconnects: reconnection
         instead of lens copy, bool `[N]`.

@@ -1,4 +1,4 @@
-"""The second pass of a step: every pixel resamples its own sample and its neighbours' samples."""
+"""The second pass of a step: each pixel resamples its own sample and the samples of its neighbours."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ from bokehguide.runtime.indexing import pixel_numbers
 from bokehguide.runtime.timer import PhaseTimer
 
 NEIGHBOURS = 32
-"""Of each pixel (section 6.2)."""
+"""Number of neighbours of each pixel (section 6.2)."""
 
 
 class SpatialReuse:
     """Area ReSTIR without temporal reuse, on the samples of one step.
 
     `keep` stores the initial samples of a batch of pixels. After all batches of the frame, `resample` returns the final samples.
-    Calls of one of them are thread-safe.
+    Threads may call `keep` concurrently, and later `resample` concurrently.
 
-    The target p̂ is the luminance of the radiance f. A sample x has a lens point of density q; shifted to another pixel, x
-    becomes y = T(x). The resampling weight of y is w = m p̂(y) |∂T| / q, with m by pairwise MIS. One sample Y is chosen in
-    proportion to w. f(Y) Σw / (A p̂(Y)) is an unbiased estimate of the pixel, because all m that lead to one point sum to 1.
+    The target p̂ is the luminance of the radiance f. A sample x has a lens point with the density q. The shift T maps x to the
+    sample y = T(x) of another pixel. The resampling weight of y is w = m p̂(y) |∂T| / q, with m from pairwise MIS. The pixel
+    chooses one sample Y in proportion to w. f(Y) Σw / (A p̂(Y)) is an unbiased estimate of the pixel, because the weights m of
+    all samples that lead to the same point sum to 1.
 
     radius: of the neighbourhood, pixels; seed: of the samples' random numbers.
     """
@@ -46,7 +47,7 @@ class SpatialReuse:
         self._initial: dict[int, FilmSamples] = {}
         coc = camera.coc_diameter(self._pinhole_depth(device))
         self._copied = copied_share(coc, radius) * NEIGHBOURS
-        """Number of a pixel's first neighbours that get the lens copy, `[pixels]`."""
+        """Number of neighbours with a lens copy, `[pixels]`. They are the first neighbours of the pixel."""
 
     def _pinhole_depth(self, device: torch.device) -> Tensor:
         """Depth `[pixels]` of the hits of rays from the lens centre through the pixels' centres."""
@@ -56,7 +57,7 @@ class SpatialReuse:
         return self._camera.depth(self._tracer.geometry.tracer.intersect(*rays).distance, rays[1])
 
     def keep(self, span: slice, subpixel: Tensor, points: Tensor, path: PathSamples, samples: FilmSamples) -> Tensor:
-        """Store the initial samples of a span of pixels; returns which are finite, bool `[N]`.
+        """Store the initial samples of a span of pixels; returns whether each sample is finite, bool `[N]`.
 
         subpixel: u, `[2, N]`; points: lens points, `[2, N]`; path, samples: results of their rays.
         """
@@ -84,7 +85,7 @@ class SpatialReuse:
     def resample(self, span: slice, step: int, timer: PhaseTimer) -> tuple[FilmSamples, int]:
         """Final samples of a span of pixels that `keep` stored, and the number of traced rays.
 
-        The radiance is that of the chosen sample. All other values are those of the initial sample.
+        The radiance belongs to the chosen sample. All other values belong to the initial sample.
         """
         with timer.measure("guiding"):
             pixels = pixel_numbers(span, self._copied.device)
@@ -108,9 +109,9 @@ class SpatialReuse:
     def _exchange(
         self, pixels: Tensor, neighbour: Tensor, slot: int, step: int, timer: PhaseTimer
     ) -> tuple[Reservoirs, Shifted, Shifted]:
-        """Samples of the neighbours `[N]`, the same shifted to `pixels` `[N]`, and samples of `pixels` shifted to the neighbours.
+        """Samples of the neighbours `[N]`, these samples shifted to `pixels`, and samples of `pixels` shifted to the neighbours.
 
-        Samples are black where the neighbour is -1. The first `Shifted` counts the rays of both.
+        Samples are black if the neighbour is -1. The first `Shifted` has the number of rays of both.
         """
         present = neighbour >= 0
         neighbour = torch.where(present, neighbour, pixels)

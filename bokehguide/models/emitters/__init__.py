@@ -1,1 +1,1 @@
-"""Emitters with an exact density on the lens: parallelograms, and bright peaks of an environment map."""
+"""Emitters with exact densities on the lens: parallelograms, and peaks of an environment map."""

@@ -1,9 +1,10 @@
-"""Emitters of an environment map as densities on the lens, proportional to the radiance of the map.
+"""Emitters of an environment map as densities on the lens, proportional to the luminance of the map.
 
-A point at infinity is visible through x_F from one lens point only, so a density over directions is a density over the lens
-plane. The density of an emitter is its luminance as the map interpolates it: a tent over each of its texels. The shape and the
-unevenness of an emitter therefore cause no noise. Rows and columns of texels that the lens does not see are left out
-(`lens_cone.py`). docs/explanation/lens-densities.md derives the formulas.
+A point at infinity is visible through x_F from one lens point only, so that a density over directions gives a density over the
+lens plane. The density of an emitter is proportional to the bilinearly interpolated luminance of the map, a sum of tent functions
+over the texels of the emitter. The shape of the emitter and the variation of its luminance therefore cause no noise. The
+distribution excludes rows and columns of texels that the lens does not see (`lens_cone.py`). docs/explanation/lens-densities.md
+derives the formulas.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from bokehguide.runtime.indexing import ActiveEntries
 
 
 class MapLine(NamedTuple):
-    """Horizontal lines of the map, one for each of N emitters and cones, between the centres of two rows of texels.
+    """Horizontal lines on the map, one for each of N pairs of emitter and cone. A line is between the centres of two texel rows.
 
-    segments: the emitter's segments in both rows, int64 `[N]` each; tents: interpolation weights of both rows, `[2, N]`; low,
-    mass: flux of each row before the cone and inside, `[2, N]`; interval: first and last column, see `row_interval`, `[N]`
-    each.
+    segments: segments of the emitter in both rows, int64 `[N]` each. tents: interpolation weights of both rows, `[2, N]`. low,
+    mass: flux of each row before the cone and inside the cone, `[2, N]`. interval: first and last column (see `row_interval`),
+    `[N]` each.
     """
 
     segments: tuple[Tensor, Tensor]
@@ -45,8 +46,8 @@ class EnvironmentEmitters:
 
     A segment is the set of texels of one emitter in one row. The flux of each emitter is normalised to 1.
 
-    luminance: of the map, `[H, W]`, read at texels of emitters only; texel_emitter: emitter of each texel, -1 for none, `[H, W]`;
-    rotation: of the map about y, degrees. Texels of different emitters do not touch, not even at corners.
+    luminance: of the map, `[H, W]`; only texels of emitters are used. texel_emitter: emitter of each texel, -1 for none,
+    `[H, W]`. Texels of different emitters must not touch, not even at corners. rotation: of the map about y, degrees.
     """
 
     def __init__(self, luminance: np.ndarray, texel_emitter: np.ndarray, rotation: float, camera: ThinLensCamera):
@@ -75,11 +76,11 @@ class EnvironmentEmitters:
         height, width = self._map.height, self._map.width
         keys, segment = np.unique(emitter * height + row, return_inverse=True)
         self._segments = PiecewiseLinear(len(keys) + 1, segment, column, flux, width, device)
-        """Along each segment. The last one is empty."""
+        """Densities along each segment. The last density is empty."""
         emitters, rows = np.divmod(keys, height)
         segment_flux = self._segments.total[:-1].cpu().numpy()
         self._rows = PiecewiseLinear(int(emitter.max()) + 1, emitters, rows + 1, segment_flux, height + 2, device)
-        """Down each emitter, with an empty row above the map and one below."""
+        """Densities over the rows of each emitter, with an empty row above the map and an empty row below the map."""
         knots, _ = self._rows.find(*(torch.from_numpy(values).to(device) for values in (emitters, rows + 1.0)))
         self._segment = torch.full((len(self._rows.position) + 1,), len(keys), device=device)
         """Segment of each knot of `_rows`."""
@@ -87,7 +88,7 @@ class EnvironmentEmitters:
         every = torch.arange(int(emitter.max()) + 1, device=device)
         ends = (torch.full_like(every, end + 0.5, dtype=torch.float64) for end in (0, height))
         self.whole = torch.stack([self._rows.integral(every, end) for end in ends])
-        """`visible_rows` of emitters that the lens sees as a whole, `[2, S]`."""
+        """`visible_rows` of emitters that lie completely in the cone, `[2, S]`."""
 
     def cones(self, focus: Tensor) -> LensCone:
         """Cones of directions from the lens through x_F `[3, N]`."""
@@ -100,7 +101,7 @@ class EnvironmentEmitters:
         return torch.stack((self._rows.integral(emitter, top + 0.5), self._rows.integral(emitter, bottom + 0.5)))
 
     def _line(self, emitter: Tensor, cone: LensCone, y: Tensor) -> MapLine:
-        """The lines of emitters `[N]` in cones, `y` `[N]` texels below the map's top."""
+        """The lines of emitters `[N]` at `y` `[N]`, in texels below the map's top."""
         knot, beyond = self._rows.find(emitter, y + 0.5)
         segments = self._segment.index_select(0, knot), self._segment.index_select(0, knot + 1)
         interval = row_interval(self._map, cone, y)
@@ -112,8 +113,9 @@ class EnvironmentEmitters:
     def sample(self, emitter: Tensor, cone: LensCone, rows: Tensor, uniforms: Tensor, focus: Tensor) -> Tensor:
         """Lens points `[2, N]` that see emitters `[N]` through x_F `[3, N]`, from uniform numbers `[2, N]`.
 
-        The first number chooses the row by the flux of whole rows, the second the column by the flux inside the cone. Points are
-        FAR_OUTSIDE where the cone contains nothing. rows: from `visible_rows`.
+        The first number chooses the row in proportion to the flux of the whole row. The second number chooses the column in
+        proportion to the luminance inside the cone. If the cone contains nothing of the emitter, the point is FAR_OUTSIDE. rows:
+        from `visible_rows`.
         """
         down, across = uniforms.double()
         y = self._rows.inverse(emitter, rows[0] + down * (rows[1] - rows[0])) - 0.5
@@ -128,9 +130,10 @@ class EnvironmentEmitters:
         return torch.where(visible, focus[:2] - local[:2] * (focus[2] / local[2]), FAR_OUTSIDE)
 
     def evaluate(self, points: Tensor, focus: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Emitter, place on the map and density without clipping of lens points `[2, N]` that look through x_F `[3, N]`.
+        """Emitter, position on the map and density without clipping for lens points `[2, N]` that see the map through x_F
+        `[3, N]`.
 
-        The emitter is -1 for none, `[N]`; the place is in texels, float64 `[2, N]`; the density is per unit lens area, `[N]`.
+        The emitter is `[N]`, -1 for none. The position is in texels, float64 `[2, N]`. The density is per unit lens area, `[N]`.
         """
         row, column, tents, place, scale = _texels_around(self._map, self._camera.axes, points, focus)
         emitter, density = torch.full_like(scale, -1, dtype=torch.int64), torch.zeros_like(scale)
@@ -142,9 +145,10 @@ class EnvironmentEmitters:
         return emitter, place.double(), density * scale
 
     def clipping_factor(self, emitter: Tensor, cone: LensCone, rows: Tensor, place: Tensor) -> Tensor:
-        """The density of `sample` over that of `evaluate` at places `[2, N]` of the map, float64 `[N]`; 0 outside the cones.
+        """Density of `sample` over density of `evaluate` at positions `[2, N]` on the map, float64 `[N]`; 0 outside the cones.
 
-        The factor is F / (f · R), with F the flux of the row, f its part inside the cone, and R the flux of all visible rows.
+        The factor is F / (f · R). F is the flux of the row, f is the flux of the row inside the cone, and R is the flux of all
+        visible rows.
         """
         x, y = place
         line = self._line(emitter, cone, y)
@@ -158,9 +162,11 @@ class EnvironmentEmitters:
 
 
 def _column_ranges(emitter: np.ndarray, column: np.ndarray, width: int) -> np.ndarray:
-    """Middle column and half width of each emitter, with the tents of its texels, `[2, S]`. emitter, column: of texels, `[K]`.
+    """Middle column and half width of each emitter, `[2, S]`. The width includes the tent functions of the texels.
 
-    The range is the complement of the widest gap between the emitter's columns on the circle.
+    The columns of a map form a circle. The range is the complement of the widest gap between the emitter's columns.
+
+    emitter, column: of the emitters' texels, `[K]`.
     """
     key = np.unique(emitter * width + column)
     emitter, column = np.divmod(key, width)
@@ -178,8 +184,9 @@ def _texels_around(
 ) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor], Tensor, Tensor, Tensor]:
     """The four texels around the directions from lens points `[2, N]` through x_F `[3, N]`.
 
-    Returns the offsets of both rows and of both columns, int32 `[N]` each; interpolation weights, `[4, N]`; the place on the map,
-    texels, `[2, N]`; and the lens density of a unit density over texels, cos θ / (|x_F - l|² · solid angle of a texel), `[N]`.
+    Returns the offsets of both rows and of both columns, int32 `[N]` each; interpolation weights, `[4, N]`; the position on the
+    map in texels, `[2, N]`; and the factor cos θ / (|x_F - l|² · solid angle of a texel), `[N]`. The factor converts a density
+    over texels into a density over the lens.
     """
     ray = torch.cat((focus[:2] - points, focus[2:3]))
     distance = dot(ray, ray).sqrt()
@@ -195,10 +202,10 @@ def _texels_around(
 
 
 class ViewedEnvironment:
-    """The candidates, among M, that are emitters of the map, as the focus points of their owners see them.
+    """Those of M candidates that are emitters of the map, each seen through the focus point of the pixel that owns the candidate.
 
-    emitters: of the map; number: emitter of each candidate, -1 for none, int64 `[M]`; owner: int64 `[M]`; focus: x_F, `[3, N]`;
-    whole: candidates that the lens does not clip, bool `[M]`.
+    emitters: all emitters of the map. number: emitter of each candidate, -1 for none, int64 `[M]`. owner: pixel that owns each
+    candidate, int64 `[M]`. focus: x_F, `[3, N]`. whole: whether the lens sees the whole emitter, bool `[M]`.
 
     entries: the K candidates that are emitters of the map. share: flux in the rows that the lens sees, an upper bound of the flux
     through the lens, `[K]`.

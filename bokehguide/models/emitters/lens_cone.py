@@ -1,7 +1,8 @@
 """The part of an environment map that the lens sees through a focus point: a range of rows, and an interval on each row.
 
-Directions from the lens circle through x_F form a cone. Spherical trigonometry gives a circle of the map that encloses the cone.
-Newton's method then moves the circle's ends to the cone itself, except near the poles and where the cone is wide or oblique.
+The directions from the lens circle through x_F form a cone. Spherical trigonometry gives a circle on the sphere of directions
+that encloses the cone. Newton's method then moves the ends of the circle's rows to the cone. Near the poles, and for wide or
+oblique cones, the code uses the circle instead of the cone.
 docs/explanation/lens-densities.md derives the formulas.
 """
 
@@ -23,10 +24,10 @@ from bokehguide.runtime.device import to_device
 ANGLE_ERROR = 1e-6
 """Bound on the rounding error of a direction, radians. The cone is widened by this angle."""
 MAX_CONE_ANGLE, MIN_POLE_DISTANCE, MIN_COSINE = 0.3, 3.0, 0.6
-"""Limits of Newton's method; beyond them the enclosing circle replaces the cone. They bound the angular radius, the distance
-to a pole in angular radii, and the cosine to the optical axis."""
+"""Limits of Newton's method: largest angular radius, least distance to a pole in angular radii, and least cosine to the optical
+axis. Beyond a limit, the enclosing circle replaces the cone."""
 STEPS = 3
-"""Iterations of Newton's method and of the search for the extreme rows. The error is of the fourth power of an angle."""
+"""Number of iterations of Newton's method and of the search for the extreme rows."""
 TINY = 1e-300
 """Least divisor, for sines and lengths that may be 0."""
 
@@ -34,9 +35,9 @@ TINY = 1e-300
 class LensCone(NamedTuple):
     """Cones of directions from the lens circle through N focus points, float64.
 
-    focus: x_F, `[3, N]`, camera frame; column: of the enclosing circle's centre, texels, `[N]`; theta: polar angle of the
-    centre from the map's top, radians, `[N]`; reach: the circle's angular radius, radians, `[N]`; axes: the camera's axes in
-    world coordinates, `[3, 3]`; radius: of the lens, times LENS_MARGIN, `[]`.
+    focus: x_F, `[3, N]`, camera frame. column: column of the enclosing circle's centre, texels, `[N]`. theta: polar angle of this
+    centre from the map's top, radians, `[N]`. reach: angular radius of the circle, radians, `[N]`. axes: axes of the camera in
+    world coordinates, `[3, 3]`. radius: lens radius times LENS_MARGIN, `[]`.
     """
 
     focus: Tensor
@@ -68,8 +69,9 @@ def lens_cone(layout: Equirectangular, camera: ThinLensCamera, focus: Tensor) ->
 def _enclosing_circle(layout: Equirectangular, focus: Tensor, axes: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Column, polar angle and angular radius, `[N]` each, of the circle about the direction from the lens centre to x_F.
 
-    The direction from a lens point to x_F deviates most on a tangent of the ball about the lens. If x_F lies in front of the lens
-    disc, no tangent meets the disc, and the rim deviates most.
+    The circle contains the directions from all lens points to x_F. The largest angle to the centre belongs to a tangent of the
+    ball around the lens. If x_F lies in front of the lens disc, no such tangent meets the disc. The largest angle then belongs to
+    the rim.
     """
     squared = dot(focus, focus)
     distance = squared.sqrt()
@@ -87,7 +89,7 @@ def _world(axes: Tensor, local: Tensor) -> Tensor:
 
 
 def _uses_circle(cone: LensCone) -> Tensor:
-    """Cones that the enclosing circle replaces, bool `[N]`."""
+    """Whether the enclosing circle replaces the cone, bool `[N]`."""
     oblique = dot(cone.focus, cone.focus) * MIN_COSINE**2 > cone.focus[2] * cone.focus[2]
     return oblique | (cone.reach > MAX_CONE_ANGLE) | (cone.theta.sin() < MIN_POLE_DISTANCE * cone.reach.sin())
 
@@ -98,7 +100,7 @@ def row_range(layout: Equirectangular, cone: LensCone, middle: Tensor, half: Ten
 
     Rows are in texels below the map's top, `[2, N]`; both are equal where cones contain no such column.
     """
-    # Columns with a gap narrower than the circle are visible on both sides of the gap: all columns count.
+    # If the gap between the columns is narrower than the circle, the cone sees both sides of the gap: use all columns.
     circle = torch.asin((cone.reach.sin() / cone.theta.sin().clamp(min=TINY)).clamp(max=1.0)) * (layout.width / math.pi)
     half = torch.where(layout.width - 2.0 * half < circle, 0.5 * layout.width, half)
     top = _extreme_row(layout, cone, middle, half, -1.0)
@@ -109,7 +111,7 @@ def row_range(layout: Equirectangular, cone: LensCone, middle: Tensor, half: Ten
 def _extreme_row(layout: Equirectangular, cone: LensCone, middle: Tensor, half: Tensor, sign: float) -> Tensor:
     """The first (sign -1) or last (sign 1) row of cones within `half` columns of `middle`, `[N]`.
 
-    If the cone's extreme point lies beside these columns, the extreme is on the meridian of the nearest column.
+    If the extreme point of the cone lies outside these columns, the extreme row is on the meridian of the nearest column.
     """
     column, row = layout.place(_world(cone.axes, normalize(_extreme_direction(cone, sign))))
     offset = (column - middle) / layout.width
@@ -124,7 +126,7 @@ def _extreme_row(layout: Equirectangular, cone: LensCone, middle: Tensor, half: 
 def _extreme_direction(cone: LensCone, sign: float) -> Tensor:
     """Vectors `[3, N]`, camera frame, from the rim of the lens through x_F to the cone's highest (-1) or lowest (1) row.
 
-    At the extreme row the rim's normal in the lens plane is parallel to the projection of the local north.
+    At the extreme row, the rim's normal in the lens plane is parallel to the projection of the local north direction.
     """
     direction, up, radius = cone.focus, cone.axes[1][:, None], cone.rim_radius()
     for _ in range(STEPS):
@@ -139,8 +141,8 @@ def _extreme_direction(cone: LensCone, sign: float) -> Tensor:
 def _meridian_rows(layout: Equirectangular, cone: LensCone, column: Tensor) -> tuple[Tensor, Tensor]:
     """The two rows, texels below the map's top, at which the meridians of columns `[N]` cross the cones, `[N]` both.
 
-    With s the normal of the meridian's plane, the lens points that see the meridian satisfy s·(x_F - l) = 0. This is a line on
-    the lens plane, and its chord in the lens circle has the two ends.
+    Let s be the normal of the meridian's plane. The lens points l that see the meridian satisfy s·(x_F - l) = 0, a line on the
+    lens plane. The ends of the line's chord in the lens circle give the two rows.
     """
     normal = layout.directions(column + 0.25 * layout.width, torch.full_like(column, 0.5 * layout.height))
     x, y, z = (dot(normal, axis[:, None]) for axis in cone.axes.T)
@@ -163,7 +165,7 @@ def row_interval(layout: Equirectangular, cone: LensCone, y: Tensor) -> tuple[Te
     """
     half = _circle_half_angle(cone, math.pi / layout.height * y)
     start = layout.directions(cone.column, y)
-    # A rotation about the pole by φ takes the direction to polar + cos φ forward + sin φ sideways, camera frame.
+    # A rotation by φ about the pole changes the direction to polar + cos φ forward + sin φ sideways, camera frame.
     polar = start[1] * cone.axes[1][:, None]
     forward = cone.axes[0][:, None] * start[0] + cone.axes[2][:, None] * start[2]
     sideways = cone.axes[2][:, None] * start[0] - cone.axes[0][:, None] * start[2]
@@ -175,14 +177,14 @@ def row_interval(layout: Equirectangular, cone: LensCone, y: Tensor) -> tuple[Te
 
 
 def _circle_half_angle(cone: LensCone, theta: Tensor) -> Tensor:
-    """Half the angle about the pole that the circles cover at polar angles `theta`, radians, `[N]`: the haversine formula."""
+    """Half the range of azimuths that the circles cover at polar angles `theta`, radians, `[N]`, by the haversine formula."""
     radius, apart = (0.5 * cone.reach).sin(), (0.5 * (theta - cone.theta)).sin()
     squared = (radius * radius - apart * apart) / (theta.sin() * cone.theta.sin()).clamp(min=TINY)
     return 2.0 * torch.asin(squared.clamp(0.0, 1.0).sqrt())
 
 
 def _rim_angle(cone: LensCone, half: Tensor, polar: Tensor, forward: Tensor, sideways: Tensor, sign: float) -> Tensor:
-    """The angle about the pole, in -half … half, at which the row leaves the cone towards `sign`, radians, `[N]`.
+    """The azimuth, in -half … half, at which the row leaves the cone in the direction `sign`, radians, `[N]`.
 
     A direction d meets the rim where |x_F,xy d_z - d_xy x_F,z|² = r² d_z². Newton's method starts at the circle and moves
     inwards.

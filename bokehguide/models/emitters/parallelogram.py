@@ -1,7 +1,7 @@
 """Parallelograms, such as windows and soft boxes, as exact densities on the lens.
 
-The line from a lens point through x_F meets a parallelogram's plane in one point. A density over the parallelogram is therefore a
-density over the lens plane, for any distance and tilt. Parts that the lens does not see are left out.
+The line from a lens point through x_F meets a parallelogram's plane in one point. A density over the parallelogram therefore
+gives a density over the lens plane, for any distance and tilt. The distribution excludes parts that the lens does not see.
 docs/explanation/lens-densities.md derives the formulas.
 """
 
@@ -20,7 +20,7 @@ LENS_POINT_ERROR = 1e-6
 GAUSS_NODES = (0.2113, 0.7887)
 """Nodes of Gauss' quadrature with two points on 0 … 1."""
 TINY = 1e-30
-"""Stands for a divisor of 0: a ray in the plane, or x_F in the plane."""
+"""Divisor in place of 0, for a ray or an x_F in the plane of the parallelogram."""
 
 
 @record
@@ -55,8 +55,8 @@ class ParallelogramEmitters:
         """Coordinates `[2, P]` at which lines from lens points `[2, P]` through x_F `[3, P]` meet the planes; and the Jacobian
         `[P]`.
 
-        The Jacobian is the fraction of the parallelogram's area per unit area of the lens plane. All lengths are measured from
-        the projection of the centre, which keeps digits for a distant x_F and a small parallelogram.
+        The Jacobian is the fraction of the parallelogram's area per unit area of the lens plane. The code measures lengths from
+        the projection of the centre, so that a distant x_F and a small parallelogram lose no digits.
         """
         offset = self._centre - focus
         ray = torch.cat((focus[:2] - points, focus[2:3]))
@@ -71,8 +71,8 @@ class ParallelogramEmitters:
     def _margin(self, focus: Tensor, radius: Tensor) -> Tensor:
         """Bound `[2, P]` on the rounding error of coordinates of sampled lens points, through x_F `[3, P]`.
 
-        Windows are larger by this margin. Without it, a sample on the parallelogram might be outside its window by rounding,
-        and its density would be far too small.
+        Windows are larger by this margin. Without the margin, rounding might move a sample out of the window, and its density
+        would be far too small.
         """
         offset = self._centre - focus
         error = LENS_POINT_ERROR * (project_to_lens(self._centre, focus).square().sum(0).sqrt() + radius)
@@ -83,7 +83,7 @@ class ParallelogramEmitters:
         return ((offset[2] / focus[2]).abs() * length * error).nan_to_num(1.0, 1.0).clamp(1e-5, 1.0)
 
     def window(self, focus: Tensor, radius: Tensor) -> Tensor:
-        """Ranges of both coordinates that the lens sees through x_F `[3, P]`: low and high, `[2, 2, P]`, equal if nothing is
+        """Ranges of both coordinates that the lens sees through x_F `[3, P]`: low and high, `[2, 2, P]`; equal if nothing is
         visible.
 
         radius: of the lens, `[]`, metres.
@@ -91,7 +91,7 @@ class ParallelogramEmitters:
         limit = 1.0 + self._margin(focus, radius)
         ranges = [self._range_on_lens(row, focus, radius) for row in (self._first, self._second)]
         window = torch.maximum(torch.minimum(torch.stack(ranges, dim=1).nan_to_num(0.0), limit), -limit)
-        # The lens may see an end of the first range beyond the second range only. The nearest row then bounds the first range.
+        # The lens may see an end of the first range only outside the second range. The nearest row then bounds the first range.
         ends = []
         for side, end in enumerate(window[:, 0]):
             low, high = self._interval(end, 0, window, focus, radius)
@@ -127,11 +127,12 @@ class ParallelogramEmitters:
         return project_to_lens(self._centre, focus) + shift
 
     def _interval(self, at: Tensor, axis: int, window: Tensor, focus: Tensor, radius: Tensor) -> tuple[Tensor, Tensor]:
-        """The interval of the other coordinate that the lens sees where coordinate `axis` is `at` `[P]`; equal ends for nothing.
+        """Interval of the other coordinate that the lens sees if coordinate `axis` is `at` `[P]`; equal ends if nothing is
+        visible.
 
-        The line on the parallelogram between the ends of the window is a line on the lens, of which the circle cuts a chord.
-        The fraction t of the line on the lens is t z₀ / (t z₀ + (1 - t) z₁) on the parallelogram. z₀ and z₁ are the depths of
-        the line's ends beyond x_F.
+        A line on the parallelogram between the ends of the window corresponds to a line on the lens, and the lens circle clips
+        this line to a chord. The fraction t of the line on the lens corresponds to the fraction t z₀ / (t z₀ + (1 - t) z₁) on the
+        parallelogram. z₀ and z₁ are the depths of the line's ends beyond x_F.
         """
         low, high = window[:, 1 - axis]
         fixed, moving = (self._right, self._up) if axis == 0 else (self._up, self._right)
@@ -153,8 +154,8 @@ class ParallelogramEmitters:
     def sample(self, window: Tensor, focus: Tensor, radius: Tensor, uniforms: Tensor) -> Tensor:
         """Lens points `[2, P]` that see parallelograms through x_F `[3, P]`, from uniform numbers `[2, P]`.
 
-        The first coordinate is uniform over the window, the second over the interval that the lens sees there. Points are
-        FAR_OUTSIDE where the interval is empty.
+        The first coordinate is uniform over the window. The second coordinate is uniform over the interval that the lens sees at
+        the first coordinate. If the interval is empty, the point is FAR_OUTSIDE.
         """
         a = window[0, 0] + uniforms[0] * (window[1, 0] - window[0, 0])
         low, high = self._interval(a, 0, window, focus, radius)
@@ -183,10 +184,10 @@ class ParallelogramEmitters:
 
 
 class ViewedParallelograms:
-    """The candidates, among M, that are parallelograms, as the focus points of their owners see them.
+    """Those of M candidates that are parallelograms, each seen through the focus point of the pixel that owns the candidate.
 
-    number: parallelogram of each candidate, -1 for none, int64 `[M]`; owner: int64 `[M]`; focus: x_F, `[3, N]`; radius: of the
-    lens, `[]`, metres.
+    number: parallelogram of each candidate, -1 for none, int64 `[M]`. owner: pixel that owns each candidate, int64 `[M]`. focus:
+    x_F, `[3, N]`. radius: of the lens, `[]`, metres.
 
     entries: the K candidates that are parallelograms. area: approximate area of the lens that sees each of them, `[K]`, m².
     """

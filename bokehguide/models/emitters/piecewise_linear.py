@@ -1,4 +1,4 @@
-"""Piecewise linear densities along rows and columns of a bilinear map, between weights at integer positions."""
+"""Piecewise linear densities along rows and columns of a bilinear map, given by their values at integer positions."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ TINY = 1e-300
 
 
 class PiecewiseLinear:
-    """G piecewise linear densities, one a group, on circles of `period` positions.
+    """G periodic, piecewise linear densities, one for each group, with `period` positions.
 
-    group, position: int64 `[K]`, without duplicate pairs; weight: `[K]`, the densities at these positions. They are 0 at all
-    other integer positions.
+    group, position: int64 `[K]`, without duplicate pairs. weight: unnormalised densities at these positions, `[K]`. The densities
+    are 0 at all other integer positions.
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class PiecewiseLinear:
         mass[end[:-1]] = 0.0  # between the last knot of a group and the first of the next
         cumulative = np.append(0.0, np.cumsum(mass))
         self.period, self.position = period, torch.from_numpy(keys % size).to(device)
-        """Positions of the knots, `[knots]`: of all weights, and of their neighbours."""
+        """Positions of the knots, `[knots]`: all positions with weights, and their neighbours."""
         self._keys, self._weights = torch.from_numpy(keys).to(device), torch.from_numpy(np.append(weights, 0.0)).to(device)
         self._start, self._end = torch.from_numpy(start).to(device), torch.from_numpy(end).to(device)
         self._cumulative = torch.from_numpy(cumulative).to(device)
@@ -39,14 +39,14 @@ class PiecewiseLinear:
         """Integral of each density over its period, float64 `[G]`."""
 
     def find(self, group: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-        """The last knot at or before places `x` of groups, both `[N]`, and the distance from the knot to `x`."""
+        """The last knot at or before the positions `x` of groups, both `[N]`, and the distance from the knot to `x`."""
         x = x - (x / self.period).floor() * self.period
         key = group * (self.period + 1) + x.floor().long()
         knot = torch.searchsorted(self._keys, key, right=True) - 1
         return knot, x - self.position.index_select(0, knot)
 
     def integral(self, group: Tensor, x: Tensor) -> Tensor:
-        """Integrals of groups' densities from 0 to `x`, float64 `[N]`. Each turn beyond the period adds the total."""
+        """Integrals of the groups' densities from 0 to `x`, float64 `[N]`. `x` may exceed the period."""
         turns = (x / self.period).floor()
         knot, distance = self.find(group, x)
         start, end = self._weights.index_select(0, knot), self._weights.index_select(0, knot + 1)
@@ -54,7 +54,7 @@ class PiecewiseLinear:
         return before + (start + 0.5 * (end - start) * distance) * distance + turns * self.total.index_select(0, group)
 
     def inverse(self, group: Tensor, integral: Tensor) -> Tensor:
-        """Places where `integral` has given values, float64 `[N]`; arbitrary for groups without weights.
+        """Positions at which `integral` has the given values, float64 `[N]`; arbitrary for groups without weights.
 
         Between knots of weights a and b, the integral over a distance t is m = a t + (b - a) t² / 2.
         The inverse is t = 2 m / (a + √(a² + 2 (b - a) m)).
