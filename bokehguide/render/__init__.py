@@ -1,4 +1,4 @@
-"""A path tracer for thin-lens photographs: camera, lens, film, and the radiance along rays."""
+"""A path tracer with a thin-lens camera: camera, lens, film, and the radiance along rays."""
 
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import Film, FilmSamples

@@ -1,8 +1,8 @@
 """Shapes of the aperture, with their transmission and exact sampling.
 
-Points are `[2, N]` in units of the pupil's radius, x right and y up, before the lens rotates and squeezes the shape (`lens.py`).
-Each shape has an `area`, the distance `reach` of its farthest point from the centre, and a transmission W of mean 1 over the
-area. W / area is the density of `sample`.
+Points are `[2, N]` in units of the pupil's radius, with x to the right and y up. The lens later rotates and squeezes the shape
+(`lens.py`). Each shape has an `area`, the distance `reach` of its farthest point from the centre, and a transmission W with the
+mean 1 over the area. The density of `sample` is W / area.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from torch import Tensor
 from bokehguide.render.vector import polar_angle
 
 RIM = 1.0 - 1e-6
-"""Samples end at this share of the distance to the rim, so that rounding leaves them inside."""
+"""Largest distance of a sample from the centre, over the distance of the rim, so that rounding moves no sample outside."""
 
 
 class Iris:
-    """An opening between equal arcs, whose corners lie on the unit circle.
+    """An opening bounded by equal arcs. The corners between the arcs lie on the unit circle.
 
-    blades: number of arcs, the middle of one of them to the right; 0: a disc. curvature: of the arcs, relative to the circle's, 0
-    for straight blades. edge: W = 1 + edge · (2 t² - 1), where t is the distance from the centre relative to the rim's; -1 is
-    dark at the rim, 1 in the centre.
+    blades: number of arcs. The middle of one arc is on the right. 0: a disc. curvature: curvature of the arcs over curvature of
+    the unit circle, 0 for straight blades. edge: W = 1 + edge · (2 t² - 1), where t is the distance from the centre over the
+    distance of the rim. With -1, W is 0 at the rim. With 1, W is 0 in the centre.
 
-    Computations use 2 `blades` mirrored sectors, each between the middle and the end of an arc.
+    The code divides the opening into 2 · `blades` mirrored sectors, each between the middle and the end of an arc.
     """
 
     reach = 1.0
@@ -72,8 +72,9 @@ class Iris:
     def _swept(self, arc):
         """Area between the centre and an arc, from the middle of the arc to a length s along it; a number or a Tensor.
 
-        ½ [m s + d (s - R sin(s / R))], where the arc has the radius R = 1 / curvature and the centre -d = m - R. The series in s
-        / R is valid for straight blades too.
+        The area is ½ [m s + d (s - R sin(s / R))]. m is the distance of the middle of the arc from the centre, R = 1 / curvature
+        is the radius of the arc, and -d = m - R is the centre of the arc. The code uses a series in s / R, which is also valid
+        for straight blades.
         """
         z = (self._curvature * arc) ** 2
         series = 1.0 - z / 20.0 * (1.0 - z / 42.0 * (1.0 - z / 72.0 * (1.0 - z / 110.0)))
@@ -83,7 +84,8 @@ class Iris:
     def _arc_length(self, share: Tensor) -> Tensor:
         """Length along an arc at which a sector has covered this share of its area, `[N]`.
 
-        Two Newton steps: the area is nearly linear in the length, and linear for straight blades and for the circle.
+        Two Newton steps are sufficient, because the area is nearly linear in the length. For straight blades and for the circle,
+        it is exactly linear.
         """
         arc = share * self._end
         c, bend = self._curvature, self._curvature - self._middle * self._curvature**2
@@ -93,19 +95,19 @@ class Iris:
         return arc
 
     def _share(self, uniforms: Tensor) -> Tensor:
-        """t², the share of a sector's area within t, distributed as W is."""
+        """Samples of t², the share of a sector's area within t, with a density proportional to W."""
         even = 1.0 - self.edge
         return 2.0 * uniforms / (even + (even * even + 4.0 * self.edge * uniforms).sqrt())
 
 
 class Mask:
-    """An image of the transmission, bilinear between the centres of its texels; its longer side is 2 units long.
+    """An image of the transmission with bilinear interpolation between the centres of texels. The longer side has the length 2.
 
-    image: float `[H, W]`, non-negative and not all 0, top row first. It is 0 outside, so that its border fades over a texel. The
-    area is that of the cells between texels of which at least one is positive.
+    image: float `[H, W]`, non-negative and not all 0, top row first. The transmission outside the image is 0, so that the border
+    fades over one texel. A cell is the square between four texel centres. The area consists of all cells with a positive texel.
 
-    Bilinear interpolation is a sum of tents, one for each texel. Sampling chooses a texel in proportion to its value, and a point
-    of its tent.
+    Bilinear interpolation is a sum of tent functions, one for each texel. `sample` chooses a texel in proportion to its value,
+    and then a point with the density of the tent function.
     """
 
     def __init__(self, image: np.ndarray, device: torch.device | str = "cpu"):
@@ -145,12 +147,12 @@ class Mask:
 
 
 def _before(cumulative: Tensor, index: Tensor) -> Tensor:
-    """Sum of the values before each index."""
+    """Sum of all values before each index."""
     return torch.where(index > 0, cumulative[(index - 1).clamp(min=0)], 0.0)
 
 
 def _choose(cumulative: Tensor, low: Tensor | float, high: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
-    """Indices drawn by the cumulative sums between low and high, and the remainders of the uniform numbers, in 0 … 1."""
+    """Indices drawn by inversion of `cumulative` between the sums low and high; and remainders of the numbers, in 0 … 1."""
     target = low + (high - low) * uniforms.double()
     index = torch.searchsorted(cumulative, target, right=True).clamp(max=len(cumulative) - 1)
     start = _before(cumulative, index)
@@ -158,6 +160,6 @@ def _choose(cumulative: Tensor, low: Tensor | float, high: Tensor, uniforms: Ten
 
 
 def _tent(uniforms: Tensor) -> Tensor:
-    """Numbers in -1 … 1 with density 1 - |x|, from uniform ones."""
+    """Numbers x in -1 … 1 with the density 1 - |x|, from uniform numbers."""
     half = 1.0 - (1.0 - (2.0 * uniforms - 1.0).abs()).sqrt()
     return torch.where(uniforms < 0.5, -half, half)

@@ -45,7 +45,10 @@ class ThinLensCamera:
         return torch.stack((0.5 * self.width + points[0] * scale, 0.5 * self.height - points[1] * scale))
 
     def focus_points(self, raster: Tensor) -> Tensor:
-        """x_F in the camera frame, `[3, N]`: the points on the focal plane that all rays of raster positions `[2, N]` meet."""
+        """Focus points x_F, camera frame, `[3, N]`: all camera rays of a raster position meet at its point on the focal plane.
+
+        raster: raster positions, `[2, N]`.
+        """
         x, y = self.slopes(raster).unbind(0)
         distance = self.lens.focus_distance
         return torch.stack((x * distance, y * distance, torch.full_like(x, distance)))
@@ -63,7 +66,7 @@ class ThinLensCamera:
     def coc_diameter(self, depth: Tensor) -> Tensor:
         """Diameter in pixels of the circle of confusion at `depth` (metres along the axis), Eq. 23.
 
-        The paper's denominator is that of the textbook. In this geometry, the disc of a point on the sensor has the diameter
+        The denominator of Eq. 23 belongs to another geometry. Here, the disc of a point on the sensor has the diameter
         2 r |Z - d_F| / Z · d_s / d_F.
         """
         lens = self.lens

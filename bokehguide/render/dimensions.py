@@ -1,4 +1,5 @@
-"""All random dimensions of a sample, in one table: no two numbers of a path share one.
+"""All random dimensions of a sample. A dimension numbers a random decision, and no two random numbers of a path share a
+dimension.
 
 | dimensions                 | numbers                                              |
 |----------------------------|------------------------------------------------------|
@@ -28,19 +29,19 @@ PART, BSDF, ROULETTE, LIGHT = 0, 1, 4, 5
 LIGHT_COUNT = 6
 CANDIDATE_COUNT = 7
 MAX_CROSSINGS = 256
-"""A ray that went through this many translucent surfaces stops at the next one."""
+"""Largest number of translucent surfaces that a ray passes. The ray stops at the next translucent surface."""
 _FIRST_VERTEX, _PER_VERTEX = 32, 16
 _FIRST_CANDIDATE, _PER_CANDIDATE = 1 << 16, 8
 _FIRST_CROSSING = 1 << 20
 
 
 def vertex(depth: int) -> int:
-    """First dimension of the vertex that ends segment `depth`; the primary hit is vertex 1."""
+    """First dimension of the vertex at the end of segment `depth`. The primary hit is vertex 1."""
     return _FIRST_VERTEX + _PER_VERTEX * (depth - 1)
 
 
 def candidate(number: int) -> int:
-    """First dimension of a light candidate of the primary hit, `number` ≥ 1; candidate 0 has those of the vertex."""
+    """First dimension of light sample `number` ≥ 1 of the primary hit. Light sample 0 uses the dimensions of the vertex."""
     return _FIRST_CANDIDATE + _PER_CANDIDATE * number
 
 

@@ -1,7 +1,7 @@
 """Estimators of the means of a pixel's features (alpha, hit, depth, normal and albedo) from weighted samples.
 
-Features x are smooth where the weights w of lens samples are not, so that the mean of w x alone is noisy. All estimators are
-sums over samples, in double precision.
+The weights w of lens samples vary more than the features x, so that the plain mean of w x is noisy. All estimators are sums over
+samples, in double precision.
 """
 
 from __future__ import annotations
@@ -17,32 +17,35 @@ FEATURES = 9
 
 
 class MeanFeatures:
-    """Mean of x, for samples whose weights are all 1."""
+    """Estimator for samples with weights of 1: the mean of x."""
 
     def __init__(self, pixels: int, device: torch.device | str = "cpu"):
         self._sum = torch.zeros(FEATURES, pixels, dtype=torch.float64, device=device)
 
     def sums(self) -> dict[str, Tensor]:
-        """Running sums by name, which a film saves."""
+        """Running sums by name. A film saves these sums."""
         return {"features": self._sum}
 
     def recenter(self, pixels: Pixels) -> None:
-        """Choose the control variate of some pixels anew, from the samples so far."""
+        """Compute the control variate of the given pixels again, from all samples so far."""
 
     def initialise(self, pixels: Pixels, features: Tensor) -> None:
-        """Let samples `[9, N]` of weight 1, which are not in the picture, choose the first control variate."""
+        """Compute the first control variate from samples `[9, N]` of weight 1 that are not in the picture."""
 
     def add(self, pixels: Pixels, features: Tensor, weight: Tensor, kept: Tensor) -> None:
-        """Add samples `[9, N]` of weights `[N]`; kept: 1 for those in the picture, else 0, `[N]`."""
+        """Add samples `[9, N]` with weights `[N]`; kept: 1 for samples in the picture, else 0, `[N]`."""
         scatter_add(self._sum, pixels, features * kept)
 
     def means(self, count: Tensor) -> Tensor:
-        """Estimates `[9, pixels]`; count: samples in the picture, at least 1, `[pixels]`."""
+        """Estimates `[9, pixels]`; count: number of samples in the picture, at least 1, `[pixels]`."""
         return self._sum / count
 
 
 class RatioFeatures(MeanFeatures):
-    """Σ w x / Σ w, for a vignetted frame: the mean of w is below 1 there, and only radiance and emission are to darken."""
+    """Estimator for a vignetting lens: Σ w x / Σ w.
+
+    With vignetting, the mean of w is below 1. The ratio keeps the features from darkening towards the corners of the frame.
+    """
 
     def __init__(self, pixels: int, device: torch.device | str = "cpu"):
         super().__init__(pixels, device)
@@ -63,11 +66,11 @@ class RatioFeatures(MeanFeatures):
 
 
 class ControlVariateFeatures(MeanFeatures):
-    """Mean of w (x - c) + c, with the weight as a control variate.
+    """Estimator with the weight as a control variate: the mean of w (x - c) + c.
 
-    The mean of w is 1, and c comes from earlier samples, which makes the estimate unbiased. Where x is constant, the estimate is
-    exact: alpha is 1 where everything is opaque. c = Σ w² x / Σ w² is a mean of values seen, near the optimum
-    (E[w² x] - E[x]) / (E[w²] - 1). `initialise` provides c where the weight of the first sample may not be 1.
+    The mean of w is 1, and c comes from earlier samples, so that the estimate is unbiased. Where x is constant, the estimate is
+    exact: alpha is exactly 1 where every sample is opaque. c = Σ w² x / Σ w² is a mean of earlier values, and close to the
+    optimum (E[w² x] - E[x]) / (E[w²] - 1). `initialise` provides c if the weight of the first sample may differ from 1.
     """
 
     def __init__(self, pixels: int, device: torch.device | str = "cpu"):

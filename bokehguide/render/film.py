@@ -1,4 +1,4 @@
-"""The film: sums over the weighted samples of each pixel."""
+"""The film: sums over the weighted samples of each pixel, and bad samples (NaN or infinite)."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from bokehguide.render.vector import luminance
 from bokehguide.runtime.indexing import Pixels, gather_pixels, indices_of_each, scatter, scatter_add
 
 NO_DEPTH = 1e10
-"""Depth of a pixel without a primary hit, as in Blender."""
+"""Depth of a pixel without a primary hit: the value that Blender uses."""
 LEAST_HIT = 1e-3
-"""Share of hits below which a pixel's depth is divided by this: the control variate can make the share 0 or negative."""
+"""Least divisor of a pixel's depth. The divisor is the share of hits, which the control variate can make 0 or negative."""
 KEPT_BAD_SAMPLES = 100
-"""Number of bad samples that a film reports one by one."""
+"""Largest number of bad samples that a film reports individually."""
 
 
 class BadSample(NamedTuple):
-    """NaN or infinite sample, which the film omits: pixel of the frame, step and seed."""
+    """A NaN or infinite sample, which the film omits: pixel of the frame, step and seed."""
 
     x: int
     y: int
@@ -34,11 +34,11 @@ class BadSample(NamedTuple):
 
 @dataclass
 class FilmSamples:
-    """One sample for each of N pixels, not yet weighted.
+    """One sample for each of N pixels, before the multiplication by its weight.
 
-    weight: W / q = 1 / (A q) of Eq. 11, 0 for a draw outside the aperture, `[N]`; radiance: `[3, N]`; alpha `[N]`, normal, albedo
-    and emission `[3, N]`: of the primary hit, 0 without one; depth: along the axis, metres, NO_DEPTH without a hit, `[N]`;
-    radiance_weight: `[N]`, None for `weight`.
+    weight: W / (A q) of Eq. 11, 0 for a lens point outside the aperture, `[N]`. radiance: `[3, N]`. alpha: `[N]`; normal, albedo,
+    emission: `[3, N]`; all of the primary hit, 0 without a hit. depth: along the axis, metres, `[N]`, NO_DEPTH without a hit.
+    radiance_weight: weight of the radiance, `[N]`, None for `weight`.
     """
 
     weight: Tensor
@@ -61,13 +61,13 @@ class FilmSamples:
 
 
 class Film:
-    """Running sums of the weighted samples of a frame. Threads may add batches of different pixels side by side.
+    """Running sums of the weighted samples of a frame. Threads may add batches of different pixels concurrently.
 
-    Radiance and emission are means of w x; `features` estimates the other layers. Sums are in double precision: a float32 sum
-    would drift after some thousand samples.
+    Radiance and emission are means of weight times value. `features` estimates the other layers. Sums are in double precision,
+    because float32 sums would lose accuracy after some thousand samples.
 
-    seed: in reports of bad samples; features: estimator that suits the weights of the samples; corner: column and row of the
-    first pixel in the frame.
+    seed: for reports of bad samples. features: class of the estimator, which depends on the weights of the samples. corner:
+    column and row, in the frame, of the first pixel of the film.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Film:
         self._bad_count = 0
         self._bad_samples: list[BadSample] = []
         self._suspects: list[tuple[Pixels, Tensor, int]] = []
-        """Batches that may hold bad samples: pixels, whether samples are finite, bool `[N]`, and the step."""
+        """Batches that may contain bad samples: pixels, whether samples are finite, bool `[N]`, and the step."""
         self._lock = threading.Lock()
 
     def _sums(self) -> dict[str, Tensor]:
@@ -116,13 +116,13 @@ class Film:
     ) -> Tensor:
         """Add one sample to each of N different pixels; returns which samples are finite, bool `[N]`.
 
-        recenter: choose the control variate of the features from the samples so far first; only where the weights of these
-        samples do not depend on them. counted: samples that are to be in the picture, bool `[N]`, None for all.
+        recenter: whether to compute the control variate of the features again before the addition. The weights of the new samples
+        must then be independent of earlier samples. counted: whether a sample is in the picture, bool `[N]`, None for all.
         """
         weight, emission = samples.weight, samples.emission
         value, features = samples.value(), samples.features()
         good = value.sum(0).isfinite()
-        if good.device.type != "cpu" or not bool(good.all()):  # the host asks a GPU once for all batches, in `find_bad`
+        if good.device.type != "cpu" or not bool(good.all()):  # `find_bad` reads the results of all batches from a GPU at once
             self._suspects.append((pixels, good, step))
             weight, value, emission, features = (x.nan_to_num(0.0, 0.0, 0.0) for x in (weight, value, emission, features))
         kept = (good if counted is None else good & counted).to(torch.float32)
@@ -148,7 +148,7 @@ class Film:
         scatter(self._farthest, pixels, torch.maximum(gather_pixels(self._farthest, pixels), depth * (depth < NO_DEPTH)))
 
     def find_bad(self) -> None:
-        """Count the bad samples among all that were added."""
+        """Count the bad samples among all added samples."""
         with self._lock:
             suspects, self._suspects = self._suspects, []
             for (pixels, good, step), places in zip(suspects, indices_of_each([~good for _, good, _ in suspects])):
@@ -179,7 +179,7 @@ class Film:
         return mean.float().T.reshape(self.height, self.width, 3)
 
     def light(self, pixels: Pixels = slice(None)) -> tuple[float, float]:
-        """Sum of the luminance of all samples of some pixels, and their number."""
+        """Sum of the luminance of all samples of the given pixels, and number of these samples."""
         *color, count = torch.cat(
             (_summed(gather_pixels(self._radiance, pixels)), _summed(gather_pixels(self._count, pixels)[None]))
         ).tolist()
@@ -197,8 +197,8 @@ class Film:
     def variance(self) -> Tensor:
         """Estimated variance of the mean luminance, float32 `[H, W]`; 0 before the second sample.
 
-        The estimate assumes independent samples; as the steps of a pixel are stratified, it is slightly too large. It is clamped
-        to the largest float32, which radiances above 1e19 reach.
+        The estimate assumes independent samples. The samples of a pixel are stratified, so that the estimate is slightly too
+        large. The largest value is the largest float32, for radiances above 1e19.
         """
         count = self._count.double().clamp(min=1.0)
         mean = luminance(self._radiance) / count
@@ -213,8 +213,9 @@ class Film:
     def layers(self) -> dict[str, np.ndarray]:
         """Layers of the frame by name, contiguous float32 arrays `[H, W]` or `[H, W, 3]`.
 
-        beauty, normal, albedo and emission are premultiplied: samples without a hit count as 0. depth is the mean over the part
-        of the lens that sees a surface; this quotient has a small bias at low SPP where a pixel sees several depths.
+        beauty (radiance), normal, albedo and emission are premultiplied by alpha: samples without a hit count as 0. depth is the
+        mean over the part of the lens that sees a surface. This quotient has a small bias at low SPP where a pixel sees several
+        depths.
         """
         shape = (self.height, self.width)
         count = self._count.clamp(min=1.0)

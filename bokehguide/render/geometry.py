@@ -18,9 +18,9 @@ from bokehguide.runtime.indexing import ActiveEntries
 from bokehguide.scene.types import Scene
 
 MIN_ALPHA = 1e-3
-"""Smallest GGX α of an opaque surface: smoother ones look like mirrors."""
+"""Least GGX α of an opaque surface. Smoother surfaces would look the same: like mirrors."""
 SMOOTH_ALPHA = 4e-3
-"""Transmissive surfaces of a smaller α (roughness 0.063) reflect and refract as deltas."""
+"""Least α of a rough transmissive surface (roughness 0.063). Smoother surfaces have delta reflection and delta refraction."""
 OFFSET = 1e-5
 """Offset of ray origins from the surface, relative to the distances involved."""
 MIN_FACING = 1e-4
@@ -34,8 +34,8 @@ TARGETS = {
     "clearcoat": (("clearcoat", 0, False),),
     "clearcoat_roughness": (("clearcoat_alpha", 1, True),),
 }
-"""By slot of a texture: the fields of `Surface` that it multiplies, by which channels, and whether by their squares, for
-α = roughness²."""
+"""For each texture slot: the fields of `Surface` that the texture multiplies, the channels of the texture, and whether the
+channels are squared, because α = roughness²."""
 
 
 @record
@@ -43,13 +43,13 @@ TARGETS = {
 class Surface:
     """Surfaces that N paths hit, as component arrays; all vectors are in world space.
 
-    outgoing: unit direction back along the ray; geometric_normal, normal (for shading): on the side of `outgoing`; front: 1 where
-    this is the front of the triangle, else 0, float32; offset: distance of the origins of new rays along ±geometric_normal;
-    facing: 0 where a shading normal faced away from `outgoing` and another one replaced it, else 1, float32; alpha,
-    clearcoat_alpha: GGX α.
+    outgoing: unit direction back along the ray. geometric_normal, normal (shading normal): on the side of `outgoing`. front: 1 if
+    the ray meets the front of the triangle, else 0, float32. offset: distance of the origins of new rays from the surface, along
+    ±geometric_normal. facing: 0 if the shading normal faced away from `outgoing`, so that another normal replaced it, else 1,
+    float32. alpha, clearcoat_alpha: GGX α.
 
-    Optional fields are None where no material of the scene needs them: specular colours other than white, or a clearcoat.
-    clearcoat_normal is also None where every clearcoat has the normal of the layers beneath.
+    Optional fields are None if no material of the scene needs them: specular colours other than white, and clearcoats.
+    clearcoat_normal is also None if every clearcoat has the normal of the layers beneath.
     """
 
     position: Tensor
@@ -78,7 +78,7 @@ class Surface:
         return Surface(**selected)
 
     def leave(self, direction: Tensor) -> Tensor:
-        """Origins `[3, N]` off the surface on the side towards `direction`."""
+        """Origins `[3, N]` of new rays, offset from the surface to the side of `direction`."""
         side = torch.sign(dot(self.geometric_normal, direction))
         return self.position + self.geometric_normal * (side * self.offset)
 
@@ -137,7 +137,7 @@ class Geometry:
         return self.materials.emission[3].index_select(0, self.material.index_select(0, triangle))
 
     def surface(self, origins: Tensor, directions: Tensor, hit: Hit) -> Surface:
-        """Surfaces at valid hits of rays `[3, N]`."""
+        """Surfaces at the hits of rays `[3, N]`; every ray must have a hit."""
         rows = self._normals.index_select(1, hit.triangle)
         sides = _sides(rows, origins, directions, hit)
         material = self.material.index_select(0, hit.triangle)
@@ -178,7 +178,7 @@ class Geometry:
         normal = mapped.select(getattr(surface, slot))
         tangent = _interpolate(rows[0:9], mapped.select(hit.u), mapped.select(hit.v))
         tangent = normalize(tangent - normal * dot(normal, tangent))  # a missing tangent stays 0 and leaves the normal unchanged
-        # On the back, all three axes are reversed; `normal` is already, and so is the bitangent.
+        # On the back of a triangle, all three axes are reversed. `normal` and the bitangent are already reversed.
         side = 2.0 * mapped.select(surface.front) - 1.0
         x, y, z = tangent_space[0] * side, tangent_space[1] * rows[9], tangent_space[2]
         bent = normalize(x * tangent + y * cross(normal, tangent) + z * normal)
@@ -187,12 +187,11 @@ class Geometry:
         mapped.scatter(getattr(surface, slot), bent * facing + normal * (1.0 - facing))
 
     def own_normals(self, surface: Surface, hit: Hit) -> list[Tensor]:
-        """Shading normals `[3, N]` at hits that another normal would replace where they face away, for surfaces where none was
-        replaced."""
+        """All shading normals `[3, N]` at hits that face the viewer, and that another view may have to replace."""
         normals = [surface.normal]
         if surface.clearcoat_normal is not None:
             normals.append(surface.clearcoat_normal)
-        if self.materials.normal_scales:  # these replace mapped normals, and the geometric ones replace these
+        if self.materials.normal_scales:  # they replace mapped normals, and geometric normals replace them
             rows = self._normals.index_select(1, hit.triangle)
             normals.append(_interpolated_normal(rows, hit, surface.geometric_normal))
         return normals
@@ -203,7 +202,7 @@ class Geometry:
         return _interpolate(self._colors.index_select(1, hit.triangle), hit.u, hit.v)
 
     def _texels(self, slot: str, hit: Hit, material: Tensor) -> tuple[ActiveEntries, Tensor]:
-        """The K hits on `material` `[N]` that have a texture in the slot, and its RGBA there `[4, K]`, 1 at inactive hits."""
+        """The K hits on `material` `[N]` with a texture in the slot, and the texture's RGBA `[4, K]`, 1 at inactive hits."""
         textured, number = self.materials.textured(slot, material)
         if len(textured) == 0:
             return textured, torch.empty(4, 0, device=self.device)
@@ -217,8 +216,8 @@ class Geometry:
     def emission(self, hit: Hit, front: Tensor, direction: Tensor | None) -> Tensor:
         """Radiance `[3, N]` that hits emit in unit directions `[3, N]`, unshadowed.
 
-        It leaves the front, or both faces of a double-sided material, through the clearcoat if there is one. direction None:
-        radiance along the axes of emission cones, without clearcoats.
+        Light leaves the front of a triangle, or both faces of a double-sided material. A clearcoat dims the light. direction
+        None: radiance along the axes of emission cones, without the effect of clearcoats.
         """
         radiance = emitted(self.emission_rows(hit.triangle), front)
         return radiance if self.materials.plain_emission else radiance * self.emission_share(hit, direction)
@@ -228,7 +227,7 @@ class Geometry:
         return self.materials.emission.index_select(1, self.material.index_select(0, triangle))
 
     def emission_share(self, hit: Hit, direction: Tensor | None) -> Tensor:
-        """Factor `[3, N]` of cones, textures, vertex colours and clearcoats on the emission of materials at hits.
+        """Factor `[3, N]` by which cones, textures, vertex colours and clearcoats change the emission of materials at hits.
 
         direction: as in `emission`.
         """
@@ -270,7 +269,7 @@ class Geometry:
         return self.materials.opacity(material, coverage)
 
     def transmittance(self, hit: Hit, front: Tensor) -> Tensor | None:
-        """Transmittance `[3, N]` of solids along the rays that end at hits; None where no solid absorbs."""
+        """Transmittance `[3, N]` of solids along the rays that end at hits; None if no solid of the scene absorbs light."""
         if not self.materials.absorbs:
             return None
         return self.materials.transmittance(self.material.index_select(0, hit.triangle), front, hit.distance)
@@ -278,7 +277,7 @@ class Geometry:
 
 @kernel
 def _sides(rows: Tensor, origins: Tensor, directions: Tensor, hit: Hit) -> tuple[Tensor, ...]:
-    """Fields of `Surface` up to `facing`, from the normals of triangles `[12, N]`."""
+    """The first fields of `Surface`, up to `facing`, from the normals of triangles `[12, N]`."""
     geometric, outgoing = rows[0:3], -directions
     side = dot(geometric, outgoing)
     front = (side > 0.0).to(torch.float32)
@@ -292,7 +291,7 @@ def _sides(rows: Tensor, origins: Tensor, directions: Tensor, hit: Hit) -> tuple
 
 
 def _interpolated_normal(rows: Tensor, hit: Hit, geometric: Tensor) -> Tensor:
-    """Shading normals `[3, N]` from the normals of triangles `[12, N]`, on the side of the geometric ones."""
+    """Shading normals `[3, N]` from the normals of triangles `[12, N]`, on the side of the geometric normals."""
     normal = _interpolate(rows[3:12], hit.u, hit.v)
     side = dot(normal, geometric)
     return normalize(normal * torch.copysign(torch.ones_like(side), side))

@@ -42,18 +42,18 @@ class Lens:
         return self.transmission(points) > 0.0
 
     def sample(self, uniforms: Tensor) -> Tensor:
-        """Points `[2, N]` with density 1 / A from uniform numbers `[2, N]`, all within the rim despite rounding."""
+        """Points `[2, N]` with the density W / A from uniform numbers `[2, N]`. Rounding moves no point outside the rim."""
         radius = self.radius * RIM * uniforms[0].sqrt()
         angle = 2.0 * math.pi * uniforms[1]
         return torch.stack((radius * angle.cos(), radius * angle.sin()))
 
     def transmission(self, points: Tensor) -> Tensor:
-        """W of Eq. 6 on the axis at lens points `[2, N]`, with mean 1 over the aperture, `[N]`; W / A is the density of
+        """W of Eq. 6 on the axis at lens points `[2, N]`, with the mean 1 over the aperture, `[N]`. W / A is the density of
         `sample`."""
         return _within(points, to_device(self.radius**2, points.device, points.dtype))
 
     def unblocked(self, points: Tensor, focus: Tensor) -> Tensor:
-        """Share of W that remains off the axis, at lens points `[2, N]` towards focus points `[3, N]`, `[N]`."""
+        """Share of W that vignetting leaves for rays from lens points `[2, N]` to focus points `[3, N]`, `[N]`."""
         return torch.ones_like(points[0])
 
 
@@ -61,10 +61,10 @@ class Lens:
 class ShapedLens(Lens):
     """A thin lens with an aperture of any shape.
 
-    pupil: shape, for a radius of 1; scale: that radius in metres; turn: rotation of the pupil, radians anticlockwise; ratio:
-    divisor of its width after the rotation. cat_eye: shift, in radii, of the disc of the lens barrel against the pupil for a
-    pixel in the corner of the frame, 0 without one; light passes the intersection only. The disc is as large as the pupil's
-    circle, and squeezed as the pupil is. corner: half the frame's diagonal at unit distance.
+    pupil: shape with the radius 1. scale: radius in metres. turn: rotation of the pupil, radians anticlockwise. ratio: divisor of
+    the width of the pupil after the rotation. cat_eye: shift of the lens barrel's disc against the pupil, in radii, for a pixel
+    in the corner of the frame; 0 without a barrel. Light passes only through the intersection of disc and pupil. The disc has the
+    radius of the pupil's circle, and `ratio` squeezes both. corner: half the frame's diagonal at unit distance.
     """
 
     pupil: Iris | Mask
@@ -92,7 +92,7 @@ class ShapedLens(Lens):
         return self.pupil.transmission(_turned(self._widened(points), -self.turn))
 
     def unblocked(self, points: Tensor, focus: Tensor) -> Tensor:
-        """See `Lens`: 1 within the disc of the lens barrel, which moves towards the frame's centre, else 0."""
+        """See `Lens`: 1 within the disc of the lens barrel, else 0. The disc is shifted towards the frame's centre."""
         if not self.vignettes:
             return torch.ones_like(points[0])
         shift = focus[:2] / (focus[2] * self.corner) * (self.cat_eye * self.pupil.reach)
@@ -100,7 +100,7 @@ class ShapedLens(Lens):
         return (x * x + y * y <= self.pupil.reach**2).to(torch.float32)
 
     def _widened(self, points: Tensor) -> Tensor:
-        """Lens points in units of the pupil, before its width is divided."""
+        """Lens points in units of the pupil's radius, without the division of the width."""
         return torch.stack((points[0] * self.ratio, points[1])) / self.scale
 
 

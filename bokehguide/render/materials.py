@@ -30,13 +30,13 @@ NORMAL_MAPS = ("normal", "clearcoat_normal")
 """Slots whose textures are normal maps; `Surface` has fields of the same names."""
 WHITE = (1.0, 1.0, 1.0)
 CLEARCOAT_F0 = 0.04
-"""Head-on reflectance of a clearcoat of refractive index 1.5."""
+"""Reflectance at normal incidence of a clearcoat with the refractive index 1.5."""
 
 
 class Materials:
-    """Tables `[.., M]` of M materials; None for terms that no material has.
+    """Tables `[.., M]` of the parameters of M materials; None for parameters that no material uses.
 
-    meshes: their vertex colours may make a material translucent.
+    meshes: all meshes of the scene, because vertex colours may make a material translucent.
     """
 
     def __init__(self, materials: tuple[Material, ...], meshes: tuple[Mesh, ...], device: torch.device):
@@ -71,7 +71,7 @@ class Materials:
         self.emissive = torch.tensor([m.emits for m in materials], device=device)
         self.emission = table([(*m.emission, float(m.double_sided)) for m in materials])
         self.tinted = torch.tensor([m.tint_emission for m in materials], device=device)
-        """Materials whose emission vertex colours multiply, bool `[M]`."""
+        """Whether vertex colours multiply the emission of a material, bool `[M]`."""
         self._cones = optional([_cone_row(m.emission_cone) for m in materials], any(m.emission_cone for m in materials))
         changed = self._cones is not None or coated or "emission" in self._numbers or any(m.tint_emission for m in materials)
         self.plain_emission = not changed
@@ -87,7 +87,7 @@ class Materials:
         self._absorption = optional(absorption, self.absorbs)
 
     def textured(self, slot: str, material: Tensor) -> tuple[ActiveEntries, Tensor]:
-        """The K of `material` `[N]` that have a texture in the slot, and its number, int64 `[K]`; 0 for inactive ones."""
+        """Those K of `material` `[N]` with a texture in the slot, and the number of the texture, int64 `[K]`; 0 if inactive."""
         if slot not in self._numbers:
             return ActiveEntries(torch.zeros(0, dtype=torch.bool, device=material.device)), material[:0]
         number = self._numbers[slot].index_select(0, material)
@@ -110,15 +110,15 @@ class Materials:
     def transmittance(self, material: Tensor, front: Tensor, distance: Tensor) -> Tensor:
         """Transmittance `[3, N]` along rays of length `distance` `[N]` that end on the inner side of a solid.
 
-        Only where some solid absorbs. Nested solids are not supported: a solid whose boundary is met from inside absorbs along
-        the whole ray; a ray to any other surface inside the solid loses nothing.
+        Call this method only if `absorbs` is true. Nested solids are not supported. If a ray meets the boundary of a solid from
+        inside, the solid absorbs along the whole ray. A ray to another surface inside the solid has no absorption.
         """
         assert self._absorption is not None
         return (-self._absorption.index_select(1, material) * ((1.0 - front) * distance)).exp()
 
 
 def _texture(material: Material, slot: str) -> Texture | None:
-    """Texture of the material in the slot, None where its factor is 0."""
+    """Texture of the material in the slot, None if the factor of the texture is 0."""
     unseen = {
         "emission": not material.emits,
         "transmission": material.transmission == 0.0,
@@ -130,7 +130,7 @@ def _texture(material: Material, slot: str) -> Texture | None:
 
 
 def _tilts_coats(materials: tuple[Material, ...], numbers: dict[str, list[int]]) -> bool:
-    """Whether the two normal maps of a clearcoated material, by number in the atlas, or their scales differ."""
+    """Whether base and clearcoat of a material have different normal maps, by number in the atlas, or different scales."""
     base = zip(numbers["normal"], [m.normal_scale for m in materials])
     coat = zip(numbers["clearcoat_normal"], [m.clearcoat_normal_scale for m in materials])
     return any(m.clearcoat > 0.0 and below != above for m, below, above in zip(materials, base, coat))

@@ -8,12 +8,12 @@ from bokehguide.render.vector import divisor
 
 
 def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
-    """MIS weight of a sample of density `pdf` beside a technique of density `other` (Veach 1997)."""
+    """MIS weight of a sample with the density `pdf`, if another technique has the density `other` (Veach 1997)."""
     return 1.0 / (1.0 + (other / divisor(pdf)).square())
 
 
 def light_contribution(radiance: Tensor, pdf: Tensor, value: Tensor, bsdf_pdf: Tensor) -> Tensor:
-    """Reflected radiance `[3, N]` of light samples over their density, with the MIS weight.
+    """Reflected radiance `[3, N]` of light samples, divided by the density and multiplied by the MIS weight.
 
     radiance `[3, N]`, pdf `[N]`: of the light samples; value: BSDF times cosine, `[3, N]`; bsdf_pdf: density with which BSDF
     sampling finds the directions, `[N]`.

@@ -1,4 +1,4 @@
-"""Observers of paths: objects that a trace notifies of hits, light samples and arriving light."""
+"""Observers of paths: objects that receive the hits, the light samples and the arriving light of a trace."""
 
 from __future__ import annotations
 
@@ -14,35 +14,37 @@ from bokehguide.runtime.indexing import scatter
 class PathObserver:
     """Base class of observers; all hooks do nothing.
 
-    The tracer calls `primary_hit` and `primary_escape` once each at most, with rays, int64 `[K]`. Then, for
-    each segment, it calls `arrival` (not for the primary one) and, where paths go on, `vertex`, `light_sample` and `scattered`,
-    with paths, int64 `[K]`. Paths are numbered as the rays are; after `split`, anew.
+    The path tracer calls `primary_hit` and `primary_escape` at most once each, with rays, int64 `[K]`. For each later segment,
+    the path tracer calls `arrival`. If paths continue after a segment, it calls `vertex`, `light_sample` and `scattered`. The
+    arguments are paths, int64 `[K]`. The number of a path is the number of its ray. After `split`, paths have new numbers.
     """
 
     def primary_hit(self, rays: Tensor, hit: Hit, surface: Surface, emission: Tensor) -> None:
-        """Rays met surfaces first that send the radiance `emission` `[3, K]` along them."""
+        """Rays have primary hits on surfaces that emit the radiance `emission` `[3, K]` along the rays."""
 
     def primary_escape(self, rays: Tensor, alpha: Tensor) -> None:
-        """Rays met nothing but a visible environment, which hides the background with `alpha` `[K]`."""
+        """Rays left the scene and see the environment with the opacity `alpha` `[K]`."""
 
     def split(self, rays: Tensor) -> None:
-        """From here on, there are P paths, each of which belongs to one of `rays`, int64 `[P]`."""
+        """Rays split into P paths. Path i belongs to `rays[i]`, int64 `[P]`."""
 
     def vertex(self, paths: Tensor, hit: Hit, surface: Surface, owner: Tensor | None) -> None:
-        """Paths scatter at surfaces `[K]`; owner: index into the fields of `hit` for each path, None for one each in order."""
+        """Paths scatter at surfaces `[K]`; owner: index of each path into the fields of `hit`, None for the same order."""
 
     def light_sample(self, paths: Tensor, light: DirectLight, contribution: Tensor, visibility: Tensor) -> None:
-        """Paths sampled lights at their vertices; contribution: radiance added `[3, K]`; visibility: share not blocked `[K]`."""
+        """Paths have sampled lights at vertices; contribution: added radiance `[3, K]`; visibility: unblocked share `[K]`."""
 
     def scattered(self, direction: Tensor, pdf: Tensor) -> None:
-        """The paths of `vertex` go on in unit directions `[3, K]` of solid-angle density `[K]`."""
+        """The paths of the last `vertex` call continue in unit directions `[3, K]` with the solid-angle densities `[K]`."""
 
     def arrival(self, paths: Tensor, distance: Tensor, radiance: Tensor) -> None:
-        """Paths add radiance `[3, K]` of emitters they met at `distance` `[K]` from their last vertices, MISS_DISTANCE at
-        infinity."""
+        """Paths have met emitters at `distance` `[K]` from the last vertices, and add radiance `[3, K]`.
+
+        The distance of an emitter at infinity is MISS_DISTANCE.
+        """
 
     def finished(self, radiance: Tensor, distance: Tensor) -> None:
-        """The trace found the radiance `[3, N]` along the rays, whose primary hits lie at `distance` `[N]`."""
+        """The trace has ended, with the radiance `[3, N]` along the rays and the distances `[N]` of the primary hits."""
 
 
 class PrimaryHitAOVs(PathObserver):

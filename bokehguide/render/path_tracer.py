@@ -29,22 +29,22 @@ from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Scene
 
 ROULETTE_DEPTH = 4
-"""Paths of at least this many segments may end by Russian roulette. Earlier roulette adds noise: a dark diffuse surface ends most
-paths, and a survivor that finds an emitter in a mirror then has a large weight."""
+"""Least number of segments of a path before Russian roulette. Earlier roulette would add noise: a dark diffuse surface would end
+most paths, and a survivor that finds an emitter in a mirror would have a large weight."""
 MAX_SURVIVAL = 0.95
 """Largest probability of surviving Russian roulette."""
 SHADOW_END = 1.0 - 1e-4
-"""Shadow rays end at this share of the distance to the light, which must not block them itself."""
+"""Length of a shadow ray over the distance of the light, so that the surface of the light does not block the ray."""
 
 
 @dataclass
 class PathSamples:
     """Radiance along N rays, and their primary hits.
 
-    radiance: `[3, N]`, float32 as all but the triangle; distance: to the primary hit, `[N]`, MISS_DISTANCE without one; normal,
-    albedo and emission of the primary hit: `[3, N]`; alpha: `[N]`, 1 where the camera sees a surface or a map, the share that
-    distant lights cover elsewhere; triangle: of the primary hit, int32 `[N]`, -1 without one; rays: number of rays traced;
-    primary_hits: the record, where paths split and a ray met a surface.
+    All tensors except `triangle` are float32. radiance: `[3, N]`. distance: to the primary hit, `[N]`, MISS_DISTANCE without a
+    hit. normal, albedo, emission: of the primary hit, `[3, N]`. alpha: `[N]`; 1 if the camera sees a surface or an environment
+    map, else the alpha of distant lights. triangle: of the primary hit, int32 `[N]`, -1 without a hit. rays: number of traced
+    rays. primary_hits: record of the primary hits if paths split and a ray met a surface, else None.
     """
 
     radiance: Tensor
@@ -59,10 +59,10 @@ class PathSamples:
 
 
 class PathTracer:
-    """Radiance along batches of rays. Threads may call `trace` side by side.
+    """Computes the radiance along batches of rays. Threads may call `trace` concurrently.
 
-    light_sampler: of all vertices, unless a trace has another one for primary hits. max_depth: longest path in segments; 1 is
-    emission seen directly.
+    light_sampler: light sampler of all vertices; a trace may have another light sampler for primary hits. max_depth: largest
+    number of segments of a path; with 1, the camera sees only emission.
     """
 
     def __init__(self, scene: Scene, device: torch.device | str = "cpu"):
@@ -87,8 +87,9 @@ class PathTracer:
     ) -> PathSamples:
         """Trace rays with world origins and unit directions `[3, N]`.
 
-        max_depth: of this trace; alive: positive for the rays to trace, `[N]`, None for all, the others count as misses;
-        light_sampler: of primary hits; splitting: at primary hits; observers: whose hooks the trace calls.
+        max_depth: largest number of segments in this trace. alive: positive for rays to trace, `[N]`, None for all; all other
+        rays are misses. light_sampler: light sampler at primary hits. splitting: strategy of splitting at primary hits.
+        observers: the trace calls their methods.
         """
         aovs = PrimaryHitAOVs(origin.shape[1], origin.device)
         trace = _Trace(self, light_sampler or self.light_sampler, splitting, (aovs, *observers), timer)
@@ -127,14 +128,14 @@ class _Trace:
 
 
 class _Segment:
-    """Segments number `depth` of a trace: rays to the next surfaces, where light arrives and paths scatter."""
+    """The segments with the number `depth` of a trace. Rays go to the next surfaces, emission arrives, and paths scatter."""
 
     def __init__(self, trace: _Trace, depth: int):
         self._trace, self._tracer, self._depth = trace, trace.tracer, depth
         self._observers = trace.observers
 
     def extend(self, paths: Paths, rays: Rays, last: bool) -> tuple[Paths, Rays | None]:
-        """Paths and the rays on which they go on, after light has arrived; None for no rays, as after the `last` segment."""
+        """Add the arriving light; returns the continuing paths and their rays, None for no rays, as after the `last` segment."""
         found = self._nearest(paths, rays)
         if len(found.ended) > 0:
             paths.end(found.ended)
@@ -159,7 +160,7 @@ class _Segment:
         return found
 
     def _add_environment(self, paths: Paths, rays: Rays) -> None:
-        """Add the radiance of the environment, weighted against light sampling, to paths that left the scene."""
+        """Add the radiance of the environment to paths that left the scene, with the MIS weight against light sampling."""
         environment = self._tracer.lights.environment
         if environment is not None:
             weight = mis.power_heuristic(rays.pdf, paths.lights.environment_pdf(rays.vertex, rays.direction))
@@ -169,7 +170,7 @@ class _Segment:
                 observer.arrival(paths.index, torch.full_like(weight, MISS_DISTANCE), arrived)
 
     def _meet(self, paths: Paths, rays: Rays, found: Arrivals) -> tuple[Paths, Surface]:
-        """Paths that met surfaces, with the emission from there, and the surfaces."""
+        """Paths that met surfaces, and the surfaces. The emission of the surfaces is added to the paths."""
         geometry, origin, direction = self._tracer.geometry, rays.origin, rays.direction
         if found.met is not None:
             paths, origin, direction = (
@@ -186,7 +187,7 @@ class _Segment:
         return paths, surface
 
     def _emission(self, paths: Paths, found: Arrivals, surface: Surface) -> tuple[Hit, Tensor]:
-        """Emitters that rays met, and the throughput of paths times their radiance `[3, K]`."""
+        """Emitters that rays met, and throughput of the paths times radiance of the emitters, `[3, K]`."""
         index = found.emitters
         emitter = Hit(*(values.index_select(0, index) for values in found.hit))
         outgoing = surface.outgoing.index_select(1, index)
@@ -194,11 +195,11 @@ class _Segment:
         return emitter, paths.throughput.index_select(1, index) * radiance
 
     def _add_emission(self, paths: Paths, rays: Rays, found: Arrivals, surface: Surface) -> None:
-        """Add the radiance of emitters that rays met, weighted against light sampling."""
+        """Add the radiance of emitters that rays met, with the MIS weight against light sampling."""
         index = found.emitters
         emitter, emission = self._emission(paths, found, surface)
         rays = rays.select(index if found.met is None else found.met.index_select(0, index))
-        # Light samples start at the vertex itself, rays off the surface.
+        # Light samples start at the vertex. Rays start at an offset from the surface.
         offset = surface.position.index_select(1, index) - rays.vertex
         distance = length(offset)
         cosine = dot(surface.geometric_normal.index_select(1, index), offset) / divisor(distance)
@@ -209,7 +210,7 @@ class _Segment:
             observer.arrival(paths.index.index_select(0, index), distance, arrived)
 
     def _begin_vertex(self, paths: Paths, found: Arrivals, surface: Surface) -> tuple[Paths, Surface]:
-        """Paths that scatter, with the distribution of their light samples, and their surfaces."""
+        """Paths that scatter, with the distributions of their light samples, and the surfaces of their vertices."""
         paths.lights = self._tracer.light_sampler.at(surface.position)
         for observer in self._observers:
             observer.vertex(paths.index, found.hit, surface, None)
@@ -235,7 +236,7 @@ class _Segment:
         return paths.random.uniform
 
     def _sample_light(self, paths: Paths, surface: Surface, scattering: Scattering, uniforms: Tensor) -> None:
-        """Next-event estimation with one shadow ray for each path."""
+        """Next-event estimation with one light sample and one shadow ray for each path."""
         light = paths.lights.sample(surface, scattering, uniforms, paths.random)
         ray = _shadow_ray(surface, paths.throughput, light.direction, light.distance, light.value)
         contribution, brightest, origin, direction, distance = ray
@@ -251,7 +252,7 @@ class _Segment:
 
 
 class _PrimarySegment(_Segment):
-    """Segments from the camera: no MIS, as only the camera samples them; stratified numbers; paths may split."""
+    """Segments from the camera, without MIS, because no other technique samples them. Numbers are stratified. Paths may split."""
 
     def _nearest(self, paths: Paths, rays: Rays, counts: Tensor | None = None) -> Arrivals:
         return super()._nearest(paths, rays, self._trace.splitting.counts)
@@ -298,7 +299,8 @@ def _shadow_ray(surface: Surface, throughput: Tensor, direction: Tensor, distanc
     """Unshadowed contributions `[3, N]` of light samples, their largest channels, and origins, directions and lengths of shadow
     rays.
 
-    A shadow ray starts off the surface and ends at the sampled point, so that it does not miss an emitter close by.
+    A shadow ray starts at an offset from the surface and ends at the sampled point. The ray therefore does not miss a close
+    emitter.
     """
     contribution = throughput * value
     origin = surface.leave(direction)
@@ -311,9 +313,9 @@ def _shadow_ray(surface: Surface, throughput: Tensor, direction: Tensor, distanc
 def _next_segment(
     surface: Surface, throughput: Tensor, direction: Tensor, weight: Tensor, uniform: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Origins and throughputs `[3, N]` of the next segments, and a number `[N]` that is positive for paths that go on.
+    """Origins and throughputs `[3, N]` of the next segments, and a number `[N]` that is positive for continuing paths.
 
-    uniform: numbers `[N]` for Russian roulette, None for none.
+    uniform: uniform numbers `[N]` for Russian roulette, None without Russian roulette.
     """
     throughput = throughput * weight
     survival = throughput.amax(0)

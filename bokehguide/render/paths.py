@@ -16,9 +16,9 @@ from bokehguide.runtime.indexing import scatter_add
 class Rays(NamedTuple):
     """Next segments of N paths.
 
-    vertex: last vertex, from which lights were sampled, `[3, N]`; origin: the same, off the surface, `[3, N]`; direction: unit,
-    `[3, N]`; pdf: of the direction, `[N]`; alive: positive where paths go on, `[N]`, None where all do. Other paths are
-    undefined.
+    vertex: last vertex, which is the origin of light samples, `[3, N]`. origin: origin of the ray, at an offset from the surface,
+    `[3, N]`. direction: unit, `[3, N]`. pdf: density of the direction, `[N]`. alive: positive for continuing paths, `[N]`, None
+    if all paths continue. Values of ended paths are undefined.
     """
 
     vertex: Tensor
@@ -34,10 +34,10 @@ class Rays(NamedTuple):
 
 @dataclass
 class Paths:
-    """N paths that are alive; ended ones are removed.
+    """N continuing paths. A path that ends is removed.
 
-    collected: radiance `[3, M]`, to which a path adds its own at `index` when it ends; index: int64 `[N]`; throughput and
-    radiance: `[3, N]`; lights: distribution of light samples at the last vertices.
+    collected: radiance `[3, M]` of M rays. A path that ends adds its radiance to the entry `index`. index: int64 `[N]`.
+    throughput, radiance: `[3, N]`. lights: distribution of light samples at the last vertices.
     """
 
     collected: Tensor
@@ -53,10 +53,10 @@ class Paths:
         return Paths(self.collected, place, throughput, radiance, self.random.select(index), self.lights.select(index))
 
     def split(self, counts: Tensor, total: int) -> tuple[Paths, Tensor]:
-        """End each path, and continue it as `counts`, int64 `[N]`, adjacent paths of equal shares of the throughput.
+        """Replace each path by `counts`, int64 `[N]`, adjacent paths with equal shares of the throughput.
 
-        Returns the new paths, `total` in all, and the old path of each, int64 `[total]`. The new paths collect radiance of their
-        own. The first path of each group keeps the random numbers.
+        Returns `total` new paths, and the old path of each new path, int64 `[total]`. The new paths have their own array of
+        collected radiance. The first new path of each old path keeps the random numbers.
         """
         self.finish()
         owner = torch.repeat_interleave(counts, output_size=total)
@@ -74,6 +74,6 @@ class Paths:
         scatter_add(self.collected, self.index, self.radiance)
 
     def end(self, ended: Tensor) -> None:
-        """Collect the radiance of the paths at `ended`, int64 `[K]`, which do not go on. Throughputs of NaN make it NaN."""
+        """Collect the radiance of the paths `ended`, int64 `[K]`. A throughput of NaN makes the radiance NaN."""
         invalid = 0.0 * self.throughput.index_select(1, ended)
         scatter_add(self.collected, self.index.index_select(0, ended), self.radiance.index_select(1, ended) + invalid)

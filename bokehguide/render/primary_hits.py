@@ -1,4 +1,4 @@
-"""Record of primary hits and of the light that paths found there, by which other viewers can shade the surfaces."""
+"""Record of primary hits and of their incident light, from which the surfaces can be shaded as seen from other lens points."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from bokehguide.render.vector import dot
 from bokehguide.runtime.compile.kernels import kernel
 
 FAINTEST = 1e-20
-"""BSDFs below this count as 0: the quotient of radiance and BSDF would overflow."""
+"""Least BSDF value as a divisor. Smaller values are treated as 0, because the quotient of radiance and BSDF would overflow."""
 Pair = tuple[Tensor, Tensor]
 
 
 @dataclass
 class PrimaryHits:
-    """Primary hits of K rays that split into P paths, and the light that each path found.
+    """Primary hits of K rays that split into P paths, and the incident light of each path.
 
-    rays: int64 `[K]`, ascending; hit, surface: `[K]`; emission: towards the rays' origins, `[3, K]`; counts: paths of each ray,
-    int64 `[K]`; owner: primary hit of each path, int64 `[P]`, ascending; path_surface: its surface, `[P]`. Of each path,
-    `[3, P]`: light_direction: unit, of the light sample, and direct: the radiance that this adds along the ray;
-    scattered_direction: unit, of the BSDF sample, and indirect: the radiance that arrives from there.
+    rays: int64 `[K]`, ascending. hit, surface: `[K]`. emission: towards the origins of the rays, `[3, K]`. counts: number of
+    paths of each ray, int64 `[K]`. owner: primary hit of each path, int64 `[P]`, ascending. path_surface: surface of each path's
+    hit, `[P]`. light_direction: unit direction of the light sample, `[3, P]`. direct: radiance that the light sample adds along
+    the ray, `[3, P]`. scattered_direction: unit direction of the BSDF sample, `[3, P]`. indirect: radiance that the BSDF sample
+    adds along the ray, `[3, P]`.
     """
 
     geometry: Geometry
@@ -47,21 +48,22 @@ class PrimaryHits:
         self._normals: list[Tensor] | None = None
 
     def same_normals(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
-        """Whether surfaces at `chosen`, int64 `[J]`, keep their shading normals as seen from unit directions `[3, J]`; bool
-        `[J]`.
+        """Whether the surfaces `chosen`, int64 `[J]`, have the same shading normals from unit directions `[3, J]`; bool `[J]`.
 
-        Only for surfaces whose own view has not replaced a shading normal.
+        Valid only for surfaces of which the ray's own view has not replaced a shading normal.
         """
         normals = self._normals = self._normals or self.geometry.own_normals(self.surface, self.hit)
         facing = [dot(normal.index_select(1, chosen), outgoing) > MIN_FACING for normal in normals]
         return torch.stack(facing).all(0)
 
     def radiance(self, chosen: Tensor, outgoing: Tensor, count: int) -> Tensor:
-        """Radiance `[3, J]` of the surfaces at `chosen`, int64 `[J]`, towards unit directions `[3, J]`; count: of all their
-        paths.
+        """Radiance `[3, J]` of the surfaces `chosen`, int64 `[J]`, towards unit directions `[3, J]`.
 
-        An unbiased estimate from the same incident light for any direction above an opaque surface; the smoother the surface, the
-        noisier. Partly transmissive surfaces are not supported. Shading normals are those of the rays' own view (`same_normals`).
+        The estimate uses the incident light of the recorded paths. It is unbiased for any direction above an opaque surface, and
+        its noise increases with the smoothness of the surface. Partly transmissive surfaces are not supported. Shading normals
+        come from the view of the rays (`same_normals`).
+
+        count: total number of paths of the chosen surfaces.
         """
         directions, incident = (self.light_direction, self.scattered_direction), self._incident
         if incident is None:
@@ -87,7 +89,7 @@ class PrimaryHits:
 
 @kernel
 def _incident(surface: Surface, outgoing: Tensor, directions: Pair, reflected: Pair) -> Pair:
-    """Incident light `[3, P]` of which surfaces reflected so much; 0 where the BSDF is 0."""
+    """Incident light `[3, P]` from the reflected radiance; 0 where the BSDF is 0."""
     values = opaque_values(surface, outgoing, directions)
     first, second = (torch.where(value > FAINTEST, light / value, 0.0) for value, light in zip(values, reflected))
     return first, second

@@ -1,20 +1,21 @@
-"""Random numbers keyed by seed, step, pixel and dimension.
+"""Random numbers that are hashes of seed, step, pixel and dimension.
 
-Each number is a hash of its key. It does not depend on threads, batches, the order of tracing, or on which other pixels are
-rendered.
+A dimension numbers a random decision of a sample (`dimensions.py`). A random number does not depend on threads, batches, the
+order of tracing, or on the other rendered pixels.
 
-There are two kinds of numbers. Those of `uniform` are independent. Those of `stratified` cover the unit cube evenly over the
-steps of a pixel: a Sobol' sequence, scrambled for each pixel and dimension by a random I-binomial matrix (Tezuka and Faure 2003)
-and a random digital shift, whose variance is that of Owen's nested scrambling (Owen 2003). Each of these numbers is uniform, and
-those of one step are independent. Given the earlier steps of a pixel, they are not.
+There are two kinds of random numbers. The numbers of `uniform` are independent. The numbers of `stratified` cover the unit cube
+evenly over the steps of a pixel. They are a Sobol' sequence, scrambled for each pixel and dimension by a random I-binomial matrix
+(Tezuka and Faure 2003) and a random digital shift. Their variance equals the variance of Owen's nested scrambling (Owen 2003).
+Each stratified number is uniform, and the numbers of one step are independent. Given the earlier steps of a pixel, the numbers of
+a step are not uniform.
 
-A density that adapts to the earlier steps of a pixel may therefore be sampled with independent numbers only. All other numbers of
-the path may be stratified: for film position x and first bounce b, the mean of f(x, l, b) / q(l | x) over the lens point l, given
-the past, is the integral of f over the lens, whatever the density q.
+If a density adapts to the earlier steps of a pixel, its samples therefore need independent numbers. All other numbers of the path
+may be stratified. Let x be the film position and b the first bounce. Given the past, the mean of f(x, l, b) / q(l | x) over the
+lens point l is the integral of f over the lens, for any density q.
 
-An adaptive density may be sampled with stratified numbers over a range of steps in which it does not change, if the sequence
-starts with the range: its scramble then is independent of the past. For adaptive light sampling, the numbers of the BSDF samples
-of the same vertex need the same range, as their MIS weights depend on the light density.
+Samples of an adaptive density may also use stratified numbers over a range of steps in which the density does not change. The
+sequence must start with the range, so that its scramble is independent of the past. In adaptive light sampling, the MIS weights
+of BSDF samples depend on the light density. The numbers of these BSDF samples therefore need the same range.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _BITS = 31
 _DIRECTIONS = (torch.quasirandom.SobolEngine(8).sobolstate << 1).tolist()
 """Direction numbers of Sobol' sequences, of _BITS bits (Joe and Kuo 2008), by dimension and bit of the index."""
 _AT_ONCE = 4
-"""The number of bits of a point is rounded up to a multiple of this: each number is compiled separately."""
+"""The number of bits of a point is rounded up to a multiple of this value, because each number of bits is compiled separately."""
 
 
 def hash_int(x: int) -> int:
@@ -61,8 +62,8 @@ def hash_tensor(x: Tensor) -> Tensor:
 
 
 def shuffle_index(index: int, key: int) -> int:
-    """Place of `index` in a random permutation of 0, 1, 2, … that keeps aligned blocks of 2^k together, and the set 2^k … 2^(k+1)
-    - 1."""
+    """Position of `index` in a random permutation of 0, 1, 2, …. The permutation keeps aligned blocks of 2^k numbers together,
+    and maps the set 2^k … 2^(k+1) - 1 to itself."""
     bits = [hash_int(key + hash_int((index >> bit) * 32 + bit)) & 1 for bit in range(1, index.bit_length())]
     return index ^ sum(flip << bit for bit, flip in enumerate(bits))
 
@@ -76,12 +77,12 @@ def sobol_point(index: int, dimension: int) -> int:
 
 
 def _places(point: int) -> list[int]:
-    """Places of the ones among the _BITS bits of a point, from the highest down."""
+    """Positions of the ones among the _BITS bits of a point, from the highest bit down."""
     return [place for place in range(_BITS) if point >> (_BITS - 1 - place) & 1]
 
 
 def _to_unit(bits: Tensor) -> Tensor:
-    """Float32 in (0, 1) from the upper 23 of the _BITS lower bits of int32 values, which are overwritten."""
+    """Float32 in (0, 1) from the upper 23 of the _BITS lower bits of int32 values. The function overwrites the values."""
     return bits.bitwise_right_shift_(8).bitwise_and_(0x7FFFFF).to(torch.float32).add_(0.5).mul_(2.0**-23)
 
 
@@ -95,7 +96,8 @@ def _uniform(pixel_keys: Tensor, keys: Tensor) -> Tensor:
 def _scrambled(pixel_keys: Tensor, keys: Tensor, places: Tensor) -> Tensor:
     """Points of Sobol' sequences, float32 `[keys, N]`, scrambled by each key and pixel.
 
-    places: of the ones among the bits of the points, from the highest down, float32 `[ones, keys]`, padded with _BITS.
+    places: positions of the ones among the bits of the points, from the highest bit down, float32 `[ones, keys]`, padded with
+    _BITS.
     """
     values = hash_tensor(pixel_keys ^ keys[:, None])
     columns = (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)  # the first columns of the matrices
@@ -121,7 +123,7 @@ class PixelRandom:
         return self._with(self.pixel_keys.index_select(0, index))
 
     def copies(self, number: Tensor) -> PixelRandom:
-        """Random numbers of copies of paths; number: of the copy, int64 `[N]`. Copy 0 keeps the numbers of the path."""
+        """Random numbers of copies of paths; number: int64 `[N]`, of the copy. Copy 0 has the random numbers of the path."""
         others = hash_tensor(self.pixel_keys ^ hash_tensor(number.to(torch.int32)))
         return self._with(torch.where(number > 0, others, self.pixel_keys))
 
@@ -141,9 +143,9 @@ class PixelRandom:
         return to_device([_signed(hash_int(key)) for key in keys], self.pixel_keys.device, torch.int32)
 
     def stratified(self, dimension: int, count: int, first: int = 1) -> Tensor:
-        """Like `uniform`, with numbers from a `count`-dimensional sequence, count ≤ 8, over the steps from `first` on.
+        """Like `uniform`, but with numbers of a `count`-dimensional sequence, count ≤ 8, over the steps from `first` on.
 
-        Each pair of `dimension` and `first` has a sequence of its own; different sequences are scrambled independently.
+        Each pair of `dimension` and `first` has its own sequence. Different sequences have independent scrambles.
         """
         key = hash_int(self.seed_key + 0x3C6EF372 * dimension + hash_int(first - 1))
         index = shuffle_index(self.index - (first - 1), key)

@@ -1,4 +1,4 @@
-"""Strategies of splitting paths at their primary hits."""
+"""Strategies by which paths split at their primary hits."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from bokehguide.runtime.indexing import scatter_add
 
 
 class Splitting:
-    """Base class: each ray continues as one path from its primary hit, without a record.
+    """Base class: each ray continues as one path from its primary hit, and there is no record of primary hits.
 
-    counts: number of paths of each ray, float32 `[N]`, None for one; primary_hits: record of the trace, None without splits.
+    counts: number of paths of each ray, float32 `[N]`, None for one path. primary_hits: record of the trace, None without splits.
     """
 
     counts: Tensor | None = None
@@ -26,7 +26,7 @@ class Splitting:
     def split(
         self, geometry: Geometry, paths: Paths, found: Arrivals, surface: Surface, observers: Sequence[PathObserver]
     ) -> tuple[Paths, Surface, Tensor | None]:
-        """Paths that leave the primary hits, their surfaces, and the hit of each path, int64, None for one path of each hit."""
+        """Paths that leave the primary hits, their surfaces, and the hit of each path, int64, None if each hit has one path."""
         return paths, surface, None
 
     def add_direct(self, paths: Paths, direction: Tensor, contribution: Tensor) -> None:
@@ -37,14 +37,14 @@ class Splitting:
         """Paths leave their primary hits in unit directions `[3, P]`."""
 
     def collect(self, radiance: Tensor) -> None:
-        """Add the radiance of the paths to that of their rays, `[3, N]`, unless they did so themselves."""
+        """Add the radiance of the paths to the radiance of their rays, `[3, N]`, if the paths have their own array."""
 
 
 UNSPLIT = Splitting()
 
 
 class SplitPaths(Splitting):
-    """Several paths for each ray of one trace (Arvo and Kirk 1990), and the record of its primary hits.
+    """Several paths for each ray of one trace (Arvo and Kirk 1990), and a record of the primary hits.
 
     counts: whole numbers of at least 1, float32 `[N]`.
     """

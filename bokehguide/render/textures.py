@@ -1,4 +1,4 @@
-"""All textures of a scene in one array: one gather for each texel corner serves all hits of a batch."""
+"""All textures of a scene in one array. A batch of hits then needs one gather for each of the four texels of a look-up."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _IDENTITY = Texture.transform
 
 
 class TextureAtlas:
-    """Linear RGBA textures, one after another; an int64 holds the four half floats of a texel.
+    """Linear RGBA textures in one array. An int64 holds the four half floats of a texel.
 
     `add` returns the number of a texture, -1 for None; `build` completes the atlas. Images of three channels get an alpha of 1.
     """
@@ -26,9 +26,9 @@ class TextureAtlas:
         self._numbers: dict[tuple, int] = {}
 
     def add(self, texture: Texture | None, signed: bool = False) -> int:
-        """Number of the texture; equal images are stored once.
+        """Number of the texture. Equal images are stored once.
 
-        signed: look-ups return 2 x - 1, as for normal maps. Stored so, values near 0 keep their digits.
+        signed: look-ups return 2 x - 1, as for normal maps. The atlas stores 2 x - 1, so that values near 0 keep their digits.
         """
         if texture is None:
             return -1
@@ -42,7 +42,7 @@ class TextureAtlas:
         return number
 
     def build(self, device: torch.device | str) -> TextureAtlas:
-        """Move the texels to `device`; no texture can be added afterwards."""
+        """Move the texels to `device`. After this call, no texture can be added."""
         textures = [texture for texture, _ in self._textures]
         place = torch.tensor([place for _, place in self._textures], dtype=torch.int64)
         halves, scales = zip(*(_halves(*image) for image in self._images)) if self._images else ((), ())

@@ -1,4 +1,4 @@
-"""Embree behind `[3, N]` tensors: nearest hits and occlusion."""
+"""Nearest hits and occlusion by Embree, for rays in `[3, N]` tensors."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Hit(NamedTuple):
 
 
 class Tracer:
-    """A static Embree scene of one triangle mesh. Threads may call it side by side.
+    """A static Embree scene of one triangle mesh. Threads may call its methods concurrently.
 
-    vertices: finite, float32 `[V, 3]`; triangles: int32 `[T, 3]`. Raises ValueError: embreex checks neither shapes nor indices,
-    and Embree reads and writes beyond arrays that are too short.
+    vertices: finite, float32 `[V, 3]`. triangles: int32 `[T, 3]`. Raises ValueError for other shapes and for invalid indices.
+    embreex does not check shapes and indices, and Embree would read and write beyond short arrays.
 
     A NaN or infinite ray hits nothing.
     """
@@ -48,7 +48,7 @@ class Tracer:
         self._scene.run(far, np.ones((1, 3), np.float32))  # commits, before any thread does
 
     def intersect(self, origins: Tensor, directions: Tensor, limits: Tensor | None = None) -> Hit:
-        """Nearest hits of rays `[3, N]` within distances `limits` `[N]`; a miss has the distance MISS_DISTANCE, or its limit.
+        """Nearest hits of rays `[3, N]` within distances `limits` `[N]`. The distance of a miss is the limit, or MISS_DISTANCE.
 
         Embree reads the component arrays without a copy.
         """
@@ -67,7 +67,7 @@ class Tracer:
 
 
 def _check_rays(origins: Tensor, directions: Tensor, limits: Tensor | None) -> None:
-    """Raise ValueError unless they are float32 `[3, N]`, `[3, N]` and `[N]` of the same N."""
+    """Raise ValueError unless the arguments are float32 `[3, N]`, `[3, N]` and `[N]` with the same N."""
     count = origins.shape[-1] if origins.ndim else 0
     given = {"origins": (origins, (3, count)), "directions": (directions, (3, count)), "limits": (limits, (count,))}
     for name, (tensor, shape) in given.items():

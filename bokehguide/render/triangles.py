@@ -1,7 +1,7 @@
 """Attributes of all triangles of a scene, as component arrays `[rows, T]` on the host.
 
-Attributes that vary over a triangle are stored as the value of the first corner and its differences to the other two: a hit at u
-and v has value + u Δ1 + v Δ2.
+Attributes that vary over a triangle are stored as the value at the first corner and the differences Δ1 and Δ2 to the other
+corners. The value at a hit with the barycentric coordinates u and v is value + u Δ1 + v Δ2.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 from bokehguide.scene.types import Mesh, Texture
 
 SHORTEST = 1e-37
-"""Vectors are divided by at least this length: a zero vector stays zero."""
+"""Least divisor of a normalisation, so that a zero vector stays zero."""
 
 
 def spans(meshes: Sequence[Mesh]) -> Iterator[tuple[Mesh, slice]]:
-    """Each mesh, and the place of its triangles among all."""
+    """Each mesh, and the slice of its triangles among all triangles."""
     start = 0
     for mesh in meshes:
         yield mesh, slice(start, start + len(mesh.triangles))
@@ -87,7 +87,7 @@ def tangent_rows(meshes: Sequence[Mesh], normal_maps: list[Texture | None]) -> n
 
 
 def _tangents_from_uvs(mesh: Mesh, uv_set: int, transform: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Direction `[3, T]` of growing u of the texture, and the sign of the bitangent, which points to its top, `[T]`."""
+    """Direction `[3, T]` of increasing u, and sign `[T]` of the bitangent, which points to the top of the texture."""
     _, first, second = _differences(mesh.vertices, mesh.triangles)
     assert mesh.uvs is not None
     _, du, dv = _differences(mesh.uvs[:, uv_set], mesh.triangles)

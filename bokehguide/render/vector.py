@@ -15,7 +15,7 @@ from bokehguide.color import LUMINANCE_WEIGHTS
 
 
 def divisor(x: Tensor, least: float = 1e-30) -> Tensor:
-    """Non-negative values as divisors: raised to at least `least`, so that a quotient of 0 by 0 is 0 and no other overflows."""
+    """Non-negative values as divisors, at least `least`. A quotient 0 / 0 becomes 0, and no other quotient overflows."""
     return x.clamp(min=least)
 
 
@@ -42,7 +42,7 @@ def normalize(a: Tensor) -> Tensor:
 
 
 def polar_angle(y: Tensor, x: Tensor) -> Tensor:
-    """Angle `[N]` of `torch.atan2`, whose last bit would depend on an element's place in the batch, and so a crop's bits."""
+    """Angle `[N]` of `torch.atan2`, but with a last bit that does not depend on the position in the batch or on the crop."""
     acute = (y / divisor(x.abs())).atan()
     return torch.where(x < 0.0, torch.copysign(torch.full_like(y, math.pi), y) - acute, acute)
 

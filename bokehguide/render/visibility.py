@@ -1,10 +1,10 @@
-"""Nearest surfaces and transmittance along rays, where alpha masks and blended sheets are translucent.
+"""Nearest surfaces and transmittance along rays. Surfaces with alpha masks or blended alpha are translucent.
 
-Embree knows opaque triangles only. Scattered rays continue from a translucent surface with probability 1 - opacity. Shadow rays
-cross all translucent surfaces, which dim them.
+Embree treats all triangles as opaque. A camera ray or scattered ray passes a translucent surface with the probability 1 -
+opacity. A shadow ray passes all translucent surfaces, and its transmittance is the product of 1 - opacity.
 
-Embree traces on the host. The host also selects the rays to trace and sorts their results. In a scene without translucent
-surfaces, the host therefore waits for a GPU once for each batch of rays, and never for their number.
+Embree traces rays on the host. The host also selects the rays to trace and sorts their results. In a scene without translucent
+surfaces, the host therefore waits for a GPU only once for each batch of rays.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Mesh
 
 SHORT = 1.0 / 16.0
-"""Offset of rays beyond a translucent surface, relative to that of scattered rays: a wall may be close behind a decal."""
+"""Offset of rays beyond a translucent surface over the offset of scattered rays, for walls that are close behind a decal."""
 
 
 class Arrivals(NamedTuple):
-    """Results of N rays; all indices are int64.
+    """Results of N rays. All indices are int64.
 
-    ended: rays that were not alive; missed: rays that left the scene; met: rays that met a surface, `[M]`, None for all N; hit:
-    of these, `[M]`; emitters: indices into `hit` of emitters; path_count: number of paths that leave the surfaces.
+    ended: rays that were not alive. missed: rays that left the scene. met: rays that met a surface, `[M]`, None for all N rays.
+    hit: hits of the rays that met a surface, `[M]`. emitters: indices into `hit` of hits on emitters. path_count: number of paths
+    that leave the surfaces.
     """
 
     ended: Tensor
@@ -46,8 +47,8 @@ class Arrivals(NamedTuple):
 
 
 class VisibleRays(NamedTuple):
-    """Shadow rays along which light passes, `[K]`: their indices, int64, transmittances, lengths, and weights. All but the
-    transmittances are on the host."""
+    """K shadow rays with a positive transmittance: indices, int64 `[K]`; transmittances, lengths and weights, `[K]` each. Only
+    the transmittances are on the device; all other values are on the host."""
 
     rays: Tensor
     transmittance: Tensor
@@ -58,8 +59,8 @@ class VisibleRays(NamedTuple):
 class _HostSorting:
     """Sorts N rays on the host: the rays to trace, and their hits.
 
-    alive: positive, `[N]`, for rays to trace, None for all; counts: paths that leave the surface a ray meets, `[N]`, None for
-    one.
+    alive: positive for rays to trace, `[N]`, None for all. counts: number of paths that leave the surface that a ray meets,
+    `[N]`, None for one path.
     """
 
     def __init__(self, alive: Tensor | None, counts: Tensor | None):
@@ -91,7 +92,7 @@ class _HostSorting:
 
 
 class Visibility:
-    """Nearest surfaces and transmittance along batches of rays. Threads may call it side by side."""
+    """Nearest surfaces and transmittance along batches of rays. Threads may call the methods concurrently."""
 
     def __init__(self, geometry: Geometry, meshes: tuple[Mesh, ...]):
         self._geometry = geometry
@@ -117,9 +118,9 @@ class Visibility:
     ) -> tuple[Arrivals, int]:
         """Surfaces at which rays `[3, N]` stop, and the number of rays traced.
 
-        dimension: first random dimension of the translucent surfaces that a ray meets, one for each; alive: positive, `[N]`, for
-        rays to trace, None for all; counts: paths that leave the surface, float32 `[N]`, None for one. Distances are from the
-        origins.
+        dimension: random dimension of the first translucent surface that a ray meets; each further surface uses the next
+        dimension. alive: positive for rays to trace, `[N]`, None for all. counts: number of paths that leave the surface, float32
+        `[N]`, None for one path. Distances are from the origins of the rays.
         """
         origin, direction, *given = to_host(origins, directions, *(values for values in (alive, counts) if values is not None))
         sorting = _HostSorting(None if alive is None else given[0], None if counts is None else given[-1])
@@ -137,7 +138,7 @@ class Visibility:
     def _beyond_translucent(
         self, origins: Tensor, directions: Tensor, hit: Hit, random: PixelRandom, dimension: int, timer: PhaseTimer
     ) -> tuple[Hit, int]:
-        """Where rays stop that first meet `hit`, on the host, and the number of further rays traced."""
+        """Surfaces at which rays stop that first meet `hit`, on the host, and the number of further traced rays."""
         tracer, geometry, rays = self._geometry.tracer, self._geometry, 0
         hit = Hit(*(to_device(field, origins.device) for field in hit))
         index = torch.arange(len(hit.triangle), device=origins.device)
@@ -179,7 +180,7 @@ class Visibility:
     def visible_rays(
         self, origins: Tensor, directions: Tensor, distances: Tensor, weight: Tensor, timer: PhaseTimer
     ) -> tuple[VisibleRays, int]:
-        """As `transmittance`, for the rays of a positive one only; the host knows their number."""
+        """As `transmittance`, but only for rays with a positive transmittance. The host has the number of these rays."""
         rays, visible, length, weight = self._unblocked(origins, directions, distances, weight, timer)
         count, through = len(rays), indices(visible > 0.0)
         rays, visible, length, weight = (values.index_select(0, through) for values in (rays, visible, length, weight))
@@ -193,8 +194,8 @@ class Visibility:
     def _unblocked(
         self, origins: Tensor, directions: Tensor, distances: Tensor, weight: Tensor, timer: PhaseTimer
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """On the host, of the rays of positive weight: indices, int64 `[K]`; 1 where nothing opaque blocks them, else 0; lengths;
-        and weights, `[K]` each."""
+        """The K rays with a positive weight, on the host: indices, int64 `[K]`; 1 if no opaque surface blocks the ray, else 0;
+        length; and weight, `[K]` each."""
         origin, direction, distance, weight = to_host(origins, directions, distances, weight)
         index = indices(weight > 0.0)
         if len(index) < len(weight):
@@ -207,7 +208,7 @@ class Visibility:
         return index, visible, distance, weight
 
     def _dim(self, transmittance: Tensor, origins: Tensor, directions: Tensor, distances: Tensor, timer: PhaseTimer) -> int:
-        """Multiply transmittances `[N]` by those of the translucent surfaces, in place; returns the number of rays traced."""
+        """Multiply `transmittance` `[N]` by that of the translucent surfaces, in place; returns the number of traced rays."""
         if self._translucent is None:
             return 0
         index, count = indices(transmittance > 0.0), 0
@@ -235,7 +236,7 @@ class Visibility:
 def _beyond(origins: Tensor, directions: Tensor, distance: Tensor, again: Tensor) -> tuple[Tensor, Tensor]:
     """Distances `[N]` just beyond surfaces at `distance` along rays `[3, N]`, and the points there.
 
-    again: bool `[N]`, whether the short offset did not pass the surface, so that the full offset is taken.
+    again: whether the ray uses the full offset, because the short offset did not pass the surface, bool `[N]`.
     """
     step = SHORT + (1.0 - SHORT) * again
     start = distance + step * leaving_distance(origins + distance * directions, distance)
@@ -243,7 +244,7 @@ def _beyond(origins: Tensor, directions: Tensor, distance: Tensor, again: Tensor
 
 
 def _part(meshes: Sequence[Mesh], chosen: list[bool]) -> tuple[Tracer | None, np.ndarray]:
-    """Tracer over the chosen meshes, None without any, and the numbers of its triangles among all."""
+    """Tracer over the chosen meshes, None without meshes, and the numbers of its triangles among all triangles."""
     numbers = [np.arange(span.start, span.stop) for (_, span), wanted in zip(triangles.spans(meshes), chosen) if wanted]
     if not numbers:
         return None, np.zeros(0, np.int64)

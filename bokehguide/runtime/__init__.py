@@ -1,1 +1,1 @@
-"""The process around a render: devices, worker threads, ranks, compiled kernels."""
+"""Devices, worker threads, ranks (processes that render one picture), compiled kernels, and settings of the process."""

@@ -1,4 +1,4 @@
-"""Transfers between the host, which traces rays with Embree, and the device, which does everything else."""
+"""Transfers between the host and the device. The host traces rays with Embree, and the device does all other work."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _thread = threading.local()
 
 
 def to_host(*tensors: Tensor) -> list[Tensor]:
-    """Tensors `[.., N]` of the same N and type on the host, which waits for them.
+    """Copies on the host of tensors `[.., N]` with the same N and type. The host waits for the copies.
 
-    Tensors on a CPU are returned as they are; others travel in one transfer.
+    Tensors on a CPU are returned without a copy. All other tensors are copied in one transfer.
     """
     if tensors[0].device.type == "cpu":
         return list(tensors)
@@ -29,12 +29,12 @@ def to_host(*tensors: Tensor) -> list[Tensor]:
 
 
 def to_device(values: Tensor | np.ndarray | Sequence | float, device: torch.device, dtype: torch.dtype | None = None) -> Tensor:
-    """Values of the host as a tensor on a device. The host does not wait for the transfer."""
+    """A tensor on a device with values from the host. The host does not wait for the transfer."""
     return torch.as_tensor(values, dtype=dtype).to(device, non_blocking=True)
 
 
 class HostCopy:
-    """A copy of a tensor on the host, transferred while the host does other work.
+    """A copy of a tensor on the host. The transfer runs while the host does other work.
 
     `get` does not wait if the host has already waited for a later operation on the same stream.
     """
@@ -47,7 +47,7 @@ class HostCopy:
             self._event.record()
 
     def get(self) -> Tensor:
-        """The copy, once it is complete."""
+        """Wait for the end of the transfer, and return the copy."""
         if self._event is not None:
             self._event.synchronize()
         return self._copy

@@ -1,4 +1,4 @@
-"""Ranks: several processes that render one picture."""
+"""Ranks: several processes that render one picture together."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from torch.distributed.rendezvous import rendezvous
 from bokehguide.errors import BokehguideError
 
 ROWS_PER_BAND = 8
-"""Rows of a film that one rank renders together where pixels share samples."""
+"""Number of consecutive film rows that one rank renders in modes in which pixels reuse samples."""
 
 
 class Ranks:
-    """The processes of a job that `torchrun` started, or this process alone; a context that leaves the job at its end.
+    """The processes of a job that `torchrun` started, or this process alone.
 
-    Each rank renders every `count`-th row of the film, or band of rows. Methods that combine values of all ranks are
-    collective: every rank calls them, in the same order. They raise BokehguideError if another rank does not answer.
+    The object is a context manager that leaves the job at its end. Each rank renders every `count`-th row, or band of rows, of
+    the film. Methods that combine values of all ranks are *collective*: every rank must call them, in the same order. A
+    collective method raises BokehguideError if another rank does not answer.
     """
 
     def __init__(self) -> None:
@@ -30,15 +31,15 @@ class Ranks:
 
     @classmethod
     def join(cls, device: str) -> Ranks:
-        """Join the job that torchrun's environment variables describe; without them, this process is alone.
+        """Join the job that the environment variables of torchrun describe. Without the variables, this process is the only rank.
 
-        device: "cpu" or "cuda", on which each rank takes the GPU of its local number.
+        device: "cpu" or "cuda". On "cuda", each rank uses the GPU with its local number.
         """
         ranks = cls()
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
             try:
                 store, rank, count = next(iter(rendezvous("env://")))
-                # torchrun keeps the store when it restarts the job, with the addresses of the ranks that died.
+                # After a restart, torchrun's store still has the addresses of the ranks that died.
                 store = dist.PrefixStore(f"start {restarts()}", store)  # pyright: ignore[reportPrivateImportUsage]
                 dist.init_process_group("nccl" if device == "cuda" else "gloo", store=store, rank=rank, world_size=count)
             except (RuntimeError, ValueError) as error:
@@ -67,7 +68,7 @@ class Ranks:
         return self.count == 1
 
     def rows(self, width: int, height: int, band: int, device: torch.device) -> Tensor | None:
-        """This rank's pixels of a film, in bands of `band` rows, int64 `[N]`; None if it renders all."""
+        """Pixels of a film that this rank renders, in bands of `band` rows, int64 `[N]`; None for all pixels."""
         if self.alone:
             return None
         rows = torch.arange(height, device=device)
@@ -75,7 +76,7 @@ class Ranks:
         return (rows[:, None] * width + torch.arange(width, device=device)).flatten()
 
     def total(self, values: Tensor) -> Tensor:
-        """The sum over the ranks; the values themselves if there is one rank."""
+        """Sum of the values over the ranks. A single rank gets the same values without a copy."""
         return self._reduced(values, dist.ReduceOp.SUM)
 
     def totals(self, *values: float) -> list[float]:
@@ -100,9 +101,10 @@ class Ranks:
         return values
 
     def merged(self, state: Mapping[str, Any], mine: Tensor) -> dict[str, Any]:
-        """A state dict with each pixel's entries from the rank that renders the pixel, and the other values of this rank.
+        """A state dict in which each pixel's entries come from the rank that renders the pixel. Other values come from this rank.
 
-        mine: the pixels of this rank, bool `[pixels]`. Tensors with a last dimension of this length have an entry per pixel.
+        mine: the pixels of this rank, bool `[pixels]`. If the last dimension of a tensor has this length, the tensor has an entry
+        for each pixel.
         """
         merged = dict(state)
         for name, value in () if self.alone else state.items():
@@ -125,9 +127,9 @@ class Ranks:
 
 
 class RankSums(nn.Module):
-    """Sums over samples, to which each rank adds its own.
+    """Sums over the samples of all ranks. Each rank adds its own samples.
 
-    sums: of all ranks up to the last `merge`, a buffer. mine: the tensor to which this rank adds.
+    sums: buffer with the sums of all ranks up to the last `merge`. mine: tensor to which this rank adds its samples.
     """
 
     sums: Tensor
@@ -157,7 +159,7 @@ class RankSums(nn.Module):
 
 
 def available_cores() -> int:
-    """Cores for this rank: an equal share, among the ranks of this machine, of the cores that the process may use."""
+    """Number of cores for this rank: the cores that the process may use, divided by the number of ranks on this machine."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(cores // int(os.environ.get("LOCAL_WORLD_SIZE", "1")), 1)
 

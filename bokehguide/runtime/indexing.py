@@ -11,8 +11,8 @@ from torch import Tensor
 from bokehguide.runtime.device import HostCopy
 
 Pixels = slice | Tensor
-"""Flat pixel indices: a slice `first:end` of consecutive pixels, which makes views of a frame's arrays, or ascending int64
-`[N]`, which makes copies."""
+"""Flat pixel indices: a slice `first:end` of consecutive pixels, or ascending indices int64 `[N]`. A slice gives views of a
+frame's arrays, and indices give copies."""
 
 
 def pixel_numbers(pixels: Pixels, device: torch.device | str = "cpu") -> Tensor:
@@ -21,18 +21,18 @@ def pixel_numbers(pixels: Pixels, device: torch.device | str = "cpu") -> Tensor:
 
 
 def indices(mask: Tensor) -> Tensor:
-    """The indices, int64 `[K]`, at which `mask` `[N]` is true. On a CPU NumPy takes a quarter of PyTorch's time."""
+    """The indices, int64 `[K]`, at which `mask` `[N]` is true. On a CPU, NumPy needs a quarter of the time of PyTorch."""
     if mask.device.type == "cpu":
         return torch.from_numpy(np.flatnonzero(mask.numpy()))
     return mask.nonzero()[:, 0]
 
 
 class ActiveEntries:
-    """The K entries of a batch to work on, where only those at which `mask` `[N]` is true are active.
+    """K entries of a batch, which include the active entries: the entries at which `mask` `[N]` is true.
 
-    On a CPU the K entries are the active ones. On other devices they are all N: the host would have to wait for the number
-    of active ones, which costs more than work on inactive ones. Values of inactive entries are undefined; `scatter` and
-    `masked` discard them. index: the K places in the batch, int64 `[K]`.
+    On a CPU, the K entries are the active entries. On other devices, they are all N entries: the wait of the host for the number
+    of active entries would cost more than the work on inactive entries. Values of inactive entries are undefined; `scatter` and
+    `masked` discard these values. index: positions of the K entries in the batch, int64 `[K]`.
     """
 
     def __init__(self, mask: Tensor):
@@ -63,7 +63,7 @@ class ActiveEntries:
 
 
 class PendingIndices:
-    """`indices` of several masks of any sizes; the host waits for their numbers in `get` alone (see `HostCopy`)."""
+    """`indices` of several masks of any sizes. The host waits for the numbers of indices only in `get` (see `HostCopy`)."""
 
     def __init__(self, masks: Sequence[Tensor]):
         self._masks, self._counts = masks, None
@@ -83,7 +83,7 @@ def indices_of_each(masks: Sequence[Tensor]) -> list[Tensor]:
 
 
 def _first_indices(mask: Tensor, count: int) -> Tensor:
-    """The `count` indices at which a mask is true, without a wait. All other indices go to one last entry, which is cut off."""
+    """The `count` indices at which a mask is true, without a wait of the host. An extra last entry collects all other indices."""
     place, number = torch.where(mask, mask.cumsum(0) - 1, count), torch.arange(len(mask), device=mask.device)
     return torch.empty(count + 1, dtype=torch.int64, device=mask.device).scatter_(0, place, number)[:count]
 
@@ -100,7 +100,7 @@ def gather_pixels(values: Tensor, pixels: Pixels) -> Tensor:
 
 
 def scatter(values: Tensor, pixels: Pixels, new: Tensor) -> None:
-    """Replace entries of `values` `[.., P]` by `new` `[.., N]`. `index_copy_` takes twice as long."""
+    """Replace entries of `values` `[.., P]` by `new` `[.., N]`. `index_copy_` would take twice as long."""
     if isinstance(pixels, slice):
         values[..., pixels] = new
     else:
@@ -108,7 +108,7 @@ def scatter(values: Tensor, pixels: Pixels, new: Tensor) -> None:
 
 
 def scatter_add(values: Tensor, pixels: Pixels, by: Tensor) -> None:
-    """Add `by` `[.., N]` to entries of `values` `[.., P]`. `+=` takes twice as long on a slice and four times on indices."""
+    """Add `by` `[.., N]` to entries of `values` `[.., P]`. `+=` would take twice as long on a slice, four times on indices."""
     if isinstance(pixels, slice):
         values[..., pixels].add_(by)
     else:

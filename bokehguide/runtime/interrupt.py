@@ -1,4 +1,4 @@
-"""Ctrl-C or SIGTERM during a render: the step is finished and the picture written."""
+"""Handling of Ctrl-C and SIGTERM during a render, so that the render can finish the step and write the picture."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Self
 
 
 class Interrupt:
-    """A context in which the first SIGINT and the first SIGTERM only set `signal`; a second one has its usual effect.
+    """A context in which the first SIGINT and the first SIGTERM only set `signal`. A second signal of a kind has its usual
+    effect.
 
-    torchrun sends a SIGTERM after the SIGINT of a Ctrl-C. Both are one request.
+    torchrun sends SIGTERM after the SIGINT of a Ctrl-C. Both signals are one request.
     """
 
     def __init__(self) -> None:

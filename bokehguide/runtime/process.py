@@ -1,4 +1,4 @@
-"""Settings of a process that does nothing but render."""
+"""Settings of a process whose only task is a render."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import torch
 TRIM_THRESHOLD, MMAP_THRESHOLD, ARENA_MAX = -1, -3, -8
 """Parameters of glibc's `mallopt`."""
 LARGEST = 32 << 20
-"""glibc reuses freed blocks of up to this size in bytes, the largest that `mallopt` accepts."""
+"""Largest size in bytes of freed blocks that glibc reuses: the largest value that `mallopt` accepts."""
 NEVER = 2**31 - 1
 
 
 def dedicate_process() -> None:
-    """Use the whole process for rendering: freed memory is kept, and PyTorch uses one OpenMP thread.
+    """Use the whole process for rendering: the process keeps freed memory, and PyTorch uses one OpenMP thread.
 
-    Programs call this function at their start. The first setting cannot be undone.
+    Call this function at the start of a program. The memory setting cannot be undone.
     """
     torch.set_num_threads(1)
     _keep_freed_memory()
@@ -26,8 +26,8 @@ def dedicate_process() -> None:
 def _keep_freed_memory() -> None:
     """Let glibc keep the memory that batches free, for later batches on any thread.
 
-    By default glibc returns large blocks to the system, which has to clear their pages for the next batch. Other C libraries
-    stay as they are.
+    By default, glibc returns large blocks to the system, and the system must clear their pages for the next batch. The function
+    has no effect on other C libraries.
     """
     with contextlib.suppress(AttributeError, OSError, TypeError):
         mallopt = ctypes.CDLL(None).mallopt

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 
 class PhaseTimer:
-    """Adds up seconds by phase. Time in a nested phase does not count for the outer phase."""
+    """Sums of seconds by phase. The time of a nested phase is not part of the outer phase."""
 
     def __init__(self) -> None:
         self.seconds: Counter[str] = Counter()
@@ -18,7 +18,7 @@ class PhaseTimer:
 
     @contextmanager
     def measure(self, phase: str) -> Iterator[None]:
-        """A context whose seconds count for `phase`."""
+        """A context that adds its seconds to `phase`."""
         start = time.perf_counter()
         self._nested.append(0.0)
         try:

@@ -1,4 +1,4 @@
-"""Worker threads of a render loop, which leave the process around them unchanged."""
+"""Worker threads of a render loop. They do not change settings of the process."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _default_lock = threading.Lock()
-"""Held while PyTorch's default number of OpenMP threads is another than it was."""
+"""Lock for the time in which PyTorch's default number of OpenMP threads is changed."""
 
 
 class Workers:
-    """A pool of threads with one OpenMP thread each and a compile setting of their own.
+    """A pool of threads with one OpenMP thread each. The pool has its own setting for compiled kernels.
 
-    Construction starts nothing: threads start with the first call of `map` or `submit`. They end with `close`, at the end of
-    the context, or when the object is collected.
+    The constructor starts no thread: threads start with the first call of `map` or `submit`. They end with `close`, at the end of
+    the context, or when the object is garbage-collected.
 
     threads: number of threads. device: of the tensors that `map` works on. compiled: whether kernels are compiled
     (see `runtime/compile/kernels.py`).
@@ -41,9 +41,9 @@ class Workers:
         self._pool = ThreadPoolExecutor(threads, "bokehguide", _begin_thread, (device,))
 
     def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-        """Results of `work` for each item, in the items' order. On CUDA each thread works on a stream of its own.
+        """Results of `work` for each item, in the items' order. On CUDA, each thread uses its own stream.
 
-        Raises the first exception of `work`, in the items' order, once no item is being worked on.
+        If `work` raises exceptions, the method waits for all running items, and raises the first exception in the items' order.
         """
 
         def run(item: Item) -> Result:
@@ -64,7 +64,7 @@ class Workers:
 
     @contextmanager
     def serial(self) -> Iterator[None]:
-        """A context in which the calling thread has one OpenMP thread and this object's compile setting."""
+        """A context in which the calling thread has one OpenMP thread and this pool's setting for compiled kernels."""
         before = _set_openmp_threads(1)
         try:
             with compile_kernels(self._compile_threads):
@@ -91,13 +91,13 @@ def _run_compiled(compile_threads: int, work: Callable[P, Result], *args: P.args
 def _begin_thread(device: torch.device) -> None:
     _set_openmp_threads(1)
     if device.type == "cuda":
-        torch.cuda.set_device(device)  # the current device is a thread's own
+        torch.cuda.set_device(device)  # each thread has its own current device
 
 
 def _set_openmp_threads(count: int) -> int:
-    """Set the number of OpenMP threads of the calling thread alone; returns the number before.
+    """Set the number of OpenMP threads of the calling thread only; returns the previous number.
 
-    `torch.set_num_threads` also sets the default of threads that have not used PyTorch yet. Another thread restores it.
+    `torch.set_num_threads` also sets the default of threads that have not used PyTorch yet. Another thread restores the default.
     """
     with _default_lock:
         before = torch.get_num_threads()

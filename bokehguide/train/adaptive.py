@@ -72,7 +72,7 @@ def from_blocks(blocks: Tensor, height: int, width: int) -> Tensor:
 
 
 class HalfLoop(RenderLoop):
-    """One of the two halves. A step renders all blocks in which either half is open. The film adds samples only in open blocks."""
+    """One of the two halves. A step renders all blocks that are open in either half. The film adds samples in its open blocks."""
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None, tracer: PathTracer | None = None):
         super().__init__(scene, settings, ranks, tracer)

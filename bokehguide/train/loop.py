@@ -60,7 +60,7 @@ class RenderLoop:
         self._share = self.ranks.rows(width, height, entry.rows_per_band, device)
         """Pixels of the film that this rank renders, int64 `[N]`; None if it renders all pixels."""
         self._places = self._share
-        """Pixels of the film that this rank renders in each step, as in `_share`."""
+        """Pixels of `_share` that steps render (see `render_only`)."""
         owned = self._of_frame(self._of_film(width * height))
         context = ModeContext(scene, self.camera, self.tracer, width, height, settings, self.ranks, owned)
         self.mode = entry.build(context)
@@ -241,7 +241,7 @@ class RenderLoop:
         return self.film.radiance().reshape(-1, 3).T * self._mine_of_film().to(self.settings.device)
 
     def _of_frame(self, of_film: Tensor) -> Tensor:
-        """Pixels of the frame that belong to given pixels of the film, bool `[pixels]`. The first rank gets pixels outside a crop."""
+        """The mask `of_film` as a mask of the frame's pixels, bool `[pixels]`. Pixels outside a crop belong to the first rank."""
         if self._frame_pixels is None:
             return of_film
         of_frame = torch.full((self.camera.width * self.camera.height,), self.ranks.first)

@@ -26,7 +26,7 @@ def area_restir_lis(context: ModeContext) -> Mode:
 
 
 class AreaRestir(SampleReuse):
-    """Sample reuse in which each pixel resamples its own sample and the samples of its neighbours, in a second pass over the frame."""
+    """Sample reuse by a second pass over the frame, in which each pixel resamples its own sample and its neighbours' samples."""
 
     weighted = True
 

@@ -15,7 +15,7 @@ def disc_offsets(count: int) -> Tensor:
     Consecutive points are evenly distributed (Roberts 2018): the steps are 1/g and 1/g², with g³ = g + 1.
     """
     g = 1.32471795724474602596
-    index = torch.arange(1, 2 * count + 1, dtype=torch.float64)  # a share of π/4 lies in the disc
+    index = torch.arange(1, 2 * count + 1, dtype=torch.float64)  # the share π/4 of the points lies in the disc
     square = torch.stack((index / g, index / (g * g))).add(0.5).frac() * 2.0 - 1.0
     return square[:, square.square().sum(0) < 1.0][:, :count].float()
 

@@ -1,1 +1,1 @@
-"""BSDFs: opaque, dielectric, and their mixture."""
+"""BSDFs: opaque surfaces, dielectric surfaces, and the mixture of both."""

@@ -1,8 +1,9 @@
 """Transmissive surfaces: clear or rough glass, as the boundary of a solid or as a thin sheet.
 
-Directions are unit `[3, N]` in the local shading frame, z along the normal on the viewer's side; an incoming direction with
-z < 0 is transmitted. Densities are per unit solid angle. A smooth surface is a delta: its density is DELTA_PDF in `sample` and 0
-in `evaluate`. Rough refraction follows Walter et al. 2007; transmission scales radiance by 1/η².
+Directions are unit vectors `[3, N]` in the local shading frame, with z along the normal on the viewer's side. Light from an
+incoming direction with z < 0 is transmitted. Densities are per unit solid angle. The BSDF of a smooth surface is a delta
+distribution, with the density DELTA_PDF in `sample` and the density 0 in `evaluate`. Rough refraction follows Walter et al. 2007.
+Transmission scales radiance by 1/η².
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from bokehguide.render.vector import divisor, dot, normalize
 from bokehguide.runtime.device import to_device
 
 DELTA_PDF = 1e30
-"""Density of a delta: the MIS weight is 1 in float32."""
+"""Density of a delta distribution. It is so large that the MIS weight is 1 in float32."""
 _BELOW = (1.0, 1.0, -1.0)
 
 
@@ -32,7 +33,7 @@ def fresnel(cosine: Tensor, eta: Tensor) -> Tensor:
 class DielectricBSDF:
     """Reflection and transmission at a dielectric boundary.
 
-    outgoing: local `[3, N]` with z > 0; surface: parameters. Each transmission multiplies by the base colour.
+    Each transmission multiplies the radiance by the base colour. outgoing: local `[3, N]` with z > 0. surface: parameters.
     """
 
     def __init__(self, outgoing: Tensor, surface: Surface):
@@ -42,7 +43,7 @@ class DielectricBSDF:
         self._solid = 1.0 - surface.thin
         inside = surface.front * surface.ior + (1.0 - surface.front) / surface.ior
         self._eta = inside * self._solid + surface.ior * surface.thin
-        straight = ((self._eta - 1.0).abs() < 1e-4) & (surface.thin == 0.0)  # no refraction, so no microfacet normal
+        straight = ((self._eta - 1.0).abs() < 1e-4) & (surface.thin == 0.0)  # without refraction, there is no microfacet normal
         self._smooth = ((surface.alpha < SMOOTH_ALPHA) | straight).to(torch.float32)
         self._alpha = surface.alpha.clamp(min=SMOOTH_ALPHA)
         self._root = smith_root(self._cosine, self._alpha * self._alpha)
@@ -60,7 +61,7 @@ class DielectricBSDF:
         return half * torch.copysign(torch.ones_like(below), half[2])
 
     def evaluate(self, incoming: Tensor) -> tuple[Tensor, Tensor]:
-        """BSDF times |cosine| `[3, N]` and the density `[N]` of `sample`; both 0 where smooth."""
+        """BSDF times |cosine| `[3, N]` and the density `[N]` of `sample`; both are 0 for smooth surfaces."""
         below = (incoming[2] < 0.0).to(torch.float32)
         half = self._half(incoming, below)
         toward_viewer, toward_light = dot(self._outgoing, half), dot(incoming, half)

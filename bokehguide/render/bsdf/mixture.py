@@ -1,4 +1,4 @@
-"""BSDF of a surface in world space: a mixture of the opaque and the transmissive part."""
+"""BSDF of a surface in world space: a mixture of an opaque part and a transmissive part."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ Frame = tuple[Tensor, Tensor, Tensor]
 class Scattering:
     """The BSDF at the surfaces of a batch; densities are per unit solid angle.
 
-    choice: uniform numbers `[N]` that choose the opaque or the transmissive part for each path, which leaves the mean unchanged;
-    None where no material of the scene transmits.
+    choice: uniform numbers `[N]` that choose the opaque or the transmissive part for each path; the choice does not change the
+    mean. None if no material of the scene transmits light.
     """
 
     def __init__(self, surface: Surface, choice: Tensor | None):
@@ -59,8 +59,7 @@ class Scattering:
 
 
 def opaque_values(surface: Surface, outgoing: Tensor, directions: tuple[Tensor, ...]) -> list[Tensor]:
-    """BSDF times cosine `[3, N]` of the opaque part for each of some world directions `[3, N]`, as seen from `outgoing`
-    `[3, N]`."""
+    """BSDF times cosine `[3, N]` of the opaque part for each tensor of world directions `[3, N]`, seen from `outgoing`."""
     frame, opaque = _opaque(surface, outgoing)
     local = [to_local(direction, *frame) for direction in directions]
     return [opaque.evaluate(one)[0] * _allowed(surface, direction, one[2]) for one, direction in zip(local, directions)]
@@ -68,8 +67,7 @@ def opaque_values(surface: Surface, outgoing: Tensor, directions: tuple[Tensor, 
 
 @kernel
 def _prepared(surface: Surface) -> tuple[Frame, OpaqueBSDF]:
-    """Shading frame and opaque part of the BSDF. The surface, an argument, is removed from the result, so that it is not
-    copied."""
+    """Shading frame and opaque part of the BSDF. The result omits the argument `surface`, so that no kernel copies it."""
     (tangent, bitangent, normal), opaque = _opaque(surface, surface.outgoing)
     del opaque.surface
     return (tangent, bitangent, normal.clone()), opaque
@@ -98,10 +96,10 @@ def _sampled(frame: Frame, opaque: OpaqueBSDF, uniforms: Tensor) -> tuple[Tensor
 
 
 def _allowed(surface: Surface, direction: Tensor, above: Tensor) -> Tensor:
-    """1 where the opaque part scatters to `direction` `[3, N]`, else 0: where shading and geometric normal agree on the side,
-    `[N]`.
+    """1 if the opaque part scatters to `direction` `[3, N]`, else 0, `[N]`. The direction must be on the same side of the shading
+    normal and of the geometric normal.
 
-    above: cosine of the direction to the shading normal. Where a clearcoat has a normal of its own, either may agree.
+    above: cosine between the direction and the shading normal. If a clearcoat has its own normal, either normal is sufficient.
     """
     if surface.clearcoat_normal is not None:
         above = torch.maximum(above, dot(surface.clearcoat_normal, direction))

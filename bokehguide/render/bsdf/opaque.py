@@ -1,21 +1,20 @@
 """Opaque surfaces: glTF 2.0's metallic-roughness BRDF (appendix B), evaluated and sampled.
 
-It supports KHR_materials_specular (f0 and f90 of the dielectric coat, f0 in colour), KHR_materials_ior and
-KHR_materials_clearcoat. Metals follow Schlick's approximation from their base colour to white, as in glTF.
+The code supports KHR_materials_specular (f0 and f90 of the dielectric coat, f0 in colour), KHR_materials_ior and
+KHR_materials_clearcoat. The reflectance of metals follows Schlick's approximation from the base colour to white, as in glTF.
 
-Directions are unit `[3, N]` in the local shading frame, z along the normal. `outgoing`
-points to the viewer, `incoming` to the light. Densities are per unit solid angle of
-`incoming`. The microfacet part is GGX with height-correlated Smith masking, sampled by
-its visible normals (Dupuy and Benyoub 2023, spherical caps).
+Directions are unit vectors `[3, N]` in the local shading frame, with z along the normal. `outgoing` points to the viewer, and
+`incoming` points to the light. Densities are per unit solid angle of `incoming`. The microfacet part is GGX with
+height-correlated Smith masking. Samples follow the visible normals (Dupuy and Benyoub 2023, spherical caps).
 
-glTF weights the base under the coat by 1 - F(outgoing · half). Base and coat together then reflect up to 1.24 of the light at
-grazing angles. Here the weight is 1 - T for the way in times 1 - T for the way out (Ashikhmin and Shirley 2000), where T is an
-upper bound of the coat's albedo. Head-on, both weights are equal; no angle reflects more light than arrives. For a coloured f0,
-T is that of the largest channel.
+In glTF, the weight of the base under the coat is 1 - F(outgoing · half). At grazing angles, base and coat together then reflect
+up to 1.24 of the light. Here, the weight is the product of 1 - T for the incoming direction and 1 - T for the outgoing direction
+(Ashikhmin and Shirley 2000). T is an upper bound of the coat's albedo. At normal incidence, both weights are equal. At no angle
+does the surface reflect more light than arrives. For a coloured f0, T belongs to the largest channel.
 
-A clearcoat covers both layers. Its weight of the layers beneath is min(1 - T(outgoing), 1 - T(incoming)), with a T of its own.
-The weight is reciprocal, conserves energy, and is that of glTF under a mirror. Cosines and horizon are those of the clearcoat's
-normal.
+A clearcoat covers base and coat. The weight of the layers beneath is min(1 - T(outgoing), 1 - T(incoming)), with the T of the
+clearcoat. The weight is reciprocal and conserves energy. Over a mirror, it equals the weight of glTF. Cosines and horizon refer
+to the clearcoat's normal.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ from bokehguide.render.vector import dot, fifth_power, luminance, normalize, tan
 from bokehguide.runtime.compile.kernels import record
 
 MIN_COSINE = 1e-6
-"""Cosines to the normal count as at least this in BSDFs: terms of grazing directions stay finite."""
+"""Least cosine to the normal in BSDFs, so that terms of grazing directions stay finite."""
 
 
 def ggx_density(half: Tensor, alpha: Tensor) -> Tensor:
     """GGX normal distribution D at half vectors `[3, N]` for roughness α `[N]`.
 
-    The tangent components keep the digits that 1 - z² would lose.
+    The code uses the tangent components, because 1 - z² would lose digits.
     """
     x, y, z = half.unbind(0)
     a2 = alpha * alpha
@@ -53,14 +52,14 @@ def sample_visible_normal(outgoing: Tensor, alpha: Tensor, uniforms: Tensor) -> 
     z = (1.0 - uniforms[1]) * (1.0 + stretched[2]) - stretched[2]
     sine = (1.0 - z * z).clamp(min=0.0).sqrt()
     hx, hy, hz = (torch.stack((sine * phi.cos(), sine * phi.sin(), z)) + stretched).unbind(0)
-    # Half vectors stay above the surface, also where rounding has lost their height.
+    # Half vectors stay above the surface, even if rounding makes their height 0.
     return normalize(torch.stack((hx * alpha, hy * alpha, hz.clamp(min=1e-12))))
 
 
 def coat_spread(alpha: Tensor) -> Tensor:
-    """Share `[N]` of Schlick's rise towards grazing angles in the albedo of a coat of roughness α `[N]`.
+    """Share `[N]` of Schlick's increase towards grazing angles in the albedo of a coat of roughness α `[N]`.
 
-    An upper bound, fitted to quadratures of the microfacet coat over all f0 below 0.4.
+    The share is an upper bound, fitted to numerical integrals of the microfacet coat for all f0 below 0.4.
     """
     return 0.06 + 0.934 / (1.0 + alpha * alpha * alpha * (1.0 / 0.27**3))
 
@@ -76,7 +75,7 @@ def smith_root(cosine: Tensor, a2: Tensor) -> Tensor:
 
 @record
 class _Microfacets:
-    """GGX microfacets of roughness α `[N]`, seen under `cosine` `[N]`."""
+    """GGX microfacets of roughness α `[N]`, seen from a direction with the cosine `cosine` `[N]` to the normal."""
 
     def __init__(self, cosine: Tensor, alpha: Tensor):
         self._cosine, self.alpha = cosine, alpha
@@ -94,7 +93,7 @@ class _Microfacets:
 class _Clearcoat:
     """The layer of KHR_materials_clearcoat.
 
-    normal: local `[3, N]`, None for that of the layers beneath. `outgoing` is in the frame of the clearcoat's normal.
+    normal: local `[3, N]`, None for the normal of the layers beneath. `outgoing` is in the frame of the clearcoat's normal.
     """
 
     def __init__(self, outgoing: Tensor, surface: Surface, normal: Tensor | None):
@@ -108,17 +107,17 @@ class _Clearcoat:
         self._spread = self._weight * coat_spread(surface.clearcoat_alpha) * (1.0 - CLEARCOAT_F0)
         self._leaving = self._passing(cosine)
         self.reflectance = self._weight * (CLEARCOAT_F0 + (1.0 - CLEARCOAT_F0) * fifth_power(1.0 - cosine))
-        """Approximate albedo, for the choice of the layer to sample."""
+        """Approximate albedo, from which the probability of sampling the clearcoat follows."""
 
     def _to_own(self, direction: Tensor) -> Tensor:
         return direction if self._frame is None else to_local(direction, *self._frame)
 
     def from_own(self, direction: Tensor) -> Tensor:
-        """Directions `[3, N]` in the frame of the clearcoat's normal, in that of the surface."""
+        """Directions `[3, N]` converted from the frame of the clearcoat's normal to the frame of the surface."""
         return direction if self._frame is None else to_world(direction, *self._frame)
 
     def _passing(self, cosine: Tensor) -> Tensor:
-        """Transmittance 1 - T of the clearcoat under `cosine` `[N]`."""
+        """Transmittance 1 - T of the clearcoat for directions with the cosine `cosine` `[N]` to the normal."""
         return 1.0 - self._minimum - self._spread * fifth_power(1.0 - cosine)
 
     def evaluate(self, incoming: Tensor, half: Tensor, grazing: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -137,9 +136,9 @@ class _Clearcoat:
 
 @record
 class OpaqueBSDF:
-    """Mixture of a metal and of a Lambertian base under a dielectric coat, under an optional clearcoat.
+    """Mixture of a metal and a Lambertian base under a dielectric coat. An optional clearcoat covers both.
 
-    outgoing: local `[3, N]`, above the surface; surface: parameters; clearcoat_normal: local `[3, N]`, None for that of the
+    outgoing: local `[3, N]`, above the surface. surface: parameters. clearcoat_normal: local `[3, N]`, None for the normal of the
     layers beneath.
     """
 
@@ -163,14 +162,15 @@ class OpaqueBSDF:
         self._leaving = (1.0 - surface.metallic) * self._passing(self._cosine) / (math.pi * entering)
 
     def _passing(self, cosine: Tensor) -> Tensor:
-        """Transmittance 1 - T of the coat under `cosine` `[N]`."""
+        """Transmittance 1 - T of the coat for directions with the cosine `cosine` `[N]` to the normal."""
         return (1.0 - self._minimum - self._spread * fifth_power(1.0 - cosine)).clamp(min=0.0)
 
     def _choose_shares(self, peak: Tensor) -> None:
         """Set the probabilities of sampling the clearcoat and, beneath it, the microfacets: their approximate shares of the
         albedo.
 
-        The albedo of the base is the head-on one: at grazing angles, its light passes microfacets that face the viewer.
+        The albedo of the base is the albedo at normal incidence. At grazing angles, light of the base passes microfacets that
+        face the viewer.
         peak: largest channel of f0, `[N]`.
         """
         surface = self.surface
@@ -203,7 +203,7 @@ class OpaqueBSDF:
         if self._clearcoat is not None:
             over, microfacet, beneath, above_coat = self._clearcoat.evaluate(incoming, half, grazing)
             value = value * beneath + over
-            # Between the horizons of both normals, a lobe keeps the density of its directions below its own horizon.
+            # Between the horizons of both normals, the density of a lobe includes directions below the lobe's own horizon.
             pdf = pdf * (half[2] > 0.0).to(torch.float32)
             pdf = pdf + (microfacet - pdf) * self._clearcoat_share
             above = torch.maximum(above, above_coat)

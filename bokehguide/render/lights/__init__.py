@@ -1,1 +1,1 @@
-"""Emitters of a scene as a path tracer samples them: triangles, environment maps and distant lights."""
+"""Light sampling: emissive triangles, environment maps and distant lights of a scene."""

@@ -12,10 +12,10 @@ from bokehguide.runtime.compile.kernels import kernel
 
 
 class AliasTable:
-    """Indices i with probability weights[i] / sum(weights); the measure is counting.
+    """Draws indices i with the probability weights[i] / sum(weights). The measure is counting.
 
-    weights: non-negative, `[K]`, at least one positive. starts: `[R + 1]`, for R tables in one: row r chooses among the entries
-    from starts[r] to starts[r + 1].
+    weights: non-negative, `[K]`, at least one positive. starts: `[R + 1]` for R tables in one object: table r chooses among the
+    entries from starts[r] to starts[r + 1].
     """
 
     def __init__(self, weights: np.ndarray, device: torch.device | str = "cpu", starts: np.ndarray | None = None):
@@ -46,7 +46,7 @@ class AliasTable:
 
 @kernel
 def _drawn(keep: Tensor, alias: Tensor, rows: tuple[Tensor, Tensor] | None, uniforms: Tensor) -> Tensor:
-    """Entries `[N]` of one table, or of `rows`: where rows start, and the row of each draw."""
+    """Entries `[N]` of one table, or of several tables; rows: starts of the tables, and the table of each draw."""
     start, count = 0, keep.shape[0]
     if rows is not None:
         starts, row = rows
@@ -59,10 +59,11 @@ def _drawn(keep: Tensor, alias: Tensor, rows: tuple[Tensor, Tensor] | None, unif
 
 
 def _columns(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns of height 1 from weights of mean 1: the share that each entry keeps, and the entry that fills the rest.
+    """Columns of height 1 from weights with the mean 1: the share of each entry in its column, and the entry that fills the rest.
 
-    Vose's sweep in closed form (Hübschle-Schneider and Sanders 2022): light entries take their deficits from the heavy ones in
-    order, and the next heavy entry tops up a heavy entry that falls below 1. Cumulative deficits and excesses give the pairs.
+    The code is Vose's algorithm in closed form (Hübschle-Schneider and Sanders 2022). Entries below 1 take their deficits from
+    the entries above 1, in order. If a heavy entry falls below 1, the next heavy entry fills its column. Cumulative deficits and
+    cumulative excesses give the pairs.
     """
     is_heavy = scaled >= min(1.0, scaled.max())  # rounding may put all of equal weights below 1
     light, heavy = np.flatnonzero(~is_heavy), np.flatnonzero(is_heavy)

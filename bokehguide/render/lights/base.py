@@ -13,7 +13,7 @@ from bokehguide.render.random import PixelRandom
 
 
 class LightSample(NamedTuple):
-    """Points on lights as N shading points see them, unshadowed.
+    """Points on lights, sampled from N shading points, without shadows.
 
     direction: unit, `[3, N]`; distance `[N]`, MISS_DISTANCE at infinity; radiance `[3, N]`; pdf: per solid angle, `[N]`.
     """
@@ -25,11 +25,11 @@ class LightSample(NamedTuple):
 
 
 class ClusterRecord(NamedTuple):
-    """Clusters of N light samples that a table of probabilities chose.
+    """Clusters of N light samples, if a table of probabilities has chosen the clusters.
 
-    row: of the table, int32 `[N]`; cluster: int32 `[N]`; contribution_rms: `[N]`, luminance of the contribution, unshadowed,
-    times the root of the cluster's probability. The expected square is the sum over clusters of the second moments of their
-    contributions.
+    row: row of the table, int32 `[N]`. cluster: int32 `[N]`. contribution_rms: luminance of the unshadowed contribution times the
+    square root of the cluster's probability, `[N]`. The expected value of its square is the sum over clusters of the second
+    moments of their contributions.
     """
 
     row: Tensor
@@ -39,10 +39,11 @@ class ClusterRecord(NamedTuple):
 
 @dataclass
 class DirectLight:
-    """Next-event estimates at N surfaces, unshadowed.
+    """Next-event estimates at N surfaces, without shadows.
 
-    direction: unit, `[3, N]`; distance `[N]`; value: reflected radiance over the density, times the MIS weight, `[3, N]`;
-    bsdf_pdf: density with which the BSDF samples the direction, `[N]`; clusters: where a table of clusters chose the lights.
+    direction: unit, `[3, N]`. distance: `[N]`. value: reflected radiance times the MIS weight, over the density, `[3, N]`.
+    bsdf_pdf: density with which BSDF sampling draws the direction, `[N]`. clusters: record of the clusters if a table has chosen
+    them.
     """
 
     direction: Tensor
@@ -55,8 +56,8 @@ class DirectLight:
 class LightDistribution(Protocol):
     """Distribution of light samples at the vertices of N paths. All densities are per unit solid angle.
 
-    first_step: step since which the distribution has not changed. Its random numbers may be stratified over the steps from there
-    on.
+    first_step: step since which the distribution has not changed. Its random numbers may be stratified over the steps from this
+    step on.
     """
 
     @property
@@ -67,11 +68,14 @@ class LightDistribution(Protocol):
         ...
 
     def sample(self, surface: Surface, scattering: Scattering, uniforms: Tensor, random: PixelRandom) -> DirectLight:
-        """Sample lights at surfaces `[N]` from uniform numbers `[6, N]`; random: source of further ones."""
+        """Sample lights at surfaces `[N]` from uniform numbers `[6, N]`; random: source of further uniform numbers."""
         ...
 
     def triangle_pdf(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
-        """Density `[N]` with which points `[3, N]` sample `triangle` at `distance` under `cosine`; 0 where it emits nothing."""
+        """Density `[N]` with which points `[3, N]` sample `triangle`; 0 if the triangle emits no light.
+
+        distance: from the points to the triangle, `[N]`. cosine: between direction and normal of the triangle, `[N]`.
+        """
         ...
 
     def environment_pdf(self, points: Tensor, directions: Tensor) -> Tensor:
@@ -80,7 +84,7 @@ class LightDistribution(Protocol):
 
 
 class LightSampler(Protocol):
-    """Chooses a distribution of light samples by the position of a surface."""
+    """Selects a distribution of light samples for each surface by its position."""
 
     def at(self, points: Tensor) -> LightDistribution:
         """Distribution at points `[3, N]` in world space."""

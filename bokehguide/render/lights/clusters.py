@@ -1,4 +1,4 @@
-"""Clusters of lights, and tables of probabilities of clusters."""
+"""Clusters of lights, and tables with the probabilities of clusters."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class ClusterTable:
         self._cumulative = cumulative.reshape(-1)
 
     def sample(self, row: Tensor, uniforms: Tensor) -> Tensor:
-        """Clusters int32 `[N]` for rows int32 `[N]` from uniform numbers `[N]`: the first whose cumulative probability exceeds
-        them."""
+        """Clusters int32 `[N]` for rows int32 `[N]` from uniform numbers `[N]`: the first cluster whose cumulative probability
+        exceeds the uniform number."""
         base = (row << self._levels) - 1
         place = base  # of the last cluster known to lie below
         for level in reversed(range(self._levels)):
@@ -52,10 +52,12 @@ def sampled(table: ClusterTable, row: Tensor, uniforms: Tensor) -> Tensor:
 
 
 def build_clusters(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, int]:
-    """Cluster of each light, int64 `[K]`, and the number of clusters: repeated bisection of the cluster of the largest spread.
+    """Cluster of each light, int64 `[K]`, and the number of clusters, by repeated bisection of the cluster with the largest
+    spread.
 
-    features: `[K, F]`, similar within a cluster; power: `[K]`. The spread is the power times the diagonal of the features'
-    bounds.
+    The spread is the power times the diagonal of the bounding box of the features.
+
+    features: `[K, F]`; similar lights have similar features. power: `[K]`.
     """
     groups = {0: np.arange(len(power))}
     queue = [(-_spread(features, power), 0)]

@@ -15,8 +15,8 @@ from bokehguide.scene.types import Sun
 class DistantLight:
     """A distant light; `sample` draws directions uniformly over the solid angle of the disc.
 
-    A surface that faces the disc receives the irradiance of the sun: radiance · π sin² of half the angle. density: of `sample`,
-    per unit solid angle; radiance: `[3, 1]`; power: luminance integrated over the solid angle.
+    A surface that faces the disc receives the irradiance of the sun, which is radiance · π sin² of half the angle. density: of
+    `sample`, per unit solid angle. radiance: `[3, 1]`. power: luminance integrated over the solid angle.
     """
 
     def __init__(self, sun: Sun, device: torch.device | str = "cpu"):
@@ -41,7 +41,7 @@ class DistantLight:
 def cap_directions(frame: Tensor, height: float, uniforms: Tensor) -> Tensor:
     """Unit directions `[3, N]`, uniform over the cap of the sphere about the third column of `frame`.
 
-    height: 1 minus the cosine of half the angle of the cap; uniforms: `[2, N]`.
+    height: 1 - cosine of half the angle of the cap. uniforms: `[2, N]`.
     """
     down = height * uniforms[0]
     sine = (down * (2.0 - down)).sqrt()

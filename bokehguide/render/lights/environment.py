@@ -1,4 +1,4 @@
-"""Light from infinity: an equirectangular radiance map, and distant lights."""
+"""Light from infinity: an equirectangular map of radiance, and distant lights."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from bokehguide.scene.types import Environment, Sun
 
 
 class EnvironmentLight:
-    """A map, distant lights, or both: their radiances add up, and `sample` chooses among them by power.
+    """A map, distant lights, or both. The radiances are added, and `sample` chooses the map or a distant light by power.
 
-    map: None without one; distant: distant lights of positive power; visible: whether camera rays see the environment; power:
-    luminance integrated over the sphere, as far as `sample` covers it, 0 where there is nothing to sample.
+    map: None without a map. distant: distant lights with positive power. visible: whether camera rays see the environment. power:
+    luminance integrated over the sphere, of the part that `sample` covers; 0 if there is nothing to sample.
 
-    Elements of the environment are texels of the map, and -1, -2, … for the distant lights.
+    An element of the environment is a texel of the map, or -1, -2, … for the distant lights.
     """
 
     def __init__(self, environment: Environment | None, suns: tuple[Sun, ...] = (), device: torch.device | str = "cpu"):
@@ -55,7 +55,7 @@ class EnvironmentLight:
         return direction, self.pdf(direction, self.texels(direction, element))
 
     def sample_element(self, uniforms: Tensor) -> Tensor:
-        """Elements `[N]` by power, from uniform numbers `[3, N]`."""
+        """Elements `[N]`, drawn in proportion to their power from uniform numbers `[3, N]`."""
         texel = None if self._sampled_map is None else self._sampled_map.sample_element(uniforms[0:2])
         if texel is not None and not self.distant:
             return texel
@@ -75,7 +75,8 @@ class EnvironmentLight:
     def texels(self, directions: Tensor, element: Tensor | None = None) -> Tensor:
         """Texels of the map `[N]` that unit directions `[3, N]` lie in, all 0 where no map is sampled.
 
-        element: from which the directions were drawn, None for others. Rounding does not move such directions to other texels.
+        element: elements from which the directions were drawn, None for other directions. With `element`, rounding moves no
+        direction to another texel.
         """
         if self._sampled_map is None:
             return torch.zeros(directions.shape[1], dtype=torch.int32, device=directions.device)
@@ -97,9 +98,9 @@ class EnvironmentLight:
 class EnvironmentMap:
     """Bilinear radiance over directions, sampled by texel.
 
-    Densities are per unit solid angle and constant within a texel. They are proportional to the excess of the texel's mean
-    radiance over the mean of the map; BSDF sampling covers the rest (MIS compensation, Karlík et al. 2019). The power of a map of
-    one colour is 0.
+    Densities are per unit solid angle and constant within a texel. The density of a texel is proportional to the excess of its
+    mean luminance over the mean luminance of the map. BSDF sampling covers the rest (MIS compensation, Karlík et al. 2019). A map
+    of one colour has the power 0.
     """
 
     def __init__(self, environment: Environment, device: torch.device | str = "cpu"):
@@ -131,7 +132,7 @@ class EnvironmentMap:
         return self.density(self.texel_at(directions))
 
     def sample_element(self, uniforms: Tensor) -> Tensor:
-        """Texels `[N]`, by power, from uniform numbers `[2, N]`."""
+        """Texels `[N]`, drawn in proportion to their power from uniform numbers `[2, N]`."""
         assert self._table is not None
         return self._table.sample(uniforms)
 
@@ -152,7 +153,7 @@ class EnvironmentMap:
         return (1.0 / self._solid_angle).repeat_interleave(self.width)
 
     def shares(self) -> np.ndarray:
-        """Probability of each texel, float32 `[H, W]`; all 0 where there is nothing to sample."""
+        """Probability of each texel, float32 `[H, W]`; all 0 if there is nothing to sample."""
         if self._table is None:
             return np.zeros((self.height, self.width), np.float32)
         return self._table.probability.cpu().numpy().reshape(self.height, self.width)
@@ -161,7 +162,7 @@ class EnvironmentMap:
 @kernel
 def _texel_at(layout: Equirectangular, directions: Tensor) -> Tensor:
     """Texels `[N]` that unit directions `[3, N]` lie in."""
-    column, row = layout.place(directions)  # rounding may give the map's width and height
+    column, row = layout.place(directions)  # rounding may give the map's width or height
     return row.int().clamp(0, layout.height - 1) * layout.width + column.int().clamp(0, layout.width - 1)
 
 
@@ -195,7 +196,7 @@ def _excess(luminance: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:
     smooth = _footprint_mean(luminance)
     mean = (smooth * solid_angle).sum() / (4.0 * np.pi)
     excess = smooth - mean
-    # Rounding leaves some excess on a map of one colour.
+    # On a map of one colour, rounding may leave a small excess.
     return np.where(excess > 1e-5 * mean, excess, 0.0) * solid_angle
 
 

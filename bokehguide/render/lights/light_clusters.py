@@ -1,4 +1,4 @@
-"""Clusters of all emitters of a scene that light samples may fall on."""
+"""Clusters of all emitters of a scene for light sampling."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from bokehguide.render.lights.environment import EnvironmentLight, EnvironmentMa
 from bokehguide.render.lights.voxel_grid import LightVoxelGrid
 
 BLOCKS = 64
-"""Clusters of texels consist of blocks: this number from pole to pole, twice as many around."""
+"""Number of blocks of texels from pole to pole; around the horizon, there are twice as many. Clusters consist of blocks."""
 
 
 class LightClusters:
-    """Clusters of emissive triangles by position and normal, of texels of the map by direction, and of one distant light each, in
-    this order.
+    """Clusters of emissive triangles by position and normal, then clusters of texels by direction, then one cluster for each
+    distant light.
 
-    count: of all clusters; triangles: of clusters of triangles. Elements are those of `EnvironmentLight`.
+    count: number of all clusters. triangles: number of clusters of triangles. For elements, see `EnvironmentLight`.
     """
 
     def __init__(self, grid: LightVoxelGrid | None, environment: EnvironmentLight | None):
@@ -32,7 +32,7 @@ class LightClusters:
         self.count = self._first_distant + len(self._distant)
 
     def sample_element(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
-        """Elements of the environment `[N]` from clusters `[N]` of it, by power, from uniform numbers `[2, N]`."""
+        """Elements `[N]` from clusters `[N]` of the environment, drawn by power from uniform numbers `[2, N]`."""
         distant = self._first_distant - 1 - cluster
         if self._map is None:
             return distant
@@ -54,7 +54,7 @@ class LightClusters:
         return density
 
     def environment_pdf(self, probability: Callable[[Tensor], Tensor], directions: Tensor, texel: Tensor) -> Tensor:
-        """Solid-angle density `[N]` of unit directions `[3, N]`, which lie in these texels; probability: of clusters `[N]`."""
+        """Solid-angle density `[N]` of unit directions `[3, N]` in the given texels; probability: of clusters `[N]`."""
         density = torch.zeros_like(directions[0])
         if self._map is not None:
             density = probability(self.triangles + self._map.cluster(texel)) * self._map.pdf(texel)

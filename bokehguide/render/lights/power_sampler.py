@@ -1,4 +1,4 @@
-"""Light sampling by power: cells of a voxel grid choose between the environment and clusters of triangles."""
+"""Light sampling by power: the choice between the environment and clusters of triangles depends on the cell of a voxel grid."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from bokehguide.runtime.compile.kernels import kernel
 
 
 class PowerLightSampler:
-    """Samples lights by the power that may reach a cell of the voxel grid, unshadowed: the path tracer's default.
+    """Samples lights by the unshadowed light that they may send into a cell of the voxel grid: the path tracer's default.
 
-    It is its own distribution, the same at all points but for their cells, and never changes.
+    The sampler is also the distribution that `at` returns. The distribution depends on the cell of a point, and never changes.
     """
 
     first_step = 1
@@ -57,7 +57,7 @@ class PowerLightSampler:
         return self.lights.triangle_sample(query.points, cluster, self.share(query, cluster), uniforms[1:])
 
     def environment_element(self, uniforms: Tensor) -> Tensor:
-        """Elements `[N]` of the environment by power, from uniform numbers `[5, N]`."""
+        """Elements `[N]` of the environment, drawn in proportion to their power from uniform numbers `[5, N]`."""
         return self.lights.sampled_environment.sample_element(torch.stack((uniforms[0], uniforms[1], uniforms[4])))
 
     def environment_sample(self, query: PointQuery, element: Tensor, uniforms: Tensor) -> LightSample:

@@ -1,4 +1,4 @@
-"""Lights of a scene: emissive triangles and the environment, with samples on them and densities."""
+"""Lights of a scene: emissive triangles and the environment, with light samples and their densities."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from bokehguide.runtime.indexing import indices, scatter
 from bokehguide.scene.types import Scene
 
 MIN_SHARE = 0.1
-"""Smallest share of the light samples for triangles, and for the environment, where a scene has both."""
+"""Least share of light samples for triangles, and for the environment, if a scene has both."""
 POWER_GRID = 4
-"""The power of a textured triangle is an average over the square of this number of points."""
+"""Square root of the number of points over which the power of a textured triangle is averaged."""
 CONE_DIRECTIONS = 64
-"""The power of a spotlight is an average over this number of directions in its cone."""
+"""Number of directions in the cone over which the power of a spotlight is averaged."""
 MIN_COSINE = 1e-12
-"""Cosines at emitters count as at least this: densities per unit solid angle stay finite."""
+"""Least cosine at emitters, so that densities per unit solid angle stay finite."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 """Golden ratio minus 1, for evenly spread points."""
 
@@ -40,8 +40,7 @@ Density = Callable[[Tensor, Tensor], Tensor]
 
 
 class PointQuery(NamedTuple):
-    """N shading points `[3, N]`; their cells of the voxel grid, int32 `[N]`; and the environment's share of light samples,
-    `[N]`."""
+    """N shading points `[3, N]`, their voxel grid cells, int32 `[N]`, and the environment's share of light samples, `[N]`."""
 
     points: Tensor
     cells: Tensor
@@ -63,7 +62,7 @@ S = TypeVar("S", bound=tuple[Tensor, ...])
 class Lights:
     """Emitters of a scene: emissive triangles, in clusters of a `LightVoxelGrid`, and the environment, with distant lights.
 
-    environment: None where the scene has neither map nor distant lights. Light samplers are made of its methods.
+    Light samplers use the methods of this class. environment: None if the scene has neither a map nor distant lights.
     """
 
     def __init__(self, scene: Scene, geometry: Geometry):
@@ -91,13 +90,13 @@ class Lights:
 
     @property
     def grid(self) -> LightVoxelGrid:
-        """Voxel grid of a scene that has emissive triangles."""
+        """Voxel grid; call only for a scene with emissive triangles."""
         assert self._grid is not None
         return self._grid
 
     @property
     def sampled_environment(self) -> EnvironmentLight:
-        """Environment of a scene that has one."""
+        """Environment; call only for a scene with an environment."""
         assert self.environment is not None
         return self.environment
 
@@ -118,7 +117,7 @@ class Lights:
 
     @cached_property
     def clusters(self) -> LightClusters:
-        """All that light samples may fall on, in clusters."""
+        """Clusters of all lights."""
         return LightClusters(self._grid, self.environment if self._far_power > 0.0 else None)
 
     def draw_by_kind(
@@ -129,10 +128,11 @@ class Lights:
         draw_environment: Callable[[Q, Tensor], S],
         draw_triangles: Callable[[Q, Tensor], S],
     ) -> S:
-        """Samples of the environment where `is_far`, bool `[N]`, of triangles elsewhere, from uniform numbers `[5, N]`.
+        """Samples of the environment where `is_far`, bool `[N]`, is true, else of triangles, from uniform numbers `[5, N]`.
 
-        On a CPU, all points draw the commoner kind. The points of the rarer kind then draw again, and these samples replace the
-        others: this copies the fewest rows. On a GPU, all points draw both kinds, which is faster than waiting for the counts.
+        On a CPU, all points first draw the more common kind. The points of the other kind then draw again, and the new samples
+        replace the first samples, so that few rows are copied. On a GPU, all points draw both kinds. This is faster than a wait
+        for the counts.
         """
         if self._far_power == 0.0:
             return draw_triangles(query, uniforms)
@@ -174,7 +174,10 @@ class Lights:
         return LightSample(direction, distance, radiance, pdf)
 
     def _dimmed(self, radiance: Tensor, hit: Hit, direction: Tensor, front: Tensor) -> Tensor:
-        """Part of the radiance `[3, N]` of emitters at `hit` that points in `direction` of them receive, without occlusion."""
+        """Radiance `[3, N]` that arrives from emitters at `hit` in unit directions `direction`, without occlusion.
+
+        Cones, clearcoats, absorbing solids and opacity reduce the `radiance` of the emitters.
+        """
         if not self._geometry.materials.plain_emission:
             radiance = radiance * self._geometry.emission_share(hit, -direction)
         transmittance = self._geometry.transmittance(hit, front)
@@ -183,9 +186,9 @@ class Lights:
         return radiance * self._geometry.opacity(hit) if self._geometry.materials.has_translucent else radiance
 
     def triangle_pdf(self, triangle: Tensor, distance: Tensor, cosine: Tensor, share: Callable[[Tensor], Tensor]) -> Tensor:
-        """Density `[N]` of samples of `triangle` at `distance` under `cosine`; share: probability of clusters `[N]`.
+        """Density `[N]` of samples on `triangle`, 0 for triangles without emission.
 
-        It is 0 for triangles that emit nothing, which are never sampled.
+        distance, cosine: of the point on the triangle, seen from the shading point, `[N]`. share: probability of clusters, `[N]`.
         """
         if len(self._triangles) == 0:
             return torch.zeros_like(distance)
@@ -203,11 +206,11 @@ class Lights:
 
 @kernel
 def _on_triangle(rows: Tensor, points: Tensor, uniforms: Tensor, share: Tensor) -> tuple[Tensor, ...]:
-    """Samples, uniform over triangles, as seen from `points` `[3, N]`, from uniform numbers `[2, N]`.
+    """Samples, uniform over triangles, seen from `points` `[3, N]`, from uniform numbers `[2, N]`.
 
-    rows: first corners, edges from there, rows for `emitted`, and densities per unit area within the triangle's cluster,
-    `[14, N]`; share: probability of the cluster, `[N]`. Returns unit directions `[3, N]`; distances, barycentric u and v, 1 for
-    the front, else 0, and densities per unit solid angle, `[N]` each; and emission `[3, N]`.
+    rows: first corners, edges from the first corners, rows for `emitted`, and densities per unit area within the triangle's
+    cluster, `[14, N]`. share: probability of the cluster, `[N]`. Returns unit directions `[3, N]`; distances, barycentric u and
+    v, 1 for the front, else 0, and densities per unit solid angle, `[N]` each; and emission `[3, N]`.
     """
     root = uniforms[0].sqrt()
     u, v = root * (1.0 - uniforms[1]), root * uniforms[1]
@@ -239,7 +242,7 @@ def _grid_emitters(scene: Scene, geometry: Geometry, triangles: Tensor, power: T
 def _cone_cosines(scene: Scene, geometry: Geometry, triangles: Tensor) -> Tensor:
     """Mean cosine `[K]` of emission directions for triangles with emission cones, 1 for all others.
 
-    The side of a spherical spotlight that faces away from its cone thus has no power.
+    The side of a spherical spotlight that faces away from the cone therefore has no power.
     """
     material = geometry.material.index_select(0, triangles)
     cosines = torch.ones(len(triangles), device=geometry.device)
@@ -258,7 +261,7 @@ def _cone_cosines(scene: Scene, geometry: Geometry, triangles: Tensor) -> Tensor
 
 
 def _triangle_powers(geometry: Geometry, triangles: Tensor) -> Tensor:
-    """Area times mean emitted luminance of each triangle, both faces of a double-sided one."""
+    """Area times mean emitted luminance of each triangle, summed over both faces of double-sided triangles."""
     if len(triangles) == 0:
         return torch.zeros(0, device=geometry.device)
     grid = (torch.arange(POWER_GRID, device=geometry.device) + 0.5) / POWER_GRID

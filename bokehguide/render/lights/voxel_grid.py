@@ -1,8 +1,8 @@
-"""A coarse voxel grid over the scene; each cell has probabilities of choosing clusters of emissive triangles.
+"""A coarse voxel grid over the scene, in which each cell has probabilities of clusters of emissive triangles.
 
-With many emitters, a choice by power alone is noisy: a dim emitter close to a surface may contribute most of its light. Clusters
-hold triangles of similar position and normal. The probability of a cluster in a cell follows from the light that it could send
-there, unshadowed.
+With many emitters, a choice by power alone is noisy: a dim emitter close to a surface may contribute most of the surface's light.
+Clusters contain triangles of similar position and normal. The probability of a cluster in a cell follows from the unshadowed
+light that the cluster sends into the cell.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bokehguide.runtime.compile.kernels import kernel
 RESOLUTION = 24
 """Cells along the longest side of the grid."""
 DEFENSIVE = 0.1
-"""Share of the probabilities of each cell that is by power alone, so that every emitter keeps a positive one."""
+"""Share of each cell's probabilities that follows power alone, so that every emitter has a positive probability."""
 
 
 class _Layout(NamedTuple):
@@ -36,7 +36,7 @@ class _Layout(NamedTuple):
         return self.low + (self._indices() + 0.5) * self.cell
 
     def is_outer(self) -> np.ndarray:
-        """Which cells lie at the sides of the grid, and thus represent the space beyond, bool `[cells]`."""
+        """Whether a cell lies at a side of the grid, and therefore also represents the space beyond, bool `[cells]`."""
         index = self._indices()
         return ((index == 0) | (index == self.shape - 1)).any(axis=1)
 
@@ -47,8 +47,8 @@ class _Layout(NamedTuple):
 class GridEmitters(NamedTuple):
     """K emissive triangles.
 
-    center, normal: `[K, 3]`; power: area times luminance, positive, `[K]`; double_sided: bool `[K]`; axis `[K, 3]` and outer
-    `[K]`: of the emission cones, radians, π without one.
+    center, normal: `[K, 3]`. power: area times luminance, positive, `[K]`. double_sided: bool `[K]`. axis: axis of the emission
+    cone, `[K, 3]`. outer: outer angle of the cone, radians, π without a cone, `[K]`.
     """
 
     center: np.ndarray
@@ -62,8 +62,9 @@ class GridEmitters(NamedTuple):
 class _Clusters(NamedTuple):
     """Properties of C clusters.
 
-    total: power `[C]`; place, facing, axis `[C, 3]` and both `[C]`: means of centres, normals, cone axes and double-sidedness,
-    weighted by power; extent: largest distance of a centre from `place`, `[C]`; outer: widest cone, radians, `[C]`.
+    total: power, `[C]`. place, facing, axis: means of centres, normals and cone axes, weighted by power, `[C, 3]`. both: mean of
+    double-sidedness, weighted by power, `[C]`. extent: largest distance of a centre from `place`, `[C]`. outer: widest cone,
+    radians, `[C]`.
     """
 
     total: np.ndarray
@@ -78,9 +79,9 @@ class _Clusters(NamedTuple):
 class LightVoxelGrid:
     """A choice among K triangles that depends on the shading point; the measure is counting.
 
-    Triangles are numbered cluster by cluster; order: index of each among the given ones, int64 `[K]`. clusters: their number;
-    table: their probabilities by cell; light: unshadowed light of all clusters in each cell, luminance times solid angle,
-    `[cells]`.
+    Triangles have new numbers, cluster by cluster. order: index of each triangle among the given triangles, int64 `[K]`.
+    clusters: number of clusters. table: probabilities of clusters in each cell. light: unshadowed light of all clusters in each
+    cell, luminance times solid angle, `[cells]`.
     """
 
     def __init__(self, emitters: GridEmitters, device: torch.device):
@@ -109,7 +110,7 @@ class LightVoxelGrid:
         return sampled(self.table, cells, uniforms)
 
     def sample_within(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
-        """Triangles `[N]` of clusters `[N]`, by power, from uniform numbers `[2, N]`."""
+        """Triangles `[N]` of clusters `[N]`, drawn in proportion to their power from uniform numbers `[2, N]`."""
         return self._within.sample(uniforms, cluster)
 
     def cluster(self, triangle: Tensor) -> Tensor:
@@ -122,7 +123,7 @@ class LightVoxelGrid:
 
 
 def _direction_scale(centers: np.ndarray) -> float:
-    """Length that weights normals against positions, so that small emitters split last."""
+    """Length that weights normals against positions, so that the bisection splits small emitters last."""
     return 0.02 * float(np.linalg.norm(np.ptp(centers, axis=0)))
 
 

@@ -1,7 +1,7 @@
-"""Packages of AOTInductor, called through its C interface.
+"""Calls of compiled packages of AOTInductor through its C interface.
 
-PyTorch's own loader holds the GIL while a kernel runs, so that kernels of several threads would run one after the other.
-`ctypes` releases the GIL during the call.
+PyTorch's own loader holds the global interpreter lock (GIL) while a kernel runs, so that kernels of several threads would run one
+after the other. `ctypes` releases the GIL during the call.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _pointer.restype, _pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes
 
 
 ARGUMENTS = "arguments.txt"
-"""The file in a package that lists the tensors its code uses, by their number."""
+"""The file in a package that lists the numbers of the tensors that the code uses."""
 AS_FLOATS = {torch.int32: torch.float32, torch.int64: torch.float64}
-"""Integer tensors are passed to kernels as floats of the same bits. PyTorch's integer vectors load through the stack, five
-times as slowly."""
+"""Integer types, and the float types of the same size. Kernels get integer tensors as floats of the same bits, because PyTorch's
+integer vectors load through the stack, five times as slowly."""
 
 
 def as_floats(tensor: Tensor) -> Tensor:
@@ -35,9 +35,10 @@ def as_floats(tensor: Tensor) -> Tensor:
 
 
 class CompiledFunction:
-    """A function of tensors in a package of `compiling.py`. `threads` threads can run it concurrently; others wait.
+    """A function of tensors in a package of `compiling.py`. `threads` threads can run the function concurrently; further threads
+    wait.
 
-    path: of the package. Raises OSError, ValueError, KeyError, zipfile.BadZipFile or RuntimeError if it is not a valid package.
+    path: of the package. Raises OSError, ValueError, KeyError, zipfile.BadZipFile or RuntimeError for an invalid package.
     """
 
     def __init__(self, path: Path, threads: int):
@@ -51,7 +52,7 @@ class CompiledFunction:
         tensors = [as_floats(tensors[number].contiguous()) for number in self._arguments]
         given = [_pointer(capsule, None) for capsule in unsafe_alloc_void_ptrs_from_tensors(tensors)]
         inputs, outputs = (ctypes.c_void_p * len(given))(*given), (ctypes.c_void_p * self._outputs)()
-        # The library frees the handles of the inputs; the tensors made from the handles of the outputs free these.
+        # The library frees the handles of the inputs. Tensors made from the handles of the outputs free the output handles.
         sizes = ctypes.c_size_t(len(given)), ctypes.c_size_t(self._outputs)
         _check(self._run(self._container, inputs, sizes[0], outputs, sizes[1], None, None))
         return alloc_tensors_by_stealing_from_void_ptrs([_new_capsule(handle, None, None) for handle in outputs])

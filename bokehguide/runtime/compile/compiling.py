@@ -16,9 +16,9 @@ from bokehguide.runtime.compile.compiled import ARGUMENTS
 from bokehguide.runtime.compile.rows import ByRows
 
 LARGEST_FIXED = 4
-"""Largest size that compiled code may contain as a constant. Matrices have such sizes, which never change."""
+"""Largest tensor size that compiled code may contain as a constant. Matrices have such constant sizes."""
 HEADERS = Path(__file__).parent / "headers"
-"""Headers that replace those of the C++ standard library; each says why."""
+"""Headers that replace headers of the C++ standard library. Each header explains its reason."""
 OPTIONS = {
     "cpp.threads": 1,
     "aot_inductor.compile_wrapper_opt_level": "O0",
@@ -26,15 +26,15 @@ OPTIONS = {
     "max_fusion_size": 4096,
     "assert_indirect_indexing": False,
 }
-"""Options of Inductor. The wrapper that calls the loops is not optimised. All of a kernel may become one loop. Indices into
-tables are not checked, since a check takes as long as a lookup; eager kernels check them."""
+"""Options of Inductor. The wrapper that calls the loops is compiled without optimisation. A whole kernel may become one loop.
+Compiled code does not check indices into tables, because a check takes as long as a lookup. Eager kernels check the indices."""
 
 
 def compile_package(function: torch.nn.Module, tensors: tuple[Tensor, ...], path: Path) -> None:
     """Compile a function of distinct contiguous tensors that returns a list of tensors.
 
-    Last dimensions larger than 1 may vary. Raises the errors of PyTorch and of the C++ compiler, and RuntimeError if the code
-    depends on a size.
+    The compiled function accepts any last dimension above 1. Raises the errors of PyTorch and of the C++ compiler, and
+    RuntimeError if the code depends on a size.
     """
     from torch._inductor.exc import InductorError  # a private module, which may move
 
@@ -78,7 +78,7 @@ def _exported(function: torch.nn.Module, tensors: tuple[Tensor, ...]) -> torch.e
 
 
 class _ByRows(torch.nn.Module):
-    """A graph with `count` inputs, row by row (see `rows.py`), as a function of the inputs numbered in `needed`."""
+    """A graph with `count` inputs that runs row by row (see `rows.py`), as a function of the inputs with the numbers `needed`."""
 
     def __init__(self, graph: torch.fx.GraphModule, needed: list[int], count: int):
         super().__init__()
@@ -91,7 +91,7 @@ class _ByRows(torch.nn.Module):
 
 @contextlib.contextmanager
 def _searched_first(folder: Path) -> Iterator[None]:
-    """A context in which the C++ compiler searches a folder for headers before its own folders."""
+    """A context in which the C++ compiler searches the given folder for headers before its own folders."""
     before = os.environ.get("CPLUS_INCLUDE_PATH")
     os.environ["CPLUS_INCLUDE_PATH"] = f"{folder}{os.pathsep}{before}" if before else str(folder)
     try:
@@ -120,7 +120,7 @@ def _bits_in_registers() -> Iterator[None]:
 
 
 def _check_sizes(program: torch.export.ExportedProgram) -> None:
-    """Raises RuntimeError if a size became a constant of the code, whose results at other sizes would be wrong."""
+    """Raises RuntimeError if the code contains a size as a constant, because results at other sizes would be wrong."""
     from torch.fx.experimental.symbolic_shapes import is_concrete_int
 
     arguments = (node.meta["val"] for node in program.graph.nodes if node.op == "placeholder")

@@ -1,10 +1,10 @@
 """Element-wise functions compiled ahead of time, once per machine.
 
-Eager PyTorch writes every intermediate result to memory. Functions marked `kernel` can be compiled by torch.export and
-AOTInductor into loops that keep intermediate results in registers, about ten times as fast. Compiled packages are kept on
-disk: compilation takes seconds per kernel, loading takes milliseconds. Kernels run eagerly outside of `compile_kernels`,
-on devices other than a CPU, and without a C++ compiler. The functions are the reference; compiled results differ from
-theirs by rounding only.
+A kernel is a function marked with the decorator `kernel`. In eager mode, PyTorch runs a kernel operation by operation and writes
+every intermediate result to memory. torch.export and AOTInductor can compile a kernel into a loop that keeps intermediate results
+in registers, about ten times as fast. Compilation takes seconds per kernel. Compiled packages are kept on disk, and loading takes
+milliseconds. Kernels run eagerly outside of `compile_kernels`, on devices other than a CPU, and without a C++ compiler. The eager
+functions are the reference. Compiled results differ from eager results only by rounding.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ SOURCES = Path(__file__).parents[2]
 
 
 class _Setting(NamedTuple):
-    """threads: number of threads that run kernels side by side. folder: of the compiled packages."""
+    """threads: number of threads that run kernels concurrently. folder: of the compiled packages."""
 
     threads: int
     folder: Path
 
 
 _setting: ContextVar[_Setting | None] = ContextVar("compile setting", default=None)
-"""How kernels are compiled in this thread. None: they run eagerly."""
+"""Compile setting of this thread. None: kernels run eagerly."""
 _lock = threading.Lock()
-"""Held while a kernel is compiled or loaded."""
+"""Lock for the time in which a kernel is compiled or loaded."""
 
 
 @contextlib.contextmanager
@@ -68,8 +68,8 @@ def compile_kernels(threads: int, folder: Path | None = None) -> Iterator[None]:
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Mark a pure function of positional arguments as a kernel.
 
-    Arguments and results are tensors, tuples, `record`s or None. Arguments of other types are constants of the compiled code:
-    each value is compiled separately. Last dimensions may have any size; all results have the same one.
+    Arguments and results are tensors, tuples, `record`s or None. Arguments of other types become constants of the compiled code:
+    each value is compiled separately. Last dimensions may have any size. All results must have the same last dimension.
     """
     return cast("Callable[P, R]", functools.wraps(function)(_Kernel(function)))
 
@@ -78,7 +78,7 @@ _records: set[type] = set()
 
 
 def record(kind: type[T]) -> type[T]:
-    """Allow instances of a class, which are tuples of their attributes, as arguments and results of kernels."""
+    """Allow instances of a class as arguments and results of kernels. Kernels treat instances as tuples of their attributes."""
     _records.add(kind)
     return kind
 
@@ -120,7 +120,7 @@ def _rebuilt(like: Any, tensors: Iterator[Tensor]) -> Any:
 
 
 class _Kernel:
-    """A kernel, with its compiled variants by threads, structure of the arguments, and which tensors have one entry."""
+    """A kernel with its compiled variants, by number of threads, structure of the arguments, and tensors with a single entry."""
 
     def __init__(self, function: Callable):
         self._function = function
@@ -145,7 +145,7 @@ class _Kernel:
         return self._function(*arguments) if variant is None else variant(tensors)
 
     def _as_two(self, threads: int, marks: tuple, single: tuple[bool, ...]) -> _AsTwo | None:
-        """For a batch of one entry: the variant for larger batches, if there is one."""
+        """The variant for larger batches, applied to a batch of one entry; None without such a variant."""
         for (*other, some), variant in self._variants.items():
             if (
                 isinstance(variant, _Variant)
@@ -191,7 +191,7 @@ class _AsTwo:
 
 
 class _Flat(torch.nn.Module):
-    """The function as a module of a flat list of tensors, in which integer tensors are reinterpreted by `as_floats`."""
+    """The function as a module whose arguments are a flat list of tensors. `as_floats` has reinterpreted integer tensors."""
 
     def __init__(self, function: Callable, arguments: tuple, kinds: list[torch.dtype]):
         super().__init__()
@@ -205,7 +205,7 @@ class _Flat(torch.nn.Module):
 
 
 def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: str, setting: _Setting) -> _Variant | None:
-    """The compiled function, from disk if it is there; None if it cannot be compiled."""
+    """The compiled function, from disk if the package exists; None if the compilation fails."""
     with torch.no_grad():
         results = function(*arguments)
     name = f"{function.__module__}.{function.__qualname__}"
@@ -233,7 +233,7 @@ def _variant(function: Callable, arguments: tuple, tensors: list[Tensor], key: s
 
 @functools.cache
 def _has_compiler() -> bool:
-    """Whether there is a C++ compiler. A missing one is reported once."""
+    """Whether there is a C++ compiler. The first call prints a message if the compiler is missing."""
     from torch._inductor.cpp_builder import get_cpp_compiler
 
     try:
@@ -253,7 +253,7 @@ def _announce(folder: Path) -> None:
 
 @functools.cache
 def _state() -> str:
-    """The versions and sources that compiled code depends on, besides the structure of its arguments."""
+    """The versions and sources on which compiled code depends, in addition to the structure of the arguments."""
     sources = hashlib.sha256()
     for file in sorted(SOURCES.rglob("*.py")):
         sources.update(file.read_bytes())

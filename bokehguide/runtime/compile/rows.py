@@ -1,8 +1,8 @@
 """Rewrites the graphs of kernels to operate on rows.
 
-For an operation on a `[3, N]` tensor, Inductor generates a loop over 3 × N elements. The loop computes values common to the
-rows, such as a length, once per row, and it is not fused with loops over N. A graph of rows `[N]` becomes one loop over N,
-which computes common values once.
+For an operation on a `[3, N]` tensor, Inductor generates a loop over 3 × N elements. This loop computes values that are common to
+all rows, such as a length, once for each row. Inductor does not fuse this loop with loops over N. A graph of rows `[N]` becomes
+one loop over N, which computes common values once.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class ByRows(torch.fx.Interpreter):
                 return found
         elif target is aten.unsqueeze.default and args[0].ndim == 1 and args[1] == 0:
             return _Rows([args[0]])
-        elif target is aten.stack.default and len(args) == 1:  # along the first dimension
+        elif target is aten.stack.default and len(args) == 1:  # concatenates along the first dimension
             found = _joined(args[0], 1)
             if found is not None:
                 return found
