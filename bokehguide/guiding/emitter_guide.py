@@ -179,7 +179,7 @@ class EmitterGuide(Guide):
         if self.config.learn_success_rates:
             self.success_rates.update()
         self.unit.fill_(mean_luminance)
-        if summary.step == 1:  # convert to the unit of later moments, the frame's mean luminance
+        if summary.step == 1:  # its samples precede the frame's mean luminance, the unit of later moments
             self.moments /= mean_luminance**2
         self.refit(summary.mean_luminance)
         self.beta.copy_(self._least_variance_blend())
