@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import drjit
 import mitsuba as mi
 import numpy as np
 import torch
@@ -25,7 +26,18 @@ from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Camera, Environment, Material, Mesh, Scene, Texture
 
-mi.set_variant("llvm_ad_rgb", "scalar_rgb")  # the second variant without an LLVM library
+LEAST_LLVM = 17
+"""First version of LLVM with x86 code for `fminimum`. Dr.Jit emits it; an older LLVM ends the process."""
+
+
+def _choose_variant() -> None:
+    """Set Mitsuba's LLVM variant, or the scalar variant where LLVM is missing or too old."""
+    mi.set_variant("llvm_ad_rgb", "scalar_rgb")
+    if mi.variant() != "scalar_rgb" and drjit.detail.llvm_version()[0] < LEAST_LLVM:
+        mi.set_variant("scalar_rgb")
+
+
+_choose_variant()
 
 METAL_ROUGHNESS = (0.05, 0.2)
 GLASS_ROUGHNESS = (0.1, 0.2)
