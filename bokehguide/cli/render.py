@@ -11,13 +11,16 @@ import torch
 from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
+from bokehguide.cli.memory import explained
 from bokehguide.cli.pictures import OVERRIDES, Pictures
 from bokehguide.cli.report import write_json
 from bokehguide.cli.steps import measure, take_steps
+from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
-from bokehguide.image import check_writable, remove_abandoned
+from bokehguide.image import check_writable, make_folder, remove_abandoned
 from bokehguide.metrics import read_reference
 from bokehguide.render import Film
+from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import FilmSettings, Inset, Overrides, Scene, load_scene
 from bokehguide.train import AdaptiveLoop, Ranks, RenderLoop, RenderSettings, make_loop, restarts
@@ -35,7 +38,9 @@ def run(options: argparse.Namespace) -> int:
     reference = read_window(options.reference, scene, window) if options.reference else None
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
     check_outputs(out, options, run_folder(options.logdir or "", scene, settings))
-    with Ranks.join(settings.device) as ranks:
+    triangles = sum(len(mesh.triangles) for mesh in scene.meshes)
+    size = f"a picture of {scene.film.width}x{scene.film.height} pixels with {triangles:,} triangles"
+    with Ranks.join(settings.device) as ranks, explained(size):
         if ranks.first:
             print_warnings(scene)
         with make_loop(scene, settings, ranks) as loop:
@@ -48,17 +53,29 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
     checkpoints = Checkpoints(out.with_suffix(".ckpt"), options.checkpoint_every, silent=not first)
     earlier = checkpoints.begin(loop, options.resume or restarts() > 0)
     pictures = Pictures(out, options)
-    end, report = take_steps(loop, options, reference, checkpoints, pictures, earlier)
-    picture = loop.picture()
-    summary = report.finish(loop, picture, measure(picture, reference))
-    if first:
-        pictures.write(loop, picture)
-        if options.json:
-            write_json(options.json, summary)
-        print_summary(summary, picture, end)
-        print_files(loop, pictures, checkpoints)
-        print_problems(loop, picture, checkpoints, end)
-    return 128 + end if isinstance(end, int) else 0
+    with Interrupt() as interrupt:  # a signal ends the render in order until its files are written
+        end, report = take_steps(loop, options, reference, checkpoints, pictures, earlier, interrupt)
+        picture = loop.picture()
+        summary = report.finish(loop, picture, measure(picture, reference))
+        if first:
+            pictures.write(loop, picture)
+            if not isinstance(end, int):
+                checkpoints.remove(loop)
+            print_summary(summary, picture, end)
+            print_files(loop, pictures, checkpoints)
+            print_problems(loop, picture, checkpoints, end)
+            if options.json:
+                write_summary(options.json, summary)
+    number = end if isinstance(end, int) else interrupt.signal
+    return 0 if number is None else 128 + number
+
+
+def write_summary(path: Path, summary: dict[str, Any]) -> None:
+    """Write the summary as JSON. Warns if it cannot be written, as the picture is there."""
+    try:
+        write_json(path, summary)
+    except BokehguideError as error:
+        say(f"warning: {error}")
 
 
 def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
@@ -103,6 +120,10 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
             raise BokehguideError(f"{option}: {str(path)!r} is an output of this command; give another path")
     if options.json and options.reference and options.json.resolve() == options.reference.resolve():
         raise BokehguideError(f"--json: {str(options.json)!r} is the reference; give another path")
+    for folder in (path.parent for path in (out, options.json) if path):
+        create(folder)
+    if options.logdir:
+        create(options.logdir)
     for path in (out, png, checkpoint):
         check_writable(path)
         remove_abandoned(path)
@@ -112,10 +133,16 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
         check_writable(log_folder / "events")
 
 
+def create(folder: Path) -> None:
+    """Create a folder in an existing one if it is missing, and say so. Raises BokehguideError as `make_folder`."""
+    if make_folder(folder):
+        say(f"created the folder {folder}")
+
+
 def print_warnings(scene: Scene) -> None:
     """Print the warnings of the scene's files on stderr."""
     for warning in scene.warnings:
-        print(f"bokehguide: warning: {warning}", file=sys.stderr)
+        say(f"warning: {warning}")
 
 
 def print_summary(summary: dict[str, Any], picture: Film | HalvesFilm, end: int | str | None) -> None:
