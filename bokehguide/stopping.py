@@ -32,11 +32,10 @@ def stop_at_signals() -> None:
     """From now on the first SIGINT or SIGTERM ends the process with the exit code 130 or 143. Programs call it at their start.
 
     Python runs handlers in the main thread, between two of its instructions. While code in C keeps that thread busy, another
-    thread ends the process. A signal that the parent process has told this one to ignore stays ignored.
+    thread ends the process.
     """
     for number in NUMBERS:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _stop)
+        signal.signal(number, _stop)
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)

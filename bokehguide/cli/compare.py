@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 
-from bokehguide.cli.render import check_device, create, overrides_from
+from bokehguide.cli.render import check_device, make_folders, overrides_from, print_folders
 from bokehguide.cli.terminal import clear_stage, say
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import compare, given_reference, made_reference, report
@@ -38,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
     check_device(options.device)
     reference = given_reference(options.reference, scene) if options.reference else None
     read_runs(options.out / METRICS)
+    created = make_folders([options.out])
     check_outputs(scene, every, options)
     for warning in scene.warnings:
         say(f"warning: {warning}")
@@ -47,6 +48,7 @@ def run(options: argparse.Namespace) -> int:
         spp = options.reference_spp or REFERENCE_SHARE * options.spp
         reference = made_reference(scene, replace(every[0], spp=spp), options.out / REFERENCE, options.cache)
     clear_stage()
+    print_folders(created)
     print(describe_reference(reference), flush=True)
     comparison = compare(scene, every, reference, options.out, options.exposure)
     text = report(comparison)
@@ -66,6 +68,5 @@ def check_outputs(scene: Scene, every: Sequence[RenderSettings], options: argpar
     if options.reference and options.reference.resolve() in [output.resolve() for output in outputs]:
         raise BokehguideError(f"--reference: {str(options.reference)!r} is an output of this command; give another path")
     logs = [run_folder(options.out / "logs", scene, settings) / "events" for settings in every]
-    create(options.out)
     for path in (*outputs, *logs):
         check_writable(path)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
-from bokehguide.cli.memory import explained
+from bokehguide.cli.memory import check_memory, describe, explained
 from bokehguide.cli.pictures import OVERRIDES, Pictures
 from bokehguide.cli.report import write_json
 from bokehguide.cli.steps import measure, take_steps
@@ -38,9 +38,8 @@ def run(options: argparse.Namespace) -> int:
     reference = read_window(options.reference, scene, window) if options.reference else None
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
     check_outputs(out, options, run_folder(options.logdir or "", scene, settings))
-    triangles = sum(len(mesh.triangles) for mesh in scene.meshes)
-    size = f"a picture of {scene.film.width}x{scene.film.height} pixels with {triangles:,} triangles"
-    with Ranks.join(settings.device) as ranks, explained(size):
+    check_memory(scene, settings)
+    with Ranks.join(settings.device) as ranks, explained(describe(scene)):
         if ranks.first:
             print_warnings(scene)
         with make_loop(scene, settings, ranks) as loop:
@@ -120,10 +119,7 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
             raise BokehguideError(f"{option}: {str(path)!r} is an output of this command; give another path")
     if options.json and options.reference and options.json.resolve() == options.reference.resolve():
         raise BokehguideError(f"--json: {str(options.json)!r} is the reference; give another path")
-    for folder in (path.parent for path in (out, options.json) if path):
-        create(folder)
-    if options.logdir:
-        create(options.logdir)
+    created = make_folders([path.parent for path in (out, options.json) if path] + ([options.logdir] if options.logdir else []))
     for path in (out, png, checkpoint):
         check_writable(path)
         remove_abandoned(path)
@@ -131,11 +127,17 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
         check_writable(options.json)
     if options.logdir:
         check_writable(log_folder / "events")
+    print_folders(created)
 
 
-def create(folder: Path) -> None:
-    """Create a folder in an existing one if it is missing, and say so. Raises BokehguideError as `make_folder`."""
-    if make_folder(folder):
+def make_folders(folders: list[Path]) -> list[Path]:
+    """Create each folder that is missing in an existing one; returns these. Raises BokehguideError as `make_folder`."""
+    return [folder for folder in folders if make_folder(folder)]
+
+
+def print_folders(created: list[Path]) -> None:
+    """Print the folders that the command has created on stderr."""
+    for folder in created:
         say(f"created the folder {folder}")
 
 

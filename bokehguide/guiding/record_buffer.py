@@ -18,7 +18,7 @@ MARGIN = 0.1
 reach into the frame."""
 
 WIDEST = 10.0
-"""Width over height of a frame up to which the border follows the width: about a very wide frame it would be most of the record."""
+"""Width over height of a frame up to which the border follows the width: that of a very wide frame would fill the memory."""
 
 FAR = 1000.0
 """Distance at which the environment is recorded, in focus distances."""

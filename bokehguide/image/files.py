@@ -64,7 +64,7 @@ def make_folder(path: str | Path) -> bool:
     """
     path = Path(path)
     try:
-        if path.is_dir():
+        if path.exists():
             return False
         if not path.parent.exists():
             raise BokehguideError(f"{path}: the folder {path.parent} does not exist; create it, or choose another folder")

@@ -12,7 +12,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.limits import FREE_INSTANCES, FREE_MESHES, MESH_BYTES, most_triangles, most_values
 from bokehguide.scene.tables import Table, shown
 
-KINDS = {"file": "model", "map": "environment map", "image": "image"}
+KINDS = {"file": "model", "image": "image"}
 """The kinds of files by the keys that name them; other keys name textures."""
 
 
@@ -59,7 +59,10 @@ class SceneFiles:
         Raises as `find` and `require_file` do, naming the table's file and the key.
         """
         path = self.find(Path(table.file).parent, table.text(key), table.place(key))
-        require_file(path, KINDS.get(key, "texture"), table.place(key))
+        if key == "map":
+            require_map(path, table.place(key))
+        else:
+            require_file(path, KINDS.get(key, "texture"), table.place(key))
         return path
 
     def read(self, path: Path) -> bytes:
@@ -105,6 +108,13 @@ class SceneFiles:
                 f"{place}: the scene's images would decode from {self._stored:,} bytes to {self._values:,} values, "
                 "more than any picture needs; give smaller images"
             )
+
+
+def require_map(path: Path, place: str = "") -> None:
+    """As `require_file`, for an environment map, whose format its suffix names."""
+    if path.suffix.lower() not in (".hdr", ".exr"):
+        raise BokehguideError(f"{f'{place}: ' if place else ''}{path}: not an environment map; give a .hdr or .exr file")
+    require_file(path, "environment map", place)
 
 
 def require_file(path: Path, what: str, place: str = "") -> None:

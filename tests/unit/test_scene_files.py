@@ -214,13 +214,23 @@ def test_a_small_file_with_a_huge_image_is_rejected(tmp_path, depth):
 
 
 def test_many_images_that_are_huge_together_are_rejected(tmp_path):
-    (tmp_path / "a.png").write_bytes(bomb(1024, 1))
     files, count = SceneFiles(tmp_path), 0
     with pytest.raises(BokehguideError, match="would decode"):
         while count < 200:
+            (tmp_path / "a.png").write_bytes(bomb(1024, 1) + str(count).encode())
             load_texture(tmp_path / "a.png", files, srgb=True)
             count += 1
     assert 1024 * 1024 * 4 * count <= MAX_VALUES < 1024 * 1024 * 4 * (count + 2)
+
+
+def test_an_image_that_many_textures_name_is_decoded_once(tmp_path):
+    (tmp_path / "a.png").write_bytes(bomb(1024, 1))
+    (tmp_path / "b.png").write_bytes(bomb(1024, 1))
+    files = SceneFiles(tmp_path)
+    first = load_texture(tmp_path / "a.png", files, srgb=True)
+    for _ in range(200):
+        assert load_texture(tmp_path / "b.png", files, srgb=True) is first
+    assert load_texture(tmp_path / "a.png", files, srgb=False) is not first
 
 
 def test_a_photograph_may_be_as_large_as_its_file(tmp_path):
