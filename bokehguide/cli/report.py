@@ -35,7 +35,7 @@ class Bar(tqdm):
     def format_dict(self) -> Any:
         """The values for BAR."""
         left = "?" if self.seconds_left is None else self.format_interval(self.seconds_left)
-        return super().format_dict | {"left": left}
+        return dict(super().format_dict) | {"left": left}
 
 
 class Report:

@@ -141,8 +141,7 @@ def require_kind(saved: object, own: Any, seen: set[tuple[int, int]] | None = No
     seen = set() if seen is None else seen
     if (id(saved), id(own)) in seen:
         return
-    if isinstance(saved, dict | list | tuple):
-        seen.add((id(saved), id(own)))
+    seen.add((id(saved), id(own)))
     if isinstance(saved, Tensor):
         _require_tensor(saved, own)
     elif isinstance(own, int | float) and not isinstance(own, bool):

@@ -32,10 +32,15 @@ def render(folder, *options: object) -> list[str]:
 
 
 @pytest.mark.parametrize("number", CODES)
-@pytest.mark.parametrize("delay", [0.3, 0.8])
+@pytest.mark.parametrize("delay", [0.0, 0.5])
 def test_while_libraries_are_imported(number, delay, lamps_file, tmp_path):
     before = sorted(tmp_path.iterdir())
-    code, seconds, stderr = stopped(render(tmp_path), tmp_path, number, lambda process: time.sleep(delay))
+
+    def ready(process):
+        assert process.stderr.readline() == "bokehguide: starting\n"
+        time.sleep(delay)
+
+    code, seconds, stderr = stopped(render(tmp_path), tmp_path, number, ready)
     assert (code, "Traceback" in stderr) == (CODES[number], False), stderr
     assert seconds < LONGEST
     assert "bokehguide: interrupted" in stderr
