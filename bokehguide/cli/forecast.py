@@ -61,12 +61,12 @@ class Forecast:
         return self.steps_left * self._pace
 
     def words(self) -> list[str]:
-        """The error in words; with a target noise also the finished blocks, and the error at the end."""
+        """The error in words; with a target noise also the share of finished blocks, and the error at the end after an arrow."""
         loop, adaptive, words = self._loop, isinstance(self._loop, AdaptiveLoop), []
         if isinstance(loop, AdaptiveLoop):
-            words.append(f"{100.0 * loop.finished_share:.0f} % of blocks done")
+            words.append(f"blocks {100.0 * loop.finished_share:.0f} %")
         if self._error is not None:
             error, step = self._error
             end = error * math.sqrt(step / (loop.step_number + self.steps_left))
-            words.append(f"error {error:.3f}" + (f", {end:.3f} at the end" if adaptive else ""))
+            words.append(f"error {error:.3f}" + (f" -> {end:.3f}" if adaptive else ""))
         return words

@@ -47,10 +47,9 @@ def test_a_target_noise_ends_the_render_and_tells_its_blocks():
         forecast = advanced(loop, 1)
         loop.open[:, 0] = False
         blocks, error = forecast.words()
-        assert blocks == f"{100 * loop.finished_share:.0f} % of blocks done" and loop.finished_share >= 0.25
+        assert blocks == f"blocks {100 * loop.finished_share:.0f} %" and loop.finished_share >= 0.25
         assert loop.expected_steps >= 32 and forecast.steps_left == min(loop.expected_steps, 4096) - 32
-        assert error.startswith("error ") and error.endswith(" at the end")
-        now, end = (float(word) for word in error.replace(",", "").split() if word[0] == "0")
+        now, end = map(float, error.removeprefix("error ").split(" -> "))
         assert end == pytest.approx(now * math.sqrt(32 / (32 + forecast.steps_left)), abs=0.001)
 
 
