@@ -48,7 +48,7 @@ def _run(arguments: Sequence[str], own_process: bool) -> int:
         if own_process and options.command in ("render", "compare"):
             terminal.show_stages()
         # Imported by name, so that --help and a mistyped option do not wait for torch.
-        with explained():
+        with explained("the image" if options.command == "metrics" else "the scene"):
             command = importlib.import_module(f"bokehguide.cli.{options.command}")
             return command.run(options)
     except BokehguideError as error:
