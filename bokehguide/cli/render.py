@@ -60,11 +60,11 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
             pictures.write(loop, picture)
             if not isinstance(end, int):
                 checkpoints.remove(loop)
+            if options.json:
+                write_summary(options.json, summary)
             print_summary(summary, picture, end)
             print_files(loop, pictures, checkpoints)
             print_problems(loop, picture, checkpoints, end)
-            if options.json:
-                write_summary(options.json, summary)
     number = end if isinstance(end, int) else interrupt.signal
     return 0 if number is None else 128 + number
 

@@ -40,7 +40,7 @@ def open_streams() -> None:
     """Let stdout and stderr take every character, and stderr a full disk: a message must not end a render."""
     codecs.register_error("bokehguide", plain_characters)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="bokehguide")
+        sys.stdout.reconfigure(errors="bokehguide", line_buffering=True)  # an end by a signal loses no line
     if isinstance(sys.stderr, io.TextIOWrapper):
         sys.stderr.flush()
         raw = _Lenient(sys.stderr.fileno(), "w", closefd=False)

@@ -30,10 +30,11 @@ def test_messages_that_find_a_full_disk(lamps_file, tmp_path):
     """The picture is there, and the code says whether the summary was lost."""
     finished = run(tmp_path, "render", "emitters.toml", "--spp", "2", "--out", "a.exr", shell="2>/dev/full")
     assert finished.returncode == 0 and b"wrote a.exr" in finished.stdout
-    finished = run(tmp_path, "render", "emitters.toml", "--spp", "3", "--out", "a.exr", shell=">/dev/full")
+    options = ("--spp", "3", "--out", "a.exr", "--json", "a.json")
+    finished = run(tmp_path, "render", "emitters.toml", *options, shell=">/dev/full")
     assert finished.returncode == 2 and b"Traceback" not in finished.stderr
     assert finished.stderr.endswith(b"bokehguide: error: the output cannot be written (No space left on device)\n")
-    assert read_metadata(tmp_path / "a.exr")["spp"] == 3
+    assert read_metadata(tmp_path / "a.exr")["spp"] == 3 and (tmp_path / "a.json").exists()
 
 
 def test_a_summary_that_cannot_be_written_is_a_warning(lamps_file, tmp_path, monkeypatch, capsys):
