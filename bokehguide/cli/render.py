@@ -56,8 +56,8 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
         end, report = take_steps(loop, options, reference, checkpoints, pictures, earlier, interrupt)
         picture = loop.picture()
         summary = report.finish(loop, picture, measure(picture, reference))
+        write_pictures(loop, pictures, picture, checkpoints, report.seconds)
         if first:
-            pictures.write(loop, picture)
             if not isinstance(end, int):
                 checkpoints.remove(loop)
             if options.json:
@@ -67,6 +67,31 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
             print_problems(loop, picture, checkpoints, end)
     number = end if isinstance(end, int) else interrupt.signal
     return 0 if number is None else 128 + number
+
+
+def write_pictures(
+    loop: RenderLoop | AdaptiveLoop,
+    pictures: Pictures,
+    picture: Film | HalvesFilm,
+    checkpoints: Checkpoints,
+    seconds: float,
+) -> None:
+    """Write the images of the end; collective.
+
+    Raises BokehguideError if they cannot be written. The state is saved then, so that no sample is lost.
+    """
+    failure = None
+    if loop.ranks.first:
+        try:
+            pictures.write(loop, picture)
+        except BokehguideError as error:
+            failure = error
+    (failed,) = loop.ranks.any(failure is not None)
+    if failed:
+        checkpoints.save(loop, seconds)
+    if failure is not None:
+        kept = f"\nThe samples are kept in {checkpoints.path}; --resume writes the picture" if checkpoints.holds(loop) else ""
+        raise BokehguideError(f"{failure}{kept}") from failure
 
 
 def write_summary(path: Path, summary: dict[str, Any]) -> None:

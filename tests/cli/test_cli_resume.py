@@ -271,6 +271,22 @@ def test_pictures_that_cannot_be_shown_end_no_render(render, tmp_path, capsys, m
     assert read_metadata("a.exr")["spp"] == 3
 
 
+def test_a_picture_that_cannot_be_written_at_the_end_loses_no_sample(render, tmp_path, capsys, monkeypatch):
+    with monkeypatch.context() as full:
+
+        def fail(self, *_):
+            raise BokehguideError("a.exr: cannot be written (No space left on device); choose another folder")
+
+        full.setattr(Pictures, "write", fail)
+        assert render("--spp", 3) == 2
+    error = capsys.readouterr().err
+    assert "bokehguide: error: a.exr: cannot be written" in error
+    assert "The samples are kept in a.ckpt; --resume writes the picture" in error
+    assert kept_spp("a.ckpt", "guided") == 3
+    assert render("--spp", 3, "--resume") == 0
+    assert read_metadata("a.exr")["spp"] == 3 and not (tmp_path / "a.ckpt").exists()
+
+
 def test_the_log_goes_on_where_the_checkpoint_was(render, tmp_path):
     """Steps that were logged, but lost, are logged once."""
     for spp, options in ((3, ()), (6, ("--resume",))):
