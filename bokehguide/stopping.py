@@ -17,12 +17,17 @@ NUMBERS = (signal.SIGINT, signal.SIGTERM)
 
 
 class _Command:
-    """State of the process of a command. note: a text for the user at the end by a signal; temporary: files to remove then."""
+    """State of the process of a command.
+
+    note: a text for the user at the end by a signal; temporary: files to remove then; watched: whether a thread may end the
+    process; ending: held by the thread that does.
+    """
 
     def __init__(self) -> None:
         self.note = ""
         self.temporary: set[Path] = set()
         self.watched = False
+        self.ending = threading.Lock()
 
 
 _command = _Command()
@@ -92,6 +97,9 @@ def _watch(reader: int) -> None:
 
 
 def _stop(number: int, _: object = None) -> None:
+    """End the process. A second call, from the other thread or for a second signal, leaves the end to the first one."""
+    if not _command.ending.acquire(blocking=False):
+        return
     for path in tuple(_command.temporary):
         with suppress(OSError):
             path.unlink()
