@@ -11,7 +11,6 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM)
 
@@ -25,7 +24,7 @@ class _Command:
 
     def __init__(self) -> None:
         self.note = ""
-        self.temporary: set[Path] = set()
+        self.temporary: set[str] = set()
         self.watched = False
         self.ending = threading.Lock()
 
@@ -61,13 +60,13 @@ def note_at_stop(text: str) -> None:
 
 
 @contextmanager
-def removed_at_stop(path: Path) -> Iterator[None]:
+def removed_at_stop(path: str | os.PathLike[str]) -> Iterator[None]:
     """A context during which `path` is a temporary file, which an end by a signal removes."""
-    _command.temporary.add(path)
+    _command.temporary.add(os.fspath(path))
     try:
         yield
     finally:
-        _command.temporary.discard(path)
+        _command.temporary.discard(os.fspath(path))
 
 
 @contextmanager
@@ -102,7 +101,7 @@ def _stop(number: int, _: object = None) -> None:
         return
     for path in tuple(_command.temporary):
         with suppress(OSError):
-            path.unlink()
+            os.unlink(path)  # noqa: PTH108, as pathlib takes long to import
     note = f"bokehguide: {_command.note}\n" if _command.note else ""
     start = "\r\x1b[K" if os.isatty(2) else ""
     with suppress(OSError):

@@ -75,7 +75,11 @@ def test_names_that_are_not_utf8(option, lamps_file, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}]
+    "environment",
+    [
+        {"PYTHONIOENCODING": "ascii"},
+        pytest.param({"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, marks=pytest.mark.slow),
+    ],
 )
 def test_encodings_without_the_characters_of_messages(environment, lamps_file, tmp_path):
     told = run(tmp_path, "info", "emitters.toml", **environment)

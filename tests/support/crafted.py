@@ -175,12 +175,12 @@ def checkpoint(pickled: bytes) -> bytes:
     return file.getvalue()
 
 
-def nested() -> bytes:
-    """A checkpoint whose parts refer to one another, two to each level, 60 levels deep."""
+def nested(fingerprint: dict[str, str]) -> bytes:
+    """A checkpoint of a render whose parts refer to one another, two to each level, 60 levels deep."""
     part: object = []
     for _ in range(60):
         part = [part, part]
-    return checkpoint(pickle.dumps({"fingerprint": {}, "seconds": 1.0, "loop": part}, protocol=2))
+    return checkpoint(pickle.dumps({"fingerprint": fingerprint, "seconds": 1.0, "loop": part}, protocol=2))
 
 
 def byte_array(size: int = 6_000_000_000) -> bytes:

@@ -15,6 +15,7 @@ from bokehguide.scene import load_scene
 from bokehguide.scene.gltf import accessors
 from bokehguide.scene.shapes import instanced, joined, transform, transformed, unit_box, unit_sphere
 from bokehguide.train import RenderLoop, RenderSettings, load_checkpoint
+from bokehguide.train.checkpoint import fingerprint, require_kind
 from tests.support import crafted
 from tests.support.scene_text import CAMERA
 from tests.support.scenes import emitters
@@ -133,10 +134,11 @@ def test_small_files_make_fewer_triangles(tmp_path, monkeypatch):
     assert f"object[0]: makes 1,280 triangles in all; give a scene of at most {most:,} for files as small" in refused(path)
 
 
-@pytest.mark.parametrize("data", [crafted.nested(), crafted.byte_array(10**9)], ids=["nested", "bytes"])
-def test_crafted_checkpoints(data, tmp_path):
+@pytest.mark.parametrize("kind", ["nested", "bytes"])
+def test_crafted_checkpoints(kind, tmp_path):
     loop = RenderLoop(emitters(32, 20), RenderSettings("uniform", threads=1))
-    (tmp_path / "a.ckpt").write_bytes(data)
+    inputs = fingerprint(loop.scene, loop.settings)
+    (tmp_path / "a.ckpt").write_bytes(crafted.nested(inputs) if kind == "nested" else crafted.byte_array(10**9))
     start = time.process_time()
     with pytest.raises(BokehguideError, match="is damaged or no checkpoint of a render"):
         load_checkpoint(tmp_path / "a.ckpt", loop)
@@ -144,8 +146,6 @@ def test_crafted_checkpoints(data, tmp_path):
 
 
 def test_a_part_that_a_checkpoint_names_often_is_checked_once():
-    from bokehguide.train.checkpoint import require_kind
-
     part: object = []
     for _ in range(100):
         part = [part, part]
