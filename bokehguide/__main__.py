@@ -1,7 +1,10 @@
 """`python -m bokehguide` is the command `bokehguide`."""
 
+import signal
 import sys
 
-from bokehguide.cli import main
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # until `main` has its own handlers
+
+from bokehguide.cli import main  # noqa: E402
 
 sys.exit(main())

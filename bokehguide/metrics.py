@@ -15,6 +15,8 @@ EPSILON = 0.01
 """Added to the reference in denominators, so that the errors of black pixels count and stay finite."""
 
 SSIM_WINDOW = 11
+SSIM_PIXELS = 2**20
+"""Pixels of a band in which SSIM is computed."""
 
 
 @dataclass(frozen=True)
@@ -53,16 +55,32 @@ def compare(image: Tensor, reference: Tensor, exposure: float = 0.0) -> Metrics:
 
     Raises BokehguideError as `check` does.
     """
-    from kornia.metrics import psnr, ssim  # the import takes over a second, and renders do not need it
+    from kornia.metrics import psnr  # the import takes over a second, and renders do not need it
 
     check(image, reference)
     shown, expected = (tone_map(x, exposure).movedim(-1, 0)[None] for x in (image, reference))
     return Metrics(
         mape=mape(image, reference),
         relmse=relmse(image, reference),
-        ssim=ssim(shown, expected, SSIM_WINDOW).mean().item() if min(image.shape[:2]) >= SSIM_WINDOW else None,
+        ssim=_mean_ssim(shown, expected) if min(image.shape[:2]) >= SSIM_WINDOW else None,
         psnr=psnr(shown, expected, 1.0).item(),
     )
+
+
+def _mean_ssim(shown: Tensor, expected: Tensor) -> float:
+    """Mean SSIM of display values `[1, 3, H, W]`. Large images are compared in bands of rows, as SSIM takes much memory."""
+    from kornia.metrics import ssim
+
+    height, width = shown.shape[2:]
+    rows = max(SSIM_PIXELS // width, SSIM_WINDOW)
+    if height <= rows + SSIM_WINDOW:
+        return ssim(shown, expected, SSIM_WINDOW).mean().item()
+    total = 0.0
+    for top in range(0, height, rows):
+        first, last = max(top - SSIM_WINDOW, 0), min(top + rows + SSIM_WINDOW, height)
+        band = ssim(shown[:, :, first:last], expected[:, :, first:last], SSIM_WINDOW)
+        total += band[:, :, top - first : top - first + rows].double().sum().item()
+    return total / shown.numel()
 
 
 def check(image: Tensor, reference: Tensor) -> None:

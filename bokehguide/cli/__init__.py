@@ -7,37 +7,53 @@ import os
 import sys
 from collections.abc import Sequence
 
-from bokehguide.cli.arguments import parse
-from bokehguide.errors import BokehguideError
+from bokehguide.stopping import stop_at_signals
 
 SUCCESS, USER_ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
+    """Run the command line and return its exit code. None: the process is the command, with the arguments of the process.
 
-    0: success; 2: a mistake of the user; 130: interrupted; 141: the reader of the output closed the pipe.
+    0: success; 2: a mistake of the user; 130 or 143: interrupted by SIGINT or SIGTERM; 141: the reader of the output closed the
+    pipe.
     """
+    if arguments is None:
+        stop_at_signals()  # before any import that takes time
     try:
         try:
-            return _run(sys.argv[1:] if arguments is None else arguments)
+            return _run(sys.argv[1:] if arguments is None else arguments, arguments is None)
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
         # Python flushes stdout again at exit; that flush must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
+    except OSError as error:  # from stdout alone: all other files have their own messages
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(f"bokehguide: error: the output cannot be written ({error.strerror})", file=sys.stderr)
+        return USER_ERROR
 
 
-def _run(arguments: Sequence[str]) -> int:
+def _run(arguments: Sequence[str], own_process: bool) -> int:
+    from bokehguide.cli import terminal
+    from bokehguide.cli.arguments import parse
+    from bokehguide.cli.memory import explained
+    from bokehguide.errors import BokehguideError
+
+    if own_process:
+        terminal.open_streams()
     try:
         options = parse(arguments)
+        if own_process and options.command in ("render", "compare"):
+            terminal.show_stages()
         # Imported by name, so that --help and a mistyped option do not wait for torch.
-        command = importlib.import_module(f"bokehguide.cli.{options.command}")
-        return command.run(options)
+        with explained("the image" if options.command == "metrics" else "the scene"):
+            command = importlib.import_module(f"bokehguide.cli.{options.command}")
+            return command.run(options)
     except BokehguideError as error:
-        print(f"bokehguide: error: {error}", file=sys.stderr)
+        terminal.say(f"error: {error}")
         return USER_ERROR
-    except KeyboardInterrupt:
-        print("bokehguide: interrupted", file=sys.stderr)
+    except KeyboardInterrupt:  # in a process of which the command is a part
+        terminal.say("interrupted")
         return INTERRUPTED

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -28,8 +29,14 @@ class Parser(argparse.ArgumentParser):
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
-    """The options of one command, whose name is `command`. Raises BokehguideError for a mistake."""
-    return make_parser().parse_args(_attach_negative_values(arguments))
+    """The options of one command, whose name is `command`, and `started`, the present time of `time.monotonic`.
+
+    Raises BokehguideError for a mistake.
+    """
+    for argument in arguments:
+        if not _is_text(argument):
+            raise BokehguideError(f"{argument!r} is no UTF-8 text; rename the file or folder")
+    return make_parser().parse_args(_attach_negative_values(arguments), argparse.Namespace(started=time.monotonic()))
 
 
 def make_parser() -> Parser:
@@ -70,11 +77,12 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--exposure", type=exposure, default=0.0, metavar="EV", help="exposure of PNG and TensorBoard images (default: 0)")
     box = "render only this box: in pixels from the top left, or in fractions of the frame if W and H are at most 1"
     add("--crop", type=crop, metavar="X,Y,W,H", help=box)
-    add("--time-limit", type=duration, metavar="SECONDS", help="stop before a step that would exceed this time")
+    limit = "stop before a step that would exceed this time, loading included; at least one step is taken"
+    add("--time-limit", type=duration, metavar="SECONDS", help=limit)
     noise = "stop each block of 32 x 32 pixels at this estimated relative error; --spp is the limit"
     add("--target-noise", type=float, metavar="X", help=noise)
-    every = "interval at which the state of the render is saved in PATH.ckpt; 0: never (default: 60)"
-    add("--checkpoint-every", type=seconds, default=60.0, metavar="SECONDS", help=every)
+    every = "save the state in PATH.ckpt at this interval and keep the file; 0: never (default: 60, removed at a regular end)"
+    add("--checkpoint-every", type=seconds, metavar="SECONDS", help=every)
     add("--resume", action="store_true", help="continue from PATH.ckpt, if it exists, up to --spp in total")
     _add_allow_outside(render)
     _add_overrides(render)
@@ -220,6 +228,15 @@ def inset(text: str) -> tuple[float, float, float, float]:
     if not (x >= 0 and y >= 0 and width > 0 and height > 0 and x + width <= 1 and y + height <= 1):
         raise argparse.ArgumentTypeError(f"{text!r} leaves the frame; give X,Y,W,H as fractions of it, between 0 and 1")
     return x, y, width, height
+
+
+def _is_text(argument: str) -> bool:
+    """Whether an argument has no bytes that are not UTF-8, which no image library accepts in a path."""
+    try:
+        argument.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _whole(text: str, least: int, most: int = MAX_INT) -> int:

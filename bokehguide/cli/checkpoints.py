@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
+from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
-from bokehguide.train import AdaptiveLoop, RenderLoop, load_checkpoint, save_checkpoint, saved_steps
+from bokehguide.train import AdaptiveLoop, RenderLoop, load_checkpoint, save_checkpoint, saved_state
+
+INTERVAL = 60.0
+"""Seconds from one save to the next, by default."""
 
 
 class Checkpoints:
     """The checkpoint file of one render.
 
-    every: seconds from one save to the next, 0 for no file; silent: print no notes on stderr.
+    every: seconds from one save to the next, 0 for no file; None: INTERVAL, and the file is removed when the render ends by
+    itself. silent: print no notes on stderr.
     """
 
-    def __init__(self, path: Path, every: float, silent: bool = False):
-        self.path, self.every, self._silent = path, every, silent
+    def __init__(self, path: Path, every: float | None, silent: bool = False):
+        self.path, self._silent = path, silent
+        self.every = INTERVAL if every is None else every
+        self._kept = every is not None
+        """Whether the file stays when the render ends by itself: the user has asked for it, now or when it was written."""
         self._last = time.monotonic()
         self._saved_step = 0
 
@@ -29,15 +37,18 @@ class Checkpoints:
         """
         if resume and self.path.exists():
             seconds = load_checkpoint(self.path, loop)
+            self._kept |= saved_state(self.path, loop)[1]
             step = self._saved_step = loop.step_number
             if step > loop.settings.spp:
                 raise BokehguideError(f"{self.path}: has {step} SPP already; give --spp {step} or more")
             self._note(f"resuming {self.path} at {step} SPP")
             return seconds
         if resume:
-            self._note(f"no {self.path} to resume; starting from the first step")
+            advice = "a finished render keeps one with --checkpoint-every SECONDS"
+            self._note(f"no {self.path} to resume; starting from the first step ({advice})")
         elif self.every > 0.0:
-            step = self._saved_step = saved_steps(self.path, loop)
+            step, kept = saved_state(self.path, loop)
+            self._saved_step, self._kept = step, self._kept or kept
             if step > 0:
                 self._note(f"{self.path} has {step} SPP of this render and stays until this run has more; see --resume")
         return 0.0
@@ -49,11 +60,23 @@ class Checkpoints:
         """Write the state; collective. Warns if the file cannot be written, as the render can still succeed."""
         if self.every > 0.0 and loop.step_number > self._saved_step:
             try:
-                save_checkpoint(self.path, loop, seconds)
+                save_checkpoint(self.path, loop, seconds, self._kept)
                 self._saved_step = loop.step_number
             except BokehguideError as error:
                 self._note(f"warning: {error}")
         self._last = time.monotonic()
+
+    def end(self, loop: RenderLoop | AdaptiveLoop, seconds: float, interrupted: bool) -> None:
+        """Save the last state if the render was interrupted or the file is to stay; collective."""
+        if interrupted or self._kept:
+            self.save(loop, seconds)
+
+    def remove(self, loop: RenderLoop | AdaptiveLoop) -> None:
+        """Remove the file of a finished render, once its picture is written. A file with more SPP stays."""
+        if not self._kept and 0 < self._saved_step <= loop.step_number:
+            with suppress(OSError):
+                self.path.unlink()
+            self._saved_step = 0
 
     def ahead(self, loop: RenderLoop | AdaptiveLoop) -> bool:
         """Whether the file has a later state of the same render than the loop; images of that state may exist."""
@@ -65,4 +88,4 @@ class Checkpoints:
 
     def _note(self, text: str) -> None:
         if not self._silent:
-            print(f"bokehguide: {text}", file=sys.stderr)
+            say(text)

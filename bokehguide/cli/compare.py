@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
-from bokehguide.cli.render import check_device, overrides_from
+from bokehguide.cli.render import check_device, make_folders, overrides_from, print_folders
+from bokehguide.cli.terminal import clear_stage, say
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import compare, given_reference, made_reference, report
 from bokehguide.evaluation.comparison import METRICS, SEED
@@ -18,6 +18,7 @@ from bokehguide.evaluation.tables import describe_reference
 from bokehguide.image import check_writable, replacing
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import Inset, Scene, load_scene
+from bokehguide.stopping import note_at_stop
 from bokehguide.train import RenderSettings
 from bokehguide.train.logger import run_folder
 
@@ -37,19 +38,19 @@ def run(options: argparse.Namespace) -> int:
     check_device(options.device)
     reference = given_reference(options.reference, scene) if options.reference else None
     read_runs(options.out / METRICS)
+    created = make_folders([options.out])
     check_outputs(scene, every, options)
     for warning in scene.warnings:
-        print(f"bokehguide: warning: {warning}", file=sys.stderr)
+        say(f"warning: {warning}")
 
-    try:
-        if reference is None:
-            spp = options.reference_spp or REFERENCE_SHARE * options.spp
-            reference = made_reference(scene, replace(every[0], spp=spp), options.out / REFERENCE, options.cache)
-        print(describe_reference(reference), flush=True)
-        comparison = compare(scene, every, reference, options.out, options.exposure)
-    except KeyboardInterrupt:
-        print("bokehguide: finished modes are kept; the same command continues", file=sys.stderr)
-        raise
+    note_at_stop("finished modes are kept; the same command continues")
+    if reference is None:
+        spp = options.reference_spp or REFERENCE_SHARE * options.spp
+        reference = made_reference(scene, replace(every[0], spp=spp), options.out / REFERENCE, options.cache)
+    clear_stage()
+    print_folders(created)
+    print(describe_reference(reference), flush=True)
+    comparison = compare(scene, every, reference, options.out, options.exposure)
     text = report(comparison)
     with replacing(options.out / TABLE) as temporary:
         temporary.write_text(text + "\n")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
 from pathlib import Path
 
+from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
 from bokehguide.image import tone_map, write_exr, write_png
 from bokehguide.render import Film
@@ -37,7 +37,7 @@ class Pictures:
             try:
                 self.write(loop, picture)
             except BokehguideError as error:
-                print(f"bokehguide: warning: {error}", file=sys.stderr)
+                say(f"warning: {error}")
 
 
 def command_line(options: argparse.Namespace, spp: int) -> str:

@@ -11,13 +11,16 @@ import torch
 from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
+from bokehguide.cli.memory import check_memory, describe, explained
 from bokehguide.cli.pictures import OVERRIDES, Pictures
 from bokehguide.cli.report import write_json
 from bokehguide.cli.steps import measure, take_steps
+from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
-from bokehguide.image import check_writable, remove_abandoned
+from bokehguide.image import check_writable, make_folder, remove_abandoned
 from bokehguide.metrics import read_reference
 from bokehguide.render import Film
+from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import FilmSettings, Inset, Overrides, Scene, load_scene
 from bokehguide.train import AdaptiveLoop, Ranks, RenderLoop, RenderSettings, make_loop, restarts
@@ -35,7 +38,8 @@ def run(options: argparse.Namespace) -> int:
     reference = read_window(options.reference, scene, window) if options.reference else None
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
     check_outputs(out, options, run_folder(options.logdir or "", scene, settings))
-    with Ranks.join(settings.device) as ranks:
+    check_memory(scene, settings)
+    with Ranks.join(settings.device) as ranks, explained(describe(scene)):
         if ranks.first:
             print_warnings(scene)
         with make_loop(scene, settings, ranks) as loop:
@@ -48,17 +52,54 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
     checkpoints = Checkpoints(out.with_suffix(".ckpt"), options.checkpoint_every, silent=not first)
     earlier = checkpoints.begin(loop, options.resume or restarts() > 0)
     pictures = Pictures(out, options)
-    end, report = take_steps(loop, options, reference, checkpoints, pictures, earlier)
-    picture = loop.picture()
-    summary = report.finish(loop, picture, measure(picture, reference))
-    if first:
-        pictures.write(loop, picture)
-        if options.json:
-            write_json(options.json, summary)
-        print_summary(summary, picture, end)
-        print_files(loop, pictures, checkpoints)
-        print_problems(loop, picture, checkpoints, end)
-    return 128 + end if isinstance(end, int) else 0
+    with Interrupt() as interrupt:  # a signal ends the render in order until its files are written
+        end, report = take_steps(loop, options, reference, checkpoints, pictures, earlier, interrupt)
+        picture = loop.picture()
+        summary = report.finish(loop, picture, measure(picture, reference))
+        write_pictures(loop, pictures, picture, checkpoints, report.seconds)
+        if first:
+            if not isinstance(end, int):
+                checkpoints.remove(loop)
+            if options.json:
+                write_summary(options.json, summary)
+            print_summary(summary, picture, end)
+            print_files(loop, pictures, checkpoints)
+            print_problems(loop, picture, checkpoints, end)
+    number = end if isinstance(end, int) else interrupt.signal
+    return 0 if number is None else 128 + number
+
+
+def write_pictures(
+    loop: RenderLoop | AdaptiveLoop,
+    pictures: Pictures,
+    picture: Film | HalvesFilm,
+    checkpoints: Checkpoints,
+    seconds: float,
+) -> None:
+    """Write the images of the end; collective.
+
+    Raises BokehguideError if they cannot be written. The state is saved then, so that no sample is lost.
+    """
+    failure = None
+    if loop.ranks.first:
+        try:
+            pictures.write(loop, picture)
+        except BokehguideError as error:
+            failure = error
+    (failed,) = loop.ranks.any(failure is not None)
+    if failed:
+        checkpoints.save(loop, seconds)
+    if failure is not None:
+        kept = f"\nThe samples are kept in {checkpoints.path}; --resume writes the picture" if checkpoints.holds(loop) else ""
+        raise BokehguideError(f"{failure}{kept}") from failure
+
+
+def write_summary(path: Path, summary: dict[str, Any]) -> None:
+    """Write the summary as JSON. Warns if it cannot be written, as the picture is there."""
+    try:
+        write_json(path, summary)
+    except BokehguideError as error:
+        say(f"warning: {error}")
 
 
 def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
@@ -103,6 +144,7 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
             raise BokehguideError(f"{option}: {str(path)!r} is an output of this command; give another path")
     if options.json and options.reference and options.json.resolve() == options.reference.resolve():
         raise BokehguideError(f"--json: {str(options.json)!r} is the reference; give another path")
+    created = make_folders([path.parent for path in (out, options.json) if path] + ([options.logdir] if options.logdir else []))
     for path in (out, png, checkpoint):
         check_writable(path)
         remove_abandoned(path)
@@ -110,12 +152,24 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
         check_writable(options.json)
     if options.logdir:
         check_writable(log_folder / "events")
+    print_folders(created)
+
+
+def make_folders(folders: list[Path]) -> list[Path]:
+    """Create each folder that is missing in an existing one; returns these. Raises BokehguideError as `make_folder`."""
+    return [folder for folder in folders if make_folder(folder)]
+
+
+def print_folders(created: list[Path]) -> None:
+    """Print the folders that the command has created on stderr."""
+    for folder in created:
+        say(f"created the folder {folder}")
 
 
 def print_warnings(scene: Scene) -> None:
     """Print the warnings of the scene's files on stderr."""
     for warning in scene.warnings:
-        print(f"bokehguide: warning: {warning}", file=sys.stderr)
+        say(f"warning: {warning}")
 
 
 def print_summary(summary: dict[str, Any], picture: Film | HalvesFilm, end: int | str | None) -> None:

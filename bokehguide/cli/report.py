@@ -9,13 +9,33 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
+from bokehguide.cli.forecast import Forecast, delivered_error
 from bokehguide.image import replacing
 from bokehguide.render.film import Film
 from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, StepStats
 from bokehguide.train.adaptive import HalvesFilm
+
+BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{left}, {rate_fmt}{postfix}]"
+"""The format of the bar, that of tqdm with another time left."""
+
+
+class Bar(tqdm):
+    """A progress bar whose time left is that of the limit that ends the render first.
+
+    seconds_left: None before the first step.
+    """
+
+    seconds_left: float | None = None
+
+    @property
+    def format_dict(self) -> Any:
+        """The values for BAR."""
+        left = "?" if self.seconds_left is None else self.format_interval(self.seconds_left)
+        return dict(super().format_dict) | {"left": left}
 
 
 class Report:
@@ -24,23 +44,41 @@ class Report:
     done, earlier: SPP and seconds of earlier sessions; silent: show no bar.
     """
 
-    def __init__(self, title: str, settings: RenderSettings, done: int = 0, earlier: float = 0.0, silent: bool = False):
-        self.settings = settings
+    def __init__(
+        self,
+        title: str,
+        settings: RenderSettings,
+        forecast: Forecast,
+        done: int = 0,
+        earlier: float = 0.0,
+        silent: bool = False,
+    ):
+        self.settings, self._forecast = settings, forecast
         self._samples = 0
         self._rendering = 0.0
         self._earlier = earlier
         self._start = time.perf_counter()
         # A terminal gets a moving bar, a log file a line every ten seconds.
         interval = 0.1 if sys.stderr.isatty() else 10.0
-        self.bar = tqdm(
-            None, title, settings.spp, disable=silent, unit="SPP", initial=done, mininterval=interval, dynamic_ncols=True
+        self.bar = Bar(
+            None,
+            title,
+            settings.spp,
+            disable=silent,
+            unit="SPP",
+            initial=done,
+            mininterval=interval,
+            dynamic_ncols=True,
+            bar_format=BAR,
         )
 
     def add(self, stats: StepStats, errors: Mapping[str, float]) -> None:
-        """Count one step. errors: `mape` and `relmse`, or empty without a reference."""
+        """Count one step. errors: `mape` and `relmse`, or empty without a reference. Collective."""
         self._samples += stats.samples
         self._rendering += stats.seconds
-        words = [f"{self._samples / self._rendering / 1e6:.2f} M samples/s"]
+        self._forecast.add(stats)
+        self.bar.seconds_left = self._forecast.seconds_left
+        words = [f"{self._samples / self._rendering / 1e6:.2f} M samples/s", *self._forecast.words()]
         words += [f"MAPE {errors['mape']:.4f}"] if errors else []
         self.bar.set_postfix_str(", ".join(words), refresh=False)
         self.bar.update()
@@ -67,7 +105,7 @@ class Report:
             "samples_per_second": picture.samples() / seconds,
             "peak_memory_mb": peak_memory_mb(),
             "gaussians": loop.mode.lens.component_count,
-            **({} if self.settings.target_noise is None else {"estimated_mape": picture.relative_noise()}),
+            **({} if self.settings.target_noise is None else {"estimated_mape": delivered_error(picture)}),
             **errors,
             "phases": phases,
         }

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import math
 import signal
+import time
 
 from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
+from bokehguide.cli.forecast import Forecast
 from bokehguide.cli.pictures import Pictures
 from bokehguide.cli.report import Report
+from bokehguide.cli.terminal import clear_stage
 from bokehguide.metrics import mape, relmse
 from bokehguide.render import Film
 from bokehguide.runtime.interrupt import Interrupt
@@ -24,41 +28,53 @@ def take_steps(
     checkpoints: Checkpoints,
     pictures: Pictures,
     earlier: float,
+    interrupt: Interrupt,
 ) -> tuple[int | str | None, Report]:
     """Take the remaining steps; images are written after the first step and with each checkpoint.
 
-    earlier: seconds of earlier sessions. Returns the report, and the reason of an end before `spp` steps: the number of a
-    signal, a text, or None.
+    earlier: seconds of earlier sessions; interrupt: entered, so that a signal ends the render in order. Returns the report, and
+    the reason of an end before `spp` steps: the number of a signal, a text, or None.
     """
     done, settings, ranks = loop.step_number, loop.settings, loop.ranks
     logger, end = None, None
     if options.logdir:
         logger = RenderLogger(options.logdir, loop.scene, settings, options.exposure, done, silent=not ranks.first)
-    with Interrupt() as interrupt:  # before the bar: from its first sight on, Ctrl-C ends the render in order
-        report = Report(f"{loop.scene.name} {settings.mode}", settings, done, earlier, silent=not ranks.first)
-        while loop.step_number < settings.spp and end is None:
-            if isinstance(loop, AdaptiveLoop) and loop.finished:
-                end = f"every block has reached --target-noise {settings.target_noise:g}"
-                break
-            stats = loop.step()
-            report_step(loop, stats, reference, report, logger)
-            late = options.time_limit is not None and report.seconds + stats.seconds > options.time_limit
-            interrupted, late, due = ranks.any(interrupt.requested, late, checkpoints.due())
-            if due:
-                if logger:
-                    logger.flush()  # the log must not end before the saved state
-                checkpoints.save(loop, report.seconds)
-            if interrupted:
-                end = interrupt.signal or signal.SIGTERM
-            elif loop.step_number < settings.spp:
-                if late:
-                    end = f"another step would exceed --time-limit {options.time_limit:g}"
-                elif (due or loop.step_number == done + 1) and not checkpoints.ahead(loop):
-                    pictures.refresh(loop)
-        checkpoints.save(loop, report.seconds)
+    deadline = math.inf if options.time_limit is None else options.started + options.time_limit
+    clear_stage()
+    forecast = Forecast(loop, deadline)
+    report = Report(f"{loop.scene.name} {settings.mode}", settings, forecast, done, earlier, silent=not ranks.first)
+    while loop.step_number < settings.spp and end is None:
+        if isinstance(loop, AdaptiveLoop) and loop.finished:
+            end = f"every block has reached --target-noise {settings.target_noise:g}"
+            break
+        stats = loop.step()
+        report_step(loop, stats, reference, report, logger)
+        late = time.monotonic() + stats.seconds > deadline
+        interrupted, late, due = ranks.any(interrupt.requested, late, checkpoints.due())
+        if due:
+            if logger:
+                logger.flush()  # the log must not end before the saved state
+            checkpoints.save(loop, report.seconds)
+        if interrupted:
+            end = interrupt.signal or signal.SIGTERM
+        elif loop.step_number < settings.spp:
+            if late:
+                end = time_is_up(options, stats, loop.step_number == done + 1)
+            elif (due or loop.step_number == done + 1) and not checkpoints.ahead(loop):
+                pictures.refresh(loop)
+    checkpoints.end(loop, report.seconds, isinstance(end, int))
     if logger:
         logger.finish(loop, loop.step_number, loop.picture())
     return end, report
+
+
+def time_is_up(options: argparse.Namespace, stats: StepStats, first: bool) -> str:
+    """The reason of an end by --time-limit. first: whether one step was taken."""
+    limit = f"--time-limit {options.time_limit:g}"
+    passed = time.monotonic() - options.started
+    if first and passed > options.time_limit:
+        return f"{limit} passed within {passed:.1f} s of loading and the first step, which is always taken"
+    return f"another step would exceed {limit}"
 
 
 def report_step(

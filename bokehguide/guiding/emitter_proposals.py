@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 
@@ -18,6 +19,8 @@ from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene.emitters import Emitters, find_emitters
 from bokehguide.scene.types import Scene
+
+log = logging.getLogger(__name__)
 
 INFINITY = 1e5
 """Distance of emitters at infinity, in focus distances."""
@@ -58,6 +61,7 @@ def emitter_proposals(scene: Scene, camera: ThinLensCamera, config: GuidedConfig
     if not config.known_emitters:
         return no_proposals(scene, device)
     size_scale = config.emitter_scale
+    log.info("finding the emitters")
     emitters = find_emitters(scene)
     arrays = (emitters.centres.T, emitters.bounding_radii, emitters.radii, emitters.luminance, emitters.ellipsoids)
     centre, reach, size, bright, outline = (torch.from_numpy(x).float() for x in arrays)

@@ -17,6 +17,9 @@ MARGIN = 0.1
 """Width of the margin around the frame, as a share of the frame's width. The circle of confusion of a highlight in the margin may
 reach into the frame."""
 
+WIDEST = 10.0
+"""Width over height of a frame up to which the border follows the width: that of a very wide frame would fill the memory."""
+
 FAR = 1000.0
 """Distance at which the record places the environment, in focus distances."""
 
@@ -38,7 +41,7 @@ class Raster(RankSums):
     _size: Tensor
 
     def __init__(self, camera: ThinLensCamera, planes: int, ranks: Ranks | None = None):
-        border = math.ceil(MARGIN * camera.width)
+        border = math.ceil(MARGIN * min(camera.width, WIDEST * camera.height))
         width, height = camera.width + 2 * border, camera.height + 2 * border
         super().__init__(torch.zeros(planes, width * height), ranks)
         self.border, self.width, self.height = border, width, height

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable
+from bokehguide.stopping import removed_at_stop
 
 
 @contextmanager
@@ -19,33 +22,56 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        yield temporary
-        with temporary.open("rb") as written:
-            os.fsync(written.fileno())  # otherwise a power failure could leave an empty file under the new name
-        temporary.replace(path)
-    except OSError as error:
-        raise unwritable(path, error) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
+    with removed_at_stop(temporary):
+        try:
+            yield temporary
+            with temporary.open("rb") as written:
+                os.fsync(written.fileno())  # otherwise a power failure could leave an empty file under the new name
+            temporary.replace(path)
+        except OSError as error:
+            raise unwritable(path, error) from error
+        finally:
+            with suppress(OSError):
+                temporary.unlink()
 
 
 def check_writable(path: str | Path) -> None:
     """Create the folder of the file `path` if it is missing, and write a trial file there.
 
-    Only a trial detects full disks and read-only mounts. Raises BokehguideError if the trial fails or if `path` is a folder.
+    Only a trial detects full disks and read-only mounts. Raises BokehguideError if the trial fails, or if `path` is a folder or a
+    device.
     """
     path = Path(path)
-    if path.is_dir():
-        raise BokehguideError(f"{path}: is a folder; give the path of a file in it")
     try:
+        mode = path.stat().st_mode if path.exists() else stat.S_IFREG
+        if stat.S_ISDIR(mode):
+            raise BokehguideError(f"{path}: is a folder; give the path of a file in it")
+        if not stat.S_ISREG(mode):
+            raise BokehguideError(f"{path}: is no regular file, and would be replaced by one; give another path")
         path.parent.mkdir(parents=True, exist_ok=True)
-        trial = path.with_name(f".{path.name}.{os.getpid()}.trial")
-        trial.touch()
-        trial.unlink()
+        trial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        with removed_at_stop(trial):
+            trial.touch()
+            trial.unlink()
     except OSError as error:
         raise unwritable(path, error) from error
+
+
+def make_folder(path: str | Path) -> bool:
+    """Create the folder `path` in an existing one; returns whether it was missing.
+
+    Raises BokehguideError if the folder above does not exist: a mistyped path must not become a tree of folders.
+    """
+    path = Path(path)
+    try:
+        if path.exists():
+            return False
+        if not path.parent.exists():
+            raise BokehguideError(f"{path}: the folder {path.parent} does not exist; create it, or choose another folder")
+        path.mkdir()
+    except OSError as error:
+        raise unwritable(path, error) from error
+    return True
 
 
 def remove_abandoned(path: str | Path) -> None:
@@ -72,4 +98,5 @@ def _runs(process: int) -> bool:
 def unwritable(path: Path, error: Exception) -> BokehguideError:
     """The error for a file that cannot be written."""
     reason = getattr(error, "strerror", None) or error
-    return BokehguideError(f"{path}: cannot be written ({reason}); choose another folder")
+    remedy = "choose a shorter name" if getattr(error, "errno", None) == errno.ENAMETOOLONG else "choose another folder"
+    return BokehguideError(f"{printable(str(path), 400)}: cannot be written ({reason}); {remedy}")

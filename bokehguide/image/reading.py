@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import BokehguideError, printable
-from bokehguide.limits import MAX_PIXELS, MAX_SIDE, most_values
+from bokehguide.limits import MAX_PIXELS, MAX_SIDE, most_map_values
 
 MAGIC = {"EXR": b"\x76\x2f\x31\x01", "HDR": b"#?"}
 
@@ -29,6 +30,9 @@ def read_channels(path: str | Path, kind: str = "EXR") -> Channels:
     Raises BokehguideError for a file that is missing, damaged, too large or of another kind.
     """
     try:
+        mode = Path(path).stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # opening a pipe could block for ever
+            raise BokehguideError(f"{path}: is no regular file; give an {kind} file")
         with Path(path).open("rb") as file:
             start = file.read(len(MAGIC[kind]))
     except OSError as error:
@@ -51,7 +55,7 @@ def _read(path: str | Path) -> Channels:
     if not (0 < spec.width <= MAX_SIDE and 0 < spec.height <= MAX_SIDE and spec.width * spec.height <= MAX_PIXELS):
         raise BokehguideError(f"{path}: {spec.width}x{spec.height} pixels are too many; give at most {MAX_PIXELS}")
     values = spec.width * spec.height * spec.nchannels
-    if values > most_values(stored):
+    if values > most_map_values(stored):
         raise BokehguideError(f"{path}: would unfold from {stored:,} bytes to {values:,} values; give a smaller image")
     pixels = image.read_image(oiio.FLOAT)
     if pixels is None:

@@ -121,7 +121,7 @@ class Film:
         """
         weight, emission = samples.weight, samples.emission
         value, features = samples.value(), samples.features()
-        good = value.sum(0).isfinite()
+        good = value.sum(0).isfinite() & weight.isfinite()
         if good.device.type != "cpu" or not bool(good.all()):  # `find_bad` reads the results of all batches from a GPU at once
             self._suspects.append((pixels, good, step))
             weight, value, emission, features = (x.nan_to_num(0.0, 0.0, 0.0) for x in (weight, value, emission, features))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,8 @@ from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
 from bokehguide.runtime.compile.kernels import kernel, record
 from bokehguide.runtime.indexing import ActiveEntries
 from bokehguide.scene.types import Scene
+
+log = logging.getLogger(__name__)
 
 MIN_ALPHA = 1e-3
 """Least GGX α of an opaque surface. Smoother surfaces would look the same: like mirrors."""
@@ -89,6 +92,8 @@ class Geometry:
     def __init__(self, scene: Scene, device: torch.device | str = "cpu"):
         self.device = torch.device(device)
         meshes = scene.meshes
+        count = sum(len(mesh.triangles) for mesh in meshes)
+        log.info("preparing %s triangles and %s materials", f"{count:,}", f"{len(scene.materials):,}")
         vertices, corners = triangles.joined(meshes)
         self.tracer = Tracer(vertices, corners)
         self._vertices, self._corners = self._rows(vertices), self._rows(corners)

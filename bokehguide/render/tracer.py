@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,9 @@ from embreex.rtcore_scene import EmbreeScene
 from torch import Tensor
 
 from bokehguide.runtime.device import to_device, to_host
+from bokehguide.stopping import default_signals
+
+log = logging.getLogger(__name__)
 
 MISS_DISTANCE = 1e37
 """Distance of rays that hit nothing, metres."""
@@ -42,10 +46,12 @@ class Tracer:
             raise ValueError(f"triangle indices must lie in [0, {len(vertices)}) and be at least one triangle")
         if not np.isfinite(vertices).all():
             raise ValueError("vertices must be finite")
-        self._scene = EmbreeScene(robust=True)
-        self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(vertices), np.ascontiguousarray(triangles))
-        far = np.full((1, 3), 1e30, np.float32)
-        self._scene.run(far, np.ones((1, 3), np.float32))  # commits, before any thread does
+        log.info("building the tracing structure of %s triangles", f"{len(triangles):,}")
+        with default_signals():  # embreex holds the interpreter's lock
+            self._scene = EmbreeScene(robust=True)
+            self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(vertices), np.ascontiguousarray(triangles))
+            far = np.full((1, 3), 1e30, np.float32)
+            self._scene.run(far, np.ones((1, 3), np.float32))  # commits, before any thread does
 
     def intersect(self, origins: Tensor, directions: Tensor, limits: Tensor | None = None) -> Hit:
         """Nearest hits of rays `[3, N]` within distances `limits` `[N]`. The distance of a miss is the limit, or MISS_DISTANCE.

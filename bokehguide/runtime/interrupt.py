@@ -5,6 +5,8 @@ from __future__ import annotations
 import signal
 from typing import Self
 
+from bokehguide.stopping import NUMBERS, leave_signals_to_handlers
+
 
 class Interrupt:
     """A context in which the first SIGINT and the first SIGTERM only set `signal`. A second signal of a kind has its usual
@@ -22,7 +24,8 @@ class Interrupt:
         return self.signal is not None
 
     def __enter__(self) -> Self:
-        self._previous = {number: signal.signal(number, self._request) for number in (signal.SIGINT, signal.SIGTERM)}
+        leave_signals_to_handlers()
+        self._previous = {number: signal.signal(number, self._request) for number in NUMBERS}
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -102,7 +102,7 @@ def _aperture_radius(table: Table) -> float:
 def _focus_distance(table: Table, position: Vector, target: Vector, forward: np.ndarray) -> float:
     """The focus distance in metres along the optical axis. The default is the target's."""
     if "focus_point" not in table:
-        distance = float(np.linalg.norm(np.subtract(target, position)))
+        distance = max(float(np.linalg.norm(np.subtract(target, position))), IN_FRONT.low)
         return table.number("focus_distance", distance, IN_FRONT)
     point = table.vector("focus_point", None)
     distance = float(np.subtract(point, position) @ forward)

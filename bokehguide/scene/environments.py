@@ -10,7 +10,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.limits import LARGEST
-from bokehguide.scene.files import require_file
+from bokehguide.scene.files import require_map
 from bokehguide.scene.types import Environment
 
 if TYPE_CHECKING:
@@ -25,11 +25,8 @@ def load_environment_map(path: Path) -> tuple[np.ndarray, list[str]]:
     """
     from bokehguide.image.reading import read_channels  # imports torch, which a constant colour does not need
 
-    kind = path.suffix.upper().removeprefix(".")
-    if kind not in ("HDR", "EXR"):
-        raise BokehguideError(f"{path}: not an environment map; give a .hdr or .exr file")
-    require_file(path, "environment map")
-    radiance = _radiance(read_channels(path, kind), path)
+    require_map(path)
+    radiance = _radiance(read_channels(path, path.suffix.upper().removeprefix(".")), path)
     bad = np.count_nonzero(~(np.abs(radiance) <= LARGEST).all(axis=2))
     if bad:
         raise BokehguideError(f"{path}: {bad} texels are NaN or infinite, or beyond {LARGEST:g}; repair the map")

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from bokehguide.errors import BokehguideError
-from bokehguide.limits import most_values
+from bokehguide.limits import FREE_INSTANCES, FREE_MESHES, MESH_BYTES, most_triangles, most_values
 from bokehguide.scene.tables import Table, shown
+
+KINDS = {"file": "model", "image": "image"}
+"""The kinds of files by the keys that name them; other keys name textures."""
 
 
 class SceneFiles:
@@ -21,6 +28,10 @@ class SceneFiles:
     def __init__(self, folder: Path, allow_outside: bool = False):
         self.folder, self.allow_outside = folder.resolve(), allow_outside
         self._values = self._stored = 0
+        self._geometry = 0
+        """Bytes of the files with geometry that were read."""
+        self._images: dict[tuple[bytes, bool, bool], np.ndarray] = {}
+        """Decoded images by the digest of their files, by `srgb` and by `alpha`."""
 
     def find(self, folder: Path, name: str, place: str) -> Path:
         """The path of the file `name`, which is relative to `folder`.
@@ -43,8 +54,48 @@ class SceneFiles:
         return path
 
     def named(self, table: Table, key: str) -> Path:
-        """The path under `key` of a scene file's table, relative to that file. Raises as `find` does."""
-        return self.find(Path(table.file).parent, table.text(key), table.place(key))
+        """The path of the file under `key` of a scene file's table, relative to that file.
+
+        Raises as `find` and `require_file` do, naming the table's file and the key.
+        """
+        path = self.find(Path(table.file).parent, table.text(key), table.place(key))
+        if key == "map":
+            require_map(path, table.place(key))
+        else:
+            require_file(path, KINDS.get(key, "texture"), table.place(key))
+        return path
+
+    def read(self, path: Path) -> bytes:
+        """The bytes of a file with geometry. Small files may make fewer triangles than large ones. Raises OSError."""
+        data = path.read_bytes()
+        self.add_geometry(len(data))
+        return data
+
+    def add_geometry(self, stored: int) -> None:
+        """Count `stored` bytes of geometry that another reader reads."""
+        self._geometry += stored
+
+    @property
+    def most_triangles(self) -> int:
+        """Triangles that the scene may have."""
+        return most_triangles(self._geometry)
+
+    @property
+    def most_instances(self) -> int:
+        """Instances that the scene may have."""
+        return FREE_INSTANCES + self._geometry
+
+    @property
+    def most_meshes(self) -> int:
+        """Meshes that the scene may have."""
+        return FREE_MESHES + self._geometry // MESH_BYTES
+
+    def image(self, data: bytes, srgb: bool, alpha: bool, decode: Callable[[], np.ndarray]) -> np.ndarray:
+        """The pixels of the image file `data`, decoded once for each combination of colour space and alpha."""
+        key = (hashlib.sha256(data).digest(), srgb, alpha)
+        if key not in self._images:
+            self._images[key] = decode()
+        return self._images[key]
 
     def reserve(self, values: int, stored: int, place: str) -> None:
         """Add an image of `values` numbers, stored in `stored` bytes, to the budget.
@@ -59,15 +110,26 @@ class SceneFiles:
             )
 
 
-def require_file(path: Path, what: str) -> None:
-    """Raise BokehguideError unless `path` is a readable regular file. what: the kind of file, for the message."""
+def require_map(path: Path, place: str = "") -> None:
+    """As `require_file`, for an environment map, whose format its suffix names."""
+    if path.suffix.lower() not in (".hdr", ".exr"):
+        raise BokehguideError(f"{f'{place}: ' if place else ''}{path}: not an environment map; give a .hdr or .exr file")
+    require_file(path, "environment map", place)
+
+
+def require_file(path: Path, what: str, place: str = "") -> None:
+    """Raise BokehguideError unless `path` is a readable regular file.
+
+    what: the kind of file; place: where the path is named, such as a key of a scene file; for the message.
+    """
+    start = f"{place}: " if place else ""
     try:
         if path.is_dir():
-            raise BokehguideError(f"{path}: is a folder; give a file ({what})")
+            raise BokehguideError(f"{start}{path}: is a folder; give a file ({what})")
         if not path.exists():
-            raise BokehguideError(f"{path}: no such file ({what}); check the path")
+            raise BokehguideError(f"{start}{path}: no such file ({what}); check the path")
         if not path.is_file():  # reading a pipe could block for ever
-            raise BokehguideError(f"{path}: is no regular file; give one ({what})")
+            raise BokehguideError(f"{start}{path}: is no regular file; give one ({what})")
         path.open("rb").close()
     except OSError as error:
-        raise BokehguideError(f"{shown(str(path))}: cannot be read ({error.strerror}); {what}") from None
+        raise BokehguideError(f"{start}{shown(str(path))}: cannot be read ({error.strerror}); {what}") from None

@@ -34,9 +34,14 @@ def load_texture(path: Path, files: SceneFiles, srgb: bool, alpha: bool = False)
 def decode_texture(data: bytes, place: str, files: SceneFiles, srgb: bool, alpha: bool = False) -> np.ndarray:
     """The pixels of an image file, linear float32 `[H, W, 3]`, or `[H, W, 4]` if `alpha` and the image has it.
 
-    files: the scene's budget for decoded images. srgb: decodes the colours from sRGB. PNGs keep
+    files: the scene's decoded images, with their budget. srgb: decodes the colours from sRGB. PNGs keep
     16 bits. Raises BokehguideError, naming `place`, for an unreadable or too large image.
     """
+    return files.image(data, srgb, alpha, lambda: _decode(data, place, files, srgb, alpha))
+
+
+def _decode(data: bytes, place: str, files: SceneFiles, srgb: bool, alpha: bool) -> np.ndarray:
+    """`decode_texture` of a new image."""
     from PIL import Image
 
     with _decoding(place):

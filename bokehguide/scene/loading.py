@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import difflib
+import logging
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.overrides import NO_OVERRIDES, Overrides, override_camera, override_surroundings
 from bokehguide.scene.types import Scene
 from bokehguide.scene.validation import checked
+
+log = logging.getLogger(__name__)
 
 MODEL_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 
@@ -28,6 +31,7 @@ def load_scene(spec: str, overrides: Overrides = NO_OVERRIDES, allow_outside: bo
     suffix = Path(spec).suffix.lower()
     if overrides.camera is not None and suffix not in MODEL_SUFFIXES:
         raise BokehguideError(f"--camera: {overrides.camera!r}: selects a camera of a model, but {spec} is none; leave it out")
+    log.info("loading %s", printable(spec, 120))
     files = SceneFiles(Path(spec).parent, allow_outside)
     if spec in BUILTIN:
         scene = BUILTIN[spec]()

@@ -18,6 +18,7 @@ from bokehguide.scene.shapes import transformed, unit_normals
 from bokehguide.scene.tables import NOT_NEGATIVE, Table
 from bokehguide.scene.types import Material, Mesh, Model, Texture, as_vector
 from bokehguide.scene.validation import check_mesh
+from bokehguide.stopping import default_signals
 
 # Without a handler, Python prints the log of trimesh, which includes tracebacks, to the terminal.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
@@ -89,7 +90,9 @@ def _parsed(path: Path, files: SceneFiles) -> tuple[trimesh.Scene, list[str]]:
     """The trimesh scene of the file, and a warning for each missing file that it names."""
     resolver = _Resolver(path, files)
     try:
-        scene = trimesh.load_scene(str(path), resolver=resolver, process=False)
+        files.add_geometry(path.stat().st_size)
+        with default_signals():  # parts of trimesh hold the interpreter's lock
+            scene = trimesh.load_scene(str(path), resolver=resolver, process=False)
     except Exception as error:  # the parsers raise exceptions of any type for damaged files
         raise BokehguideError(f"{path}: not a readable {path.suffix} model ({reason(error)})") from None
     if resolver.refusal is not None:

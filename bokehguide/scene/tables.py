@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from bokehguide.errors import BokehguideError, printable
-from bokehguide.limits import LARGEST, MAX_SIDE, SMALLEST
+from bokehguide.limits import LARGEST, MAX_SIDE, NEAREST_FOCUS, SMALLEST
 from bokehguide.scene.types import Vector, as_vector
 
 
@@ -34,8 +34,8 @@ class Limits:
 ANY = Limits(f"a number between {-LARGEST:g} and {LARGEST:g}")
 POSITIVE = Limits(f"a number above 0, between {SMALLEST:g} and {LARGEST:g}", low=SMALLEST)
 IN_FRONT = Limits(
-    f"metres above 0, between {SMALLEST:g} and {LARGEST:g}, or inf; the focal plane is never behind the lens",
-    low=SMALLEST,
+    f"metres above 0, between {NEAREST_FOCUS:g} and {LARGEST:g}, or inf; the focal plane is never behind the lens",
+    low=NEAREST_FOCUS,
     infinity=True,
 )
 NOT_NEGATIVE = Limits(f"a number of 0 or more, up to {LARGEST:g}", low=0.0)

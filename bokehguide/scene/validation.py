@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.limits import LARGEST, MAX_EXTENT, MAX_PIXELS, MAX_TRIANGLES
+from bokehguide.limits import LARGEST, MAX_EXTENT, MAX_PIXELS, MAX_SUNS, MAX_TRIANGLES
 from bokehguide.scene.types import Mesh, Scene
 
 
@@ -25,6 +25,8 @@ def checked(scene: Scene, place: str) -> Scene:
     if film.width * film.height > MAX_PIXELS:
         raise BokehguideError(f"{place}: film: {film.width}x{film.height} pixels are too many; give at most {MAX_PIXELS}")
     check_triangles(sum(len(mesh.triangles) for mesh in scene.meshes), place)
+    if len(scene.suns) > MAX_SUNS:
+        raise BokehguideError(f"{place}: has {len(scene.suns):,} suns; give at most {MAX_SUNS}")
     for number, mesh in enumerate(scene.meshes):
         check_mesh(mesh, f"{place}: mesh {number}", len(scene.materials))
     meshes = tuple(mesh for mesh in map(_without_degenerate, scene.meshes) if len(mesh.triangles))
@@ -74,10 +76,18 @@ def check_mesh(mesh: Mesh, place: str, materials: int) -> None:
         raise BokehguideError(f"{place}: material {mesh.material} of {materials} does not exist")
 
 
-def check_triangles(count: int, place: str) -> None:
-    """Raise BokehguideError, naming `place`, if the scene has more than MAX_TRIANGLES up to `place`."""
-    if count > MAX_TRIANGLES:
-        raise BokehguideError(f"{place}: makes {count:,} triangles in all; give a scene of at most {MAX_TRIANGLES:,}")
+def check_triangles(count: int, place: str, most: int | None = None) -> None:
+    """Raise BokehguideError, naming `place`, if the scene has more than `most` triangles up to `place`, None: MAX_TRIANGLES."""
+    most = MAX_TRIANGLES if most is None else min(most, MAX_TRIANGLES)
+    if count > most:
+        few = "" if most == MAX_TRIANGLES else " for files as small as these"
+        raise BokehguideError(f"{place}: makes {count:,} triangles in all; give a scene of at most {most:,}{few}")
+
+
+def check_meshes(count: int, place: str, most: int) -> None:
+    """Raise BokehguideError, naming `place`, if the scene has more than `most` meshes up to `place`."""
+    if count > most:
+        raise BokehguideError(f"{place}: makes {count:,} meshes in all; join them to {most:,} for files as small as these")
 
 
 def _without_degenerate(mesh: Mesh) -> Mesh:

@@ -3,7 +3,7 @@
 from bokehguide.guiding.modes import MODES
 from bokehguide.runtime.distributed import Ranks, restarts
 from bokehguide.train.adaptive import AdaptiveLoop, make_loop
-from bokehguide.train.checkpoint import load_checkpoint, save_checkpoint, saved_steps
+from bokehguide.train.checkpoint import load_checkpoint, save_checkpoint, saved_state
 from bokehguide.train.logger import RenderLogger
 from bokehguide.train.loop import RenderLoop
 from bokehguide.train.metadata import describe_render
@@ -24,5 +24,5 @@ __all__ = [
     "make_loop",
     "restarts",
     "save_checkpoint",
-    "saved_steps",
+    "saved_state",
 ]

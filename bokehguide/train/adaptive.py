@@ -145,6 +145,8 @@ class AdaptiveLoop:
         self._size = torch.bincount(self._block)
         self.open = torch.ones(2, len(self._size), dtype=torch.bool, device=settings.device)
         """Whether each half adds samples to the film in each block, bool `[2, blocks]`."""
+        self.expected_steps: int | None = None
+        """Steps after which the worst block should reach the target; None before the first decision."""
 
     def __enter__(self) -> Self:
         return self
@@ -164,6 +166,11 @@ class AdaptiveLoop:
     def finished(self) -> bool:
         """Whether every block has reached the target."""
         return not bool(self.open.any())
+
+    @property
+    def finished_share(self) -> float:
+        """Share of the blocks that have reached the target."""
+        return 1.0 - float(self.open.any(0).double().mean())
 
     @property
     def phases(self) -> dict[str, float]:
@@ -189,6 +196,9 @@ class AdaptiveLoop:
         """Stop each half in the blocks in which the error of the other half has reached the target. errors: `[2, blocks]`."""
         assert self.settings.target_noise is not None
         self.open &= errors.flip(0) > self.settings.target_noise
+        worst = float((errors.flip(0) * self.open).max()) / self.settings.target_noise
+        # The error falls with the root of the steps, which double each round.
+        self.expected_steps = self.step_number << math.ceil(2.0 * math.log2(min(max(worst, 1.0), 1e9)))
         if not bool(self.open.all()):
             self._render_open_blocks()
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import pickletools
+import stat
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -25,16 +28,21 @@ from bokehguide.train.settings import RenderSettings
 
 DATA = ("camera.aperture", "meshes", "materials", "environment", "suns")
 """Inputs of a render that do not fit in one line of a message, stored as digests."""
+TYPES = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2"}
+"""Types in the states of all modes, as pickle names them. Storages of tensors are permitted too."""
+MAX_PICKLE = 2**20
+"""Largest pickle in bytes. The pickles of all modes have less than 10,000."""
 NAMED = 4
 """Largest number of differences in an error message."""
 
 
-def save_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop, seconds: float) -> None:
+def save_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop, seconds: float, kept: bool = True) -> None:
     """Write the state of a render atomically; collective.
 
-    seconds: of the render so far. Raises BokehguideError if the file cannot be written.
+    seconds: of the render so far; kept: whether the file is to stay when the render has ended. Raises BokehguideError if the file
+    cannot be written.
     """
-    whole = {"fingerprint": fingerprint(loop.scene, loop.settings), "seconds": seconds, "loop": loop.state_dict()}
+    whole = {"fingerprint": fingerprint(loop.scene, loop.settings), "seconds": seconds, "kept": kept, "loop": loop.state_dict()}
     if not loop.ranks.first:
         return
     with replacing(path) as temporary:
@@ -62,22 +70,30 @@ def load_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> float:
     return float(whole["seconds"])
 
 
-def saved_steps(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> int:
-    """The number of steps of the loop's render in a file; 0 if the file is missing, damaged or of another render."""
+def saved_state(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> tuple[int, bool]:
+    """The number of steps of the loop's render in a file, and whether the file is to stay when the render has ended.
+
+    0 and False if the file is missing, damaged or of another render.
+    """
     try:
-        return _read(path, loop)["loop"]["step"]
+        whole = _read(path, loop)
+        step, kept = whole["loop"]["step"], whole.get("kept") is True
     except (BokehguideError, KeyError, TypeError):
-        return 0
+        return 0, False
+    return (step, kept) if type(step) is int and step > 0 else (0, False)
 
 
 def _read(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> dict[str, Any]:
     """The content of a checkpoint of the loop's render. Raises BokehguideError as `load_checkpoint`."""
     try:
+        if not stat.S_ISREG(Path(path).stat().st_mode):  # opening a pipe could block for ever
+            raise OSError(errno.EINVAL, "no regular file")
         with zipfile.ZipFile(path) as archive:
             records = archive.infolist()
             packed = any(record.compress_type != zipfile.ZIP_STORED for record in records)  # torch would expand it
             truncated = sum(record.file_size for record in records) > Path(path).stat().st_size
             whole_file = not packed and not truncated and archive.testzip() is None  # torch does not verify checksums
+            whole_file = whole_file and all(map(_is_plain, _pickles(archive)))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about unusual pickles, for developers of torch
             whole = torch.load(path, map_location="cpu", weights_only=True) if whole_file else None
@@ -100,13 +116,32 @@ def _read(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> dict[str, Any]:
     return whole
 
 
-def require_kind(saved: object, own: Any) -> None:
+def _pickles(archive: zipfile.ZipFile) -> Iterator[bytes]:
+    """The pickles of a file. Raises ValueError for one that is larger than any state needs."""
+    for record in archive.infolist():
+        if record.filename.lower().endswith(".pkl"):
+            if record.file_size > MAX_PICKLE:
+                raise ValueError("the pickle is too large")
+            yield archive.read(record)
+
+
+def _is_plain(pickle: bytes) -> bool:
+    """Whether a pickle names only TYPES and storages: others, such as a byte array of any length, take memory to be built."""
+    named = {str(value) for code, value, _ in pickletools.genops(pickle) if code.name in ("GLOBAL", "INST", "STACK_GLOBAL")}
+    return all(name in TYPES or (name.startswith("torch ") and name.endswith("Storage")) for name in named)
+
+
+def require_kind(saved: object, own: Any, seen: set[tuple[int, int]] | None = None) -> None:
     """Raise ValueError unless `saved` can be a later state of `own`, the same part of a new loop's state.
 
     The check fails for numbers of another type, and for tensors of another type. It fails for tensors that are not finite or that
     exceed their storage, and for negative or very large whole numbers in tensors. The film and the strategies check the shapes of
-    their states.
+    their states. seen: pairs of parts that the check has passed; a small file can refer to one part very often.
     """
+    seen = set() if seen is None else seen
+    if (id(saved), id(own)) in seen:
+        return
+    seen.add((id(saved), id(own)))
     if isinstance(saved, Tensor):
         _require_tensor(saved, own)
     elif isinstance(own, int | float) and not isinstance(own, bool):
@@ -116,10 +151,10 @@ def require_kind(saved: object, own: Any) -> None:
         raise ValueError(f"{type(saved).__name__} in the place of {type(own).__name__}")
     elif isinstance(saved, dict):
         for name, part in saved.items():
-            require_kind(part, own.get(name) if isinstance(own, dict) else None)
+            require_kind(part, own.get(name) if isinstance(own, dict) else None, seen)
     elif isinstance(saved, list | tuple):
         for number, part in enumerate(saved):
-            require_kind(part, own[number] if isinstance(own, list | tuple) and number < len(own) else None)
+            require_kind(part, own[number] if isinstance(own, list | tuple) and number < len(own) else None, seen)
 
 
 def _require_tensor(saved: Tensor, own: object) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Mapping
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bokehguide.errors import reason
 from bokehguide.image import tone_map
 from bokehguide.scene.types import Scene
 from bokehguide.train.metadata import describe_render
@@ -18,9 +22,13 @@ if TYPE_CHECKING:
     from bokehguide.train.settings import RenderSettings
     from bokehguide.train.step_stats import StepStats
 
+log = logging.getLogger(__name__)
+
 
 class RenderLogger:
     """Writes the steps of one render into `logdir/SCENE/MODE`.
+
+    A log that cannot be written, as on a full disk, ends with one warning. The render goes on.
 
     The modes of a scene are sibling folders, so `tensorboard --logdir logdir/SCENE` overlays their curves. An older log of the
     same mode is removed.
@@ -41,18 +49,35 @@ class RenderLogger:
         self.exposure = exposure
         self._images_at = resumed
         self.writer = None
+        self._hook = threading.excepthook
         if silent:
             return
         from torch.utils.tensorboard import SummaryWriter  # takes over a second to import
 
-        folder = run_folder(logdir, scene, settings)
-        if not resumed:
-            for old in folder.glob("events.out.tfevents.*"):
-                old.unlink()
-        self.writer = SummaryWriter(folder, purge_step=resumed + 1 if resumed else None)
-        facts = describe_render(scene, settings, settings.spp)
-        table = "\n".join(f"| {key} | {value} |" for key, value in facts.items())
-        self.writer.add_text("settings", f"| | |\n|---|---|\n{table}", resumed)
+        self._folder = run_folder(logdir, scene, settings)
+        threading.excepthook = self._report
+        with self._writing():
+            if not resumed:
+                for old in self._folder.glob("events.out.tfevents.*"):
+                    old.unlink()
+            self.writer = SummaryWriter(self._folder, purge_step=resumed + 1 if resumed else None)
+            facts = describe_render(scene, settings, settings.spp)
+            table = "\n".join(f"| {key} | {value} |" for key, value in facts.items())
+            self.writer.add_text("settings", f"| | |\n|---|---|\n{table}", resumed)
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """A context that ends the log, with a warning, if the log cannot be written."""
+        try:
+            yield
+        except OSError as error:
+            self.writer = None
+            log.warning("%s: the log ends here (%s); the render goes on", self._folder, error.strerror or reason(error))
+
+    def _report(self, failure: threading.ExceptHookArgs) -> None:
+        """Report the exception of a thread, except of TensorBoard's writer, which raises its exception again in `_writing`."""
+        if not (issubclass(failure.exc_type, OSError) and type(failure.thread).__name__ == "_AsyncWriterThread"):
+            self._hook(failure)
 
     def log(
         self, loop: RenderLoop | AdaptiveLoop, stats: StepStats, errors: Mapping[str, float], picture: Film | HalvesFilm
@@ -71,9 +96,9 @@ class RenderLogger:
             "speed/samples_per_second": stats.samples / stats.seconds,
         }
         scalars |= {f"time/{name.replace(' ', '_')}": seconds for name, seconds in loop.phases.items()}
-        if self.writer:
-            for tag, value in scalars.items():
-                if not math.isnan(value):
+        with self._writing():
+            for tag, value in scalars.items() if self.writer else ():
+                if self.writer and not math.isnan(value):
                     self.writer.add_scalar(tag, value, stats.step)
         if stats.step & (stats.step - 1) == 0:
             self._log_images(loop, stats.step, picture)
@@ -81,20 +106,25 @@ class RenderLogger:
     def flush(self) -> None:
         """Write buffered entries to the file."""
         if self.writer:
-            self.writer.flush()
+            with self._writing():
+                self.writer.flush()
 
     def finish(self, loop: RenderLoop | AdaptiveLoop, step: int, picture: Film | HalvesFilm) -> None:
         """Write the images of the last step, and close the log; collective."""
         if step != self._images_at:
             self._log_images(loop, step, picture)
         if self.writer:
-            self.writer.close()
+            with self._writing():
+                self.writer.flush()
+                self.writer.close()
+        threading.excepthook = self._hook
 
     def _log_images(self, loop: RenderLoop | AdaptiveLoop, step: int, picture: Film | HalvesFilm) -> None:
         images = {"render": tone_map(picture.radiance(), self.exposure), **loop.guide_images()}
-        if self.writer:
-            for name, image in images.items():
-                self.writer.add_image(name, image, step, dataformats="HWC")
+        with self._writing():
+            for name, image in images.items() if self.writer else ():
+                if self.writer:
+                    self.writer.add_image(name, image, step, dataformats="HWC")
         self._images_at = step
 
 

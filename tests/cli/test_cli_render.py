@@ -26,28 +26,29 @@ def test_files_and_reports(bokehguide, lamps_file, tmp_path):
     reference = np.full((20, 32, 3), 0.1, np.float32)
     write_exr(tmp_path / "reference.exr", {"beauty": reference})
     finished = bokehguide(
-        *("render", lamps_file, "--spp", 6, "--seed", 3, "--out", "deep/er/a.exr", "--json", "a.json"),
+        *("render", lamps_file, "--spp", 6, "--seed", 3, "--out", "deep/a.exr", "--json", "a.json"),
         *("--reference", "reference.exr", "--logdir", "logs"),
     )
     assert finished.returncode == 0, finished.stderr
-    assert "wrote deep/er/a.exr and deep/er/a.png" in finished.stdout
+    assert "wrote deep/a.exr and deep/a.png" in finished.stdout
+    assert "bokehguide: created the folder deep\n" in finished.stderr
     assert "6/6" in finished.stderr and "samples/s" in finished.stderr and "MAPE" in finished.stderr
 
-    channels = read_exr(tmp_path / "deep/er/a.exr")
+    channels = read_exr(tmp_path / "deep/a.exr")
     assert {"R", "G", "B", "A", "depth.Z", "normal.X", "albedo.G", "variance.Y", "samples.Y"} <= channels.keys()
     assert all(plane.shape == (20, 32) for plane in channels.values())
     assert (channels["samples.Y"] == 6).all()
-    header = read_metadata(tmp_path / "deep/er/a.exr")
+    header = read_metadata(tmp_path / "deep/a.exr")
     facts = {"scene": "emitters", "mode": "guided", "spp": 6, "seed": 3, "size": "32x20"}
     assert {name: header[name] for name in facts} == facts
     assert header["software"] == f"bokehguide {package.__version__}"
     assert json.loads(header["settings"])["camera"]["aperture_radius"] == 0.5
-    with Image.open(tmp_path / "deep/er/a.png") as picture:
+    with Image.open(tmp_path / "deep/a.png") as picture:
         assert picture.size == (32, 20)
 
     report = json.loads((tmp_path / "a.json").read_text())
     assert (report["mode"], report["spp"]) == ("guided", 6)
-    radiance = read_rgb(tmp_path / "deep/er/a.exr")
+    radiance = read_rgb(tmp_path / "deep/a.exr")
     assert report["mape"] == pytest.approx(np.mean(np.abs(radiance - 0.1) / 0.11), rel=1e-5)
     assert report["relmse"] == pytest.approx(np.mean(((radiance - 0.1) / 0.11) ** 2), rel=1e-5)
     assert report["samples_per_second"] == pytest.approx(6 * 640 / report["seconds"])
@@ -76,7 +77,7 @@ def test_without_options_the_file_is_named_after_scene_and_mode(lamps_file, tmp_
     monkeypatch.chdir(tmp_path)
     assert main(["render", "emitters.toml", "--spp", "1", "--mode", "uniform", "--json", "a.json"]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {
-        *("emitters.toml", "a.json", "emitters-uniform.exr", "emitters-uniform.png", "emitters-uniform.ckpt")
+        *("emitters.toml", "a.json", "emitters-uniform.exr", "emitters-uniform.png")
     }
     report = json.loads((tmp_path / "a.json").read_text())
     assert "mape" not in report and report["phases"].keys() == PHASES

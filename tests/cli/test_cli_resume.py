@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 import pytest
+import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from bokehguide.cli import main
@@ -18,9 +19,11 @@ from bokehguide.cli.pictures import Pictures
 from bokehguide.errors import BokehguideError
 from bokehguide.image import read_exr, read_metadata, write_exr
 from bokehguide.scene import load_scene
-from bokehguide.train import RenderLoop, RenderSettings, load_checkpoint
+from bokehguide.train import RenderLoop, RenderSettings, load_checkpoint, save_checkpoint
 
 KILLS = 5
+KEEP = ("--checkpoint-every", 60)
+"""Options with which a finished render keeps its checkpoint."""
 
 
 @pytest.fixture
@@ -62,7 +65,7 @@ def kept_spp(path, mode: str) -> int:
 
 
 def test_samples_are_added_to_a_finished_render(render, tmp_path, capsys):
-    assert render("--spp", 4, "--json", "a.json") == 0
+    assert render("--spp", 4, "--json", "a.json", *KEEP) == 0
     first = json.loads((tmp_path / "a.json").read_text())
     assert "wrote a.ckpt (0.3 MB); --resume continues it to more SPP" in capsys.readouterr().out
     assert render("--spp", 9, "--resume", "--json", "a.json") == 0
@@ -80,7 +83,7 @@ def test_samples_are_added_to_a_finished_render(render, tmp_path, capsys):
 
 def test_a_finished_render_is_written_again(render, tmp_path):
     write_exr("reference.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
-    assert render("--spp", 3, "--reference", "reference.exr", "--json", "a.json") == 0
+    assert render("--spp", 3, "--reference", "reference.exr", "--json", "a.json", *KEEP) == 0
     kept, first = read_exr("a.exr"), json.loads((tmp_path / "a.json").read_text())
     (tmp_path / "a.exr").unlink()
     assert render("--spp", 3, "--reference", "reference.exr", "--json", "a.json", "--resume") == 0
@@ -91,13 +94,14 @@ def test_a_finished_render_is_written_again(render, tmp_path):
 
 def test_without_a_checkpoint_it_starts_anew_and_says_so(render, capsys):
     assert render("--spp", 2, "--resume") == 0
-    assert "bokehguide: no a.ckpt to resume; starting from the first step" in capsys.readouterr().err
+    said = "bokehguide: no a.ckpt to resume; starting from the first step (a finished render keeps one with --checkpoint-every"
+    assert said in capsys.readouterr().err
     assert read_metadata("a.exr")["spp"] == 2
 
 
 def test_starting_anew_by_mistake_loses_nothing(render, capsys):
     """Of the same render; the checkpoint of another one is replaced."""
-    assert render("--spp", 5, "--mode", "uniform") == 0
+    assert render("--spp", 5, "--mode", "uniform", *KEEP) == 0
     capsys.readouterr()
     assert render("--spp", 3, "--mode", "uniform") == 0
     assert "a.ckpt has 5 SPP of this render and stays until this run has more; see --resume" in capsys.readouterr().err
@@ -105,9 +109,51 @@ def test_starting_anew_by_mistake_loses_nothing(render, capsys):
     assert render("--spp", 6, "--mode", "uniform") == 0
     assert kept_spp("a.ckpt", "uniform") == 6
     capsys.readouterr()
-    assert render("--spp", 2, "--mode", "lis") == 0
-    assert "a.ckpt holds" not in capsys.readouterr().err
+    assert render("--spp", 2, "--mode", "lis", *KEEP) == 0
+    assert "a.ckpt has" not in capsys.readouterr().err
     assert kept_spp("a.ckpt", "lis") == 2
+
+
+def test_a_finished_render_leaves_no_checkpoint(render, tmp_path, capsys, monkeypatch):
+    """The state is still saved at intervals, for a crash."""
+    monkeypatch.setattr("bokehguide.cli.checkpoints.INTERVAL", 1e-6)
+    saved = []
+    monkeypatch.setattr(Pictures, "refresh", lambda self, loop: saved.append((tmp_path / "a.ckpt").exists()))
+    assert render("--spp", 4) == 0
+    assert saved == [True] * 3 and not (tmp_path / "a.ckpt").exists()
+    assert "ckpt" not in capsys.readouterr().out
+
+
+def test_a_checkpoint_that_was_asked_for_stays(render, tmp_path, monkeypatch):
+    """Also when a later command, without the option, adds samples."""
+    monkeypatch.setattr("bokehguide.cli.checkpoints.INTERVAL", 1e-6)
+    assert render("--spp", 3, *KEEP) == 0
+    assert render("--spp", 4, "--resume") == 0
+    assert kept_spp(tmp_path / "a.ckpt", "guided") == 4
+    assert render("--spp", 2) == 0
+    assert kept_spp(tmp_path / "a.ckpt", "guided") == 4
+    assert render("--spp", 5) == 0
+    assert kept_spp(tmp_path / "a.ckpt", "guided") == 5
+
+
+def test_an_interrupted_render_that_is_finished_later_leaves_none(render, tmp_path):
+    loop = RenderLoop(load_scene("emitters.toml"), RenderSettings("guided", threads=1))
+    loop.step()
+    save_checkpoint(tmp_path / "a.ckpt", loop, 1.0, kept=False)
+    assert render("--spp", 3, "--resume") == 0
+    assert not (tmp_path / "a.ckpt").exists()
+    save_checkpoint(tmp_path / "a.ckpt", loop, 1.0, kept=False)
+    assert render("--spp", 1) == 0 and render("--spp", 3) == 0
+    assert not (tmp_path / "a.ckpt").exists()
+
+
+@pytest.mark.parametrize("step", ["many", -3, None, 2.5])
+def test_a_checkpoint_with_a_wrong_step_beside_a_new_render(step, render, tmp_path):
+    assert render("--spp", 2, *KEEP) == 0
+    whole = torch.load(tmp_path / "a.ckpt", weights_only=True)
+    whole["loop"]["step"] = step
+    torch.save(whole, tmp_path / "a.ckpt")
+    assert render("--spp", 2) == 0 and read_metadata("a.exr")["spp"] == 2
 
 
 def test_no_checkpoint_where_none_is_wanted(render, tmp_path, capsys):
@@ -116,7 +162,7 @@ def test_no_checkpoint_where_none_is_wanted(render, tmp_path, capsys):
 
 
 def test_what_cannot_be_resumed_is_one_line_and_changes_nothing(render, tmp_path, capsys):
-    assert render("--spp", 3, "--mode", "lis") == 0
+    assert render("--spp", 3, "--mode", "lis", *KEEP) == 0
     written = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     mistakes = {
         ("--mode", "lis", "--spp", 2): "has 3 SPP already; give --spp 3 or more",
@@ -203,7 +249,7 @@ def test_there_is_a_picture_after_the_first_step_and_with_each_checkpoint(lamps_
 def test_a_picture_of_more_samples_stays_until_there_are_as_many(render, tmp_path, monkeypatch):
     """Where a render is started anew by mistake."""
     seen = []
-    assert render("--spp", 3) == 0
+    assert render("--spp", 3, *KEEP) == 0
     refresh = Pictures.refresh
     monkeypatch.setattr(Pictures, "refresh", lambda self, loop: (refresh(self, loop), seen.append(read_metadata("a.exr")["spp"])))
     assert render("--spp", 6, "--checkpoint-every", "1e-6") == 0
@@ -225,16 +271,32 @@ def test_pictures_that_cannot_be_shown_end_no_render(render, tmp_path, capsys, m
     assert read_metadata("a.exr")["spp"] == 3
 
 
+def test_a_picture_that_cannot_be_written_at_the_end_loses_no_sample(render, tmp_path, capsys, monkeypatch):
+    with monkeypatch.context() as full:
+
+        def fail(self, *_):
+            raise BokehguideError("a.exr: cannot be written (No space left on device); choose another folder")
+
+        full.setattr(Pictures, "write", fail)
+        assert render("--spp", 3) == 2
+    error = capsys.readouterr().err
+    assert "bokehguide: error: a.exr: cannot be written" in error
+    assert "The samples are kept in a.ckpt; --resume writes the picture" in error
+    assert kept_spp("a.ckpt", "guided") == 3
+    assert render("--spp", 3, "--resume") == 0
+    assert read_metadata("a.exr")["spp"] == 3 and not (tmp_path / "a.ckpt").exists()
+
+
 def test_the_log_goes_on_where_the_checkpoint_was(render, tmp_path):
     """Steps that were logged, but lost, are logged once."""
     for spp, options in ((3, ()), (6, ("--resume",))):
-        assert render("--spp", spp, "--logdir", "logs", "--mode", "lis-o", *options) == 0
+        assert render("--spp", spp, "--logdir", "logs", "--mode", "lis-o", *options, *KEEP) == 0
         if spp == 3:
             shutil.copy("a.ckpt", "kept.ckpt")
         time.sleep(1.1)  # files of events are ordered by the second in their names
     shutil.copy("kept.ckpt", "a.ckpt")
     for _ in range(2):  # the second one has nothing left to do
-        assert render("--spp", 9, "--logdir", "logs", "--mode", "lis-o", "--resume") == 0
+        assert render("--spp", 9, "--logdir", "logs", "--mode", "lis-o", "--resume", *KEEP) == 0
     log = EventAccumulator(str(tmp_path / "logs/emitters/lis-o"), size_guidance={"images": 0}).Reload()
     seconds = log.Scalars("time/shading")
     assert [event.step for event in seconds] == list(range(1, 10))

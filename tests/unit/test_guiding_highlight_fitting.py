@@ -444,3 +444,10 @@ def ellipsoids_of_emitters() -> tuple[Tensor, ...]:
     loop = rendered(scenes.emitters(256, 144), 8)
     mean_luminance = float(luminance(loop.film.radiance().reshape(-1, 3).T).mean())
     return fit_ellipsoids(loop.mode.lens.record_buffer, loop.camera, mean_luminance)
+
+
+@pytest.mark.parametrize(("width", "height", "border"), [(160, 90, 16), (90, 160, 9), (1000, 100, 100), (65536, 1, 1)])
+def test_the_border_of_a_very_wide_frame_is_narrow(width, height, border):
+    """Else the record of a frame of 65,536 x 1 pixels would have a thousand million cells."""
+    record = RecordBuffer(ThinLensCamera(Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), aperture_radius=0.1), width, height))
+    assert (record.border, record.width, record.height) == (border, width + 2 * border, height + 2 * border)

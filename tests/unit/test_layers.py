@@ -10,7 +10,7 @@ import pytest
 from tests.support.paths import REPOSITORY
 
 LAYERS = (
-    ("errors", "limits", "color"),
+    ("errors", "limits", "color", "stopping"),
     ("image",),
     ("metrics",),
     ("scene",),

@@ -1,5 +1,8 @@
 """TensorBoard logs, read back from the files."""
 
+import resource
+import threading
+
 import numpy as np
 import pytest
 import torch
@@ -90,3 +93,30 @@ def test_a_second_run_replaces_the_first_and_other_modes_stay(tmp_path, lamps_fi
     assert curve(read(tmp_path / "logs/emitters/uniform"), "guide/gaussians")[0] == [1, 2]
     assert curve(read(tmp_path / "logs/emitters/lis"), "guide/gaussians")[0] == [1, 2]
     assert keep.read_text() == "mine"
+
+
+@pytest.mark.parametrize("room", [0, 100, 3000])
+def test_a_log_that_finds_a_full_disk_ends_with_one_warning(room, tmp_path, lamps_file, caplog, capfd):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+    hook = threading.excepthook
+    try:
+        loop, history = render(tmp_path / "logs", lamps_file, "lis-o", 9)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert loop.step_number == len(history) == 9 and threading.excepthook is hook
+    assert capfd.readouterr().err == ""
+    told = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    folder = tmp_path / "logs/emitters/lis-o"
+    assert told == [f"{folder}: the log ends here (File too large); the render goes on"]
+
+
+def test_other_threads_still_report_their_exceptions(tmp_path, lamps_file, monkeypatch):
+    seen = []
+    monkeypatch.setattr(threading, "excepthook", lambda failure: seen.append(failure.exc_type))
+    loop = RenderLoop(load_scene(str(lamps_file)), RenderSettings("uniform", threads=1))
+    RenderLogger(tmp_path, loop.scene, loop.settings)
+    thread = threading.Thread(target=lambda: 1 // 0)
+    thread.start()
+    thread.join()
+    assert seen == [ZeroDivisionError]

@@ -2,9 +2,11 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
+from bokehguide import metrics
 from bokehguide.errors import BokehguideError
 from bokehguide.metrics import compare, mape, relmse
 
@@ -68,3 +70,12 @@ def test_too_small_for_ssim():
     metrics = compare(ones, ones)
     assert (metrics.mape, metrics.ssim, metrics.psnr) == (0.0, None, math.inf)
     assert compare(torch.ones(11, 11, 3), torch.ones(11, 11, 3)).ssim == pytest.approx(1.0)
+
+
+def test_ssim_in_bands_is_ssim_of_the_whole(monkeypatch):
+    rng = np.random.default_rng(0)
+    image, reference = (torch.from_numpy(rng.random((101, 40, 3), np.float32)) for _ in range(2))
+    whole = compare(image, reference).ssim
+    for pixels in (11 * 40, 20 * 40, 50 * 40, 95 * 40):
+        monkeypatch.setattr(metrics, "SSIM_PIXELS", pixels)
+        assert compare(image, reference).ssim == pytest.approx(whole, abs=1e-6)

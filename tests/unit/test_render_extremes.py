@@ -10,11 +10,13 @@ import torch
 
 from bokehguide.errors import BokehguideError
 from bokehguide.render.film import Film, FilmSamples
-from bokehguide.scene import summarize
+from bokehguide.scene import Overrides, summarize
 from bokehguide.scene.cameras import read_camera
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.types import Mesh
 from bokehguide.scene.validation import checked
+from bokehguide.train import RenderLoop, RenderSettings
+from tests.support.scenes import emitters
 from tests.support.statistical import SIGNIFICANCE
 from tests.support.tracing import UP, emitter, estimates, matte, mean_test, rectangle, scene, sky, sphere, trace
 
@@ -112,3 +114,24 @@ def test_infinity_is_a_focus_distance():
     for wrong in (-math.inf, math.nan, 10**400):
         with pytest.raises(BokehguideError, match=r"here: camera.focus_distance: .* out of range; give metres .* or inf"):
             read_camera(values | {"focus_distance": wrong}, "here", SceneFiles(Path()))
+
+
+@pytest.mark.parametrize("focus", [1e-18, 0.9e-9])
+def test_a_focus_within_the_lens_is_out_of_range(focus):
+    """Nearer focus makes slopes of rays whose squares overflow."""
+    values = {"position": [0.0, 0.0, 0.0], "target": [0.0, 0.0, -1.0], "aperture_radius": 0.1}
+    with pytest.raises(
+        BokehguideError, match=r"here: camera.focus_distance: .* out of range; give metres above 0, between 1e-09"
+    ):
+        read_camera(values | {"focus_distance": focus}, "here", SceneFiles(Path()))
+    with pytest.raises(BokehguideError, match=r"--focus-distance: .* out of range"):
+        Overrides(focus_distance=focus)
+
+
+@pytest.mark.parametrize("mode", ["uniform", "guided"])
+def test_the_nearest_focus_renders_a_finite_picture(mode):
+    scene = emitters(32, 20)
+    loop = RenderLoop(replace(scene, camera=replace(scene.camera, focus_distance=1e-9)), RenderSettings(mode, threads=1))
+    for _ in range(3):
+        loop.step()
+    assert all(np.isfinite(layer).all() for layer in loop.film.layers().values()) and loop.film.bad_count == 0

@@ -307,3 +307,17 @@ def test_ten_thousand_steps_do_not_drift(features):
     assert (layers["sample_count"] == 10_000).all()
     light = luminance(noise[:3])
     np.testing.assert_allclose(layers["variance"], float(light.var() / 10_000), rtol=1e-6)
+
+
+def test_a_weight_that_is_not_a_number_stays_off_the_film():
+    """Also where the radiance has a weight of its own, as that of pixels that share samples."""
+    film, radiance = Film(3, 2), random(1, 6)[:3]
+    film.add(slice(None), samples(radiance), 1)
+    for step, wrong in ((2, math.nan), (3, math.inf)):
+        weight = torch.ones(6)
+        weight[4] = wrong
+        bad = samples(radiance, weight)
+        bad.radiance_weight = torch.ones(6)
+        assert film.add(slice(None), bad, step).tolist() == [True] * 4 + [False, True]
+    assert all(np.isfinite(layer).all() for layer in film.layers().values())
+    assert [(sample.x, sample.y, sample.step) for sample in film.bad_samples] == [(1, 1, 2), (1, 1, 3)]

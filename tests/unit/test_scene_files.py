@@ -214,13 +214,23 @@ def test_a_small_file_with_a_huge_image_is_rejected(tmp_path, depth):
 
 
 def test_many_images_that_are_huge_together_are_rejected(tmp_path):
-    (tmp_path / "a.png").write_bytes(bomb(1024, 1))
     files, count = SceneFiles(tmp_path), 0
     with pytest.raises(BokehguideError, match="would decode"):
         while count < 200:
+            (tmp_path / "a.png").write_bytes(bomb(1024, 1) + str(count).encode())
             load_texture(tmp_path / "a.png", files, srgb=True)
             count += 1
     assert 1024 * 1024 * 4 * count <= MAX_VALUES < 1024 * 1024 * 4 * (count + 2)
+
+
+def test_an_image_that_many_textures_name_is_decoded_once(tmp_path):
+    (tmp_path / "a.png").write_bytes(bomb(1024, 1))
+    (tmp_path / "b.png").write_bytes(bomb(1024, 1))
+    files = SceneFiles(tmp_path)
+    first = load_texture(tmp_path / "a.png", files, srgb=True)
+    for _ in range(200):
+        assert load_texture(tmp_path / "b.png", files, srgb=True) is first
+    assert load_texture(tmp_path / "a.png", files, srgb=False) is not first
 
 
 def test_a_photograph_may_be_as_large_as_its_file(tmp_path):
@@ -272,3 +282,47 @@ def test_a_damaged_png_of_16_bits_prints_nothing(tmp_path, capfd):
         with pytest.raises(BokehguideError, match=r"a\.png: unreadable texture"):
             load_texture(tmp_path / "a.png", SceneFiles(tmp_path), srgb=True)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "kind"),
+    [
+        (TEXTURE, "materials.wall.base_color_texture", "texture"),
+        (MASK, "camera.aperture.image", "image"),
+        (MAP, "environment.map", "environment map"),
+        (MODEL, "object[0].file", "model"),
+    ],
+)
+def test_what_is_no_file_is_named_with_the_scene_and_the_key(folder, change, key, kind):
+    """A pipe is not opened: its reader could wait for ever."""
+    suffix = ".exr" if change is MAP else ".glb"
+    os.mkfifo(folder / f"pipe{suffix}")
+    (folder / f"folder{suffix}").mkdir()
+    for name, problem in (
+        ("pipe", "is no regular file; give one"),
+        ("folder", "is a folder; give a file"),
+        ("none", "no such file"),
+    ):
+        path = scene_file(folder, change, name + suffix)
+        with pytest.raises(BokehguideError) as refusal:
+            load_scene(str(path))
+        assert str(refusal.value).startswith(f"{path}: {key}: {folder / (name + suffix)}: {problem} ({kind})")
+
+
+@pytest.mark.parametrize("section", ["buffers", "images"])
+def test_pipes_in_a_model_are_not_opened(folder, section):
+    os.mkfifo(folder / "pipe")
+    simple(TEXCOORD_0=UVS).save(folder / "m.gltf")
+    document = json.loads((folder / "m.gltf").read_text())
+    texture = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    document |= {"images": [{"uri": "wood.png"}], "textures": [{"source": 0}], "materials": [texture]}
+    document[section][0]["uri"] = "pipe"
+    (folder / "m.gltf").write_text(json.dumps(document))
+    with pytest.raises(BokehguideError, match=rf"m\.gltf: {section}\[0\]\.uri: 'pipe' is no file beside the model"):
+        load_scene(str(folder / "m.gltf"))
+
+
+def test_pipes_beside_a_mesh_are_left_out(folder):
+    os.mkfifo(folder / "pipe.mtl")
+    (folder / "m.obj").write_text("mtllib pipe.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert any("pipe.mtl: no such file; left out" in warning for warning in load_scene(str(folder / "m.obj")).warnings)

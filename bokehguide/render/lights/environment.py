@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 
 import numpy as np
@@ -15,6 +16,8 @@ from bokehguide.render.lights.equirectangular import Equirectangular
 from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 from bokehguide.scene.types import Environment, Sun
+
+log = logging.getLogger(__name__)
 
 
 class EnvironmentLight:
@@ -106,6 +109,7 @@ class EnvironmentMap:
     def __init__(self, environment: Environment, device: torch.device | str = "cpu"):
         radiance = np.asarray(environment.radiance, np.float32)
         self.height, self.width = radiance.shape[:2]
+        log.info("preparing the environment map of %d x %d texels", self.width, self.height)
         self.texels = torch.from_numpy(radiance.reshape(-1, 3)).T.contiguous().to(device)
         self._layout = Equirectangular(self.height, self.width, environment.rotation, device)
         rows = np.cos(np.pi * np.arange(self.height + 1) / self.height)

@@ -12,6 +12,10 @@ COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MAX_UNSTORED = 2**20
 """Limit on the elements of an accessor without a buffer view, which are zeros and take no space in the file."""
+MAX_UNSTORED_IN_ALL = 8 * MAX_UNSTORED
+"""The same of all accessors of a file."""
+KEPT_SPARSE = 8
+"""Number of accessors with sparse values that stay decoded: primitives often share them."""
 
 
 def read_floats(document: Document, index: int, *kinds: str) -> np.ndarray:
@@ -45,6 +49,8 @@ def read_raw(document: Document, index: int, *kinds: str) -> np.ndarray:
     accessor = document.items("accessors")[index]
     if accessor.values.get("type") not in kinds:
         accessor.fail("type", f"is not {' or '.join(kinds)}, as its use requires; repair the file")
+    if index in document.sparse:
+        return document.sparse[index]
     width = WIDTHS[accessor.values["type"]]
     count = accessor.whole("count", 0, MAX_INT if "bufferView" in accessor else MAX_UNSTORED)
     dtype = _dtype(accessor)
@@ -52,10 +58,22 @@ def read_raw(document: Document, index: int, *kinds: str) -> np.ndarray:
         values = _strided(document, accessor, dtype, count, width)
     else:
         values = np.broadcast_to(np.zeros(1, dtype), (count, width))
+        _count_unstored(document, accessor, index, count)
     if "sparse" in accessor:
         values = values.copy()
         _put_sparse(document, accessor, values)
+        document.sparse[index] = values
+        if len(document.sparse) > KEPT_SPARSE:
+            del document.sparse[next(iter(document.sparse))]
     return values
+
+
+def _count_unstored(document: Document, accessor: Part, index: int, count: int) -> None:
+    """Add the elements of accessor `index` to those that the file does not store. Raises BokehguideError for too many."""
+    if index not in document.unstored:
+        document.unstored[index] = count
+        if sum(document.unstored.values()) > MAX_UNSTORED_IN_ALL:
+            accessor.fail("count", f"makes more than {MAX_UNSTORED_IN_ALL} elements that no buffer stores; repair the file")
 
 
 def _dtype(part: Part) -> np.dtype:

@@ -15,10 +15,13 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 from urllib.parse import unquote, unquote_to_bytes
 
+import numpy as np
+
 from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.limits import MAX_INT
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANY, Limits, Table, is_number, shown
+from bokehguide.stopping import default_signals
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 Default = TypeVar("Default", int, None)
@@ -105,16 +108,20 @@ def _named(value: Any) -> str:
 class Document:
     """A glTF file: its JSON, the binary chunk of a `.glb`, the files that it may name, and notes.
 
-    notes: unsupported features, each with the names of its objects.
+    notes: unsupported features, each with the names of its objects, in order. sparse: the last accessors with sparse values, by
+    index. unstored: elements of accessors without a buffer view, by index.
     """
 
     path: Path
     root: Part
     chunk: bytes | None
     files: SceneFiles
-    notes: dict[str, list[str]] = field(default_factory=dict)
+    notes: dict[str, dict[str, None]] = field(default_factory=dict)
+    sparse: dict[int, np.ndarray] = field(default_factory=dict)
+    unstored: dict[int, int] = field(default_factory=dict)
     _items: dict[str, list[Part]] = field(default_factory=dict)
     _buffers: dict[int, bytes] = field(default_factory=dict)
+    _read: dict[Path, bytes] = field(default_factory=dict)
 
     @property
     def file(self) -> str:
@@ -123,9 +130,9 @@ class Document:
 
     def note(self, what: str, name: str = "") -> None:
         """Add the unsupported feature `what`, and the name of an object that uses it."""
-        names = self.notes.setdefault(what, [])
-        if name and name not in names:
-            names.append(name)
+        names = self.notes.setdefault(what, {})
+        if name:
+            names[name] = None
 
     def items(self, section: str) -> list[Part]:
         """All objects of a top-level list, such as "nodes"."""
@@ -198,17 +205,20 @@ class Document:
             path = self.files.find(self.path.parent, unquote(uri), part.place("uri"))
             if not path.is_file():
                 part.fail("uri", "is no file beside the model; put it there")
-            return path.read_bytes()
+            if path not in self._read:
+                self._read[path] = self.files.read(path)
+            return self._read[path]
         except (OSError, ValueError) as error:
             part.fail("uri", f"cannot be read ({error}); repair the file")
 
 
 def read_document(path: Path, files: SceneFiles) -> Document:
     """The document of a `.gltf` or `.glb`. Raises BokehguideError for an unreadable file or another version."""
-    data = path.read_bytes()
+    data = files.read(path)
     text, chunk = _chunks(data, path) if data[:4] == b"glTF" else (data, None)
     try:
-        values = json.loads(text)
+        with default_signals():  # the parser holds the interpreter's lock
+            values = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise BokehguideError(f"{path}: not a readable {path.suffix} model ({reason(error)})") from None
     document = Document(path, Part(values, str(path), ""), chunk, files)

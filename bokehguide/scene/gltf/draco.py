@@ -7,6 +7,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.stopping import default_signals
 
 DRACO = "KHR_draco_mesh_compression"
 
@@ -19,7 +20,8 @@ def read_draco(document: Document, primitive: Part) -> tuple[dict[str, np.ndarra
     packed = primitive.extension(DRACO)
     view = document.required(packed, "bufferView", "bufferViews")
     try:
-        mesh = DracoPy.decode(bytes(document.view(view)))
+        with default_signals():  # the decoder may hold the interpreter's lock
+            mesh = DracoPy.decode(bytes(document.view(view)))
     except (DracoPy.FileTypeException, ValueError, RuntimeError) as error:
         place = f"{document.file}: {primitive.path}"
         raise BokehguideError(f"{place}: damaged {DRACO} ({error}); fetch the file again") from None

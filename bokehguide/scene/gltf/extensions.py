@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.gltf.document import Document
 from bokehguide.scene.gltf.draco import DRACO
@@ -45,6 +47,6 @@ def note_ignored(document: Document) -> None:
 def warnings(document: Document) -> list[str]:
     """The notes of `document`, one a line, each with the first few names of its objects."""
     return [
-        printable(f"{what} ({', '.join(names[:4])}{', …' if len(names) > 4 else ''})" if names else what, 400)
+        printable(f"{what} ({', '.join(islice(names, 4))}{', …' if len(names) > 4 else ''})" if names else what, 400)
         for what, names in document.notes.items()
     ]

@@ -15,7 +15,7 @@ import numpy as np
 
 from bokehguide.scene.gltf.document import Document, Part
 from bokehguide.scene.gltf.nodes import Placed
-from bokehguide.scene.shapes import spheres
+from bokehguide.scene.shapes import sphere_subdivisions, spheres
 from bokehguide.scene.tables import EMITTER_RADIUS, NOT_NEGATIVE, Limits
 from bokehguide.scene.types import Cone, LightSizes, Material, Mesh, Sun, Vector, as_vector
 from bokehguide.scene.validation import check_triangles
@@ -45,6 +45,7 @@ def read_lights(
     """
     lights = document.root.extension(EXTENSION).parts("lights")
     meshes, materials, suns = [], [], []
+    subdivisions = sphere_subdivisions(sum(EXTENSION in node.node.extensions for node in placed))
     for node in placed:
         if EXTENSION not in node.node.extensions:
             continue
@@ -61,8 +62,9 @@ def read_lights(
             suns += [Sun(as_vector(-axis), sizes.sun_angle, irradiance)] if any(irradiance) else []
         elif any(radiance := _power(light, math.pi * radius**2)):
             cone = _cone(light, axis) if kind == "spot" else None
-            meshes.append(spheres(position[None], radius, len(materials)))
-            check_triangles(len(meshes) * len(meshes[0].triangles), f"{document.file}: {node.node.path}")
+            meshes.append(spheres(position[None], radius, len(materials), subdivisions))
+            count = len(meshes) * len(meshes[0].triangles)
+            check_triangles(count, f"{document.file}: {node.node.path}", document.files.most_triangles)
             black = Material(light.label, base_color=(0.0, 0.0, 0.0), specular=0.0)
             materials.append(replace(black, emission=radiance, emission_cone=cone))
         if "range" in light:

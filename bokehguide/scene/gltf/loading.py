@@ -17,11 +17,11 @@ from bokehguide.scene.gltf.lights import default_radius, read_lights
 from bokehguide.scene.gltf.materials import DEFAULT, read_materials
 from bokehguide.scene.gltf.nodes import INSTANCING, Placed, instance_matrices, place_nodes
 from bokehguide.scene.gltf.primitives import read_primitive
-from bokehguide.scene.gltf.skins import joint_matrices
+from bokehguide.scene.gltf.skins import Skins
 from bokehguide.scene.gltf.textures import Textures
-from bokehguide.scene.shapes import joined, transformed
+from bokehguide.scene.shapes import instanced
 from bokehguide.scene.types import LightSizes, Material, Mesh, Model
-from bokehguide.scene.validation import check_mesh, check_triangles
+from bokehguide.scene.validation import check_mesh, check_meshes, check_triangles
 
 
 def load_gltf(path: Path, files: SceneFiles, sizes: LightSizes) -> Model:
@@ -58,25 +58,28 @@ def load_gltf(path: Path, files: SceneFiles, sizes: LightSizes) -> Model:
 
 def _place(document: Document, materials: Sequence[Material], placed: Sequence[Placed]) -> list[Mesh]:
     """Meshes in world space. Primitives without a material have the material index `len(materials)`."""
-    read: dict[int, list[Mesh]] = {}
+    read: dict[tuple[int, int | None], list[Mesh]] = {}
+    skins = Skins(document, placed)
     parts: list[tuple[Mesh, np.ndarray, str]] = []
-    triangles = 0
+    triangles, instances = 0, 0
     for node in placed:
         index = document.link(node.node, "mesh", "meshes")
         if index is None:
             continue
-        joints = joint_matrices(document, node.node, placed)
-        if joints is not None:  # the joints replace the node's own matrix
-            primitives, matrices = _primitives(document, index, materials, joints), np.eye(4)[None]
-            if INSTANCING in node.node.extensions:
-                document.note(f"{INSTANCING} of skinned meshes: one instance is drawn", node.node.label)
-        else:
-            if index not in read:
-                read[index] = _primitives(document, index, materials)
-            primitives, matrices = read[index], instance_matrices(document, node)
+        skin = document.link(node.node, "skin", "skins")
+        joints = None if skin is None else skins.joint_matrices(skin)
+        if (index, skin) not in read:
+            read[index, skin] = _primitives(document, index, materials, joints)
+        primitives, matrices = read[index, skin], np.eye(4)[None]
+        if skin is None:
+            matrices = instance_matrices(document, node, document.files.most_instances - instances)
+            instances += len(matrices) if INSTANCING in node.node.extensions else 0
+        elif INSTANCING in node.node.extensions:  # the joints replace the node's own matrix
+            document.note(f"{INSTANCING} of skinned meshes: one instance is drawn", node.node.label)
+        check_meshes(len(parts) + len(primitives), f"{document.file}: {node.node.path}", document.files.most_meshes)
         parts += [(mesh, matrices, f"{document.file}: {node.node.path}") for mesh in primitives]
         triangles += sum(len(mesh.triangles) for mesh in primitives) * max(len(matrices), 1)
-        check_triangles(triangles, f"{document.file}: {node.node.path}")
+        check_triangles(triangles, f"{document.file}: {node.node.path}", document.files.most_triangles)
     meshes = []
     for mesh, matrices, place in parts:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -85,15 +88,15 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
             document.note(f"instances of size 0: {flat.sum()} left out")
             matrices = matrices[~flat]
         if len(matrices):
-            instances = joined([transformed(mesh, matrix) for matrix in matrices])
-            check_mesh(instances, place, len(materials) + 1)
-            meshes.append(instances)
+            copies = instanced(mesh, matrices)
+            check_mesh(copies, place, len(materials) + 1)
+            meshes.append(copies)
     return meshes
 
 
 def _primitives(document: Document, index: int, materials: Sequence[Material], joints: np.ndarray | None = None) -> list[Mesh]:
     """The checked primitives of one mesh in its own space, or in world space with the matrices of `joints`."""
-    source, meshes = document.items("meshes")[index], []
+    source, meshes, triangles = document.items("meshes")[index], [], 0
     for primitive in source.parts("primitives"):
         number = document.link(primitive, "material", "materials")
         material = DEFAULT if number is None else materials[number]
@@ -102,5 +105,6 @@ def _primitives(document: Document, index: int, materials: Sequence[Material], j
         if mesh is not None:
             check_mesh(mesh, f"{document.file}: {primitive.path}", len(materials) + 1)
             meshes.append(mesh)
-            check_triangles(sum(len(mesh.triangles) for mesh in meshes), f"{document.file}: {primitive.path}")
+            triangles += len(mesh.triangles)
+            check_triangles(triangles, f"{document.file}: {primitive.path}", document.files.most_triangles)
     return meshes

@@ -11,6 +11,7 @@ from bokehguide.scene.gltf.accessors import read_floats
 from bokehguide.scene.gltf.document import Document, Part
 
 INSTANCING = "EXT_mesh_gpu_instancing"
+TRANSFORM = ("matrix", "rotation", "translation", "scale")
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,13 @@ def place_nodes(document: Document) -> list[Placed]:
             problem = "has two parents or is its own ancestor; repair the file"
             raise BokehguideError(f"{document.file}: {node.path}: {problem}")
         seen.add(index)
-        with np.errstate(over="ignore", invalid="ignore"):
-            matrix = parent @ local_matrix(node)
+        matrix = parent
+        if any(key in node for key in TRANSFORM):
+            with np.errstate(over="ignore", invalid="ignore"):
+                matrix = parent @ local_matrix(node)
         placed.append(Placed(node, matrix))
-        waiting += [(child, matrix) for child in reversed(document.links(node, "children", "nodes"))]
+        if "children" in node:
+            waiting += [(child, matrix) for child in reversed(document.links(node, "children", "nodes"))]
     return placed
 
 
@@ -67,8 +71,11 @@ def local_matrix(node: Part) -> np.ndarray:
     return _matrices(translation[None], rotation[None], scale[None])[0]
 
 
-def instance_matrices(document: Document, placed: Placed) -> np.ndarray:
-    """World matrices `[N, 4, 4]` of a node's instances (EXT_mesh_gpu_instancing), or its own matrix."""
+def instance_matrices(document: Document, placed: Placed, most: int) -> np.ndarray:
+    """World matrices `[N, 4, 4]` of a node's instances (EXT_mesh_gpu_instancing), or its own matrix.
+
+    Raises BokehguideError for more than `most` instances, and for attributes that do not agree.
+    """
     if INSTANCING not in placed.node.extensions:
         return placed.matrix[None]
     attributes = placed.node.extension(INSTANCING).part("attributes")
@@ -81,6 +88,9 @@ def instance_matrices(document: Document, placed: Placed) -> np.ndarray:
         counts = ", ".join(f"{len(values)} of {name}" for name, values in given.items()) or "none"
         raise BokehguideError(f"{document.file}: {attributes.path}: counts must agree ({counts}); repair the file")
     count = len(next(iter(given.values())))
+    if count > most:
+        problem = f"makes more than {document.files.most_instances:,} instances in all; give fewer"
+        raise BokehguideError(f"{document.file}: {attributes.path}: {problem}")
     rotation = given.get("ROTATION", np.tile((0.0, 0.0, 0.0, 1.0), (count, 1)))
     if not rotation.any(axis=1).all():
         problem = "holds a quaternion of length 0; repair the file"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from bokehguide.errors import BokehguideError
@@ -40,23 +38,26 @@ def read_primitive(
         wanted |= {"TANGENT": ("VEC4",)}
     if joints is not None:
         wanted |= SKINNING
-    arrays, indices = _arrays(document, primitive, wanted)
-    if "POSITION" not in arrays:
+    stored, indices = _arrays(document, primitive, wanted)
+    if "POSITION" not in stored:
         document.note("primitives without positions: left out", name)
         return None
-    count = len(arrays["POSITION"])
+    count = len(stored["POSITION"])
     triangles = _triangles(primitive, np.arange(count) if indices is None else indices)
     if len(triangles) == 0:
         return None
-    if any(len(array) != count for array in arrays.values()):
-        counts = ", ".join(f"{len(array)} of {key}" for key, array in arrays.items())
+    if any(len(array) != count for array in stored.values()):
+        counts = ", ".join(f"{len(array)} of {key}" for key, array in stored.items())
         raise BokehguideError(f"{document.file}: {primitive.path}: attributes differ in their counts ({counts}); repair the file")
+    stored, triangles = _compact(stored, triangles)
+    attributes = primitive.part("attributes")
+    arrays = {key: as_floats(values, _is_normalized(document, attributes, key)) for key, values in stored.items()}
     if joints is not None:
         arrays, triangles = _posed(document, primitive, arrays, triangles, joints, name)
     vertices = arrays["POSITION"]
     normals = _normals(document, arrays.get("NORMAL"), vertices, triangles, name)
     tangents = arrays.get("TANGENT") if normals is not None else None
-    mesh = Mesh(
+    return Mesh(
         vertices=vertices,
         triangles=triangles,
         material=number,
@@ -65,13 +66,12 @@ def read_primitive(
         tangents=_tangents(document, tangents, name),
         colors=_colors(arrays.get("COLOR_0")),
     )
-    return _compact(mesh)
 
 
 def _arrays(
     document: Document, primitive: Part, wanted: dict[str, tuple[str, ...]]
 ) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-    """The `wanted` attributes by name, float32 `[V, width]`, and indices int64 or None."""
+    """The `wanted` attributes by name, `[V, width]` in their stored types, and indices int64 or None."""
     attributes = primitive.part("attributes")
     packed, indices = {}, None
     if DRACO in primitive.extensions:
@@ -82,13 +82,16 @@ def _arrays(
     for name in attributes.values:
         index = document.required(attributes, name, "accessors")
         if name in wanted:
-            values = packed[name] if name in packed else read_raw(document, index, *wanted[name])
-            # Integer colours are always normalised, although some files omit the flag.
-            normalized = name == "COLOR_0" or document.items("accessors")[index].flag("normalized")
-            arrays[name] = as_floats(values, normalized)
+            arrays[name] = packed[name] if name in packed else read_raw(document, index, *wanted[name])
         elif not name.startswith(SILENT):
             document.note(f"vertex attribute {name}: has no effect")
     return arrays, indices
+
+
+def _is_normalized(document: Document, attributes: Part, name: str) -> bool:
+    """Whether the integers of an attribute are fractions. Those of colours always are, although some files omit the flag."""
+    index = document.required(attributes, name, "accessors")
+    return name == "COLOR_0" or document.items("accessors")[index].flag("normalized")
 
 
 def _triangles(primitive: Part, indices: np.ndarray) -> np.ndarray:
@@ -168,14 +171,14 @@ def _colors(colors: np.ndarray | None) -> np.ndarray | None:
     return np.concatenate([colors, opaque], axis=1).clip(0.0, 1.0)
 
 
-def _compact(mesh: Mesh) -> Mesh:
-    """`mesh` without unused vertices, if it has more vertices than triangle corners.
+def _compact(arrays: dict[str, np.ndarray], triangles: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Attributes and triangles without unused vertices, if there are more vertices than triangle corners.
 
-    Primitives often share one large vertex buffer. Indices out of range stay, for `check_mesh`.
+    Primitives often share one large vertex buffer: the time for each must not grow with the buffer. Indices out of range stay,
+    for `check_mesh`.
     """
-    if len(mesh.vertices) <= mesh.triangles.size or mesh.triangles.max() >= len(mesh.vertices):
-        return mesh
-    used, triangles = np.unique(mesh.triangles, return_inverse=True)
-    optional = {name: getattr(mesh, name) for name in ("normals", "uvs", "tangents", "colors")}
-    kept = {name: None if values is None else values[used] for name, values in optional.items()}
-    return replace(mesh, vertices=mesh.vertices[used], triangles=triangles.reshape(-1, 3).astype(np.int32), **kept)
+    count = len(arrays["POSITION"])
+    if count <= triangles.size or triangles.max() >= count:
+        return arrays, triangles
+    used, triangles = np.unique(triangles, return_inverse=True)
+    return {name: values[used] for name, values in arrays.items()}, triangles.reshape(-1, 3).astype(np.int32)

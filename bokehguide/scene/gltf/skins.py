@@ -21,16 +21,27 @@ SKINNING = {f"{name}_{number}": ("VEC4",) for name in ("JOINTS", "WEIGHTS") for 
 """The attributes with the joints and weights of vertices, and their types."""
 
 
-def joint_matrices(document: Document, node: Part, placed: Sequence[Placed]) -> np.ndarray | None:
-    """The matrices J B `[joints, 4, 4]` of the skin of `node`; None without a skin.
+class Skins:
+    """The joint matrices of the skins of a file, each computed once. placed: the nodes of the scene."""
+
+    def __init__(self, document: Document, placed: Sequence[Placed]):
+        self._document = document
+        self._world = {one.node.path: one.matrix for one in placed}
+        self._matrices: dict[int, np.ndarray] = {}
+
+    def joint_matrices(self, index: int) -> np.ndarray:
+        """The matrices J B `[joints, 4, 4]` of a skin. Raises as `joint_matrices`."""
+        if index not in self._matrices:
+            self._matrices[index] = joint_matrices(self._document, index, self._world)
+        return self._matrices[index]
+
+
+def joint_matrices(document: Document, index: int, world: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The matrices J B `[joints, 4, 4]` of a skin. world: matrices of the scene's nodes by their paths.
 
     Raises BokehguideError for joints outside the scene and for missing inverse bind matrices.
     """
-    index = document.link(node, "skin", "skins")
-    if index is None:
-        return None
     skin = document.items("skins")[index]
-    world = {one.node.path: one.matrix for one in placed}
     joints = [document.items("nodes")[joint].path for joint in document.links(skin, "joints", "nodes")]
     if not joints or any(joint not in world for joint in joints):
         skin.fail("joints", "is not a list of nodes of the scene; repair the file")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,19 +11,20 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.limits import LARGEST
+from bokehguide.limits import LARGEST, MAX_KEY_DEPTH
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.model_files import load_model
 from bokehguide.scene.overrides import Overrides, override_camera
-from bokehguide.scene.shapes import SHAPES, transform, transformed
+from bokehguide.scene.shapes import SHAPES, sphere_subdivisions, transform, transformed, unit_sphere
 from bokehguide.scene.tables import ANY, EMITTER_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
 from bokehguide.scene.toml.materials import read_materials
 from bokehguide.scene.toml.placing import place_emitters, place_suns
 from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Model, Scene, Sun
-from bokehguide.scene.validation import check_mesh, check_triangles
+from bokehguide.scene.validation import check_mesh, check_meshes, check_triangles
 
 SCENE_KEYS = ("camera", "film", "environment", "sun", "lights", "materials", "object")
+DEEP_KEY = re.compile(rf"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_KEY_DEPTH}}}""")
 OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
 
 
@@ -32,7 +34,7 @@ def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scen
     files: the files that the scene may name. Raises BokehguideError naming file, field, value and
     remedy for invalid input.
     """
-    root = Table(_parse(path), str(path), "", SCENE_KEYS)
+    root = Table(_parse(path, files), str(path), "", SCENE_KEYS)
     if "camera" not in root:
         root.missing("camera", "add [camera] with position and target")
     warnings: list[str] = []
@@ -51,11 +53,14 @@ def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scen
     )
 
 
-def _parse(path: Path) -> dict[str, Any]:
+def _parse(path: Path, files: SceneFiles) -> dict[str, Any]:
     """The tables of a TOML file."""
     require_file(path, "scene")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = files.read(path).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+        if DEEP_KEY.search(text):
+            raise BokehguideError(f"{path}: not valid TOML: a key of more than {MAX_KEY_DEPTH} parts; give at most so many")
+        return tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise BokehguideError(f"{path}: not UTF-8 text (byte {error.start}); save it so") from None
     except (ValueError, RecursionError) as error:  # endless numbers or brackets
@@ -114,12 +119,13 @@ def _read_suns(root: Table) -> list[Sun]:
 class _Objects:
     """Meshes, suns and materials of the objects of a scene file. Each model is loaded once.
 
-    models: by path, each with the index of its first material in `materials`.
+    subdivisions: of spheres. models: by path, each with the index of its first material in `materials`.
     """
 
     materials: list[Material]
     sizes: LightSizes
     files: SceneFiles
+    subdivisions: int
     meshes: list[Mesh] = field(default_factory=list)
     suns: list[Sun] = field(default_factory=list)
     models: dict[Path, tuple[Model, int]] = field(default_factory=dict)
@@ -161,13 +167,16 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
     values = root.values.get("object", [])
     if not isinstance(values, list):
         root.fail("object", "is not a list of tables; write [[object]]")
-    objects = _Objects(list(materials), _read_lights(root), files)
+    spheres = sum(isinstance(entry, dict) and entry.get("shape") == "sphere" for entry in values)
+    objects = _Objects(list(materials), _read_lights(root), files, sphere_subdivisions(spheres))
     named, triangles = {material.name: index for index, material in enumerate(materials)}, 0
     for number, entry in enumerate(values):
         table = Table(entry, root.file, f"object[{number}]", OBJECT_KEYS)
         material = _named_material(table, named)
         matrix = _read_transform(table)
-        placed = [transformed(mesh, matrix) for mesh in _read_surface(table, objects)]
+        surface = _read_surface(table, objects)
+        check_meshes(len(objects.meshes) + len(surface), f"{root.file}: {table.path}", files.most_meshes)
+        placed = [transformed(mesh, matrix) for mesh in surface]
         if material is not None:  # also replaces the model's vertex colours
             placed = [replace(mesh, material=material, colors=None) for mesh in placed]
         if "file" in table:
@@ -178,7 +187,7 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
             check_mesh(mesh, f"{root.file}: {table.path}", len(objects.materials))
         objects.meshes += placed
         triangles += sum(len(mesh.triangles) for mesh in placed)
-        check_triangles(triangles, f"{root.file}: {table.path}")
+        check_triangles(triangles, f"{root.file}: {table.path}", files.most_triangles)
     return objects
 
 
@@ -204,7 +213,7 @@ def _read_surface(table: Table, objects: _Objects) -> list[Mesh]:
         table.fail("shape", f"is not a shape; {did_you_mean(shape, SHAPES)}")
     if "material" not in table:
         table.missing("material", "name one of [materials]")
-    return [SHAPES[shape]()]
+    return [unit_sphere(objects.subdivisions) if shape == "sphere" else SHAPES[shape]()]
 
 
 def _read_transform(table: Table) -> np.ndarray:

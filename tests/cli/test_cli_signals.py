@@ -1,0 +1,131 @@
+"""Ctrl-C and SIGTERM at any time: the exit codes 130 and 143, within a second, and nothing left behind."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from bokehguide import stopping
+
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
+LONGEST = 5.0
+"""Seconds that a loaded machine may take; a second on an idle one."""
+
+
+def stopped(command: list[str], folder, number: int, ready) -> tuple[int, float, str]:
+    """Start a command, send a signal when `ready` says so; its code as a shell reports it, the seconds it took, and stderr."""
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        ready(process)
+        process.send_signal(number)
+        start = time.monotonic()
+        stderr = process.communicate(timeout=60)[1]
+        code = process.returncode if process.returncode >= 0 else 128 - process.returncode
+        return code, time.monotonic() - start, stderr
+
+
+def render(folder, *options: object) -> list[str]:
+    return [sys.executable, "-m", "bokehguide", "render", "emitters.toml", "--out", "a.exr", *map(str, options)]
+
+
+@pytest.mark.parametrize("number", CODES)
+@pytest.mark.parametrize("delay", [0.0, 0.5])
+def test_while_libraries_are_imported(number, delay, lamps_file, tmp_path):
+    before = sorted(tmp_path.iterdir())
+
+    def ready(process):
+        assert process.stderr.readline() == "bokehguide: starting\n"
+        time.sleep(delay)
+
+    code, seconds, stderr = stopped(render(tmp_path), tmp_path, number, ready)
+    assert (code, "Traceback" in stderr) == (CODES[number], False), stderr
+    assert seconds < LONGEST
+    assert "bokehguide: interrupted" in stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", np.linspace(0.0, 6.0, 24))
+def test_at_any_time(delay, lamps_file, tmp_path):
+    """Also in the steps, after which the picture is written."""
+    command = render(tmp_path, "--spp", 1000000, "--logdir", "logs")
+
+    def ready(process):
+        process.stderr.readline()
+        time.sleep(delay)
+
+    code, seconds, stderr = stopped(command, tmp_path, signal.SIGINT, ready)
+    assert code == 130 and seconds < LONGEST and "Traceback" not in stderr, stderr
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+def test_while_the_tracing_structure_is_built(number, tmp_path):
+    """Embree keeps the interpreter's lock for seconds."""
+    program = """if True:
+        import numpy as np, sys
+        from bokehguide import stopping
+        from bokehguide.render.tracer import Tracer
+        stopping.stop_at_signals()
+        corners = np.random.default_rng(0).random((3_000_000, 3), dtype=np.float32)
+        print("ready", file=sys.stderr, flush=True)
+        Tracer(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
+        print("built", file=sys.stderr)
+    """
+
+    def ready(process):
+        process.stderr.readline()
+        time.sleep(0.2)
+
+    code, seconds, stderr = stopped([sys.executable, "-c", program], tmp_path, number, ready)
+    assert code == CODES[number] and seconds < 1.0 and "built" not in stderr
+
+
+def test_an_interrupt_that_python_would_lose(tmp_path):
+    """KeyboardInterrupt in a destructor is printed and ignored."""
+    program = """if True:
+        import sys, time
+        from bokehguide import stopping
+        stopping.stop_at_signals()
+        class Slow:
+            def __del__(self):
+                print("ready", file=sys.stderr, flush=True)
+                end = time.monotonic() + 5
+                while time.monotonic() < end: pass
+        Slow()
+        print("went on", file=sys.stderr)
+    """
+    ready = lambda process: process.stderr.readline()  # noqa: E731
+    code, _, stderr = stopped([sys.executable, "-c", program], tmp_path, signal.SIGINT, ready)
+    assert code == 130 and "went on" not in stderr
+
+
+def test_temporary_files_go(tmp_path):
+    program = f"""if True:
+        import sys, time
+        from bokehguide import stopping
+        from bokehguide.image import replacing
+        stopping.stop_at_signals()
+        stopping.note_at_stop("all is kept")
+        with replacing({str(tmp_path / "a.txt")!r}) as temporary:
+            temporary.write_text("half")
+            print("ready", file=sys.stderr, flush=True)
+            time.sleep(60)
+    """
+    ready = lambda process: process.stderr.readline()  # noqa: E731
+    code, _, stderr = stopped([sys.executable, "-c", program], tmp_path, signal.SIGTERM, ready)
+    assert (code, stderr) == (143, "bokehguide: all is kept\nbokehguide: interrupted\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_process_that_is_no_command_keeps_its_handlers():
+    before = [signal.getsignal(number) for number in stopping.NUMBERS]
+    with stopping.default_signals():
+        assert [signal.getsignal(number) for number in stopping.NUMBERS] == before
+    thread = threading.Thread(target=lambda: stopping.default_signals().__enter__())
+    thread.start()
+    thread.join()
+    assert [signal.getsignal(number) for number in stopping.NUMBERS] == before

@@ -1,0 +1,158 @@
+"""Full disks, odd names, pipes and locales: one line, and never a lost picture."""
+
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bokehguide.cli import main, render
+from bokehguide.cli.arguments import parse
+from bokehguide.cli.pictures import Pictures
+from bokehguide.image import read_metadata
+
+COMMAND = (sys.executable, "-m", "bokehguide")
+
+
+def run(folder: Path, *arguments: str | bytes, shell: str = "", **environment: str) -> subprocess.CompletedProcess:
+    """The command in a folder, with bytes for its output. shell: redirections."""
+    command = [*COMMAND, *arguments]
+    if shell:
+        command = ["sh", "-c", f'exec "$@" {shell}', "sh", *command]
+    return subprocess.run(command, cwd=folder, capture_output=True, timeout=120, env=os.environ | environment)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_messages_that_find_a_full_disk(lamps_file, tmp_path):
+    """The picture is there, and the code says whether the summary was lost."""
+    finished = run(tmp_path, "render", "emitters.toml", "--spp", "2", "--out", "a.exr", shell="2>/dev/full")
+    assert finished.returncode == 0 and b"wrote a.exr" in finished.stdout
+    options = ("--spp", "3", "--out", "a.exr", "--json", "a.json")
+    finished = run(tmp_path, "render", "emitters.toml", *options, shell=">/dev/full")
+    assert finished.returncode == 2 and b"Traceback" not in finished.stderr
+    assert finished.stderr.endswith(b"bokehguide: error: the output cannot be written (No space left on device)\n")
+    assert read_metadata(tmp_path / "a.exr")["spp"] == 3 and (tmp_path / "a.json").exists()
+
+
+def test_a_summary_that_cannot_be_written_is_a_warning(lamps_file, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write = Pictures.write
+    (tmp_path / "facts").mkdir()
+    monkeypatch.setattr(Pictures, "write", lambda *arguments: (write(*arguments), Path("facts").rmdir()))
+    assert main(["render", "emitters.toml", "--spp", "1", "--out", "a.exr", "--json", "facts/a.json"]) == 0
+    assert "bokehguide: warning: facts/a.json: cannot be written (No such file or directory)" in capsys.readouterr().err
+    assert read_metadata("a.exr")["spp"] == 1
+
+
+@pytest.mark.parametrize("option", ["--out", "--json", "--reference", "--logdir", "--environment"])
+def test_names_that_are_too_long(option, lamps_file, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    assert main(["render", "emitters.toml", "--spp", "1", option, "x" * 300 + ".exr"]) == 2
+    error = capfd.readouterr().err
+    assert error.startswith("bokehguide: error: ") and "xxx" in error and error.count("\n") == 1 and "File name too long" in error
+
+
+def test_a_scene_whose_name_is_too_long(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    for suffix in (".toml", ".glb"):
+        assert main(["render", "x" * 300 + suffix]) == 2
+        assert "File name too long" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("option", [b"--out=", b"--environment=", b"--reference=", b"--json=", b""])
+def test_names_that_are_not_utf8(option, lamps_file, tmp_path):
+    name = b"caf\xe9.exr" if option else b"caf\xe9.toml"
+    (tmp_path / os.fsdecode(name)).write_bytes(lamps_file.read_bytes())
+    scene = [b"emitters.toml"] if option else []
+    finished = run(tmp_path, b"render", *scene, option + name, b"--spp", b"1")
+    assert finished.returncode == 2
+    assert finished.stderr == b"bokehguide: error: '" + option + name.replace(b"\xe9", b"\\udce9") + (
+        b"' is no UTF-8 text; rename the file or folder\n"
+    )
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"PYTHONIOENCODING": "ascii"},
+        pytest.param({"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, marks=pytest.mark.slow),
+    ],
+)
+def test_encodings_without_the_characters_of_messages(environment, lamps_file, tmp_path):
+    told = run(tmp_path, "info", "emitters.toml", **environment)
+    assert told.returncode == 0, told.stderr
+    assert b"40 deg across" in told.stdout and b"32 x 20 pixels" in told.stdout
+    finished = run(tmp_path, "render", "emitters.toml", "--spp", "1", "--out", "a.exr", **environment)
+    assert finished.returncode == 0, finished.stderr
+    finished.stderr.decode("ascii")
+
+
+def test_an_output_that_is_no_regular_file(lamps_file, tmp_path, monkeypatch, capfd):
+    """A device would be replaced by a file."""
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("a.json")
+    assert main(["render", "emitters.toml", "--json", "a.json"]) == 2
+    assert "a.json: is no regular file, and would be replaced by one" in capfd.readouterr().err
+
+
+def test_pipes_in_the_place_of_files_are_not_opened(lamps_file, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe.exr")
+    for option in ("--reference", "--environment"):
+        assert main(["render", "emitters.toml", option, "pipe.exr"]) == 2
+        assert "pipe.exr: is no regular file" in capfd.readouterr().err
+    assert main(["metrics", "pipe.exr", "pipe.exr"]) == 2
+    os.mkfifo("a.ckpt")
+    assert main(["render", "emitters.toml", "--out", "a.exr"]) == 2
+    assert "a.ckpt: is no regular file" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("folder", ["a/b", "a/b/c"])
+@pytest.mark.parametrize("option", ["--out", "--json", "--logdir"])
+def test_folders_are_created_in_existing_ones_alone(option, folder, lamps_file, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    Path("a").mkdir()
+    path = folder if option == "--logdir" else f"{folder}/a.exr"
+    code = main(["render", "emitters.toml", "--spp", "1", option, path])
+    error = capfd.readouterr().err
+    if folder == "a/b":
+        assert code == 0 and "bokehguide: created the folder a/b\n" in error
+    else:
+        assert code == 2 and error == (
+            "bokehguide: error: a/b/c: the folder a/b does not exist; create it, or choose another folder\n"
+        )
+        assert not list(Path("a").iterdir())
+
+
+def test_stages_are_told_as_they_begin(lamps_file, tmp_path):
+    command = [*COMMAND, "render", "emitters.toml", "--spp", "2", "--out", "a.exr"]
+    start = time.process_time()
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr.readline() == "bokehguide: starting\n"
+        assert "torch" not in Path(f"/proc/{process.pid}/maps").read_text(), "the first line comes before the libraries"
+        told = process.communicate(timeout=60)[1]
+    assert process.returncode == 0 and time.process_time() - start < 5
+    stages = [
+        "loading emitters.toml",
+        "preparing 1,292 triangles and 2 materials",
+        "building the tracing structure of 1,292 triangles",
+    ]
+    assert re.findall("bokehguide: (.*)\n", told)[:3] == stages
+
+
+def test_one_rank_tells_the_stages(lamps_file, tmp_path):
+    finished = run(tmp_path, "render", "emitters.toml", "--mode", "none", RANK="1")
+    assert finished.returncode == 2 and finished.stderr.count(b"\n") == 1
+
+
+def test_the_time_limit_counts_loading(lamps_file, tmp_path, capsys, monkeypatch):
+    """One step is always taken."""
+    monkeypatch.chdir(tmp_path)
+    options = parse(["render", "emitters.toml", "--spp", "50", "--out", "a.exr", "--time-limit", "99"])
+    options.started -= 100.0
+    assert render.run(options) == 0
+    assert re.search(r"stopped: --time-limit 99 passed within 10\d\.\d s of loading and the first step", capsys.readouterr().out)
+    assert read_metadata("a.exr")["spp"] == 1
