@@ -8,6 +8,7 @@ from pathlib import Path
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.builtin import BUILTIN
+from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.overrides import NO_OVERRIDES, Overrides, override_camera, override_surroundings
 from bokehguide.scene.types import Scene
@@ -29,23 +30,26 @@ def load_scene(spec: str, overrides: Overrides = NO_OVERRIDES, allow_outside: bo
     if overrides.camera is not None and suffix not in MODEL_SUFFIXES:
         raise BokehguideError(f"--camera: {overrides.camera!r}: selects a camera of a model, but {spec} is none; leave it out")
     files = SceneFiles(Path(spec).parent, allow_outside)
+    with located(spec):
+        return checked(override_surroundings(_read(spec, suffix, overrides, files), overrides), spec)
+
+
+def _read(spec: str, suffix: str, overrides: Overrides, files: SceneFiles) -> Scene:
+    """The scene that `spec` names, with the camera of `overrides`."""
     if spec in BUILTIN:
         scene = BUILTIN[spec]()
-        camera = override_camera(asdict(scene.camera), overrides, scene.name, files)
-        scene = replace(scene, camera=camera)
-    elif suffix == ".toml":
+        return replace(scene, camera=override_camera(asdict(scene.camera), overrides, scene.name, files))
+    if suffix == ".toml":
         from bokehguide.scene.toml.scene_file import read_scene_file
 
-        scene = read_scene_file(Path(spec), overrides, files)
-    elif suffix in MODEL_SUFFIXES:
+        return read_scene_file(Path(spec), overrides, files)
+    if suffix in MODEL_SUFFIXES:
         from bokehguide.scene.framing import model_scene
 
-        scene = model_scene(Path(spec), overrides, files)
-    else:
-        near = difflib.get_close_matches(spec, BUILTIN, n=1)
-        raise BokehguideError(
-            f"{spec}: no such scene" + (f"; did you mean {near[0]!r}?" if near else "") + "\n"
-            f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, "
-            f"or a model ({' '.join(MODEL_SUFFIXES)})"
-        )
-    return checked(override_surroundings(scene, overrides), spec)
+        return model_scene(Path(spec), overrides, files)
+    near = difflib.get_close_matches(spec, BUILTIN, n=1)
+    raise BokehguideError(
+        f"{spec}: no such scene" + (f"; did you mean {near[0]!r}?" if near else "") + "\n"
+        f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, "
+        f"or a model ({' '.join(MODEL_SUFFIXES)})"
+    )

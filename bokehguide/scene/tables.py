@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.limits import LARGEST, MAX_SIDE, SMALLEST
-from bokehguide.scene.types import Vector, as_vector
+from bokehguide.scene.vectors import Vector, as_vector
 
 
 @dataclass(frozen=True)

@@ -242,8 +242,8 @@ def test_halves_share_nothing_random_but_all_else():
 @pytest.mark.parametrize(
     "values, message",
     [
-        ({"target_noise": 0.0}, "target_noise: 0 is out of range"),
-        ({"target_noise": 2.0}, "target_noise: 2 is out of range"),
+        ({"target_noise": 0.0}, "target_noise: 0.0 is out of range"),
+        ({"target_noise": 2.0}, "target_noise: 2.0 is out of range"),
         ({"target_noise": math.nan}, "target_noise: nan is out of range"),
         ({"target_noise": 0.1, "mode": "area-restir"}, "target_noise: area-restir reuses"),
     ],

@@ -94,7 +94,7 @@ def _arrays(
 def _triangles(primitive: Part, indices: np.ndarray) -> np.ndarray:
     """int32 `[T, 3]`. The order for strips and fans is that of glTF 2.0 section 3.7.2.1."""
     mode = primitive.whole("mode", TRIANGLES)
-    # Indices beyond int32 stay out of range, so that `check_mesh` rejects them.
+    # Indices beyond int32 stay out of range, so that `Mesh` rejects them.
     indices = np.minimum(indices, np.iinfo(np.int32).max).astype(np.int32)
     if mode == TRIANGLES:
         if len(indices) % 3:
@@ -171,9 +171,9 @@ def _colors(colors: np.ndarray | None) -> np.ndarray | None:
 def _compact(mesh: Mesh) -> Mesh:
     """`mesh` without unused vertices, if it has more vertices than triangle corners.
 
-    Primitives often share one large vertex buffer. Indices out of range stay, for `check_mesh`.
+    Primitives often share one large vertex buffer.
     """
-    if len(mesh.vertices) <= mesh.triangles.size or mesh.triangles.max() >= len(mesh.vertices):
+    if len(mesh.vertices) <= mesh.triangles.size:
         return mesh
     used, triangles = np.unique(mesh.triangles, return_inverse=True)
     optional = {name: getattr(mesh, name) for name in ("normals", "uvs", "tangents", "colors")}

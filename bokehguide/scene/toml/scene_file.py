@@ -11,6 +11,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST
+from bokehguide.scene.checks import located
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.model_files import load_model
@@ -20,7 +21,7 @@ from bokehguide.scene.tables import ANY, EMITTER_RADIUS, NOT_NEGATIVE, SUN_ANGLE
 from bokehguide.scene.toml.materials import read_materials
 from bokehguide.scene.toml.placing import place_emitters, place_suns
 from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Model, Scene, Sun
-from bokehguide.scene.validation import check_mesh, check_triangles
+from bokehguide.scene.validation import check_triangles
 
 SCENE_KEYS = ("camera", "film", "environment", "sun", "lights", "materials", "object")
 OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
@@ -167,15 +168,14 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
         table = Table(entry, root.file, f"object[{number}]", OBJECT_KEYS)
         material = _named_material(table, named)
         matrix = _read_transform(table)
-        placed = [transformed(mesh, matrix) for mesh in _read_surface(table, objects)]
-        if material is not None:  # also replaces the model's vertex colours
-            placed = [replace(mesh, material=material, colors=None) for mesh in placed]
-        if "file" in table:
-            model, first = objects.load(table)
-            placed += place_emitters(model, first, matrix, objects.materials)
-            objects.suns += place_suns(model, matrix)
-        for mesh in placed:
-            check_mesh(mesh, f"{root.file}: {table.path}", len(objects.materials))
+        with located(f"{root.file}: {table.path}"):
+            placed = [transformed(mesh, matrix) for mesh in _read_surface(table, objects)]
+            if material is not None:  # also replaces the model's vertex colours
+                placed = [replace(mesh, material=material, colors=None) for mesh in placed]
+            if "file" in table:
+                model, first = objects.load(table)
+                placed += place_emitters(model, first, matrix, objects.materials)
+                objects.suns += place_suns(model, matrix)
         objects.meshes += placed
         triangles += sum(len(mesh.triangles) for mesh in placed)
         check_triangles(triangles, f"{root.file}: {table.path}")
