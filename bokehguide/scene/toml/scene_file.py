@@ -18,12 +18,13 @@ from bokehguide.scene.model_files import load_model
 from bokehguide.scene.overrides import Overrides, override_camera
 from bokehguide.scene.shapes import SHAPES, transform, transformed
 from bokehguide.scene.tables import ANY, EMITTER_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
+from bokehguide.scene.toml.lights import read_light_tables
 from bokehguide.scene.toml.materials import read_materials
 from bokehguide.scene.toml.placing import place_emitters, place_suns
 from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Model, Scene, Sun
 from bokehguide.scene.validation import check_triangles
 
-SCENE_KEYS = ("camera", "film", "environment", "sun", "lights", "materials", "object")
+SCENE_KEYS = ("camera", "film", "environment", "sun", "light", "lights", "materials", "object")
 OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
 
 
@@ -39,11 +40,12 @@ def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scen
     warnings: list[str] = []
     materials = read_materials(root, files)
     objects = _read_objects(root, files, materials)
+    meshes, emissive = read_light_tables(root, len(objects.materials))
     return Scene(
         name=path.stem,
         camera=override_camera(root.values["camera"], overrides, str(path), files),
-        meshes=tuple(objects.meshes),
-        materials=tuple(objects.materials),
+        meshes=(*objects.meshes, *meshes),
+        materials=(*objects.materials, *emissive),
         film=_read_film(root),
         environment=_read_environment(root, files, warnings),
         suns=(*_read_suns(root), *objects.suns),
