@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -17,28 +18,36 @@ from bokehguide.scene.validation import checked
 MODEL_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 
 
-def load_scene(spec: str, overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> Scene:
+def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> Scene:
     """The scene that `spec` names, ready to render.
 
-    spec: the name of a built-in scene, the path of a `.toml` scene file, or the path of a model. A
+    spec: the name of a built-in scene, the path of a `.toml` scene file, the path of a model, or a scene itself. A
     model without a camera gets one that frames it; a model without lights gets a sky.
     overrides: replace the scene's own values. allow_outside: permits paths that leave the file's folder.
 
     Raises BokehguideError for input that is missing, malformed or out of range.
     """
-    suffix = Path(spec).suffix.lower()
+    name = spec.name if isinstance(spec, Scene) else os.fspath(spec)
+    suffix = "" if isinstance(spec, Scene) else Path(spec).suffix.lower()
     if overrides.camera is not None and suffix not in MODEL_SUFFIXES:
-        raise BokehguideError(f"--camera: {overrides.camera!r}: selects a camera of a model, but {spec} is none; leave it out")
-    files = SceneFiles(Path(spec).parent, allow_outside)
-    with located(spec):
-        return checked(override_surroundings(_read(spec, suffix, overrides, files), overrides), spec)
+        raise BokehguideError(f"--camera: {overrides.camera!r}: selects a camera of a model, but {name} is none; leave it out")
+    files = SceneFiles(Path() if isinstance(spec, Scene) else Path(spec).parent, allow_outside)
+    with located(name):
+        scene = _with_camera(spec, overrides, files) if isinstance(spec, Scene) else _read(name, suffix, overrides, files)
+        return checked(override_surroundings(scene, overrides), name)
+
+
+def _with_camera(scene: Scene, overrides: Overrides, files: SceneFiles) -> Scene:
+    """`scene` with the camera of `overrides`, and the aperture's shape as it was."""
+    values = asdict(replace(scene.camera, aperture=None))
+    camera = override_camera(values, overrides, scene.name, files)
+    return replace(scene, camera=replace(camera, aperture=scene.camera.aperture))
 
 
 def _read(spec: str, suffix: str, overrides: Overrides, files: SceneFiles) -> Scene:
     """The scene that `spec` names, with the camera of `overrides`."""
     if spec in BUILTIN:
-        scene = BUILTIN[spec]()
-        return replace(scene, camera=override_camera(asdict(scene.camera), overrides, scene.name, files))
+        return _with_camera(BUILTIN[spec](), overrides, files)
     if suffix == ".toml":
         from bokehguide.scene.toml.scene_file import read_scene_file
 
