@@ -155,6 +155,19 @@ def test_lights_on_a_string(tmp_path):
     assert len(centres) == 12  # 1.15 m of string
 
 
+def test_many_lights_have_fewer_triangles_and_the_same_flux(tmp_path):
+    text = "radius = 0.01\npath = [[0.0, 2.0, 0.0], [7.0, 2.0, 0.0]]\nspacing = 0.1\nwatts = 0.5"
+    mesh, radiance = light_of(tmp_path, text)
+    assert len(mesh.triangles) == 71 * 320
+    assert flux(mesh, radiance) == pytest.approx(71 * 0.5, rel=1e-5)
+
+
+def test_a_file_with_too_many_lights(tmp_path):
+    table = "[[light]]\nradius = 0.01\npath = [[0.0, 2.0, 0.0], [7.0, 2.0, 0.0]]\nspacing = 1e-3\nwatts = 0.5\n"
+    with pytest.raises(BokehguideError, match=r"light\[1\]\.spacing: 0\.001 makes 7,001 more lights; give fewer; a file has at"):
+        load(tmp_path, f"{CAMERA}{BALL}{table}{table}")
+
+
 def test_the_colour_of_a_black_body():
     """Known chromaticities (CIE 15: illuminant A at 2856 K, and black bodies), and luminance 1 at any temperature."""
     for kelvin, x, y in ((2856.0, 0.4476, 0.4074), (4000.0, 0.3805, 0.3768), (6500.0, 0.3135, 0.3237), (10000.0, 0.2807, 0.2884)):
@@ -204,7 +217,7 @@ def test_the_colour_of_a_black_body():
         ("radius = 0.1\nposition = [0, 1, 0]\nspacing = 1\nwatts = 1", "light[0].spacing: 1 has no path beside it"),
         (
             "radius = 0.1\npath = [[0, 1, 0], [1, 1, 0]]\nspacing = 1e-9\nwatts = 1",
-            "light[0].spacing: makes 1,280,000,002,560",
+            "light[0].spacing: 1e-09 makes 1,000,000,002 more lights; give fewer",
         ),
         ("radius = 0.1\nposition = [0, 1, 0]\nwats = 1", "light[0].wats: unknown key; did you mean 'watts'?"),
     ],

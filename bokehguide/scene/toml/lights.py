@@ -9,13 +9,24 @@ import numpy as np
 
 from bokehguide.color import LUMENS_PER_WATT, LUMINANCE, blackbody
 from bokehguide.scene.checks import located
-from bokehguide.scene.shapes import repeated, surface_area, transformed, unit_disc, unit_rectangle, unit_sphere
+from bokehguide.scene.shapes import (
+    SPHERE_SUBDIVISIONS,
+    repeated,
+    surface_area,
+    transformed,
+    unit_disc,
+    unit_rectangle,
+    unit_sphere,
+)
 from bokehguide.scene.strings import String
 from bokehguide.scene.tables import EMITTER_RADIUS, KELVIN, NOT_NEGATIVE, POSITIVE, Table, did_you_mean, is_number
 from bokehguide.scene.types import Material, Mesh, Vector, as_vector
-from bokehguide.scene.validation import check_triangles
 
 LIGHT_SHAPES = {"sphere": unit_sphere, "disc": unit_disc, "rectangle": unit_rectangle}
+MAX_LIGHTS = 10_000
+"""Lights of a file, which bounds its memory."""
+COARSE_LIGHTS = 64
+"""Spheres of a table beyond which each has 320 triangles in place of 1,280."""
 NEEDS = {
     "radius": ("sphere", "disc"),
     "size": ("rectangle",),
@@ -37,13 +48,13 @@ def read_light_tables(root: Table, first: int) -> tuple[list[Mesh], list[Materia
     values = root.values.get("light", [])
     if not isinstance(values, list):
         root.fail("light", "is not a list of tables; write [[light]]")
-    meshes, materials = [], []
+    meshes, materials, lights = [], [], 0
     for number, entry in enumerate(values):
         table = Table(entry, root.file, f"light[{number}]", LIGHT_KEYS)
         name = table.text("name") or table.path
-        shape, centres = _shape(table), _centres(table)
-        triangles = sum(len(mesh.triangles) for mesh in meshes) + len(shape.triangles) * len(centres)
-        check_triangles(triangles, f"{root.file}: {table.path}")
+        centres = _centres(table, MAX_LIGHTS - lights)
+        lights += len(centres)
+        shape = _shape(table, len(centres))
         with located(f"{root.file}: {table.path}"):
             mesh = repeated(shape, centres, first + len(meshes), name)
         emission = _emission(table, surface_area(mesh) / len(centres))
@@ -52,8 +63,8 @@ def read_light_tables(root: Table, first: int) -> tuple[list[Mesh], list[Materia
     return meshes, materials
 
 
-def _shape(table: Table) -> Mesh:
-    """The shape of a light around the origin."""
+def _shape(table: Table, count: int) -> Mesh:
+    """The shape of each of `count` lights around the origin."""
     kind = table.text("shape") or "sphere"
     if kind not in LIGHT_SHAPES:
         table.fail("shape", f"is not the shape of a light; {did_you_mean(kind, LIGHT_SHAPES)}")
@@ -67,7 +78,8 @@ def _shape(table: Table) -> Mesh:
     else:
         radius = table.number("radius", None, EMITTER_RADIUS)
         matrix[:3, :3] = (np.eye(3) if kind == "sphere" else _axes(table)) * radius
-    return transformed(LIGHT_SHAPES[kind](), matrix)
+    coarse = kind == "sphere" and count > COARSE_LIGHTS
+    return transformed(unit_sphere(SPHERE_SUBDIVISIONS - 1) if coarse else LIGHT_SHAPES[kind](), matrix)
 
 
 def _size(table: Table) -> tuple[float, float]:
@@ -93,27 +105,33 @@ def _axes(table: Table) -> np.ndarray:
     return np.stack((right, np.cross(forward, right), forward), axis=1)
 
 
-def _centres(table: Table) -> np.ndarray:
-    """The centres of the lights of a table, `[N, 3]`."""
+def _centres(table: Table, most: int) -> np.ndarray:
+    """The centres of the lights of a table, `[N, 3]`, at most so many."""
     table.exclusive(*PLACES)
     for key in ("spacing", "sag"):
         if key in table and "path" not in table:
             table.fail(key, "has no path beside it; give the supports of the string, or leave it out")
-    if "positions" in table:
-        return _points(table, "positions", 1)
     if "path" not in table:
-        if "position" not in table:
+        if "position" not in table and "positions" not in table:
             table.missing("position", "give [x, y, z], or positions, or a path with a spacing")
-        return np.array([table.vector("position", None)])
+        several = "positions" in table
+        centres = _points(table, "positions", 1) if several else np.array([table.vector("position", None)])
+        _check_count(table, "positions" if several else "position", len(centres), most)
+        return centres
     supports, sag = _points(table, "path", 2), table.number("sag", 0.0, NOT_NEGATIVE)
     spacing = table.number("spacing", None, POSITIVE)
     try:
         string = String(supports, sag)
     except ValueError as error:
         table.fail("path", f"is no string: {error}; move the supports apart")
-    shape = len(LIGHT_SHAPES[table.text("shape") or "sphere"]().triangles)
-    check_triangles(int(min(string.count(spacing), 1e12)) * shape, f"{table.place('spacing')}")
+    _check_count(table, "spacing", string.count(spacing), most)
     return string.points(spacing)
+
+
+def _check_count(table: Table, key: str, count: float, most: int) -> None:
+    """Fail if `key` makes more lights than the file may still have."""
+    if count > most:
+        table.fail(key, f"makes {count:,.0f} more lights; give fewer; a file has at most {MAX_LIGHTS:,}")
 
 
 def _points(table: Table, key: str, least: int) -> np.ndarray:
