@@ -19,6 +19,7 @@ from PIL import Image
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image import to_8_bit, tone_map, write_exr, write_png
+from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.tables import did_you_mean, shown
@@ -129,6 +130,7 @@ def render(
     for name in options:
         if name not in OVERRIDES + SETTINGS:
             raise BokehguideError(f"render: {name}: no such option; {did_you_mean(name, OVERRIDES + SETTINGS)}")
+    check_device(settings.device)
     loaded = load_scene(scene, overrides, allow_outside)
     if denoise:
         raise BokehguideError("render: denoise: True needs a denoiser, which this version does not have; give False")

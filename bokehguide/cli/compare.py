@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
-from bokehguide.cli.render import check_device, overrides_from
+from bokehguide.cli.render import overrides_from
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import compare, given_reference, made_reference, report
 from bokehguide.evaluation.comparison import METRICS, SEED
@@ -16,6 +16,7 @@ from bokehguide.evaluation.curves_figure import write_convergence
 from bokehguide.evaluation.runs import read_runs
 from bokehguide.evaluation.tables import describe_reference
 from bokehguide.image import check_writable, replacing
+from bokehguide.runtime.device import check_device
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import Inset, Scene, load_scene
 from bokehguide.train import RenderSettings

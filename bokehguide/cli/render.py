@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
@@ -18,6 +17,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.image import check_writable, remove_abandoned
 from bokehguide.metrics import read_reference
 from bokehguide.render import Film
+from bokehguide.runtime.device import check_device
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import FilmSettings, Inset, Overrides, Scene, load_scene
 from bokehguide.train import AdaptiveLoop, Ranks, RenderLoop, RenderSettings, make_loop, restarts
@@ -87,12 +87,6 @@ def overrides_from(options: argparse.Namespace) -> Overrides:
     """The overrides of the scene on the command line."""
     width, height = options.size or (None, None)
     return Overrides(width=width, height=height, **{name: getattr(options, name) for name in OVERRIDES})
-
-
-def check_device(device: str) -> None:
-    """Raise BokehguideError if torch finds no such device."""
-    if device == "cuda" and not torch.cuda.is_available():
-        raise BokehguideError("--device cuda: torch finds no CUDA device here; give --device cpu")
 
 
 def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> None:

@@ -24,7 +24,7 @@ from bokehguide.render.lens import Lens
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import normalize
 from bokehguide.runtime.distributed import Ranks
-from bokehguide.scene.types import Camera
+from bokehguide.scene.types import Camera, FilmSettings
 
 UNIFORMS = 5
 """Uniform numbers for a lens point: for the part of the mixture, for its component, and three for the point."""
@@ -109,13 +109,14 @@ class LensGuide:
     the state at its start, so that every estimate is unbiased.
 
     camera: of the renderer, a thin lens. width, height: of the frame, pixels. config: settings of the method.
-    Raises BokehguideError for a pinhole, which has one lens point.
+    Raises BokehguideError for a size out of range, and for a pinhole, which has one lens point.
     """
 
     def __init__(self, camera: Camera, width: int, height: int, config: GaussianConfig | None = None):
         if camera.aperture_radius == 0.0:
             raise BokehguideError("LensGuide: aperture_radius 0 is a pinhole with one lens point; give a lens of some radius")
-        self.camera = ThinLensCamera(camera, width, height)
+        film = FilmSettings(width, height)
+        self.camera = ThinLensCamera(camera, film.width, film.height)
         self._guide = GaussianGuide(_Frame(self.camera, Ranks()), config or GaussianConfig(), True, False)
         self.step = 0
         self._light = self._count = 0.0

@@ -91,9 +91,9 @@ class Fields(Table):
             self.fail(key, f"is unknown; {did_you_mean(str(self.values[key]), names)}")
 
     def check_direction(self, key: str) -> None:
-        """A vector other than 0, which is scaled to length 1 where its length differs."""
+        """A vector other than 0, which is scaled to length 1 where it is no rounded unit vector."""
         vector, unit = self.vector(key, None), self.direction(key)
-        differs = max(abs(a - b) for a, b in zip(vector, unit)) > 1e-6
+        differs = max(abs(a - b) for a, b in zip(vector, unit)) > 1e-3  # rounded by the user
         self.keep(key, unit if differs else vector)
 
     def check_instances(self, kind: type, *keys: str, optional: bool = True) -> None:
@@ -156,9 +156,11 @@ class Fields(Table):
 
 
 def _plain(value: Any) -> Any:
-    """NumPy numbers as Python numbers, and short vectors as lists."""
+    """NumPy numbers as Python numbers, alone and in short sequences, and short vectors as lists."""
     if isinstance(value, np.generic):
         return value.item()
+    if isinstance(value, (list, tuple)) and any(isinstance(each, np.generic) for each in value[:6]):
+        return type(value)(map(_plain, value))
     return value.tolist() if isinstance(value, np.ndarray) and value.ndim == 1 and value.size <= 6 else value
 
 

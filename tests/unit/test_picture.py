@@ -163,6 +163,17 @@ def test_a_wrong_option_is_named(options, named):
     assert named in str(caught.value) and len(str(caught.value).splitlines()) == 1
 
 
+def test_a_device_that_is_absent_is_named(monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(BokehguideError, match="device: cuda: torch finds no CUDA device here; give cpu"):
+        bokehguide.render(scenes.emitters(16, 10), device="cuda", **SMALL)
+
+
+def test_a_denoiser_that_is_absent_is_named():
+    with pytest.raises(BokehguideError, match="render: denoise: True needs a denoiser"):
+        bokehguide.render(scenes.emitters(16, 10), denoise=True, **SMALL)
+
+
 def test_a_wrong_suffix_is_named(tmp_path):
     picture = bokehguide.render(scenes.emitters(16, 10), **SMALL)
     with pytest.raises(BokehguideError, match=r"Picture\.save: .*picture\.jpg.* has another suffix; give \.exr or \.png"):

@@ -95,6 +95,7 @@ def test_lists_and_arrays_of_other_types_are_converted():
     camera = Camera(np.array([0, 0, 5]), [0, 0, 0], fov=np.float32(30.0), aperture_radius=np.int64(1))
     assert camera == Camera((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), fov=30.0, aperture_radius=1.0)
     assert all(type(number) is float for number in (*camera.position, camera.fov, camera.aperture_radius))
+    assert replace(camera, position=tuple(np.float32((0, 0, 5)))) == camera
     mesh = Mesh(
         vertices=SQUARE.vertices.astype(np.float64)[::-1],
         triangles=[[0, 1, 2]],
