@@ -65,11 +65,15 @@ class Camera:
 
 @dataclass(frozen=True)
 class FilmSettings:
-    """Size in pixels, and the maximum path length in segments (1 is directly visible emission)."""
+    """Size in pixels, and the maximum path length in segments (1 is directly visible emission).
+
+    exposure: of display images, EV; None: metered.
+    """
 
     width: int = 640
     height: int = 360
     max_depth: int = 6
+    exposure: float | None = None
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ class RenderSettings:
     1920 pixels; 50 · width / 1920 covers the same part of a smaller picture.
     crop: x, y, width, height in pixels from the top left, of the part of the frame to render.
     target_noise: estimated relative error at which a block of pixels ends; None: all pixels get spp samples.
+    denoise: whether the film keeps two halves, which `bokehguide.train.denoise_picture` needs; the samples are the same.
     compile: whether kernels are compiled (see `runtime/compile/kernels.py`). Compilation takes minutes once on a machine; the
     picture is the same but for rounding.
     gaussian: settings of the paper's modes. guided: settings of the mode `guided`.
@@ -40,6 +41,7 @@ class RenderSettings:
     reuse_radius: float = 50.0
     crop: tuple[int, int, int, int] | None = None
     target_noise: float | None = None
+    denoise: bool = False
     compile: bool = False
     gaussian: GaussianConfig = field(default_factory=GaussianConfig)
     guided: GuidedConfig = field(default_factory=GuidedConfig)
