@@ -8,25 +8,28 @@ import sys
 import threading
 import warnings
 from contextlib import nullcontext
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from PIL import Image
 
 from bokehguide.errors import BokehguideError
-from bokehguide.image import to_8_bit, tone_map, write_exr, write_png
+from bokehguide.image import Display, to_8_bit, write_exr, write_png
+from bokehguide.image.oidn import require_denoiser
 from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.tables import did_you_mean, shown
-from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, describe_render, make_loop
+from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, denoise_picture, describe_render, make_loop
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 OVERRIDES = tuple(field.name for field in fields(Overrides) if field.name not in ("width", "height"))
-SETTINGS = tuple(field.name for field in fields(RenderSettings) if field.name not in ("mode", "spp"))
+SETTINGS = tuple(field.name for field in fields(RenderSettings) if field.name not in ("mode", "spp", "denoise"))
 
 
 @dataclass(frozen=True, repr=False)
@@ -35,8 +38,10 @@ class Picture:
 
     beauty, normal, albedo, emission: `[H, W, 3]`; beauty is the radiance. alpha, depth (metres along the axis), variance
     (estimated, of the luminance) and sample_count: `[H, W]`. denoised: `[H, W, 3]`, None where it was not asked for.
-    metadata: scene, mode, samples per pixel, seed, size, software and settings, as in the EXR's header.
-    corner: column and row of the first pixel in the frame. frame: width and height of the frame, which a crop is a part of.
+    metadata: scene, mode, samples per pixel, seed, size, software, settings, exposure and view, as in the EXR's header.
+    estimated_mape: estimated error of the denoised picture, or of beauty without one, relative to the radiance; None after a
+    single step. display: how the picture is shown. corner: column and row of the first pixel in the frame. frame: width and
+    height of the frame, which a crop is a part of.
     """
 
     beauty: np.ndarray
@@ -47,10 +52,12 @@ class Picture:
     emission: np.ndarray
     variance: np.ndarray
     sample_count: np.ndarray
-    metadata: dict[str, str | int]
+    metadata: dict[str, str | int | float]
+    denoised: np.ndarray | None = None
+    estimated_mape: float | None = None
+    display: Display = Display()
     corner: tuple[int, int] = (0, 0)
     frame: tuple[int, int] | None = None
-    denoised: np.ndarray | None = field(default=None, kw_only=True)
 
     @property
     def layers(self) -> dict[str, np.ndarray]:
@@ -58,27 +65,33 @@ class Picture:
         arrays = {each.name: getattr(self, each.name) for each in fields(self)}
         return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
 
-    def image(self, exposure: float = 0.0) -> np.ndarray:
-        """The picture for a display, uint8 `[H, W, 3]` in sRGB; the denoised one where there is one. exposure: in EV."""
-        return to_8_bit(self._display(exposure))
+    def developed(self, exposure: float | None = None, view: str | None = None) -> Picture:
+        """The same picture, shown with another exposure in EV or another view ("photo", "aces" or "srgb")."""
+        given = {"exposure": exposure, "view": view}
+        display = replace(self.display, **{name: value for name, value in given.items() if value is not None})
+        return replace(self, display=display, metadata=self.metadata | {"exposure": display.exposure, "view": display.view})
 
-    def save(self, path: str | os.PathLike[str], exposure: float = 0.0) -> Path:
+    def image(self) -> np.ndarray:
+        """The picture for a display, uint8 `[H, W, 3]` in sRGB; the denoised one where there is one."""
+        return to_8_bit(self._shown())
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
         """Write an EXR with all layers, or a PNG, by the suffix of the path, as the command line does; returns the path.
 
-        exposure: of the PNG, in EV. Raises BokehguideError for another suffix and for a path that cannot be written.
+        Raises BokehguideError for another suffix and for a path that cannot be written.
         """
         path = Path(path)
         if path.suffix.lower() == ".exr":
             write_exr(path, self.layers, self.metadata, corner=self.corner, frame=self.frame)
         elif path.suffix.lower() == ".png":
-            write_png(path, self._display(exposure))
+            write_png(path, self._shown())
         else:
             raise BokehguideError(f"Picture.save: {shown(str(path))} has another suffix; give .exr or .png")
         return path
 
-    def show(self, exposure: float = 0.0) -> None:
-        """Show the picture in the notebook, else in the desktop's image viewer. exposure: in EV."""
-        image = Image.fromarray(self.image(exposure))
+    def show(self) -> None:
+        """Show the picture in the notebook, else in the desktop's image viewer."""
+        image = Image.fromarray(self.image())
         if _in_notebook():
             from IPython.display import display  # type: ignore[import-not-found] - notebooks have it
 
@@ -86,9 +99,9 @@ class Picture:
         else:
             image.show()
 
-    def _display(self, exposure: float) -> torch.Tensor:
-        radiance = self.beauty if self.denoised is None else self.denoised
-        return tone_map(torch.from_numpy(radiance), exposure)
+    def _shown(self) -> Tensor:
+        """Display values `[H, W, 3]` in 0 … 1."""
+        return self.display.show(self.beauty if self.denoised is None else self.denoised, self.alpha)
 
     def _repr_png_(self) -> bytes:
         """The picture as notebooks show it."""
@@ -116,8 +129,9 @@ def render(
     """Render a scene and return the picture.
 
     scene: a `Scene`, the name of a built-in scene, or the path of a scene file or of a model. mode: how the lens is sampled.
-    spp: samples per pixel. size: width and height in pixels, by default the scene's. denoise: also give the denoised picture.
-    quiet: show neither a progress bar nor warnings of the scene. allow_outside: let a scene file name files outside its folder.
+    spp: samples per pixel. size: width and height in pixels, by default the scene's. denoise: also give the denoised picture, for
+    which the extra `denoise` must be installed. quiet: show neither a progress bar nor warnings of the scene.
+    allow_outside: let a scene file name files outside its folder.
     options: fields of `Overrides`, such as `environment` and `focus_distance`, and of `RenderSettings`, such as `seed`,
     `target_noise` and `crop`.
 
@@ -126,22 +140,39 @@ def render(
     """
     width, height = _pair(size)
     overrides = Overrides(width=width, height=height, **_of(options, OVERRIDES))
-    settings = RenderSettings(mode=mode, spp=spp, **_of(options, SETTINGS))
+    settings = RenderSettings(mode=mode, spp=spp, denoise=denoise, **_of(options, SETTINGS))
     for name in options:
         if name not in OVERRIDES + SETTINGS:
             raise BokehguideError(f"render: {name}: no such option; {did_you_mean(name, OVERRIDES + SETTINGS)}")
     check_device(settings.device)
-    loaded = load_scene(scene, overrides, allow_outside)
     if denoise:
-        raise BokehguideError("render: denoise: True needs a denoiser, which this version does not have; give False")
+        require_denoiser()
+    loaded = load_scene(scene, overrides, allow_outside)
     for warning in () if quiet else loaded.warnings:
         warnings.warn(warning, stacklevel=2)
     with make_loop(loaded, settings) as loop:
         _take_steps(loop, quiet)
-        film = loop.picture()
-        facts = describe_render(loaded, settings, loop.step_number)
-        frame = (loop.camera.width, loop.camera.height)
-        return Picture(**film.layers(), metadata=facts, corner=film.corner, frame=frame)
+        return _picture(loop)
+
+
+def _picture(loop: RenderLoop | AdaptiveLoop) -> Picture:
+    """The picture of a loop, denoised where its settings ask for it."""
+    film = loop.picture()
+    layers, error = film.layers(), None
+    if loop.settings.denoise:
+        layers["denoised"], error = denoise_picture(film, layers)
+    elif loop.step_number > 1:
+        error = film.relative_noise()
+    display = Display(loop.scene.film.exposure).metered(layers.get("denoised", layers["beauty"]), layers["alpha"])
+    facts = describe_render(loop.scene, loop.settings, loop.step_number)
+    return Picture(
+        **layers,
+        metadata={**facts, "exposure": display.exposure or 0.0, "view": display.view},
+        estimated_mape=error,
+        display=display,
+        corner=film.corner,
+        frame=(loop.camera.width, loop.camera.height),
+    )
 
 
 def _of(options: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:

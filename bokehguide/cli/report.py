@@ -67,7 +67,6 @@ class Report:
             "samples_per_second": picture.samples() / seconds,
             "peak_memory_mb": peak_memory_mb(),
             "gaussians": loop.mode.lens.component_count,
-            **({} if self.settings.target_noise is None else {"estimated_mape": picture.relative_noise()}),
             **errors,
             "phases": phases,
         }

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from bokehguide.errors import BokehguideError, printable
-from bokehguide.limits import LARGEST, MAX_SIDE, SMALLEST
+from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_SIDE, SMALLEST
 from bokehguide.scene.vectors import Vector, as_vector
 
 
@@ -49,6 +49,7 @@ SUN_ANGLE = Limits("degrees from 0.01 to 90", low=0.01, high=90.0)
 KELVIN = Limits("kelvin from 1000 to 15000", low=1e3, high=15e3)
 CONE_ANGLE = Limits("degrees from 0 to 90", low=0.0, high=90.0)
 IOR = Limits(f"a number of 1 or more, up to {LARGEST:g}", low=1.0)
+EXPOSURE = Limits(f'EV from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}, or "auto"', low=-MAX_EXPOSURE, high=MAX_EXPOSURE)
 COUNT = Limits(f"a whole number of 1 or more, up to {MAX_SIDE}", low=1, high=MAX_SIDE)
 
 

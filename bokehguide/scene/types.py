@@ -23,6 +23,7 @@ from bokehguide.scene.tables import (
     CAT_EYE,
     CONE_ANGLE,
     COUNT,
+    EXPOSURE,
     FRACTION,
     IN_FRONT,
     IOR,
@@ -99,14 +100,21 @@ class Camera:
 
 @dataclass(frozen=True)
 class FilmSettings:
-    """Size in pixels, and the maximum path length in segments (1 is directly visible emission)."""
+    """Size in pixels, and the maximum path length in segments (1 is directly visible emission).
+
+    exposure: of display images, EV; None: metered.
+    """
 
     width: int = 640
     height: int = 360
     max_depth: int = 6
+    exposure: float | None = None
 
     def __post_init__(self) -> None:
-        Fields(self).check_wholes(width=COUNT, height=COUNT, max_depth=COUNT)
+        fields = Fields(self)
+        fields.check_wholes(width=COUNT, height=COUNT, max_depth=COUNT)
+        if self.exposure is not None:
+            fields.check_numbers(exposure=EXPOSURE)
         if self.width * self.height > MAX_PIXELS:
             raise FieldError(f"FilmSettings: {self.width}x{self.height} pixels are too many; give at most {MAX_PIXELS}")
 

@@ -17,12 +17,12 @@ from typing import Any, Self
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, pad
+from torch.nn.functional import pad
 
-from bokehguide.metrics import EPSILON
 from bokehguide.render.film import NO_DEPTH, BadSample, Film, FilmSamples, earliest
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import hash_int
+from bokehguide.render.split_film import Halves, relative_error
 from bokehguide.render.vector import luminance
 from bokehguide.runtime.distributed import Ranks
 from bokehguide.runtime.indexing import Pixels, gather_pixels, scatter_add
@@ -33,8 +33,6 @@ from bokehguide.train.step_stats import StepStats
 
 BLOCK = 32
 """Pixels across the squares that stop together. They hold whole groups of `guiding/pixel_reuse.py`."""
-POOLED = 5
-"""Pixels across the squares about a pixel whose mean is the expected radiance."""
 FIRST_ROUND = 8
 """Steps of each half in the first round; every later round has as many as all before it."""
 
@@ -42,18 +40,6 @@ FIRST_ROUND = 8
 def make_loop(scene: Scene, settings: RenderSettings, ranks: Ranks | None = None) -> RenderLoop | AdaptiveLoop:
     """The loop that renders with these settings. Raises BokehguideError as `RenderLoop`."""
     return RenderLoop(scene, settings, ranks) if settings.target_noise is None else AdaptiveLoop(scene, settings, ranks)
-
-
-def relative_error(first: Tensor, second: Tensor) -> Tensor:
-    """Estimated error of the mean of two independent pictures `[C, H, W]`, relative to the truth (plus 0.01), `[C, H, W]`.
-
-    Half the difference of the two is as large as the error of their mean. The estimate of the truth is their mean in the pixel
-    or, where that is less, around the pixel: a rare highlight makes a pixel too bright, and its neighbours do not have the
-    highlight. Features that both pictures missed go undetected.
-    """
-    mean = (0.5 * (first + second)).clamp(min=0.0)
-    about = avg_pool2d(mean[None], POOLED, 1, POOLED // 2, count_include_pad=False)[0]
-    return 0.5 * (first - second).abs() / (torch.minimum(mean, about) + EPSILON)
 
 
 def to_blocks(images: Tensor) -> Tensor:
@@ -75,7 +61,7 @@ class HalfLoop(RenderLoop):
     """One of the two renders. Steps render where either half needs samples; the film takes the samples that this half needs."""
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None, tracer: PathTracer | None = None):
-        super().__init__(scene, settings, ranks, tracer)
+        super().__init__(scene, replace(settings, denoise=False), ranks, tracer)  # it is a half itself
         pixels = self.film.width * self.film.height
         self.brightness = torch.zeros(2, pixels, dtype=torch.float64, device=settings.device)
         """Sums of the luminance of samples before this round and in this round, `[2, pixels]`."""
@@ -259,6 +245,11 @@ class HalvesFilm:
         """Mean radiance so far, float32 `[H, W, 3]`."""
         first, second = (film.radiance() for film in self._films)
         return 0.5 * (first + second)
+
+    def halves(self) -> Halves:
+        """The mean radiance of each half."""
+        first, second = (film.radiance() for film in self._films)
+        return Halves(first, second, torch.full(first.shape[:2], 0.5, device=first.device))
 
     def samples(self) -> float:
         """Number of all samples."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bokehguide.image import tone_map
+from bokehguide.image import Display
 from bokehguide.scene.types import Scene
 from bokehguide.train.metadata import describe_render
 
@@ -25,7 +25,7 @@ class RenderLogger:
     The modes of a scene are sibling folders, so `tensorboard --logdir logdir/SCENE` overlays their curves. An older log of the
     same mode is removed.
 
-    exposure: EV of the images; resumed: the last step of a checkpoint, after which the log continues and TensorBoard discards
+    display: of the images; resumed: the last step of a checkpoint, after which the log continues and TensorBoard discards
     later entries; silent: write nothing, for all ranks but the first, which still take part in collective calls.
     """
 
@@ -34,11 +34,11 @@ class RenderLogger:
         logdir: str | Path,
         scene: Scene,
         settings: RenderSettings,
-        exposure: float = 0.0,
+        display: Display = Display(),
         resumed: int = 0,
         silent: bool = False,
     ):
-        self.exposure = exposure
+        self.display = display
         self._images_at = resumed
         self.writer = None
         if silent:
@@ -91,7 +91,7 @@ class RenderLogger:
             self.writer.close()
 
     def _log_images(self, loop: RenderLoop | AdaptiveLoop, step: int, picture: Film | HalvesFilm) -> None:
-        images = {"render": tone_map(picture.radiance(), self.exposure), **loop.guide_images()}
+        images = {"render": self.display.show(picture.radiance()), **loop.guide_images()}
         if self.writer:
             for name, image in images.items():
                 self.writer.add_image(name, image, step, dataformats="HWC")

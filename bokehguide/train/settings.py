@@ -45,6 +45,7 @@ class RenderSettings:
     1920 pixels; 50 · width / 1920 covers the same part of a smaller picture.
     crop: x, y, width, height in pixels from the top left, of the part of the frame to render.
     target_noise: estimated relative error at which a block of pixels ends; None: all pixels get spp samples.
+    denoise: whether the film keeps two halves, which `bokehguide.train.denoise_picture` needs; the samples are the same.
     compile: whether kernels are compiled (see `runtime/compile/kernels.py`). Compilation takes minutes once on a machine; the
     picture is the same but for rounding.
     gaussian: settings of the paper's modes. guided: settings of the mode `guided`.
@@ -59,6 +60,7 @@ class RenderSettings:
     reuse_radius: float = 50.0
     crop: tuple[int, int, int, int] | None = None
     target_noise: float | None = None
+    denoise: bool = False
     compile: bool = False
     gaussian: GaussianConfig = field(default_factory=GaussianConfig)
     guided: GuidedConfig = field(default_factory=GuidedConfig)
@@ -68,10 +70,11 @@ class RenderSettings:
             raise BokehguideError(f"mode: {self.mode!r} is unknown; choose one of {', '.join(MODES)}")
         if self.device not in DEVICES:
             raise BokehguideError(f"device: {self.device!r} is unknown; choose {' or '.join(DEVICES)}")
-        given = {key: limits for key, limits in {**WHOLE, **NUMBERS}.items() if getattr(self, key) is not None}
         fields = _Settings(self)
-        fields.check_wholes(**{key: limits for key, limits in given.items() if key in WHOLE})
-        fields.check_numbers(**{key: limits for key, limits in given.items() if key in NUMBERS})
+        absent = {key for key in ("threads", "target_noise") if getattr(self, key) is None}
+        fields.check_wholes(**{key: limits for key, limits in WHOLE.items() if key not in absent})
+        fields.check_numbers(**{key: limits for key, limits in NUMBERS.items() if key not in absent})
+        fields.check_flags("denoise", "compile")
         if self.crop is not None:
             fields.check_tuple("crop", 4)
             fields.keep("crop", tuple(map(int, self.crop)))

@@ -17,7 +17,7 @@ from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.model_files import load_model
 from bokehguide.scene.overrides import Overrides, override_camera
 from bokehguide.scene.shapes import SHAPES, transform, transformed
-from bokehguide.scene.tables import ANY, EMITTER_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
+from bokehguide.scene.tables import ANY, EMITTER_RADIUS, EXPOSURE, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
 from bokehguide.scene.toml.lights import read_light_tables
 from bokehguide.scene.toml.materials import read_materials
 from bokehguide.scene.toml.placing import place_emitters, place_suns
@@ -67,11 +67,12 @@ def _parse(path: Path) -> dict[str, Any]:
 
 def _read_film(root: Table) -> FilmSettings:
     """The `[film]` table."""
-    table = Table(root.values.get("film", {}), root.file, "film", ("width", "height", "max_depth"))
+    table = Table(root.values.get("film", {}), root.file, "film", ("width", "height", "max_depth", "exposure"))
     return FilmSettings(
         width=table.count("width", FilmSettings.width),
         height=table.count("height", FilmSettings.height),
         max_depth=table.count("max_depth", FilmSettings.max_depth),
+        exposure=None if table.values.get("exposure", "auto") == "auto" else table.number("exposure", None, EXPOSURE),
     )
 
 
