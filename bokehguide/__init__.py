@@ -1,3 +1,74 @@
-"""Defocused photographs by path tracing with guided lens sampling."""
+"""Defocused photographs by path tracing with guided lens sampling.
+
+`bokehguide.render(scene)` renders a scene and returns a `Picture`. The names below are imported when they are first used, so
+that `import bokehguide` and `bokehguide --help` do not wait for PyTorch.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bokehguide.errors import BokehguideError
+    from bokehguide.guiding.lens_guide import LensGuide
+    from bokehguide.picture import Picture, render
+    from bokehguide.scene import (
+        Aperture,
+        Camera,
+        Cone,
+        Environment,
+        FilmSettings,
+        Inset,
+        Material,
+        Mesh,
+        Overrides,
+        Scene,
+        Sun,
+        Texture,
+        load_scene,
+    )
+    from bokehguide.train import RenderLoop, RenderSettings
 
 __version__ = "0.3.0"
+
+__all__ = [
+    "Aperture",
+    "BokehguideError",
+    "Camera",
+    "Cone",
+    "Environment",
+    "FilmSettings",
+    "Inset",
+    "LensGuide",
+    "Material",
+    "Mesh",
+    "Overrides",
+    "Picture",
+    "RenderLoop",
+    "RenderSettings",
+    "Scene",
+    "Sun",
+    "Texture",
+    "load_scene",
+    "render",
+]
+
+_HOMES = {
+    "BokehguideError": "bokehguide.errors",
+    "LensGuide": "bokehguide.guiding.lens_guide",
+    "Picture": "bokehguide.picture",
+    "RenderLoop": "bokehguide.train",
+    "RenderSettings": "bokehguide.train",
+}
+"""Modules of the exported names; `bokehguide.scene` has the others."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name == "render":  # the package `bokehguide/render/`, which is callable as well
+        return import_module("bokehguide.render")
+    return getattr(import_module(_HOMES.get(name, "bokehguide.scene")), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

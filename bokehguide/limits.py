@@ -60,4 +60,7 @@ MAX_INT = 2**31 - 1
 """Largest whole number in the header of an EXR file."""
 
 MAX_THREADS = 1024
+VIEWS = ("photo", "aces", "srgb")
+"""Display transforms of `image/views.py`; the first is the default."""
+
 MAX_EXPOSURE = 100.0

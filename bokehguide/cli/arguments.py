@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from bokehguide import __version__
 from bokehguide.errors import BokehguideError
-from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS
+from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS, VIEWS
 
 SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml scene file, or a .glb .gltf .obj .ply .stl model"
 COMPILE_HELP = "render with compiled kernels: faster, after minutes of compilation on each machine"
@@ -49,6 +49,7 @@ def make_parser() -> Parser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_render(commands)
     _add_compare(commands)
+    _add_develop(commands)
     _add_metrics(commands)
     info = commands.add_parser("info", help="print the contents of a scene, and the ignored parts of its files")
     info.add_argument("scene", metavar="SCENE", help=SCENE_HELP)
@@ -74,7 +75,8 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
     add("--compile", action="store_true", help=COMPILE_HELP)
     add("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as a JSON object")
-    add("--exposure", type=exposure, default=0.0, metavar="EV", help="exposure of PNG and TensorBoard images (default: 0)")
+    _add_display(add)
+    add("--denoise", action="store_true", help="also write a denoised picture into the EXR, and show it in the PNG")
     box = "render only this box: in pixels from the top left, or in fractions of the frame if W and H are at most 1"
     add("--crop", type=crop, metavar="X,Y,W,H", help=box)
     limit = "stop before a step that would exceed this time, loading included; at least one step is taken"
@@ -115,9 +117,27 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
     add("--device", choices=("cpu", "cuda"), default="cpu", help="device of the tensors (default: cpu)")
     add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
     add("--compile", action="store_true", help=COMPILE_HELP)
-    add("--exposure", type=exposure, default=0.0, metavar="EV", help="exposure of the images (default: 0)")
+    _add_display(add)
     _add_allow_outside(compare)
     _add_overrides(compare)
+
+
+def _add_display(add: Callable[..., object]) -> None:
+    stops = "exposure of display images, or auto to meter the picture (default: the scene's, or auto)"
+    add("--exposure", type=exposure, metavar="auto|EV", help=stops)
+    views = "display transform: photo keeps the hue of lamps, aces is ACES 2.0, srgb clips (default: photo)"
+    add("--view", choices=VIEWS, default=VIEWS[0], help=views)
+
+
+def _add_develop(commands: argparse._SubParsersAction) -> None:
+    develop = commands.add_parser("develop", help="make a new PNG from an EXR")
+    add = develop.add_argument
+    add("picture", type=exr, metavar="PICTURE.exr")
+    stops = "exposure, or auto to meter the picture (default: the exposure in the file, or auto)"
+    add("--exposure", type=exposure, metavar="auto|EV", help=stops)
+    add("--view", choices=VIEWS, help="display transform (default: the view in the file, or photo)")
+    add("--denoise", action="store_true", help="show the denoised picture in the file, or denoise")
+    add("--out", type=png, metavar="PATH.png", help="output file (default: PICTURE.png)")
 
 
 def _add_allow_outside(command: argparse.ArgumentParser) -> None:
@@ -168,7 +188,9 @@ def modes(text: str) -> tuple[str, ...]:
     return names
 
 
-def exposure(text: str) -> float:
+def exposure(text: str) -> float | str:
+    if text == "auto":
+        return text
     value = _numbers(text, "EV")[0]
     if abs(value) > MAX_EXPOSURE:
         raise argparse.ArgumentTypeError(f"{text!r} is out of range; give EV from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}")
@@ -215,6 +237,13 @@ def exr(text: str) -> Path:
     path = Path(text)
     if path.suffix.lower() != ".exr":
         raise argparse.ArgumentTypeError(f"{text!r} is no EXR; end it in .exr")
+    return path
+
+
+def png(text: str) -> Path:
+    path = Path(text)
+    if path.suffix.lower() != ".png":
+        raise argparse.ArgumentTypeError(f"{text!r} is no PNG; end it in .png")
     return path
 
 

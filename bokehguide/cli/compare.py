@@ -6,7 +6,8 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 
-from bokehguide.cli.render import check_device, make_folders, overrides_from, print_folders
+from bokehguide.cli.pictures import chosen_exposure
+from bokehguide.cli.render import make_folders, overrides_from, print_folders
 from bokehguide.cli.terminal import clear_stage, say
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import compare, given_reference, made_reference, report
@@ -15,7 +16,8 @@ from bokehguide.evaluation.crops_figure import write_crops
 from bokehguide.evaluation.curves_figure import write_convergence
 from bokehguide.evaluation.runs import read_runs
 from bokehguide.evaluation.tables import describe_reference
-from bokehguide.image import check_writable, replacing
+from bokehguide.image import Display, check_writable, replacing
+from bokehguide.runtime.device import check_device
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import Inset, Scene, load_scene
 from bokehguide.stopping import note_at_stop
@@ -35,6 +37,7 @@ def run(options: argparse.Namespace) -> int:
         scene = replace(scene, insets=tuple(Inset(*box) for box in options.inset))
     common = {"spp": options.spp, "seed": SEED, "device": options.device, "threads": options.threads, "compile": options.compile}
     every = [RenderSettings(mode, **common, reuse_radius=options.reuse_radius) for mode in options.modes]
+    display = Display(chosen_exposure(options.exposure, scene.film.exposure), options.view)
     check_device(options.device)
     reference = given_reference(options.reference, scene) if options.reference else None
     read_runs(options.out / METRICS)
@@ -50,12 +53,12 @@ def run(options: argparse.Namespace) -> int:
     clear_stage()
     print_folders(created)
     print(describe_reference(reference), flush=True)
-    comparison = compare(scene, every, reference, options.out, options.exposure)
+    comparison = compare(scene, every, reference, options.out, display)
     text = report(comparison)
     with replacing(options.out / TABLE) as temporary:
         temporary.write_text(text + "\n")
     write_convergence(options.out / CURVES, comparison)
-    write_crops(options.out / CROPS, [comparison], options.exposure)
+    write_crops(options.out / CROPS, [comparison], display)
     print(f"\n{text}\n\nwrote {METRICS}, {TABLE}, {CURVES}, {CROPS}, the images and logs into {options.out}")
     return 0
 

@@ -5,19 +5,12 @@ from __future__ import annotations
 import math
 import time
 
-from bokehguide.render import Film
 from bokehguide.train import AdaptiveLoop, RenderLoop, StepStats
-from bokehguide.train.adaptive import HalvesFilm
 
 INTERVAL, SHARE = 2.0, 50.0
 """Seconds from one estimate of the error to the next: at least so many, and so many times the time of an estimate."""
 FADING = 0.7
 """Weight of the earlier steps in the mean time of a step, for each new step."""
-
-
-def delivered_error(picture: Film | HalvesFilm) -> float:
-    """Estimated relative error of the picture that the render delivers."""
-    return picture.relative_noise()
 
 
 class Forecast:
@@ -40,7 +33,7 @@ class Forecast:
         # Several ranks merge their films for an estimate, at steps on which all of them agree.
         if step > 1 and (time.monotonic() >= self._due if alone else step & (step - 1) == 0):
             start = time.monotonic()
-            self._error = delivered_error(self._loop.picture()), step
+            self._error = self._loop.picture().relative_noise(), step
             now = time.monotonic()
             self._due = now + max(INTERVAL, SHARE * (now - start))
 

@@ -6,29 +6,46 @@ import argparse
 import shlex
 from pathlib import Path
 
+import numpy as np
+
 from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
-from bokehguide.image import tone_map, write_exr, write_png
+from bokehguide.image import Display, write_exr, write_png
 from bokehguide.render import Film
-from bokehguide.train import AdaptiveLoop, RenderLoop, describe_render
+from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render
 from bokehguide.train.adaptive import HalvesFilm
 
 OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "camera_position", "camera_target", "fov", "camera")
 
 
 class Pictures:
-    """Writes the images of one render. path: the EXR; the PNG goes beside it."""
+    """Writes the images of one render. path: the EXR; the PNG goes beside it.
 
-    def __init__(self, path: Path, options: argparse.Namespace):
-        self.path, self.png, self._options = path, path.with_suffix(".png"), options
+    display: of the PNG. Of the last images: `delivered`, the radiance `[H, W, 3]` of the PNG, denoised or not; its
+    `estimated_mape`, None where unknown; `exposure` in EV.
+    """
+
+    def __init__(self, path: Path, options: argparse.Namespace, display: Display):
+        self.path, self.png, self.display, self._options = path, path.with_suffix(".png"), display, options
+        self.delivered: np.ndarray | None = None
+        self.estimated_mape: float | None = None
+        self.exposure = 0.0
 
     def write(self, loop: RenderLoop | AdaptiveLoop, picture: Film | HalvesFilm) -> None:
         """Write the EXR with its metadata, and the PNG. Raises BokehguideError if they cannot be written."""
+        layers = picture.layers()
+        if self._options.denoise:
+            layers["denoised"], self.estimated_mape = denoise_picture(picture, layers)
+        else:
+            self.estimated_mape = picture.relative_noise() if loop.step_number > 1 else None
+        self.delivered = layers.get("denoised", layers["beauty"])
+        display = self.display.metered(self.delivered, layers["alpha"])
+        self.exposure = display.exposure or 0.0
         facts = describe_render(loop.scene, loop.settings, loop.step_number)
-        facts |= {"command": command_line(self._options, loop.step_number)}
+        facts |= {"command": command_line(self._options, loop.step_number), "exposure": self.exposure, "view": display.view}
         frame = (loop.camera.width, loop.camera.height)
-        write_exr(self.path, picture.layers(), facts, corner=picture.corner, frame=frame)
-        write_png(self.png, tone_map(picture.radiance(), self._options.exposure))
+        write_exr(self.path, layers, facts, corner=picture.corner, frame=frame)
+        write_png(self.png, display.show(self.delivered))
 
     def refresh(self, loop: RenderLoop | AdaptiveLoop) -> None:
         """Write the images so far; collective. Warns if they cannot be written, as the render can still succeed."""
@@ -40,14 +57,19 @@ class Pictures:
                 say(f"warning: {error}")
 
 
+def chosen_exposure(given: float | str | None, stored: float | None) -> float | None:
+    """Exposure in EV: the option's, or where it is absent the stored one; None to meter."""
+    return stored if given is None else None if given == "auto" else float(given)
+
+
 def command_line(options: argparse.Namespace, spp: int) -> str:
     """The command that renders this image again."""
     size = {"size": "x".join(map(str, options.size))} if options.size else {}
-    names = ("mode", "reuse_radius", "seed", "device", "exposure", "crop", "target_noise", *OVERRIDES)
+    names = ("mode", "reuse_radius", "seed", "device", "exposure", "view", "crop", "target_noise", *OVERRIDES)
     kept = {name: getattr(options, name) for name in names}
     words = ["bokehguide", "render", options.scene]
     for name, value in (kept | size | {"spp": spp}).items():
         if value is not None:
             text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
             words.append(f"--{name.replace('_', '-')}={text}")
-    return shlex.join(words + ["--allow-outside"] * options.allow_outside)
+    return shlex.join(words + ["--denoise"] * options.denoise + ["--allow-outside"] * options.allow_outside)

@@ -12,14 +12,16 @@ from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
 from bokehguide.cli.memory import check_memory, describe, explained
-from bokehguide.cli.pictures import OVERRIDES, Pictures
+from bokehguide.cli.pictures import OVERRIDES, Pictures, chosen_exposure
 from bokehguide.cli.report import write_json
 from bokehguide.cli.steps import measure, take_steps
 from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
-from bokehguide.image import check_writable, make_folder, remove_abandoned
+from bokehguide.image import Display, check_writable, make_folder, remove_abandoned
+from bokehguide.image.oidn import require_denoiser
 from bokehguide.metrics import read_reference
 from bokehguide.render import Film
+from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import FilmSettings, Inset, Overrides, Scene, load_scene
@@ -34,6 +36,8 @@ def run(options: argparse.Namespace) -> int:
     scene = load_scene(options.scene, overrides_from(options), options.allow_outside)
     settings = settings_from(options, scene)
     check_device(settings.device)
+    if settings.denoise:
+        require_denoiser()
     window = settings.window(scene.film.width, scene.film.height)
     reference = read_window(options.reference, scene, window) if options.reference else None
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
@@ -51,18 +55,20 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
     first = loop.ranks.first
     checkpoints = Checkpoints(out.with_suffix(".ckpt"), options.checkpoint_every, silent=not first)
     earlier = checkpoints.begin(loop, options.resume or restarts() > 0)
-    pictures = Pictures(out, options)
+    display = Display(chosen_exposure(options.exposure, loop.scene.film.exposure), options.view)
+    pictures = Pictures(out, options, display)
     with Interrupt() as interrupt:  # a signal ends the render in order until its files are written
         end, report = take_steps(loop, options, reference, checkpoints, pictures, earlier, interrupt)
         picture = loop.picture()
-        summary = report.finish(loop, picture, measure(picture, reference))
         write_pictures(loop, pictures, picture, checkpoints, report.seconds)
         if first:
+            summary = report.finish(loop, picture, final_errors(pictures, options, reference))
             if not isinstance(end, int):
                 checkpoints.remove(loop)
             if options.json:
                 write_summary(options.json, summary)
             print_summary(summary, picture, end)
+            print(f"exposure {pictures.exposure:+g} EV{' (metered)' * (display.exposure is None)}, view {display.view}")
             print_files(loop, pictures, checkpoints)
             print_problems(loop, picture, checkpoints, end)
     number = end if isinstance(end, int) else interrupt.signal
@@ -102,9 +108,18 @@ def write_summary(path: Path, summary: dict[str, Any]) -> None:
         say(f"warning: {error}")
 
 
+def final_errors(pictures: Pictures, options: argparse.Namespace, reference: Tensor | None) -> dict[str, float]:
+    """Errors of the delivered picture by name: against the reference, and estimated where an option is about errors."""
+    errors = {} if reference is None else measure(torch.as_tensor(pictures.delivered), reference)
+    asked = options.target_noise is not None or options.time_limit is not None or options.denoise
+    if asked and pictures.estimated_mape is not None:
+        errors |= {"estimated_mape": pictures.estimated_mape}
+    return errors
+
+
 def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
     """The settings of the command line. Raises BokehguideError for a value out of range."""
-    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "compile")
+    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "denoise", "compile")
     crop = options.crop and crop_pixels(options.crop, scene.film)
     return RenderSettings(**{name: getattr(options, name) for name in names}, crop=crop)
 
@@ -128,12 +143,6 @@ def overrides_from(options: argparse.Namespace) -> Overrides:
     """The overrides of the scene on the command line."""
     width, height = options.size or (None, None)
     return Overrides(width=width, height=height, **{name: getattr(options, name) for name in OVERRIDES})
-
-
-def check_device(device: str) -> None:
-    """Raise BokehguideError if torch finds no such device."""
-    if device == "cuda" and not torch.cuda.is_available():
-        raise BokehguideError("--device cuda: torch finds no CUDA device here; give --device cpu")
 
 
 def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from bokehguide.cli.forecast import Forecast, delivered_error
+from bokehguide.cli.forecast import Forecast
 from bokehguide.image import replacing
 from bokehguide.render.film import Film
 from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, StepStats
@@ -105,7 +105,6 @@ class Report:
             "samples_per_second": picture.samples() / seconds,
             "peak_memory_mb": peak_memory_mb(),
             "gaussians": loop.mode.lens.component_count,
-            **({} if self.settings.target_noise is None else {"estimated_mape": delivered_error(picture)}),
             **errors,
             "phases": phases,
         }

@@ -15,10 +15,8 @@ from bokehguide.cli.pictures import Pictures
 from bokehguide.cli.report import Report
 from bokehguide.cli.terminal import clear_stage
 from bokehguide.metrics import mape, relmse
-from bokehguide.render import Film
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.train import AdaptiveLoop, Ranks, RenderLogger, RenderLoop, StepStats
-from bokehguide.train.adaptive import HalvesFilm
 
 
 def take_steps(
@@ -38,7 +36,7 @@ def take_steps(
     done, settings, ranks = loop.step_number, loop.settings, loop.ranks
     logger, end = None, None
     if options.logdir:
-        logger = RenderLogger(options.logdir, loop.scene, settings, options.exposure, done, silent=not ranks.first)
+        logger = RenderLogger(options.logdir, loop.scene, settings, pictures.display, done, silent=not ranks.first)
     deadline = math.inf if options.time_limit is None else options.started + options.time_limit
     clear_stage()
     forecast = Forecast(loop, deadline)
@@ -85,7 +83,7 @@ def report_step(
         report.add(stats, {})
         return
     picture = loop.picture()
-    errors = measure(picture, reference)
+    errors = {} if reference is None else measure(picture.radiance().cpu(), reference)
     report.add(stats, errors)
     if logger:
         logger.log(loop, stats, errors, picture)
@@ -96,9 +94,6 @@ def is_measured(step: int, ranks: Ranks) -> bool:
     return ranks.alone or step & (step - 1) == 0
 
 
-def measure(picture: Film | HalvesFilm, reference: Tensor | None) -> dict[str, float]:
-    """MAPE and relMSE, or nothing without a reference."""
-    if reference is None:
-        return {}
-    radiance = picture.radiance().cpu()
+def measure(radiance: Tensor, reference: Tensor) -> dict[str, float]:
+    """MAPE and relMSE."""
     return {"mape": mape(radiance, reference), "relmse": relmse(radiance, reference)}

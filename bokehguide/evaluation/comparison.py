@@ -16,7 +16,7 @@ from bokehguide import __version__
 from bokehguide.evaluation.references import Reference
 from bokehguide.evaluation.regions import MEASURES, MeanRatio, mean_ratio, regions
 from bokehguide.evaluation.runs import Run, kept_picture, measured_run, read_runs, run_fingerprint
-from bokehguide.image import read_exr, replacing
+from bokehguide.image import Display, read_exr, replacing
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
 from bokehguide.train import MODES, RenderSettings
@@ -53,17 +53,19 @@ class Comparison:
 
 
 def compare(
-    scene: Scene, every: Sequence[RenderSettings], reference: Reference, folder: Path, exposure: float = 0.0
+    scene: Scene, every: Sequence[RenderSettings], reference: Reference, folder: Path, display: Display = Display()
 ) -> Comparison:
     """Render the modes that `folder` lacks, and keep each there as soon as it is finished.
 
-    every: settings of the modes, in the order of the table, equal but for the mode; exposure: EV of the images. A mode of an
+    every: settings of the modes, in the order of the table, equal but for the mode; display: of the images, which share
+    the exposure that suits the reference. A mode of an
     earlier call is kept if its inputs and its SPP are the same: a guided render cannot be continued without the state of its
     guide. Runs of other modes stay in `metrics.json` while they are comparable. One line on stdout reports each mode that is
     kept or rendered again.
 
     Raises BokehguideError if a file cannot be written, or as `read_runs` does.
     """
+    display = display.metered(reference.radiance)
     found = read_runs(folder / METRICS)
     runs = {mode: run for mode, run in found.items() if is_current(mode, run, scene, every[0], reference)}
     images = {mode: image for mode, run in runs.items() if (image := kept_picture(folder, mode, run)) is not None}
@@ -74,7 +76,7 @@ def compare(
             continue
         if mode in found:
             print(f"{mode}: rendered again, {why_again(found[mode], mode in runs, settings.spp)}")
-        runs[mode], images[mode] = measured_run(scene, settings, reference, folder, exposure)
+        runs[mode], images[mode] = measured_run(scene, settings, reference, folder, display)
         write_metrics(folder, shown(scene, every, reference, runs, images, folder), runs)
     comparison = shown(scene, every, reference, runs, images, folder)
     write_metrics(folder, comparison, runs)

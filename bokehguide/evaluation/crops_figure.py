@@ -14,7 +14,7 @@ from torch import Tensor
 
 from bokehguide.evaluation.comparison import Comparison
 from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
-from bokehguide.image import to_8_bit, tone_map
+from bokehguide.image import Display, to_8_bit
 from bokehguide.scene.types import Inset
 
 COLORS = ("#ff2d55", "#00a5ff", "#ffb000", "#3ddc84")
@@ -55,16 +55,17 @@ class Layout:
         return self.head + sum(self.crop_heights) + len(self.boxes) * LABEL + GAP
 
 
-def write_crops(path: Path, comparisons: Sequence[Comparison], exposure: float = 0.0) -> None:
+def write_crops(path: Path, comparisons: Sequence[Comparison], display: Display = Display()) -> None:
     """Write a figure with the reference of each scene, its insets, and the crops of all modes with their MAPE.
 
-    A scene without insets shows its whole frames in a row. exposure: EV.
+    A scene without insets shows its whole frames in a row. All pictures of a
+    scene have the exposure that suits its reference.
     """
     layouts = [lay_out(comparison) for comparison in comparisons]
     figure = Figure((WIDTH, sum(layout.height for layout in layouts)))
     top = 0.0
     for comparison, layout in zip(comparisons, layouts):
-        draw_scene(figure, comparison, layout, top + layout.head, exposure)
+        draw_scene(figure, comparison, layout, top + layout.head, display)
         top += layout.height
     save(figure, path)
 
@@ -85,12 +86,13 @@ def lay_out(comparison: Comparison) -> Layout:
     return Layout(boxes, width, [width * height for height in heights], shape * frame, frame, names)
 
 
-def draw_scene(figure: Figure, comparison: Comparison, layout: Layout, top: float, exposure: float) -> None:
+def draw_scene(figure: Figure, comparison: Comparison, layout: Layout, top: float, display: Display) -> None:
     """The reference, and a row of crops for each inset."""
     reference = comparison.reference.radiance
+    display = display.metered(reference)
     left = MARGIN
     if layout.frame_width:
-        axes = draw_picture(figure, tone_map(reference, exposure), (left, top, layout.frame_width, layout.frame_height))
+        axes = draw_picture(figure, display.show(reference), (left, top, layout.frame_width, layout.frame_height))
         axes.set_title(f"{comparison.scene.name} (reference)", fontsize=NORMAL, pad=3)
         axes.set_xlabel(f"crops at {comparison.settings.spp} SPP", fontsize=SMALL, labelpad=2)
         for color, (rows, columns) in zip(cycle(COLORS), layout.boxes):
@@ -99,8 +101,8 @@ def draw_scene(figure: Figure, comparison: Comparison, layout: Layout, top: floa
             axes.add_patch(Rectangle(corner, width, height, fill=False, edgecolor=color, linewidth=1.0))
         left += layout.frame_width + FRAME_GAP
     for name, mode in zip(layout.names, [*comparison.runs, None]):
-        display = tone_map(comparison.images[mode] if mode else reference, exposure)
-        first = draw_column(figure, comparison, layout, mode, display, (left, top))
+        shown = display.show(comparison.images[mode] if mode else reference)
+        first = draw_column(figure, comparison, layout, mode, shown, (left, top))
         first.set_title(name, fontsize=layout.letters, pad=3)
         left += layout.crop_width + GAP
 

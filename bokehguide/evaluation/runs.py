@@ -17,7 +17,7 @@ from bokehguide.evaluation.fingerprint import fingerprint
 from bokehguide.evaluation.long_renders import progress, warn_of_bad_samples, whole_step
 from bokehguide.evaluation.references import Reference
 from bokehguide.evaluation.regions import MEASURES, errors, regions
-from bokehguide.image import read_metadata, read_rgb, tone_map, write_exr, write_png
+from bokehguide.image import Display, read_metadata, read_rgb, write_exr, write_png
 from bokehguide.scene.digest import digest
 from bokehguide.scene.types import Scene
 from bokehguide.train import RenderLogger, RenderLoop, RenderSettings, describe_render
@@ -49,7 +49,7 @@ def run_fingerprint(scene: Scene, settings: RenderSettings, reference: Reference
 
 
 def measured_run(
-    scene: Scene, settings: RenderSettings, reference: Reference, folder: Path, exposure: float
+    scene: Scene, settings: RenderSettings, reference: Reference, folder: Path, display: Display
 ) -> tuple[Run, Tensor]:
     """Render one mode and measure it after every step; returns its radiance `[H, W, 3]` too.
 
@@ -58,7 +58,7 @@ def measured_run(
     """
     with RenderLoop(scene, settings) as trial:
         trial.step()  # the first step of a process loads libraries, which no mode should pay for
-    logger = RenderLogger(folder / "logs", scene, settings, exposure)
+    logger = RenderLogger(folder / "logs", scene, settings, display)
     masks = regions(scene)
     seconds: list[float] = []
     rays: list[int] = []
@@ -83,7 +83,7 @@ def measured_run(
     facts = describe_render(scene, settings, settings.spp) | {"run_fingerprint": run.run_fingerprint}
     write_exr(folder / f"{settings.mode}.exr", loop.film.layers(), facts)
     radiance = loop.film.radiance().cpu()
-    write_png(folder / f"{settings.mode}.png", tone_map(radiance, exposure))
+    write_png(folder / f"{settings.mode}.png", display.show(radiance))
     return run, radiance
 
 

@@ -12,7 +12,7 @@ from bokehguide.guiding.config import GaussianConfig
 from bokehguide.guiding.guide import Guide, GuideRecord, learned_of
 from bokehguide.guiding.highlight_fitting import fit_gaussians
 from bokehguide.guiding.lens_queries import MixtureQuery, UniformQuery
-from bokehguide.guiding.protocols import BatchSamples, LensQuery, ModeContext, PixelBatch, StepSummary
+from bokehguide.guiding.protocols import BatchSamples, LensContext, LensQuery, PixelBatch, StepSummary
 from bokehguide.guiding.record_buffer import RecordBuffer
 from bokehguide.models.base import owners
 from bokehguide.models.blend_weight import BlendWeightMap
@@ -45,7 +45,7 @@ class GaussianGuide(Guide):
     record_buffer: RecordBuffer
     uniform: Tensor
 
-    def __init__(self, context: ModeContext, config: GaussianConfig, learns_blend: bool, learns_offsets: bool):
+    def __init__(self, context: LensContext, config: GaussianConfig, learns_blend: bool, learns_offsets: bool):
         super().__init__(context)
         self.config, self.learns_blend, self.learns_offsets = config, learns_blend, learns_offsets
         pixels, device = self.camera.width * self.camera.height, self.camera.position.device

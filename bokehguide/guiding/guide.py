@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.guiding.lens_queries import MixtureQuery
-from bokehguide.guiding.protocols import BatchSamples, LensRecord, LensSampler, ModeContext
+from bokehguide.guiding.protocols import BatchSamples, LensContext, LensRecord, LensSampler
 from bokehguide.guiding.record_buffer import FAR, Raster, Records
 from bokehguide.models.candidates import CandidateList
 from bokehguide.models.gaussian_field import GaussianField
@@ -48,7 +48,7 @@ class Guide(LensSampler):
     candidates: CandidateList | None = None
     """Candidates of each pixel, None if the field is empty."""
 
-    def __init__(self, context: ModeContext):
+    def __init__(self, context: LensContext):
         super().__init__(context)
         self.field = GaussianField()
         self.register_buffer("highlight_cells", torch.zeros(0, dtype=torch.int64))
@@ -88,11 +88,16 @@ class Guide(LensSampler):
         return samples.paths.distance
 
     def _primary_hits(self, samples: BatchSamples, weight: Tensor, good: Tensor) -> Records:
-        distance, axes = self.recorded_distance(samples), self.camera.axes
-        far = to_device(FAR * self.camera.lens.focus_distance, distance.device, torch.float32)
-        position = _positions(samples.drawn.points, axes.T @ samples.directions, distance, far)
-        cells = self.record_buffer.cells(self.camera, position)
+        directions = self.camera.axes.T @ samples.directions
         light = finite(self.recorded_luminance(samples.paths), good)
+        return self.records(samples.drawn.points, directions, self.recorded_distance(samples), light, weight)
+
+    def records(self, points: Tensor, directions: Tensor, distance: Tensor, light: Tensor, weight: Tensor) -> Records:
+        """Records of `light` `[N]` at `distance` `[N]`, metres, along rays from lens points `[2, N]` in camera-frame directions
+        `[3, N]`; weight: of the samples, `[N]`, 0 for those to leave out."""
+        far = to_device(FAR * self.camera.lens.focus_distance, distance.device, torch.float32)
+        position = _positions(points, directions, distance, far)
+        cells = self.record_buffer.cells(self.camera, position)
         return Records(torch.where(weight > 0.0, cells, -1), position, light)
 
     def images(self, beta: Tensor) -> dict[str, Tensor]:

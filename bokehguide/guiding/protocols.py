@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -50,6 +50,16 @@ class ModeContext:
     settings: Any
     ranks: Ranks
     owned: Tensor
+
+
+class LensContext(Protocol):
+    """The part of a `ModeContext` that lens samplers need."""
+
+    @property
+    def camera(self) -> ThinLensCamera: ...
+
+    @property
+    def ranks(self) -> Ranks: ...
 
 
 @dataclass(frozen=True)
@@ -188,7 +198,7 @@ class LensSampler(Strategy):
     weighted = True
     paths_per_sample = 1
 
-    def __init__(self, context: ModeContext):
+    def __init__(self, context: LensContext):
         super().__init__()
         self.camera, self.ranks = context.camera, context.ranks
         self.optimizers: dict[str, torch.optim.Optimizer] = {}

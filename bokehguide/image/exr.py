@@ -20,6 +20,7 @@ HALF_MAX = float(np.finfo(np.float16).max)
 CHANNELS = {
     "beauty": ("R", "G", "B"),
     "alpha": ("A",),
+    "denoised": ("denoised.R", "denoised.G", "denoised.B"),
     "depth": ("depth.Z",),
     "normal": ("normal.X", "normal.Y", "normal.Z"),
     "albedo": ("albedo.R", "albedo.G", "albedo.B"),
@@ -67,6 +68,17 @@ def read_exr(path: str | Path) -> dict[str, np.ndarray]:
     """
     read = read_channels(path)
     return {name: read.pixels[..., index] for index, name in enumerate(read.names)}
+
+
+def read_layers(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The complete layers of a file by the keys of `CHANNELS`, `[H, W]` or `[H, W, 3]`, and its header. Raises as `read_exr`."""
+    read = read_channels(path)
+    planes = {name: read.pixels[..., index] for index, name in enumerate(read.names)}
+    layers = {}
+    for layer, names in CHANNELS.items():
+        if all(name in planes for name in names):
+            layers[layer] = planes[names[0]] if len(names) == 1 else np.stack([planes[name] for name in names], axis=-1)
+    return layers, read.header
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:

@@ -11,8 +11,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.errors import BokehguideError
+
 _thread = threading.local()
 """`stream`: the CUDA stream of the thread."""
+
+
+def check_device(device: str) -> None:
+    """Raise BokehguideError if torch finds no such device."""
+    if device == "cuda" and not torch.cuda.is_available():
+        raise BokehguideError("device: cuda: torch finds no CUDA device here; give cpu")
 
 
 def to_host(*tensors: Tensor) -> list[Tensor]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bokehguide.color import LUMINANCE
+from bokehguide.scene.checks import iris_blades
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
 from bokehguide.scene.tables import CAT_EYE, FRACTION, RATIO, SIGNED_FRACTION, Table
@@ -13,7 +14,6 @@ from bokehguide.scene.types import Aperture
 KEYS = ("blades", "rotation", "curvature", "ratio", "image", "cat_eye", "edge")
 NEEDS = {"rotation": ("blades", "image"), "curvature": ("blades",)}
 """Keys that have no effect without one of the listed keys."""
-MOST_BLADES = 64
 
 
 def read_aperture(camera: Table, files: SceneFiles) -> Aperture | None:
@@ -28,7 +28,7 @@ def read_aperture(camera: Table, files: SceneFiles) -> Aperture | None:
     table = Table(values, camera.file, "camera.aperture", KEYS)
     for key in ("blades", "curvature", "edge"):
         table.exclusive("image", key)
-    blades = _blades(table)
+    blades = iris_blades(table, Aperture.blades)
     for key, needed in NEEDS.items():
         if key in table and not any(table.values.get(name) for name in needed):
             table.fail(key, f"has no {' or '.join(needed)} beside it; give one of them or leave it out")
@@ -43,14 +43,6 @@ def read_aperture(camera: Table, files: SceneFiles) -> Aperture | None:
         cat_eye=table.number("cat_eye", Aperture.cat_eye, CAT_EYE),
         edge=table.number("edge", Aperture.edge, SIGNED_FRACTION),
     )
-
-
-def _blades(table: Table) -> int:
-    """The number of blades, 0 for a disc."""
-    blades = table.values.get("blades", Aperture.blades)
-    if type(blades) is not int or (blades != 0 and not 3 <= blades <= MOST_BLADES):
-        table.fail("blades", f"is out of range; give a whole number from 3 to {MOST_BLADES}, or 0 for a round aperture")
-    return blades
 
 
 def _image(table: Table, files: SceneFiles) -> np.ndarray:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from bokehguide.limits import SMALLEST
 from bokehguide.scene.apertures import read_aperture
+from bokehguide.scene.checks import viewing_direction
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
 from bokehguide.scene.types import Camera, Vector
@@ -38,7 +38,7 @@ def read_camera(values: dict[str, Any], file: str, files: SceneFiles) -> Camera:
     position = table.vector("position", None)
     target = table.vector("target", None)
     up = table.vector("up", (0.0, 1.0, 0.0))
-    forward = _viewing_direction(table, position, target, up)
+    forward = viewing_direction(table, position, target, up)
     return Camera(
         position=position,
         target=target,
@@ -53,23 +53,6 @@ def read_camera(values: dict[str, Any], file: str, files: SceneFiles) -> Camera:
 def focal_length(fov: float, sensor_width: float = SENSOR_WIDTH) -> float:
     """The focal length in millimetres with a field of view of `fov` degrees across `sensor_width` millimetres."""
     return 0.5 * sensor_width / math.tan(math.radians(fov) / 2.0)
-
-
-def _viewing_direction(table: Table, position: Vector, target: Vector, up: Vector) -> np.ndarray:
-    """The unit vector from `position` to `target`. Fails if it is undefined or parallel to `up`."""
-    towards = np.subtract(target, position)
-    distance = np.linalg.norm(towards)
-    # float32 does not resolve smaller distances at this position.
-    if distance <= max(SMALLEST, 1e-6 * np.abs(position).max()):
-        table.fail("target", "equals position, so there is no direction to look; move one of them")
-    forward = towards / distance
-    height = np.linalg.norm(up)
-    if height == 0.0:
-        table.fail("up", "has no direction; give a vector such as [0, 1, 0]")
-    if np.linalg.norm(np.cross(forward, np.divide(up, height))) < 1e-4:
-        key = "up" if "up" in table else "target"
-        table.fail(key, f"makes the camera look along up = {list(up)}; give another up")
-    return forward
 
 
 def _field_of_view(table: Table) -> float:

@@ -12,12 +12,12 @@ import trimesh
 from trimesh.resolvers import FilePathResolver
 
 from bokehguide.errors import BokehguideError, printable, reason
+from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import texture_from_image
 from bokehguide.scene.shapes import transformed, unit_normals
 from bokehguide.scene.tables import NOT_NEGATIVE, Table
 from bokehguide.scene.types import Material, Mesh, Model, Texture, as_vector
-from bokehguide.scene.validation import check_mesh
 from bokehguide.stopping import default_signals
 
 # Without a handler, Python prints the log of trimesh, which includes tracebacks, to the terminal.
@@ -75,11 +75,11 @@ def load_mesh_file(path: Path, files: SceneFiles) -> Model:
         geometry = scene.geometry[name]
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
             continue
-        mesh = _mesh(geometry, index[name])
-        check_mesh(mesh, f"{path}: {printable(name)}", len(materials))
-        if mesh.normals is not None:
-            mesh = replace(mesh, normals=unit_normals(mesh.normals, mesh.vertices, mesh.triangles))
-        meshes.append(transformed(mesh, matrix))
+        with located(f"{path}: {printable(name)}"):
+            mesh = _mesh(geometry, index[name])
+            if mesh.normals is not None:
+                mesh = replace(mesh, normals=unit_normals(mesh.normals, mesh.vertices, mesh.triangles))
+            meshes.append(transformed(mesh, matrix))
     if ignored:
         terms = printable(", ".join(sorted(map(str, ignored))), 200)
         warnings.append(f".mtl file: {terms}: have no effect, only Kd, map_Kd and Ke do")
@@ -127,21 +127,10 @@ def _numbers(words: Any) -> Any:
 
 
 def _mesh(geometry: trimesh.Trimesh, material: int) -> Mesh:
-    """A geometry as a Mesh. v is flipped, as it points upwards in trimesh."""
-    normals = None
+    """A geometry as a Mesh with the file's normals."""
+    mesh = Mesh.from_trimesh(geometry, material)
     # trimesh computes missing normals on demand. At this point its cache holds only the file's.
     if "vertex_normals" in geometry._cache:
         normals = np.asarray(geometry.vertex_normals, dtype=np.float32)
-        normals = normals if np.isfinite(normals).all() else None
-    uvs = getattr(geometry.visual, "uv", None)
-    if uvs is not None:
-        uvs = np.asarray(uvs, dtype=np.float32)[:, :2] * (1, -1) + (0, 1)
-    with np.errstate(over="ignore"):
-        vertices = np.asarray(geometry.vertices, dtype=np.float32)
-    return Mesh(
-        vertices=vertices,
-        triangles=np.asarray(geometry.faces, dtype=np.int32),
-        material=material,
-        normals=normals,
-        uvs=None if uvs is None else uvs.astype(np.float32)[:, None],
-    )
+        return replace(mesh, normals=normals) if np.isfinite(normals).all() else mesh
+    return mesh

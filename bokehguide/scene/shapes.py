@@ -29,7 +29,7 @@ def unit_sphere(subdivisions: int = SPHERE_SUBDIVISIONS) -> Mesh:
     """A sphere of radius 1 with exact normals: 20 · 4^subdivisions triangles, u around y, v downwards.
 
     Its surface area is 4π, so that its mean projected area is π (Cauchy). With 1,280 triangles, its vertices
-    therefore lie 0.24 % outside the sphere.
+    therefore lie 0.24 % outside the sphere. Each subdivision less makes a quarter of the triangles and four times the error.
     """
     from trimesh.creation import icosphere  # takes a second to import
 
@@ -68,6 +68,23 @@ def unit_rectangle() -> Mesh:
     return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), material=0, uvs=uvs)
 
 
+DISC_CORNERS = 64
+"""The silhouette of a disc is within 0.12 % of the circle."""
+
+
+@lru_cache
+def unit_disc() -> Mesh:
+    """A disc of radius 1 in the xy plane that faces +z. Its area is π, so that its corners lie 0.08 % outside the circle."""
+    angles = 2.0 * np.pi * np.arange(DISC_CORNERS) / DISC_CORNERS
+    radius = np.sqrt(2.0 * np.pi / (DISC_CORNERS * np.sin(2.0 * np.pi / DISC_CORNERS)))
+    rim = radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(DISC_CORNERS)], axis=1)
+    points = np.concatenate([np.zeros((1, 3)), rim])
+    corners = 1 + np.arange(DISC_CORNERS)
+    triangles = np.stack([np.zeros_like(corners), corners, np.roll(corners, -1)], axis=1)
+    uvs = np.stack([0.5 + 0.5 * points[:, 0], 0.5 - 0.5 * points[:, 1]], axis=1)
+    return Mesh(points.astype(np.float32), triangles.astype(np.int32), material=0, uvs=uvs.astype(np.float32)[:, None])
+
+
 @lru_cache
 def unit_box() -> Mesh:
     """A cube of side 1 around the origin. Each face shows the whole texture."""
@@ -81,7 +98,7 @@ def unit_box() -> Mesh:
     return joined(sides)
 
 
-SHAPES = {"sphere": unit_sphere, "box": unit_box, "rectangle": unit_rectangle}
+SHAPES = {"sphere": unit_sphere, "box": unit_box, "rectangle": unit_rectangle, "disc": unit_disc}
 
 
 def transform(translate: ArrayLike = (0.0, 0.0, 0.0), rotate: ArrayLike = (0.0, 0.0, 0.0), scale: ArrayLike = 1.0) -> np.ndarray:
@@ -209,3 +226,23 @@ def spheres(centres: ArrayLike, radii: ArrayLike, material: int, subdivisions: i
         material=material,
         normals=np.tile(unit.normals, (count, 1)),
     )
+
+
+def repeated(mesh: Mesh, centres: np.ndarray, material: int, name: str = "") -> Mesh:
+    """Copies of `mesh`, moved by each of `centres` `[N, 3]`, as one mesh without uvs."""
+    count, size = len(centres), len(mesh.vertices)
+    vertices = np.asarray(centres, dtype=np.float64)[:, None] + mesh.vertices
+    triangles = mesh.triangles + size * np.arange(count, dtype=np.int32)[:, None, None]
+    return Mesh(
+        vertices=vertices.reshape(-1, 3).astype(np.float32),
+        triangles=triangles.reshape(-1, 3),
+        material=material,
+        normals=None if mesh.normals is None else np.tile(mesh.normals, (count, 1)),
+        name=name,
+    )
+
+
+def surface_area(mesh: Mesh) -> float:
+    """The area of all triangles in square metres."""
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.triangles], 1, 0)
+    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from bokehguide.errors import BokehguideError, printable
-from bokehguide.limits import LARGEST, MAX_SIDE, NEAREST_FOCUS, SMALLEST
-from bokehguide.scene.types import Vector, as_vector
+from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_SIDE, NEAREST_FOCUS, SMALLEST
+from bokehguide.scene.vectors import Vector, as_vector
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,10 @@ CAT_EYE = Limits("a number between 0 and 1.5", low=0.0, high=1.5)
 ANGLE_OF_VIEW = Limits("degrees between 0 and 180 (from 0.001 to 179.999)", low=1e-3, high=179.999)
 EMITTER_RADIUS = Limits("metres from 1e-6 to 1e6", low=1e-6, high=1e6)
 SUN_ANGLE = Limits("degrees from 0.01 to 90", low=0.01, high=90.0)
+KELVIN = Limits("kelvin from 1000 to 15000", low=1e3, high=15e3)
 CONE_ANGLE = Limits("degrees from 0 to 90", low=0.0, high=90.0)
 IOR = Limits(f"a number of 1 or more, up to {LARGEST:g}", low=1.0)
+EXPOSURE = Limits(f'EV from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}, or "auto"', low=-MAX_EXPOSURE, high=MAX_EXPOSURE)
 COUNT = Limits(f"a whole number of 1 or more, up to {MAX_SIDE}", low=1, high=MAX_SIDE)
 
 

@@ -2,23 +2,44 @@
 
 Lengths are in metres, angles in degrees, colours in linear Rec.709. Emission is radiance.
 World space is right-handed with y up.
+
+Each class checks its fields when an instance is built, and raises BokehguideError with the class, the field, the value and the
+remedy. Lists and arrays of other types are converted.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 
-Vector = tuple[float, float, float]
+from bokehguide.limits import MAX_EXTENT, MAX_PIXELS
+from bokehguide.scene.checks import FieldError, Fields, iris_blades, viewing_direction
+from bokehguide.scene.tables import (
+    ANGLE_OF_VIEW,
+    ANY,
+    CAT_EYE,
+    CONE_ANGLE,
+    COUNT,
+    EXPOSURE,
+    FRACTION,
+    IN_FRONT,
+    IOR,
+    NOT_NEGATIVE,
+    POSITIVE,
+    RATIO,
+    SIGNED_FRACTION,
+    SUN_ANGLE,
+    Limits,
+)
+from bokehguide.scene.vectors import Vector as Vector
+from bokehguide.scene.vectors import as_vector as as_vector
 
-
-def as_vector(values: Iterable[float]) -> Vector:
-    """Three numbers of any kind as a tuple of floats."""
-    x, y, z = map(float, values)
-    return x, y, z
+WRAPS = ("repeat", "clamp", "mirror")
+INDEX = Limits("an index, a whole number of 0 or more", low=0)
+ALPHA_MODES = ("opaque", "mask", "blend")
 
 
 @dataclass(frozen=True)
@@ -44,6 +65,13 @@ class Aperture:
     cat_eye: float = 0.0
     edge: float = 0.0
 
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.keep("blades", iris_blades(fields))
+        fields.check_numbers(rotation=ANY, curvature=FRACTION, ratio=RATIO, cat_eye=CAT_EYE, edge=SIGNED_FRACTION)
+        if self.image is not None and not fields.check_array("image", ("H", "W"), low=0.0).any():
+            fields.fail("image", "is black all over and lets no light through; give an image with brighter pixels")
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -62,14 +90,33 @@ class Camera:
     focus_distance: float = 1.0
     aperture: Aperture | None = None
 
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.check_vectors(position=ANY, target=ANY, up=ANY)
+        fields.check_numbers(fov=ANGLE_OF_VIEW, aperture_radius=NOT_NEGATIVE, focus_distance=IN_FRONT)
+        fields.check_instances(Aperture, "aperture")
+        viewing_direction(fields, self.position, self.target, self.up)
+
 
 @dataclass(frozen=True)
 class FilmSettings:
-    """Size in pixels, and the maximum path length in segments (1 is directly visible emission)."""
+    """Size in pixels, and the maximum path length in segments (1 is directly visible emission).
+
+    exposure: of display images, EV; None: metered.
+    """
 
     width: int = 640
     height: int = 360
     max_depth: int = 6
+    exposure: float | None = None
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.check_wholes(width=COUNT, height=COUNT, max_depth=COUNT)
+        if self.exposure is not None:
+            fields.check_numbers(exposure=EXPOSURE)
+        if self.width * self.height > MAX_PIXELS:
+            raise FieldError(f"FilmSettings: {self.width}x{self.height} pixels are too many; give at most {MAX_PIXELS}")
 
 
 @dataclass(frozen=True)
@@ -87,6 +134,16 @@ class Texture:
     wrap: tuple[str, str] = ("repeat", "repeat")
     transform: tuple[float, float, float, float, float, float] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        if fields.check_array("image", ("H", "W", "C")).shape[2] > 4:
+            fields.fail("image", "has more than four channels; give an image with 1 to 4")
+        fields.check_wholes(uv_set=INDEX)
+        if not (isinstance(self.wrap, (tuple, list)) and len(self.wrap) == 2 and all(mode in WRAPS for mode in self.wrap)):
+            fields.fail("wrap", f"is out of range; give two of {', '.join(WRAPS)}")
+        fields.keep("wrap", tuple(self.wrap))
+        fields.check_tuple("transform", 6)
+
 
 @dataclass(frozen=True)
 class Cone:
@@ -98,6 +155,13 @@ class Cone:
     axis: Vector
     inner: float
     outer: float
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.check_direction("axis")
+        fields.check_numbers(inner=CONE_ANGLE, outer=CONE_ANGLE)
+        if self.inner >= self.outer:
+            fields.fail("outer", f"is not above inner, {self.inner:g}; give a larger angle")
 
 
 @dataclass(frozen=True)
@@ -150,10 +214,44 @@ class Material:
     clearcoat_roughness_texture: Texture | None = None
     clearcoat_normal_texture: Texture | None = None
 
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.check_texts("name")
+        fields.check_numbers(**MATERIAL_NUMBERS)
+        fields.check_vectors(**MATERIAL_COLORS)
+        fields.check_flags("thin", "tint_emission", "double_sided")
+        fields.check_choice("alpha_mode", ALPHA_MODES)
+        fields.check_instances(Cone, "emission_cone")
+        fields.check_instances(Texture, *(key for key in fields.values if key.endswith("_texture")))
+
     @property
     def emits(self) -> bool:
         """True where any channel of the emission is positive."""
         return any(channel > 0.0 for channel in self.emission)
+
+
+MATERIAL_NUMBERS: dict[str, Limits] = {
+    "metallic": FRACTION,
+    "roughness": FRACTION,
+    "specular": FRACTION,
+    "transmission": FRACTION,
+    "ior": IOR,
+    "attenuation_distance": replace(POSITIVE, infinity=True),
+    "clearcoat": FRACTION,
+    "clearcoat_roughness": FRACTION,
+    "opacity": FRACTION,
+    "alpha_cutoff": NOT_NEGATIVE,
+    "normal_scale": ANY,
+    "clearcoat_normal_scale": ANY,
+}
+"""Limits of the numbers of a `Material`."""
+MATERIAL_COLORS: dict[str, Limits] = {
+    "base_color": FRACTION,
+    "specular_color": NOT_NEGATIVE,
+    "attenuation_color": FRACTION,
+    "emission": NOT_NEGATIVE,
+}
+"""Limits of the colours of a `Material`, channel by channel."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +263,7 @@ class Mesh:
     uvs: float32 `[V, S, 2]`, S sets with v downwards from the texture's top row (glTF), or None.
     tangents: float32 `[V, 4]` for normal maps, glTF's unit tangent and the sign of the bitangent;
     None derives them from the uvs. colors: linear float32 `[V, 4]` that multiply base colour and
-    opacity, or None.
+    opacity, or None. name: of the object, empty without one.
     """
 
     vertices: np.ndarray
@@ -175,6 +273,47 @@ class Mesh:
     uvs: np.ndarray | None = None
     tangents: np.ndarray | None = None
     colors: np.ndarray | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        vertices = fields.check_array("vertices", ("N", 3))
+        triangles = fields.check_array("triangles", ("N", 3), whole=True)
+        count = len(vertices)
+        for name, shape in {"normals": (3,), "uvs": ("sets", 2), "tangents": (4,), "colors": (4,)}.items():
+            if getattr(self, name) is not None:
+                fields.check_array(name, (count, *shape))
+        fields.check_wholes(material=INDEX)
+        fields.check_texts("name")
+        # The range of all coordinates is much faster than that of each axis, and never smaller.
+        if count and float(vertices.max()) - float(vertices.min()) > MAX_EXTENT:
+            extent = np.ptp(vertices, axis=0).max()
+            if extent > MAX_EXTENT:
+                raise FieldError(f"Mesh.vertices: reach {extent:.3g} m from end to end; scale them to {MAX_EXTENT:g} m or less")
+        if triangles.size and not (triangles.min() >= 0 and triangles.max() < count):
+            out = np.flatnonzero(((triangles < 0) | (triangles >= count)).any(axis=1))
+            raise FieldError(
+                f"Mesh.triangles[{out[0]}] has the indices {triangles[out[0]].tolist()}, but there are {count} vertices; "
+                f"repair them ({len(out)} such)"
+            )
+
+    @classmethod
+    def from_trimesh(cls, mesh: Any, material: int = 0, smooth: bool = False) -> Self:
+        """A `trimesh.Trimesh` with its texture coordinates.
+
+        smooth: take the vertex normals of trimesh; else the shading is flat. Raises BokehguideError for anything else than a
+        Trimesh, and as the constructor.
+        """
+        vertices, faces = getattr(mesh, "vertices", None), getattr(mesh, "faces", None)
+        if vertices is None or faces is None:
+            raise FieldError(
+                f"Mesh.from_trimesh: {type(mesh).__name__} is no Trimesh; give one, or the result of Scene.to_mesh() of trimesh"
+            )
+        uvs = getattr(getattr(mesh, "visual", None), "uv", None)
+        if uvs is not None:  # v points upwards in trimesh
+            uvs = (np.asarray(uvs, dtype=np.float32)[:, :2] * (1, -1) + (0, 1)).astype(np.float32)[:, None]
+        normals = np.asarray(mesh.vertex_normals) if smooth else None
+        return cls(np.asarray(vertices), np.asarray(faces), material, normals, uvs)
 
 
 @dataclass(frozen=True)
@@ -189,12 +328,18 @@ class Sun:
     angle: float
     irradiance: Vector
 
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.check_direction("direction")
+        fields.check_numbers(angle=SUN_ANGLE)
+        fields.check_vectors(irradiance=NOT_NEGATIVE)
+
 
 @dataclass(frozen=True)
 class Environment:
     """An environment map: equirectangular radiance, float32 `[H, W, 3]`, top row towards +y.
 
-    The map's centre lies at -z and u grows towards +x. A constant colour is a 1 × 1 map.
+    The map's centre lies at -z and u grows towards +x. A constant colour is a 1 × 1 map, or three numbers.
     rotation: degrees about +y, anticlockwise seen from above. visible: if False, camera rays that
     escape see neither map nor suns and have alpha 0; the lighting stays.
     """
@@ -202,6 +347,14 @@ class Environment:
     radiance: np.ndarray
     rotation: float = 0.0
     visible: bool = True
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        if np.shape(fields.values["radiance"]) == (3,):
+            fields.values["radiance"] = np.asarray(fields.values["radiance"])[None, None]
+        fields.check_array("radiance", ("H", "W", 3), low=0.0)
+        fields.check_numbers(rotation=ANY)
+        fields.check_flags("visible")
 
 
 @dataclass(frozen=True)
@@ -240,6 +393,20 @@ class Scene:
     description: str = ""
     warnings: tuple[str, ...] = field(default=())
     supported: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.check_texts("name", "description")
+        fields.check_instances(Camera, "camera", optional=False)
+        fields.check_instances(FilmSettings, "film", optional=False)
+        fields.check_instances(Environment, "environment")
+        for key, kind in {"meshes": Mesh, "materials": Material, "suns": Sun, "insets": Inset}.items():
+            fields.check_sequence(key, kind)
+        count = len(self.materials)
+        for number, mesh in enumerate(self.meshes):
+            if mesh.material >= count:
+                known = f"there are {count} materials" if count != 1 else "there is one material"
+                raise FieldError(f"Scene.meshes[{number}].material: {mesh.material} is out of range; {known}")
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,12 @@ from typing import Any, Self
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, pad
+from torch.nn.functional import pad
 
-from bokehguide.metrics import EPSILON
 from bokehguide.render.film import NO_DEPTH, BadSample, Film, FilmSamples, earliest
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import hash_int
+from bokehguide.render.split_film import Halves, relative_error
 from bokehguide.render.vector import luminance
 from bokehguide.runtime.distributed import Ranks
 from bokehguide.runtime.indexing import Pixels, gather_pixels, scatter_add
@@ -33,8 +33,6 @@ from bokehguide.train.step_stats import StepStats
 
 BLOCK = 32
 """Side of a block in pixels. All pixels of a block stop together. A block contains whole groups of `guiding/pixel_reuse.py`."""
-POOLED = 5
-"""Side, in pixels, of the square around a pixel whose mean estimates the radiance of the pixel."""
 FIRST_ROUND = 8
 """Number of steps of each half in the first round. Each later round has as many steps as all earlier rounds together."""
 
@@ -42,18 +40,6 @@ FIRST_ROUND = 8
 def make_loop(scene: Scene, settings: RenderSettings, ranks: Ranks | None = None) -> RenderLoop | AdaptiveLoop:
     """An `AdaptiveLoop` if the settings have a target noise, else a `RenderLoop`. Raises BokehguideError as `RenderLoop`."""
     return RenderLoop(scene, settings, ranks) if settings.target_noise is None else AdaptiveLoop(scene, settings, ranks)
-
-
-def relative_error(first: Tensor, second: Tensor) -> Tensor:
-    """Estimated error of the mean of two independent pictures `[C, H, W]`, relative to the truth (plus 0.01), `[C, H, W]`.
-
-    Half of the difference of two pictures has the magnitude of the error of their mean. The denominator uses the mean of both
-    pictures in the pixel or around the pixel, whichever is less. A rare highlight makes a single pixel too bright, but not its
-    neighbours. Features that both pictures missed go undetected.
-    """
-    mean = (0.5 * (first + second)).clamp(min=0.0)
-    about = avg_pool2d(mean[None], POOLED, 1, POOLED // 2, count_include_pad=False)[0]
-    return 0.5 * (first - second).abs() / (torch.minimum(mean, about) + EPSILON)
 
 
 def to_blocks(images: Tensor) -> Tensor:
@@ -75,7 +61,7 @@ class HalfLoop(RenderLoop):
     """One of the two halves. A step renders all blocks that are open in either half. The film adds samples in its open blocks."""
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None, tracer: PathTracer | None = None):
-        super().__init__(scene, settings, ranks, tracer)
+        super().__init__(scene, replace(settings, denoise=False), ranks, tracer)  # it is a half itself
         pixels = self.film.width * self.film.height
         self.brightness = torch.zeros(2, pixels, dtype=torch.float64, device=settings.device)
         """Sums of the luminance of samples before this round and in this round, `[2, pixels]`."""
@@ -270,6 +256,11 @@ class HalvesFilm:
         """Mean radiance so far, float32 `[H, W, 3]`."""
         first, second = (film.radiance() for film in self._films)
         return 0.5 * (first + second)
+
+    def halves(self) -> Halves:
+        """The mean radiance of each half."""
+        first, second = (film.radiance() for film in self._films)
+        return Halves(first, second, torch.full(first.shape[:2], 0.5, device=first.device))
 
     def samples(self) -> float:
         """Number of all samples."""

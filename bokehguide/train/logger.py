@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bokehguide.errors import reason
-from bokehguide.image import tone_map
+from bokehguide.image import Display
 from bokehguide.scene.types import Scene
 from bokehguide.train.metadata import describe_render
 
@@ -33,7 +33,7 @@ class RenderLogger:
     The modes of a scene are sibling folders, so `tensorboard --logdir logdir/SCENE` overlays their curves. An older log of the
     same mode is removed.
 
-    exposure: EV of the images. resumed: last step of the checkpoint. The log continues after this step, and TensorBoard discards
+    display: of the images. resumed: last step of the checkpoint. The log continues after this step, and TensorBoard discards
     later entries of the old log. silent: write nothing. All ranks except the first are silent, but take part in collective calls.
     """
 
@@ -42,11 +42,11 @@ class RenderLogger:
         logdir: str | Path,
         scene: Scene,
         settings: RenderSettings,
-        exposure: float = 0.0,
+        display: Display = Display(),
         resumed: int = 0,
         silent: bool = False,
     ):
-        self.exposure = exposure
+        self.display = display
         self._images_at = resumed
         self.writer = None
         self._hook = threading.excepthook
@@ -120,7 +120,7 @@ class RenderLogger:
         threading.excepthook = self._hook
 
     def _log_images(self, loop: RenderLoop | AdaptiveLoop, step: int, picture: Film | HalvesFilm) -> None:
-        images = {"render": tone_map(picture.radiance(), self.exposure), **loop.guide_images()}
+        images = {"render": self.display.show(picture.radiance()), **loop.guide_images()}
         with self._writing():
             for name, image in images.items() if self.writer else ():
                 if self.writer:

@@ -21,6 +21,7 @@ from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, Rat
 from bokehguide.render.film import Film, FilmSamples, earliest
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.split_film import SplitFilm
 from bokehguide.runtime.distributed import Ranks, available_cores
 from bokehguide.runtime.indexing import Pixels, box_pixels, indices, pixel_numbers
 from bokehguide.runtime.timer import PhaseTimer
@@ -90,7 +91,8 @@ class RenderLoop:
             features = RatioFeatures
         elif self.mode.weighted:
             features = ControlVariateFeatures
-        return Film(width, height, self.settings.seed, self.camera.position.device, features, (left, top))
+        kind = SplitFilm if self.settings.denoise else Film
+        return kind(width, height, self.settings.seed, self.camera.position.device, features, (left, top))
 
     def render_only(self, active: Tensor) -> None:
         """From now on, render only the `active` pixels of the film, bool `[pixels]`."""

@@ -8,10 +8,29 @@ from bokehguide.errors import BokehguideError
 from bokehguide.guiding.config import GaussianConfig, GuidedConfig
 from bokehguide.guiding.modes import MODES
 from bokehguide.limits import MAX_SIDE
+from bokehguide.scene.checks import Fields
+from bokehguide.scene.tables import Limits
 
 DEVICES = ("cpu", "cuda")
 LENS_MODES = tuple(name for name, entry in MODES.items() if not entry.whole_frame)
 """Modes that render any part of a frame by itself."""
+
+WHOLE = {
+    "spp": Limits("a whole number of samples per pixel, at least 1", low=1),
+    "seed": Limits("a whole number", low=-(2**63), high=2**63),
+    "threads": Limits("a whole number of threads, at least 1", low=1),
+}
+NUMBERS = {
+    "reuse_radius": Limits(f"pixels from 1 to {MAX_SIDE}", low=1.0, high=MAX_SIDE),
+    "target_noise": Limits("a relative error from 1e-06 to 1", low=1e-6, high=1.0),
+}
+
+
+class _Settings(Fields):
+    """The fields of the settings, by the names that the command line has as well."""
+
+    def place(self, key: str) -> str:
+        return key
 
 
 @dataclass(frozen=True)
@@ -26,6 +45,7 @@ class RenderSettings:
     1920 pixels; 50 · width / 1920 covers the same part of a smaller picture.
     crop: x, y, width, height in pixels from the top left, of the part of the frame to render.
     target_noise: estimated relative error at which a block of pixels ends; None: all pixels get spp samples.
+    denoise: whether the film keeps two halves, which `bokehguide.train.denoise_picture` needs; the samples are the same.
     compile: whether kernels are compiled (see `runtime/compile/kernels.py`). The first compilation on a machine takes minutes.
     Compilation changes the picture only by rounding.
     gaussian: settings of the paper's modes. guided: settings of the mode `guided`.
@@ -40,6 +60,7 @@ class RenderSettings:
     reuse_radius: float = 50.0
     crop: tuple[int, int, int, int] | None = None
     target_noise: float | None = None
+    denoise: bool = False
     compile: bool = False
     gaussian: GaussianConfig = field(default_factory=GaussianConfig)
     guided: GuidedConfig = field(default_factory=GuidedConfig)
@@ -49,20 +70,19 @@ class RenderSettings:
             raise BokehguideError(f"mode: {self.mode!r} is unknown; choose one of {', '.join(MODES)}")
         if self.device not in DEVICES:
             raise BokehguideError(f"device: {self.device!r} is unknown; choose {' or '.join(DEVICES)}")
-        if self.spp < 1:
-            raise BokehguideError(f"spp: {self.spp} is not positive; give at least 1 sample per pixel")
-        if self.threads is not None and self.threads < 1:
-            raise BokehguideError(f"threads: {self.threads} is not positive; give at least 1 thread")
-        if not 1.0 <= self.reuse_radius <= MAX_SIDE:
-            raise BokehguideError(f"reuse_radius: {self.reuse_radius:g} is out of range; give pixels from 1 to {MAX_SIDE}")
-
-        if self.crop is not None and self.whole_frame:
-            raise BokehguideError(f"crop: {self.mode} reuses samples of the whole frame; render it whole, or choose another mode")
-
-        if self.target_noise is not None and not 1e-6 <= self.target_noise <= 1.0:
-            raise BokehguideError(f"target_noise: {self.target_noise:g} is out of range; give a relative error from 1e-06 to 1")
-        if self.target_noise is not None and self.whole_frame:
-            raise BokehguideError(f"target_noise: {self.mode} reuses samples of the whole frame; choose another mode")
+        fields = _Settings(self)
+        absent = {key for key in ("threads", "target_noise") if getattr(self, key) is None}
+        fields.check_wholes(**{key: limits for key, limits in WHOLE.items() if key not in absent})
+        fields.check_numbers(**{key: limits for key, limits in NUMBERS.items() if key not in absent})
+        fields.check_flags("denoise", "compile")
+        if self.crop is not None:
+            fields.check_tuple("crop", 4)
+            fields.keep("crop", tuple(map(int, self.crop)))
+        for key in ("crop", "target_noise"):
+            if getattr(self, key) is not None and self.whole_frame:
+                raise BokehguideError(
+                    f"{key}: {self.mode} reuses samples of the whole frame; leave it out, or choose another mode"
+                )
 
     def window(self, width: int, height: int) -> tuple[int, int, int, int]:
         """The crop of a frame of this size, by default the whole frame. Raises BokehguideError if the crop leaves the frame."""

@@ -125,7 +125,7 @@ def test_a_target_ends_a_render(bokehguide, lamps_file, tmp_path):
         (("--crop", "-1,0,5,5"), "crop: -1,0,5,5 leaves the frame"),
         (("--crop", "1,1,5,5", "--mode", "area-restir"), "crop: area-restir reuses samples of the whole frame"),
         (("--time-limit", "0"), "argument --time-limit: '0' is not positive"),
-        (("--target-noise", "-1"), "target_noise: -1 is out of range; give a relative error from 1e-06 to 1"),
+        (("--target-noise", "-1"), "target_noise: -1.0 is out of range; give a relative error from 1e-06 to 1"),
         (("--target-noise", "nan"), "target_noise: nan is out of range"),
     ],
 )

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from bokehguide.scene import apertures, cameras
-from bokehguide.scene.toml import materials, scene_file
+from bokehguide.scene.toml import lights, materials, scene_file
 from tests.support.paths import REPOSITORY
 
 PAGE = (REPOSITORY / "docs/reference/scene-file.md").read_text(encoding="utf-8")
@@ -17,6 +17,7 @@ SECTIONS = {
     "Film": ("width", "height", "max_depth"),
     "Environment": ("color", "map", "intensity", "rotation", "visible"),
     "Suns": ("direction", "irradiance", "angle"),
+    "Lights": lights.LIGHT_KEYS,
     "Lights of models": ("radius", "sun_angle"),
     "Materials": materials.KEYS,
     "Objects": scene_file.OBJECT_KEYS,

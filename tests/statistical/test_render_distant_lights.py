@@ -43,7 +43,7 @@ def floor(suns, environment=None, material=None, max_depth: int = 2):
     return replace(lit, suns=tuple(suns))
 
 
-@pytest.mark.parametrize("angle", [0.01, 0.53, 20.0, 180.0])
+@pytest.mark.parametrize("angle", [0.01, 0.53, 20.0, 90.0])
 @pytest.mark.parametrize("direction", [TILTED, (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)])
 def test_draws_spread_evenly_over_the_disc(direction, angle):
     """In height above the rim and angle about the axis, which share a disc of the sphere evenly."""
@@ -63,7 +63,7 @@ def test_draws_spread_evenly_over_the_disc(direction, angle):
     assert chi_square(np.bincount(cell, minlength=128), np.full(128, 1.0 / 128.0)) > SIGNIFICANCE
 
 
-@pytest.mark.parametrize("angle", [0.05, 0.53, 20.0, 180.0])
+@pytest.mark.parametrize("angle", [0.05, 0.53, 20.0, 90.0])
 def test_radiance_within_the_disc_adds_up_to_the_irradiance(angle):
     """On a facing surface: draws, weighed by their cosine, over their density."""
     light = EnvironmentLight(None, (sun(angle=angle, irradiance=7.0),))

@@ -21,6 +21,7 @@ LAYERS = (
     ("baselines",),
     ("train",),
     ("evaluation",),
+    ("picture",),
     ("cli",),
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}

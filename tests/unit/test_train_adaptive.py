@@ -9,6 +9,7 @@ import torch
 
 from bokehguide.errors import BokehguideError
 from bokehguide.metrics import mape
+from bokehguide.render import split_film
 from bokehguide.render.features import MeanFeatures
 from bokehguide.render.film import NO_DEPTH, Film, FilmSamples
 from bokehguide.render.path_tracer import PathSamples
@@ -166,11 +167,11 @@ def test_the_error_of_a_round_compares_it_with_all_rounds_before():
     half = adaptive.HalfLoop(scenes.emitters(32, 32), RenderSettings("uniform", threads=1), None)
     first, second, third = torch.rand(3, 32, 32, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
     half.step_number, half.brightness = 16, torch.stack((8.0 * first, 8.0 * second)).reshape(2, -1)
-    expected = adaptive.relative_error(first[None], second[None]).flatten() / math.sqrt(2.0)
+    expected = split_film.relative_error(first[None], second[None]).flatten() / math.sqrt(2.0)
     torch.testing.assert_close(half.end_round(), expected)
     half.step_number = 32
     half.brightness[1] += 16.0 * third.flatten()
-    expected = adaptive.relative_error(0.5 * (first + second)[None], third[None]).flatten() / math.sqrt(2.0)
+    expected = split_film.relative_error(0.5 * (first + second)[None], third[None]).flatten() / math.sqrt(2.0)
     torch.testing.assert_close(half.end_round(), expected)
 
 
@@ -211,8 +212,8 @@ def test_the_layers_of_both_halves_are_those_of_all_samples():
 def test_a_highlight_of_one_pixel_has_the_error_of_its_neighbourhood():
     first, second = torch.ones(2, 1, 9, 9)
     first[0, 4, 4] = 101.0
-    about = (24.0 + 51.0) / adaptive.POOLED**2
-    assert float(adaptive.relative_error(first, second)[0, 4, 4]) == pytest.approx(50.0 / (about + 0.01))
+    about = (24.0 + 51.0) / split_film.POOLED**2
+    assert float(split_film.relative_error(first, second)[0, 4, 4]) == pytest.approx(50.0 / (about + 0.01))
 
 
 def test_rounds_double_in_length(monkeypatch):
@@ -242,8 +243,8 @@ def test_halves_share_nothing_random_but_all_else():
 @pytest.mark.parametrize(
     "values, message",
     [
-        ({"target_noise": 0.0}, "target_noise: 0 is out of range"),
-        ({"target_noise": 2.0}, "target_noise: 2 is out of range"),
+        ({"target_noise": 0.0}, "target_noise: 0.0 is out of range"),
+        ({"target_noise": 2.0}, "target_noise: 2.0 is out of range"),
         ({"target_noise": math.nan}, "target_noise: nan is out of range"),
         ({"target_noise": 0.1, "mode": "area-restir"}, "target_noise: area-restir reuses"),
     ],

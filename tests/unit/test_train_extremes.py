@@ -246,10 +246,10 @@ def test_radiance_of_any_size_gives_the_same_picture(mode, light):
 
 @pytest.mark.parametrize("mode", ALL)
 def test_a_sun_beyond_what_can_be_squared(mode):
-    """Radiance of 4e25: its square is no float32."""
-    scene = replace(stage(depth=1), suns=(Sun((0.0, 0.1, -1.0), 1.0, (1e21, 1e21, 1e21)),))
+    """Radiance of 4e21: its square is no float32."""
+    scene = replace(stage(depth=1), suns=(Sun((0.0, 0.1, -1.0), 1.0, (1e18, 1e18, 1e18)),))
     loop = rendered(scene, mode, 6)
-    assert sound(loop) and beauty(loop).max() > 1e23
+    assert sound(loop) and beauty(loop).max() > 1e20
 
 
 @pytest.mark.parametrize("mode", ALL)

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bokehguide.color import LUMENS_PER_WATT
 from bokehguide.scene.gltf.document import Document, Part
 from bokehguide.scene.gltf.nodes import Placed
 from bokehguide.scene.shapes import sphere_subdivisions, spheres
@@ -21,7 +22,6 @@ from bokehguide.scene.types import Cone, LightSizes, Material, Mesh, Sun, Vector
 from bokehguide.scene.validation import check_triangles
 
 EXTENSION = "KHR_lights_punctual"
-LUMENS_PER_WATT = 683.0
 MAX_RADIUS, RELATIVE_RADIUS = 0.01, 0.01
 """Default radius of a light: at most in metres, and relative to the model's longest side."""
 RIGHT_ANGLE = Limits("radians between 0 and half of pi", low=0.0, high=math.pi / 2.0 + 1e-6)

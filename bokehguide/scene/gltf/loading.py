@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.gltf.cameras import read_cameras
 from bokehguide.scene.gltf.document import Document, read_document
@@ -21,7 +22,7 @@ from bokehguide.scene.gltf.skins import Skins
 from bokehguide.scene.gltf.textures import Textures
 from bokehguide.scene.shapes import instanced
 from bokehguide.scene.types import LightSizes, Material, Mesh, Model
-from bokehguide.scene.validation import check_mesh, check_meshes, check_triangles
+from bokehguide.scene.validation import check_meshes, check_triangles
 
 
 def load_gltf(path: Path, files: SceneFiles, sizes: LightSizes) -> Model:
@@ -88,9 +89,8 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
             document.note(f"instances of size 0: {flat.sum()} left out")
             matrices = matrices[~flat]
         if len(matrices):
-            copies = instanced(mesh, matrices)
-            check_mesh(copies, place, len(materials) + 1)
-            meshes.append(copies)
+            with located(place):
+                meshes.append(instanced(mesh, matrices))
     return meshes
 
 
@@ -101,9 +101,9 @@ def _primitives(document: Document, index: int, materials: Sequence[Material], j
         number = document.link(primitive, "material", "materials")
         material = DEFAULT if number is None else materials[number]
         number = len(materials) if number is None else number
-        mesh = read_primitive(document, primitive, source.label, number, material, joints)
+        with located(f"{document.file}: {primitive.path}"):
+            mesh = read_primitive(document, primitive, source.label, number, material, joints)
         if mesh is not None:
-            check_mesh(mesh, f"{document.file}: {primitive.path}", len(materials) + 1)
             meshes.append(mesh)
             triangles += len(mesh.triangles)
             check_triangles(triangles, f"{document.file}: {primitive.path}", document.files.most_triangles)

@@ -97,7 +97,7 @@ def _is_normalized(document: Document, attributes: Part, name: str) -> bool:
 def _triangles(primitive: Part, indices: np.ndarray) -> np.ndarray:
     """int32 `[T, 3]`. The order for strips and fans is that of glTF 2.0 section 3.7.2.1."""
     mode = primitive.whole("mode", TRIANGLES)
-    # Indices beyond int32 stay out of range, so that `check_mesh` rejects them.
+    # Indices beyond int32 stay out of range, so that `Mesh` rejects them.
     indices = np.minimum(indices, np.iinfo(np.int32).max).astype(np.int32)
     if mode == TRIANGLES:
         if len(indices) % 3:
@@ -175,7 +175,7 @@ def _compact(arrays: dict[str, np.ndarray], triangles: np.ndarray) -> tuple[dict
     """Attributes and triangles without unused vertices, if there are more vertices than triangle corners.
 
     Primitives often share one large vertex buffer: the time for each must not grow with the buffer. Indices out of range stay,
-    for `check_mesh`.
+    for the check of `Mesh`.
     """
     count = len(arrays["POSITION"])
     if count <= triangles.size or triangles.max() >= count:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
-from bokehguide.scene.tables import ANY, CONE_ANGLE, FRACTION, IOR, NOT_NEGATIVE, POSITIVE, Table, did_you_mean
-from bokehguide.scene.types import Cone, Material, Texture
+from bokehguide.scene.tables import CONE_ANGLE, Table, did_you_mean
+from bokehguide.scene.types import ALPHA_MODES, MATERIAL_COLORS, MATERIAL_NUMBERS, Cone, Material, Texture, Vector
 
 ENCODED = {
     "base_color_texture": True,
@@ -46,7 +45,6 @@ NEEDS = {
 """Keys that have no effect without one of the listed keys."""
 FACTOR_TEXTURES = {"metallic": "metallic_roughness_texture", "roughness": "metallic_roughness_texture"}
 """The textures of factors whose names differ."""
-ALPHA_MODES = ("opaque", "mask", "blend")
 
 
 def read_materials(root: Table, files: SceneFiles) -> list[Material]:
@@ -67,35 +65,24 @@ def _material(table: Table, files: SceneFiles) -> Material:
             table.fail(key, f"has no effect without {others[0]}; give that too")
     textures = _textures(table, files)
 
-    def factor(key: str, default: float) -> float:
+    def number(key: str) -> float:
         texture = FACTOR_TEXTURES.get(key, f"{key}_texture")
-        return table.number(key, 1.0 if texture in textures else default, FRACTION)
+        default = 1.0 if texture in textures else getattr(Material, key)
+        return table.number(key, default, MATERIAL_NUMBERS[key])
 
-    base_color = (1.0, 1.0, 1.0) if "base_color_texture" in textures else Material.base_color
-    material = Material(
+    def color(key: str) -> Vector:
+        default = (1.0, 1.0, 1.0) if f"{key}_texture" in textures else getattr(Material, key)
+        return table.vector(key, default, MATERIAL_COLORS[key])
+
+    return Material(
         name=table.path.removeprefix("materials."),
-        base_color=table.vector("base_color", base_color, FRACTION),
-        metallic=factor("metallic", Material.metallic),
-        roughness=factor("roughness", Material.roughness),
-        specular=factor("specular", Material.specular),
-        specular_color=table.vector("specular_color", Material.specular_color, NOT_NEGATIVE),
-        transmission=factor("transmission", Material.transmission),
-        thin=table.flag("thin"),
-        ior=table.number("ior", Material.ior, IOR),
-        attenuation_color=table.vector("attenuation_color", Material.attenuation_color, FRACTION),
-        attenuation_distance=table.number("attenuation_distance", Material.attenuation_distance, POSITIVE),
-        clearcoat=factor("clearcoat", Material.clearcoat),
-        clearcoat_roughness=factor("clearcoat_roughness", Material.clearcoat_roughness),
-        emission=table.vector("emission", Material.emission, NOT_NEGATIVE),
-        emission_cone=_cone(table),
-        double_sided=table.flag("double_sided"),
-        opacity=table.number("opacity", Material.opacity, FRACTION),
+        **{key: number(key) for key in MATERIAL_NUMBERS},
+        **{key: color(key) for key in MATERIAL_COLORS},
+        **{key: table.flag(key) for key in ("thin", "double_sided")},
         alpha_mode=_alpha_mode(table),
-        alpha_cutoff=table.number("alpha_cutoff", Material.alpha_cutoff, FRACTION),
-        normal_scale=table.number("normal_scale", Material.normal_scale, ANY),
-        clearcoat_normal_scale=table.number("clearcoat_normal_scale", Material.clearcoat_normal_scale, ANY),
+        emission_cone=_cone(table),
+        **textures,
     )
-    return replace(material, **textures)
 
 
 def _textures(table: Table, files: SceneFiles) -> dict[str, Any]:

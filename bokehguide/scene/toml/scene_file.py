@@ -12,18 +12,20 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST, MAX_KEY_DEPTH
+from bokehguide.scene.checks import located
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.model_files import load_model
 from bokehguide.scene.overrides import Overrides, override_camera
 from bokehguide.scene.shapes import SHAPES, sphere_subdivisions, transform, transformed, unit_sphere
-from bokehguide.scene.tables import ANY, EMITTER_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
+from bokehguide.scene.tables import ANY, EMITTER_RADIUS, EXPOSURE, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
+from bokehguide.scene.toml.lights import read_light_tables
 from bokehguide.scene.toml.materials import read_materials
 from bokehguide.scene.toml.placing import place_emitters, place_suns
 from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Model, Scene, Sun
-from bokehguide.scene.validation import check_mesh, check_meshes, check_triangles
+from bokehguide.scene.validation import check_meshes, check_triangles
 
-SCENE_KEYS = ("camera", "film", "environment", "sun", "lights", "materials", "object")
+SCENE_KEYS = ("camera", "film", "environment", "sun", "light", "lights", "materials", "object")
 DEEP_KEY = re.compile(rf"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_KEY_DEPTH}}}""")
 OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
 
@@ -40,11 +42,12 @@ def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scen
     warnings: list[str] = []
     materials = read_materials(root, files)
     objects = _read_objects(root, files, materials)
+    meshes, emissive = read_light_tables(root, len(objects.materials))
     return Scene(
         name=path.stem,
         camera=override_camera(root.values["camera"], overrides, str(path), files),
-        meshes=tuple(objects.meshes),
-        materials=tuple(objects.materials),
+        meshes=(*objects.meshes, *meshes),
+        materials=(*objects.materials, *emissive),
         film=_read_film(root),
         environment=_read_environment(root, files, warnings),
         suns=(*_read_suns(root), *objects.suns),
@@ -69,11 +72,12 @@ def _parse(path: Path, files: SceneFiles) -> dict[str, Any]:
 
 def _read_film(root: Table) -> FilmSettings:
     """The `[film]` table."""
-    table = Table(root.values.get("film", {}), root.file, "film", ("width", "height", "max_depth"))
+    table = Table(root.values.get("film", {}), root.file, "film", ("width", "height", "max_depth", "exposure"))
     return FilmSettings(
         width=table.count("width", FilmSettings.width),
         height=table.count("height", FilmSettings.height),
         max_depth=table.count("max_depth", FilmSettings.max_depth),
+        exposure=None if table.values.get("exposure", "auto") == "auto" else table.number("exposure", None, EXPOSURE),
     )
 
 
@@ -176,15 +180,14 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
         matrix = _read_transform(table)
         surface = _read_surface(table, objects)
         check_meshes(len(objects.meshes) + len(surface), f"{root.file}: {table.path}", files.most_meshes)
-        placed = [transformed(mesh, matrix) for mesh in surface]
-        if material is not None:  # also replaces the model's vertex colours
-            placed = [replace(mesh, material=material, colors=None) for mesh in placed]
-        if "file" in table:
-            model, first = objects.load(table)
-            placed += place_emitters(model, first, matrix, objects.materials)
-            objects.suns += place_suns(model, matrix)
-        for mesh in placed:
-            check_mesh(mesh, f"{root.file}: {table.path}", len(objects.materials))
+        with located(f"{root.file}: {table.path}"):
+            placed = [transformed(mesh, matrix) for mesh in surface]
+            if material is not None:  # also replaces the model's vertex colours
+                placed = [replace(mesh, material=material, colors=None) for mesh in placed]
+            if "file" in table:
+                model, first = objects.load(table)
+                placed += place_emitters(model, first, matrix, objects.materials)
+                objects.suns += place_suns(model, matrix)
         objects.meshes += placed
         triangles += sum(len(mesh.triangles) for mesh in placed)
         check_triangles(triangles, f"{root.file}: {table.path}", files.most_triangles)

@@ -1,0 +1,217 @@
+"""A whole render in one call: `bokehguide.render(scene)` returns a `Picture`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import warnings
+from contextlib import nullcontext
+from dataclasses import dataclass, fields, replace
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PIL import Image
+
+from bokehguide.errors import BokehguideError
+from bokehguide.image import Display, to_8_bit, write_exr, write_png
+from bokehguide.image.oidn import require_denoiser
+from bokehguide.runtime.device import check_device
+from bokehguide.runtime.interrupt import Interrupt
+from bokehguide.scene import Overrides, Scene, load_scene
+from bokehguide.scene.tables import did_you_mean, shown
+from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, denoise_picture, describe_render, make_loop
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+OVERRIDES = tuple(field.name for field in fields(Overrides) if field.name not in ("width", "height"))
+SETTINGS = tuple(field.name for field in fields(RenderSettings) if field.name not in ("mode", "spp", "denoise"))
+
+
+@dataclass(frozen=True, repr=False)
+class Picture:
+    """A rendered picture. The arrays are the layers of the EXR file: float32, top row first, colours in linear Rec.709.
+
+    beauty, normal, albedo, emission: `[H, W, 3]`; beauty is the radiance. alpha, depth (metres along the axis), variance
+    (estimated, of the luminance) and sample_count: `[H, W]`. denoised: `[H, W, 3]`, None where it was not asked for.
+    metadata: scene, mode, samples per pixel, seed, size, software, settings, exposure and view, as in the EXR's header.
+    estimated_mape: estimated error of the denoised picture, or of beauty without one, relative to the radiance; None after a
+    single step. display: how the picture is shown. corner: column and row of the first pixel in the frame. frame: width and
+    height of the frame, which a crop is a part of.
+    """
+
+    beauty: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    normal: np.ndarray
+    albedo: np.ndarray
+    emission: np.ndarray
+    variance: np.ndarray
+    sample_count: np.ndarray
+    metadata: dict[str, str | int | float]
+    denoised: np.ndarray | None = None
+    estimated_mape: float | None = None
+    display: Display = Display()
+    corner: tuple[int, int] = (0, 0)
+    frame: tuple[int, int] | None = None
+
+    @property
+    def layers(self) -> dict[str, np.ndarray]:
+        """The layers by the names that `bokehguide.image.write_exr` takes."""
+        arrays = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
+
+    def developed(self, exposure: float | None = None, view: str | None = None) -> Picture:
+        """The same picture, shown with another exposure in EV or another view ("photo", "aces" or "srgb")."""
+        given = {"exposure": exposure, "view": view}
+        display = replace(self.display, **{name: value for name, value in given.items() if value is not None})
+        return replace(self, display=display, metadata=self.metadata | {"exposure": display.exposure, "view": display.view})
+
+    def image(self) -> np.ndarray:
+        """The picture for a display, uint8 `[H, W, 3]` in sRGB; the denoised one where there is one."""
+        return to_8_bit(self._shown())
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write an EXR with all layers, or a PNG, by the suffix of the path, as the command line does; returns the path.
+
+        Raises BokehguideError for another suffix and for a path that cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() == ".exr":
+            write_exr(path, self.layers, self.metadata, corner=self.corner, frame=self.frame)
+        elif path.suffix.lower() == ".png":
+            write_png(path, self._shown())
+        else:
+            raise BokehguideError(f"Picture.save: {shown(str(path))} has another suffix; give .exr or .png")
+        return path
+
+    def show(self) -> None:
+        """Show the picture in the notebook, else in the desktop's image viewer."""
+        image = Image.fromarray(self.image())
+        if _in_notebook():
+            from IPython.display import display  # type: ignore[import-not-found] - notebooks have it
+
+            display(image)
+        else:
+            image.show()
+
+    def _shown(self) -> Tensor:
+        """Display values `[H, W, 3]` in 0 … 1."""
+        return self.display.show(self.beauty if self.denoised is None else self.denoised, self.alpha)
+
+    def _repr_png_(self) -> bytes:
+        """The picture as notebooks show it."""
+        file = BytesIO()
+        Image.fromarray(self.image()).save(file, format="PNG")
+        return file.getvalue()
+
+    def __repr__(self) -> str:
+        height, width = self.alpha.shape
+        facts = self.metadata
+        return f"Picture({facts['scene']!r}, {width} × {height}, mode {facts['mode']!r}, {facts['spp']} SPP)"
+
+
+def render(
+    scene: Scene | str | os.PathLike[str],
+    mode: str = "guided",
+    spp: int = RenderSettings.spp,
+    *,
+    size: tuple[int, int] | None = None,
+    denoise: bool = False,
+    quiet: bool = False,
+    allow_outside: bool = False,
+    **options: Any,
+) -> Picture:
+    """Render a scene and return the picture.
+
+    scene: a `Scene`, the name of a built-in scene, or the path of a scene file or of a model. mode: how the lens is sampled.
+    spp: samples per pixel. size: width and height in pixels, by default the scene's. denoise: also give the denoised picture, for
+    which the extra `denoise` must be installed. quiet: show neither a progress bar nor warnings of the scene.
+    allow_outside: let a scene file name files outside its folder.
+    options: fields of `Overrides`, such as `environment` and `focus_distance`, and of `RenderSettings`, such as `seed`,
+    `target_noise` and `crop`.
+
+    Ctrl-C, or the stop button of a notebook, ends the render after the current step. The picture so far is returned; its
+    metadata say how many samples it has. Raises BokehguideError for input that is missing, malformed or out of range.
+    """
+    width, height = _pair(size)
+    overrides = Overrides(width=width, height=height, **_of(options, OVERRIDES))
+    settings = RenderSettings(mode=mode, spp=spp, denoise=denoise, **_of(options, SETTINGS))
+    for name in options:
+        if name not in OVERRIDES + SETTINGS:
+            raise BokehguideError(f"render: {name}: no such option; {did_you_mean(name, OVERRIDES + SETTINGS)}")
+    check_device(settings.device)
+    if denoise:
+        require_denoiser()
+    loaded = load_scene(scene, overrides, allow_outside)
+    for warning in () if quiet else loaded.warnings:
+        warnings.warn(warning, stacklevel=2)
+    with make_loop(loaded, settings) as loop:
+        _take_steps(loop, quiet)
+        return _picture(loop)
+
+
+def _picture(loop: RenderLoop | AdaptiveLoop) -> Picture:
+    """The picture of a loop, denoised where its settings ask for it."""
+    film = loop.picture()
+    layers, error = film.layers(), None
+    if loop.settings.denoise:
+        layers["denoised"], error = denoise_picture(film, layers)
+    elif loop.step_number > 1:
+        error = film.relative_noise()
+    display = Display(loop.scene.film.exposure).metered(layers.get("denoised", layers["beauty"]), layers["alpha"])
+    facts = describe_render(loop.scene, loop.settings, loop.step_number)
+    return Picture(
+        **layers,
+        metadata={**facts, "exposure": display.exposure or 0.0, "view": display.view},
+        estimated_mape=error,
+        display=display,
+        corner=film.corner,
+        frame=(loop.camera.width, loop.camera.height),
+    )
+
+
+def _of(options: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    """The options with some names."""
+    return {name: value for name, value in options.items() if name in names}
+
+
+def _pair(size: tuple[int, int] | None) -> tuple[int | None, int | None]:
+    """Width and height, None for those of the scene."""
+    if size is None:
+        return None, None
+    if not (isinstance(size, (tuple, list)) and len(size) == 2):
+        raise BokehguideError(
+            f"render: size: {shown(size)} is no pair of whole numbers; give a width and a height, as in (640, 360)"
+        )
+    width, height = size
+    return width, height
+
+
+def _take_steps(loop: RenderLoop | AdaptiveLoop, quiet: bool) -> None:
+    """Take all steps, or those until an interruption. A SIGTERM takes effect after the step."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # tqdm warns in notebooks without ipywidgets, and shows a bar of text
+        from tqdm.auto import tqdm
+
+    spp, title = loop.settings.spp, f"{loop.scene.name} {loop.settings.mode}"
+    main = threading.current_thread() is threading.main_thread()
+    # Python lets only the main thread handle signals.
+    with Interrupt() if main else nullcontext() as interrupt, tqdm(total=spp, desc=title, unit="SPP", disable=quiet) as bar:
+        while loop.step_number < spp and not (isinstance(loop, AdaptiveLoop) and loop.finished):
+            loop.step()
+            bar.update()
+            if interrupt is not None and interrupt.requested:
+                break
+    if interrupt is not None and interrupt.signal == signal.SIGTERM:
+        signal.raise_signal(signal.SIGTERM)
+
+
+def _in_notebook() -> bool:
+    """Whether this process is the kernel of a notebook."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return shell is not None and "IPKernelApp" in shell.config

@@ -1,0 +1,77 @@
+"""A film in two halves: the samples of even steps and those of odd steps make two independent pictures."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from bokehguide.metrics import EPSILON
+from bokehguide.render.film import Film, FilmSamples
+from bokehguide.runtime.indexing import Pixels, scatter_add
+
+POOLED = 5
+"""Pixels across the squares about a pixel whose mean is the expected radiance."""
+
+
+def relative_error(first: Tensor, second: Tensor) -> Tensor:
+    """Estimated error of the mean of two independent pictures `[C, H, W]`, relative to the truth (plus 0.01), `[C, H, W]`.
+
+    Half the difference of the two is as large as the error of their mean. The estimate of the truth is their mean in the pixel
+    or, where that is less, around the pixel: a rare highlight makes a pixel too bright, and its neighbours do not have the
+    highlight. Features that both pictures missed go undetected.
+    """
+    mean = (0.5 * (first + second)).clamp(min=0.0)
+    about = avg_pool2d(mean[None], POOLED, 1, POOLED // 2, count_include_pad=False)[0]
+    return 0.5 * (first - second).abs() / (torch.minimum(mean, about) + EPSILON)
+
+
+class Halves(NamedTuple):
+    """Two pictures with independent noise, whose mean is the picture.
+
+    first, second: radiance, float32 `[H, W, 3]`; share: weight of the first in the mean, from 0 to 1, float32 `[H, W]`. Where
+    `share` is 0 or 1, one of the halves has no sample and is black.
+    """
+
+    first: Tensor
+    second: Tensor
+    share: Tensor
+
+
+class SplitFilm(Film):
+    """As `Film`, and the radiance of the even steps once more.
+
+    A step learns from earlier steps, so that the noise of two steps is not independent, but uncorrelated: each step is unbiased
+    whatever the earlier steps were. Estimates of squared errors need no more.
+    """
+
+    def __init__(self, width: int, height: int, *args: Any, **keywords: Any):
+        super().__init__(width, height, *args, **keywords)
+        self._even = torch.zeros_like(self._radiance)
+        self._even_count = torch.zeros_like(self._count)
+
+    def _sums(self) -> dict[str, Tensor]:
+        return super()._sums() | {"even": self._even, "even_count": self._even_count}
+
+    def add(
+        self, pixels: Pixels, samples: FilmSamples, step: int, recenter: bool = True, counted: Tensor | None = None
+    ) -> Tensor:
+        """As `Film.add`."""
+        good = super().add(pixels, samples, step, recenter, counted)
+        if step % 2 == 0:
+            kept = good if counted is None else good & counted
+            scatter_add(self._even, pixels, torch.where(kept, samples.value(), 0.0))
+            scatter_add(self._even_count, pixels, kept.to(torch.float32))
+        return good
+
+    def halves(self) -> Halves:
+        """The mean radiance of odd and of even steps."""
+        odd_count = self._count - self._even_count
+        odd, even = (
+            (total / count.clamp(min=1.0)).float().T.reshape(self.height, self.width, 3)
+            for total, count in ((self._radiance - self._even, odd_count), (self._even, self._even_count))
+        )
+        share = odd_count / self._count.clamp(min=1.0)
+        return Halves(odd, even, share.reshape(self.height, self.width))

@@ -1,0 +1,254 @@
+"""`bokehguide.render`: the picture as the command line makes it, and the name in every order of imports."""
+
+from __future__ import annotations
+
+import inspect
+import signal
+import subprocess
+import sys
+import threading
+import warnings
+from dataclasses import replace
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import bokehguide
+from bokehguide.cli import main
+from bokehguide.errors import BokehguideError
+from bokehguide.image import read_exr, read_metadata
+from bokehguide.scene import Aperture, Camera, Environment, Material, Mesh, Scene, load_scene
+from bokehguide.train import RenderLoop
+from tests.support import scenes
+
+SMALL = {"spp": 2, "threads": 1, "quiet": True}
+
+
+def triangle() -> Scene:
+    """A scene as a user writes it, with lists and without types."""
+    return Scene(
+        name="triangle",
+        camera=Camera([0, 0, 4], [0, 0, 0], aperture_radius=0.1, focus_distance=4.0, aperture=Aperture(blades=6, rotation=10)),
+        meshes=[Mesh([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]], 0)],
+        materials=[Material("red", base_color=[0.8, 0.1, 0.1])],
+        environment=Environment([1, 1, 1]),
+    )
+
+
+def test_the_files_are_those_of_the_command_line(lamps_file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["render", str(lamps_file), "--spp", "3", "--threads", "1", "--seed", "5", "--out", "cli.exr"]) == 0
+    picture = bokehguide.render(lamps_file, spp=3, threads=1, seed=5, quiet=True)
+    assert picture.save("api.exr") == picture.save(tmp_path / "api.png").relative_to(tmp_path).with_suffix(".exr")
+    expected, found = read_exr("cli.exr"), read_exr("api.exr")
+    assert list(expected) == list(found)
+    for name, layer in expected.items():
+        np.testing.assert_array_equal(found[name], layer, err_msg=name)
+    np.testing.assert_array_equal(picture.beauty[..., 1], expected["G"])
+    np.testing.assert_array_equal(picture.sample_count, expected["samples.Y"])
+    assert (tmp_path / "cli.png").read_bytes() == (tmp_path / "api.png").read_bytes()
+    facts = read_metadata("cli.exr")
+    assert all(facts[key] == pytest.approx(value) for key, value in picture.metadata.items())
+
+
+def test_a_scene_from_memory():
+    scene = triangle()
+    picture = bokehguide.render(scene, size=(24, 16), **SMALL)
+    assert picture.beauty.shape == (16, 24, 3) and picture.alpha.shape == (16, 24) and picture.denoised is None
+    assert set(picture.layers) == {"beauty", "alpha", "depth", "normal", "albedo", "emission", "variance", "sample_count"}
+    assert all(layer.dtype == np.float32 for layer in picture.layers.values())
+    assert (picture.sample_count == 2.0).all() and picture.metadata["spp"] == 2
+    assert picture.beauty[8, 12, 0] > picture.beauty[8, 12, 1]
+    assert '"blades": 6' in picture.metadata["settings"], "the aperture of a scene stays"
+    closer = bokehguide.render(scene, size=(24, 16), focus_distance=2.0, fov=20.0, **SMALL)
+    assert not np.array_equal(closer.beauty, picture.beauty)
+
+
+def test_degenerate_triangles_of_a_scene_are_left_out():
+    scene = triangle()
+    line = Mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], 0)
+    expected = bokehguide.render(scene, size=(12, 8), **SMALL)
+    found = bokehguide.render(replace(scene, meshes=(*scene.meshes, line)), size=(12, 8), **SMALL)
+    np.testing.assert_array_equal(found.beauty, expected.beauty)
+    with pytest.raises(BokehguideError, match="triangle: holds no triangle with an area"):
+        bokehguide.render(replace(scene, meshes=[line]), **SMALL)
+
+
+def test_the_picture_in_a_notebook_and_on_the_screen(monkeypatch):
+    picture = bokehguide.render(scenes.emitters(16, 10), **SMALL)
+    shown = np.asarray(Image.open(BytesIO(picture._repr_png_())))
+    np.testing.assert_array_equal(shown, picture.image())
+    brighter = picture.developed(exposure=picture.display.exposure + 1.0)
+    assert (brighter.image().astype(int).sum(2) >= shown.astype(int).sum(2)).all() and (brighter.image() > shown).any()
+    assert not np.array_equal(picture.developed(view="srgb").image(), shown)
+    seen = []
+    monkeypatch.setattr(Image.Image, "show", lambda self: seen.append(np.asarray(self)))
+    picture.show()
+    np.testing.assert_array_equal(seen[0], shown)
+    assert repr(picture) == "Picture('emitters', 16 × 10, mode 'guided', 2 SPP)"
+
+
+def test_crops_and_targets():
+    picture = bokehguide.render(scenes.emitters(16, 10), crop=(4, 2, 8, 5), **SMALL)
+    assert picture.beauty.shape == (5, 8, 3) and picture.corner == (4, 2) and picture.frame == (16, 10)
+    adaptive = bokehguide.render(scenes.emitters(16, 10), "uniform", 64, target_noise=1.0, threads=1, quiet=True)
+    assert adaptive.metadata["spp"] < 64
+
+
+def interrupted_after(steps: int, number: int, monkeypatch) -> None:
+    """A signal arrives during a step."""
+    step = RenderLoop.step
+
+    def stepping(self):
+        if self.step_number == steps - 1:
+            signal.raise_signal(number)
+        return step(self)
+
+    monkeypatch.setattr(RenderLoop, "step", stepping)
+
+
+def test_an_interruption_returns_the_picture_so_far(monkeypatch):
+    expected = bokehguide.render(scenes.emitters(16, 10), spp=3, threads=1, quiet=True)
+    interrupted_after(3, signal.SIGINT, monkeypatch)
+    picture = bokehguide.render(scenes.emitters(16, 10), spp=50, threads=1, quiet=True)
+    assert picture.metadata["spp"] == 3
+    np.testing.assert_array_equal(picture.beauty, expected.beauty)
+
+
+def test_a_termination_is_not_lost(monkeypatch):
+    seen = []
+    previous = signal.signal(signal.SIGTERM, lambda number, _: seen.append(number))
+    interrupted_after(1, signal.SIGTERM, monkeypatch)
+    try:
+        bokehguide.render(scenes.emitters(16, 10), **SMALL)
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    assert seen == [signal.SIGTERM]
+
+
+def test_renders_in_another_thread():
+    pictures = []
+    thread = threading.Thread(target=lambda: pictures.append(bokehguide.render(scenes.emitters(16, 10), **SMALL)))
+    thread.start()
+    thread.join()
+    np.testing.assert_array_equal(pictures[0].beauty, bokehguide.render(scenes.emitters(16, 10), **SMALL).beauty)
+
+
+def test_the_bar_and_the_warnings(capsys):
+    scene = replace(scenes.emitters(16, 10), warnings=("lamp.obj: no normals",))
+    with pytest.warns(UserWarning, match=r"lamp\.obj: no normals"):
+        bokehguide.render(scene, spp=2, threads=1)
+    assert "2/2" in capsys.readouterr().err
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        bokehguide.render(scene, **SMALL)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"fcous_distance": 1.0}, "render: fcous_distance: no such option; did you mean 'focus_distance'?"),
+        ({"spp": 2.5}, "spp: 2.5 is out of range"),
+        ({"mode": "guide"}, "mode: 'guide' is unknown"),
+        ({"size": 640}, "render: size: 640 is no pair of whole numbers"),
+        ({"size": (640, 0)}, "0 is out of range"),
+        ({"focus_distance": -1.0}, "focus-distance: -1.0 is out of range"),
+        ({"camera": "0"}, "selects a camera of a model, but emitters is none"),
+    ],
+)
+def test_a_wrong_option_is_named(options, named):
+    with pytest.raises(BokehguideError) as caught:
+        bokehguide.render(scenes.emitters(16, 10), **{**SMALL, **options})
+    assert named in str(caught.value) and len(str(caught.value).splitlines()) == 1
+
+
+def test_a_device_that_is_absent_is_named(monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(BokehguideError, match="device: cuda: torch finds no CUDA device here; give cpu"):
+        bokehguide.render(scenes.emitters(16, 10), device="cuda", **SMALL)
+
+
+def test_a_denoiser_that_is_absent_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
+    with pytest.raises(BokehguideError, match="denoising: needs Open Image Denoise"):
+        bokehguide.render(scenes.emitters(16, 10), denoise=True, **SMALL)
+
+
+def test_a_denoised_picture(tmp_path):
+    """Beside the beauty, which denoising does not change; the PNG shows the denoised one."""
+    pytest.importorskip("mitsuba_oidn")
+    scene = scenes.emitters(32, 20)
+    noisy = bokehguide.render(scene, "uniform", 4, threads=1, quiet=True)
+    picture = bokehguide.render(scene, "uniform", 4, threads=1, quiet=True, denoise=True)
+    np.testing.assert_array_equal(picture.beauty, noisy.beauty)
+    assert picture.denoised is not None and not np.array_equal(picture.denoised, noisy.beauty)
+    assert picture.estimated_mape is not None and noisy.estimated_mape is not None
+    assert picture.save(tmp_path / "denoised.exr") and {"R", "denoised.R"} <= set(read_exr(tmp_path / "denoised.exr"))
+    assert not np.array_equal(picture.image(), replace(picture, denoised=None).image())
+
+
+def test_a_wrong_suffix_is_named(tmp_path):
+    picture = bokehguide.render(scenes.emitters(16, 10), **SMALL)
+    with pytest.raises(BokehguideError, match=r"Picture\.save: .*picture\.jpg.* has another suffix; give \.exr or \.png"):
+        picture.save(tmp_path / "picture.jpg")
+
+
+def test_exported_names():
+    assert all(hasattr(bokehguide, name) for name in bokehguide.__all__)
+    assert set(bokehguide.__all__) <= set(dir(bokehguide))
+    assert bokehguide.load_scene is load_scene and bokehguide.Scene is Scene
+    with pytest.raises(AttributeError, match="no attribute 'rendr'"):
+        bokehguide.rendr  # noqa: B018
+    assert "spp" in inspect.signature(bokehguide.picture.render).parameters
+
+
+ORDERS = """
+from bokehguide.render import Film; import bokehguide; found = bokehguide.render
+from bokehguide import render as found
+import bokehguide; found = bokehguide.render
+import bokehguide.render as found; found.Film, found.ThinLensCamera
+import bokehguide.render.film, bokehguide.scene; found = bokehguide.render; found.film.Film
+import bokehguide.train, bokehguide; found = bokehguide.render; bokehguide.train.RenderLoop
+import bokehguide.picture; found = bokehguide.render
+from bokehguide.picture import render as found
+from bokehguide import *; found = render
+import bokehguide; bokehguide.render; from bokehguide.render import Film; found = bokehguide.render
+"""
+CHECK = """
+import sys
+
+def fresh(order):
+    for name in [name for name in sys.modules if name.split(".")[0] == "bokehguide"]:
+        del sys.modules[name]
+    names = {}
+    exec(order, names)
+    from bokehguide.errors import BokehguideError
+    try:
+        names["found"]("daylight", nonsense=1)
+    except BokehguideError as error:
+        assert "nonsense: no such option" in str(error), order
+    else:
+        raise AssertionError(order)
+    import bokehguide.render
+    assert bokehguide.render is sys.modules["bokehguide.render"] and bokehguide.render.Film.__name__ == "Film", order
+
+for order in sys.argv[1].strip().splitlines():
+    fresh(order)
+print("all", len(sys.argv[1].strip().splitlines()))
+"""
+
+
+@pytest.mark.parametrize("orders", [slice(0, 1), pytest.param(slice(1, None), marks=pytest.mark.slow)])
+def test_the_name_works_in_every_order_of_imports(orders):
+    """Each order starts without a module of the package; PyTorch stays loaded, which saves time."""
+    lines = ORDERS.strip().splitlines()[orders]
+    finished = subprocess.run([sys.executable, "-c", CHECK, "\n".join(lines)], capture_output=True, text=True, timeout=300)
+    assert finished.stdout == f"all {len(lines)}\n", finished.stderr
+
+
+def test_the_package_is_imported_without_its_parts():
+    code = "import bokehguide, sys; assert not {'torch', 'numpy', 'bokehguide.scene'} & set(sys.modules); dir(bokehguide)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
