@@ -1,0 +1,146 @@
+"""Exposure, views and denoising from the command line."""
+
+import colorsys
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bokehguide.cli import main
+from bokehguide.image import metered_exposure, read_exr, read_metadata, read_rgb, write_exr
+from tests.support.scene_text import BOX_AND_EMITTER
+
+RED_LAMP = BOX_AND_EMITTER.replace("[40.0, 30.0, 20.0]", "[4000.0, 300.0, 100.0]")
+
+
+def png(path) -> np.ndarray:
+    with Image.open(path) as picture:
+        return np.asarray(picture) / 255.0
+
+
+def saturation(path, radiance: np.ndarray) -> float:
+    """Mean HSV saturation over the pixels of the lamp's disc."""
+    disc = radiance[..., 0] > 0.2 * np.quantile(radiance[..., 0], 0.98)
+    assert 30 < disc.sum() < 300
+    return float(np.mean([colorsys.rgb_to_hsv(*color)[1] for color in png(path)[disc]]))
+
+
+@pytest.fixture
+def rendered(tmp_path, monkeypatch):
+    """A folder with a render of a red lamp out of focus, `a.exr`."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "red.toml").write_text(RED_LAMP)
+    assert main(["render", "red.toml", "--spp", "6", "--out", "a.exr"]) == 0
+    return tmp_path
+
+
+def test_a_red_lamp_is_red_by_default(rendered, capsys):
+    radiance = read_rgb("a.exr")
+    assert saturation("a.png", radiance) >= 0.25
+    assert main(["develop", "a.exr", "--exposure", "0", "--out", "b.png"]) == 0
+    assert saturation("b.png", radiance) >= 0.25
+    assert main(["develop", "a.exr", "--exposure", "0", "--view", "srgb", "--out", "c.png"]) == 0
+    assert saturation("c.png", radiance) < 0.2
+    assert "wrote c.png, exposure +0 EV, view srgb" in capsys.readouterr().out
+
+
+def test_the_metered_exposure_is_stored_and_developed_again(rendered, capsys):
+    header, channels = read_metadata("a.exr"), read_exr("a.exr")
+    metered = metered_exposure(read_rgb("a.exr"), channels["A"])
+    assert header["exposure"] == pytest.approx(metered) and header["view"] == "photo"
+    first = png("a.png")
+    assert main(["develop", "a.exr", "--exposure", "auto"]) == 0
+    np.testing.assert_array_equal(png("a.png"), first)
+    assert main(["render", "red.toml", "--spp", "1", "--exposure", "-2.5", "--view", "aces", "--out", "b.exr"]) == 0
+    shown = png("b.png")
+    capsys.readouterr()
+    assert main(["develop", "b.exr"]) == 0
+    assert capsys.readouterr().out == "wrote b.png, exposure -2.5 EV, view aces\n"
+    np.testing.assert_array_equal(png("b.png"), shown)
+
+
+def test_the_scene_file_sets_the_exposure_and_the_option_wins(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text(RED_LAMP.replace("max_depth = 3", "max_depth = 3\nexposure = -1.5"))
+    for options, expected in (([], -1.5), (["--exposure", "2"], 2.0)):
+        assert main(["render", "a.toml", "--spp", "1", "--mode", "uniform", "--out", "a.exr", *options]) == 0
+        assert read_metadata("a.exr")["exposure"] == expected
+    (tmp_path / "a.toml").write_text(RED_LAMP.replace("max_depth = 3", 'max_depth = 3\nexposure = "bright"'))
+    capsys.readouterr()
+    assert main(["render", "a.toml"]) == 2
+    assert "film.exposure: 'bright' is not a number; give EV from -100 to 100, or \"auto\"" in capsys.readouterr().err
+
+
+def test_a_denoised_render_has_both_pictures(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("mitsuba_oidn")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "red.toml").write_text(RED_LAMP)
+    options = ["red.toml", "--spp", "6", "--seed", "3", "--exposure", "-3"]
+    assert main(["render", *options, "--out", "a.exr"]) == 0
+    assert main(["render", *options, "--denoise", "--out", "b.exr", "--json", "b.json"]) == 0
+    plain, both = read_exr("a.exr"), read_exr("b.exr")
+    assert both.keys() - plain.keys() == {"denoised.R", "denoised.G", "denoised.B"}
+    for name, plane in plain.items():  # alpha among them
+        np.testing.assert_array_equal(both[name], plane, err_msg=name)
+    assert np.abs(both["denoised.R"] - both["R"]).max() > 0.0
+    assert (png("a.png") != png("b.png")).any()
+    assert 0.0 < json.loads((tmp_path / "b.json").read_text())["estimated_mape"] < 1.0
+    assert "--denoise" in read_metadata("b.exr")["command"]
+    shown = png("b.png")
+    assert main(["develop", "b.exr", "--denoise"]) == 0
+    np.testing.assert_array_equal(png("b.png"), shown)
+    assert main(["develop", "b.exr"]) == 0
+    np.testing.assert_array_equal(png("b.png"), png("a.png"))
+    assert main(["develop", "a.exr", "--denoise", "--out", "c.png"]) == 0  # by its variance
+    assert (png("c.png") != png("a.png")).any()
+
+
+def test_a_resumed_denoised_render_has_the_same_bits(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("mitsuba_oidn")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "red.toml").write_text(RED_LAMP)
+    whole, first = (["render", "red.toml", "--denoise", "--spp", spp, "--out"] for spp in ("5", "3"))
+    assert main([*whole, "a.exr"]) == 0 and main([*first, "b.exr", "--checkpoint-every", "100"]) == 0
+    assert main([*whole, "b.exr", "--resume"]) == 0
+    assert "resuming" in capsys.readouterr().err
+    one, two = read_exr("a.exr"), read_exr("b.exr")
+    for name in one:
+        np.testing.assert_array_equal(one[name], two[name], err_msg=name)
+
+
+def test_the_noise_target_reports_the_denoised_picture(tmp_path, monkeypatch):
+    pytest.importorskip("mitsuba_oidn")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "red.toml").write_text(RED_LAMP)
+    found = {}
+    for name, options in (("noisy", []), ("denoised", ["--denoise"])):
+        arguments = ["render", "red.toml", "--spp", "4", "--target-noise", "0.01", *options, "--out", "a.exr", "--json", "a.json"]
+        assert main(arguments) == 0
+        found[name] = json.loads((tmp_path / "a.json").read_text())["estimated_mape"]
+    assert 0.0 < found["denoised"] < found["noisy"]
+
+
+BAD = {
+    "missing": (["develop", "no.exr"], "no.exr: cannot be read (No such file or directory)"),
+    "no EXR": (["develop", "text.exr"], "text.exr: is not an EXR file"),
+    "no picture": (["develop", "depth.exr"], "depth.exr: has no channels R, G and B"),
+    "no layers": (["develop", "plain.exr", "--denoise"], "plain.exr: --denoise needs the layers variance, albedo, normal"),
+    "a folder": (["develop", "plain.exr", "--out", "folder.png"], "folder.png: is a folder"),
+    "no PNG": (["develop", "plain.exr", "--out", "a.jpg"], "'a.jpg' is no PNG"),
+    "view": (["develop", "plain.exr", "--view", "agx"], "invalid choice: 'agx'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_files_give_one_line(case, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "text.exr").write_text("text")
+    (tmp_path / "folder.png").mkdir()
+    write_exr("depth.exr", {"depth": np.ones((2, 2), np.float32)})
+    write_exr("plain.exr", {"beauty": np.ones((2, 2, 3), np.float32)}, {"exposure": "much", "view": "agx"})
+    arguments, message = BAD[case]
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert main(["develop", "plain.exr"]) == 0  # a header that does not fit is ignored

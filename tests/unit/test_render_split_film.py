@@ -1,0 +1,99 @@
+"""A film in halves: odd and even steps, and the bits of a film without halves."""
+
+import numpy as np
+import pytest
+import torch
+
+from bokehguide.errors import BokehguideError
+from bokehguide.render.film import Film, FilmSamples
+from bokehguide.render.split_film import SplitFilm
+from bokehguide.train import RenderLoop, RenderSettings, denoise_picture, load_checkpoint, save_checkpoint
+from tests.support import scenes
+from tests.support.thread_ranks import job
+
+
+def samples(radiance: torch.Tensor) -> FilmSamples:
+    ones, colors = torch.ones(radiance.shape[1]), torch.ones_like(radiance)
+    return FilmSamples(ones, radiance, ones, ones, colors, colors, colors)
+
+
+def filled(steps: int, bad: bool = False) -> tuple[Film, SplitFilm, torch.Tensor]:
+    history = torch.rand(steps, 3, 12, generator=torch.Generator().manual_seed(2))
+    if bad:
+        history[1, 0, 5] = torch.nan
+    films = Film(4, 3), SplitFilm(4, 3)
+    for step, radiance in enumerate(history, start=1):
+        for film in films:
+            film.add(slice(None), samples(radiance.clone()), step)
+    return *films, history
+
+
+def test_halves_are_the_means_of_odd_and_of_even_steps():
+    plain, film, history = filled(5)
+    first, second, share = film.halves()
+    torch.testing.assert_close(first, history[::2].mean(0).T.reshape(3, 4, 3))
+    torch.testing.assert_close(second, history[1::2].mean(0).T.reshape(3, 4, 3))
+    assert torch.equal(share, torch.full((3, 4), 3 / 5))
+    assert torch.equal(film.radiance(), plain.radiance())
+    for name, layer in plain.layers().items():
+        np.testing.assert_array_equal(film.layers()[name], layer)
+
+
+def test_bad_samples_are_in_neither_half():
+    _, film, history = filled(4, bad=True)
+    first, second, share = film.halves()
+    assert torch.isfinite(first).all() and torch.isfinite(second).all()
+    torch.testing.assert_close(second.reshape(-1, 3)[5], history[3, :, 5])
+    assert float(share.flatten()[5]) == pytest.approx(2 / 3)
+
+
+def test_one_step_has_one_half():
+    _, film, _ = filled(1)
+    first, second, share = film.halves()
+    assert bool((share == 1.0).all()) and not second.any() and torch.equal(first, film.radiance())
+
+
+def test_a_film_without_halves_is_not_denoised():
+    with pytest.raises(BokehguideError, match=r"RenderSettings\(denoise=True\)"):
+        denoise_picture(Film(4, 3))
+
+
+def loop(denoise: bool = True, steps: int = 0, seed: int = 7) -> RenderLoop:
+    made = RenderLoop(scenes.emitters(32, 18), RenderSettings(seed=seed, threads=1, denoise=denoise))
+    for _ in range(steps):
+        made.step()
+    return made
+
+
+def test_a_resumed_render_has_the_same_halves(tmp_path):
+    one = loop(steps=3)
+    save_checkpoint(tmp_path / "a.ckpt", one, 1.0)
+    other = loop()
+    load_checkpoint(tmp_path / "a.ckpt", other)
+    for each in (one, other):
+        for _ in range(3):
+            each.step()
+    for half, its_half in zip(one.film.halves(), other.film.halves()):
+        assert torch.equal(half, its_half)
+    assert torch.equal(one.film.radiance(), loop(denoise=False, steps=6).film.radiance())
+
+
+def test_a_checkpoint_without_halves_is_refused_in_a_line(tmp_path):
+    save_checkpoint(tmp_path / "a.ckpt", loop(denoise=False, steps=1), 1.0)
+    with pytest.raises(BokehguideError, match="denoise was False and is True; render without --resume"):
+        load_checkpoint(tmp_path / "a.ckpt", loop())
+
+
+def test_ranks_have_the_halves_of_one():
+    expected = loop(steps=4).picture().halves()
+    scene, settings = scenes.emitters(32, 18), RenderSettings(seed=7, threads=1, denoise=True)
+
+    def rendered(ranks):
+        made = RenderLoop(scene, settings, ranks)
+        for _ in range(4):
+            made.step()
+        return made.picture().halves()
+
+    for found in job(2, rendered):
+        for half, its_half in zip(expected, found):
+            torch.testing.assert_close(half, its_half, rtol=1e-4, atol=1e-5)
