@@ -42,9 +42,15 @@ class SceneFiles:
             )
         return path
 
-    def named(self, table: Table, key: str) -> Path:
-        """The path under `key` of a scene file's table, relative to that file. Raises as `find` does."""
-        return self.find(Path(table.file).parent, table.text(key), table.place(key))
+    def named(self, table: Table, key: str, what: str) -> Path:
+        """The file under `key` of a scene file's table, relative to that file; what: its kind, for errors.
+
+        Raises as `find` does, and as `require_file` does with the scene file and the key in front.
+        """
+        place = table.place(key)
+        path = self.find(Path(table.file).parent, table.text(key), place)
+        require_file(path, what, f"{place}: ")
+        return path
 
     def reserve(self, values: int, stored: int, place: str) -> None:
         """Add an image of `values` numbers, stored in `stored` bytes, to the budget.
@@ -59,15 +65,18 @@ class SceneFiles:
             )
 
 
-def require_file(path: Path, what: str) -> None:
-    """Raise BokehguideError unless `path` is a readable regular file. what: the kind of file, for the message."""
+def require_file(path: Path, what: str, place: str = "") -> None:
+    """Raise BokehguideError unless `path` is a readable regular file.
+
+    what: the kind of file, for the message. place: stands before the path in the message, such as a key and ": ".
+    """
     try:
         if path.is_dir():
-            raise BokehguideError(f"{path}: is a folder; give a file ({what})")
+            raise BokehguideError(f"{place}{path}: is a folder; give a file ({what})")
         if not path.exists():
-            raise BokehguideError(f"{path}: no such file ({what}); check the path")
+            raise BokehguideError(f"{place}{path}: no such file ({what}); check the path")
         if not path.is_file():  # reading a pipe could block for ever
-            raise BokehguideError(f"{path}: is no regular file; give one ({what})")
+            raise BokehguideError(f"{place}{path}: is no regular file; give one ({what})")
         path.open("rb").close()
     except OSError as error:
-        raise BokehguideError(f"{shown(str(path))}: cannot be read ({error.strerror}); {what}") from None
+        raise BokehguideError(f"{place}{shown(str(path))}: cannot be read ({error.strerror}); {what}") from None

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable
 
 from bokehguide.limits import FARTHEST_FOCUS
-from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length
 from bokehguide.scene.emitters import Emitters, find_emitters, lens_coverage
 from bokehguide.scene.types import Aperture, Camera, Environment, Scene, Sun
 
@@ -69,10 +68,9 @@ def _environment(environment: Environment | None, peaks: int) -> str:
 def _lens(camera: Camera) -> str:
     if camera.aperture_radius == 0.0:
         return f"pinhole, focused at {_focus(camera)}"
-    f_number = 1e-3 * focal_length(camera.fov) / (2.0 * camera.aperture_radius)
     return (
         f"radius {camera.aperture_radius:.4g} m, focused at {_focus(camera)} "
-        f"(f/{f_number:.2g} on a sensor {SENSOR_WIDTH:g} mm wide)"
+        f"(f/{camera.f_number:.2g} on a sensor {camera.sensor_width:g} mm wide)"
     )
 
 

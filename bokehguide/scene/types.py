@@ -14,6 +14,12 @@ import numpy as np
 
 Vector = tuple[float, float, float]
 
+SENSOR_WIDTH = 36.0
+"""Millimetres; the default sensor for focal lengths and f-numbers."""
+
+LABEL = "label"
+"""Metadata of fields that name something and change no picture; digests omit them."""
+
 
 def as_vector(values: Iterable[float]) -> Vector:
     """Three numbers of any kind as a tuple of floats."""
@@ -51,7 +57,8 @@ class Camera:
 
     fov: horizontal field of view in degrees. aperture_radius: lens radius in metres, 0 for a pinhole.
     focus_distance: metres from the lens to the focal plane along the optical axis; FARTHEST_FOCUS
-    or more is infinity. aperture: shape of the lens opening; None is a disc.
+    or more is infinity. aperture: shape of the lens opening; None is a disc. sensor_width: of the
+    f-number, millimetres.
     """
 
     position: Vector
@@ -61,6 +68,14 @@ class Camera:
     aperture_radius: float = 0.0
     focus_distance: float = 1.0
     aperture: Aperture | None = None
+    sensor_width: float = SENSOR_WIDTH
+
+    @property
+    def f_number(self) -> float:
+        """Focal length / lens diameter; inf for a pinhole."""
+        if self.aperture_radius == 0.0:
+            return math.inf
+        return 1e-3 * 0.5 * self.sensor_width / math.tan(math.radians(self.fov) / 2.0) / (2.0 * self.aperture_radius)
 
 
 @dataclass(frozen=True)
@@ -165,7 +180,8 @@ class Mesh:
     uvs: float32 `[V, S, 2]`, S sets with v downwards from the texture's top row (glTF), or None.
     tangents: float32 `[V, 4]` for normal maps, glTF's unit tangent and the sign of the bitangent;
     None derives them from the uvs. colors: linear float32 `[V, 4]` that multiply base colour and
-    opacity, or None.
+    opacity, or None. name: of the object. groups: further names of the object, such as those of the
+    glTF nodes above its own.
     """
 
     vertices: np.ndarray
@@ -175,6 +191,8 @@ class Mesh:
     uvs: np.ndarray | None = None
     tangents: np.ndarray | None = None
     colors: np.ndarray | None = None
+    name: str = field(default="", metadata={LABEL: True})
+    groups: tuple[str, ...] = field(default=(), metadata={LABEL: True})
 
 
 @dataclass(frozen=True)
@@ -226,7 +244,7 @@ class Scene:
     """Everything that a render needs.
 
     warnings: unsupported features of the input, one a line. supported: imported features of its
-    models, one a line.
+    models, one a line. likely_mistakes: values that the user may not have meant, one a line.
     """
 
     name: str
@@ -240,6 +258,7 @@ class Scene:
     description: str = ""
     warnings: tuple[str, ...] = field(default=())
     supported: tuple[str, ...] = ()
+    likely_mistakes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

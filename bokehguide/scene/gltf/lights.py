@@ -61,7 +61,8 @@ def read_lights(
             suns += [Sun(as_vector(-axis), sizes.sun_angle, irradiance)] if any(irradiance) else []
         elif any(radiance := _power(light, math.pi * radius**2)):
             cone = _cone(light, axis) if kind == "spot" else None
-            meshes.append(spheres(position[None], radius, len(materials)))
+            sphere = spheres(position[None], radius, len(materials))
+            meshes.append(replace(sphere, name=node.node.label, groups=(light.label, *node.groups)))
             check_triangles(len(meshes) * len(meshes[0].triangles), f"{document.file}: {node.node.path}")
             black = Material(light.label, base_color=(0.0, 0.0, 0.0), specular=0.0)
             materials.append(replace(black, emission=radiance, emission_cone=cone))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def load_gltf(path: Path, files: SceneFiles, sizes: LightSizes) -> Model:
 def _place(document: Document, materials: Sequence[Material], placed: Sequence[Placed]) -> list[Mesh]:
     """Meshes in world space. Primitives without a material have the material index `len(materials)`."""
     read: dict[int, list[Mesh]] = {}
-    parts: list[tuple[Mesh, np.ndarray, str]] = []
+    parts: list[tuple[Mesh, np.ndarray, Placed]] = []
     triangles = 0
     for node in placed:
         index = document.link(node.node, "mesh", "meshes")
@@ -74,11 +75,11 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
             if index not in read:
                 read[index] = _primitives(document, index, materials)
             primitives, matrices = read[index], instance_matrices(document, node)
-        parts += [(mesh, matrices, f"{document.file}: {node.node.path}") for mesh in primitives]
+        parts += [(replace(mesh, **_names(document, node, index)), matrices, node) for mesh in primitives]
         triangles += sum(len(mesh.triangles) for mesh in primitives) * max(len(matrices), 1)
         check_triangles(triangles, f"{document.file}: {node.node.path}")
     meshes = []
-    for mesh, matrices, place in parts:
+    for mesh, matrices, node in parts:
         with np.errstate(over="ignore", invalid="ignore"):
             flat = np.linalg.det(matrices[:, :3, :3]) == 0.0
         if flat.any() and len(matrices) > 1:
@@ -86,9 +87,17 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
             matrices = matrices[~flat]
         if len(matrices):
             instances = joined([transformed(mesh, matrix) for matrix in matrices])
-            check_mesh(instances, place, len(materials) + 1)
+            check_mesh(instances, f"{document.file}: {node.node.path}", len(materials) + 1)
             meshes.append(instances)
     return meshes
+
+
+def _names(document: Document, node: Placed, index: int) -> dict[str, Any]:
+    """Name and groups of the meshes of a node: its own name, that of its mesh number `index`, and those above."""
+    mesh = document.items("meshes")[index]
+    own = [part.label for part in (node.node, mesh) if "name" in part]
+    name, *others = own or [mesh.label]
+    return {"name": name, "groups": (*others, *node.groups)}
 
 
 def _primitives(document: Document, index: int, materials: Sequence[Material], joints: np.ndarray | None = None) -> list[Mesh]:

@@ -104,7 +104,7 @@ def _textures(table: Table, files: SceneFiles) -> dict[str, Any]:
     for key, encoded in ENCODED.items():
         if key in table:
             alpha = key == "specular_texture" or (key == "base_color_texture" and _alpha_mode(table) != "opaque")
-            textures[key] = Texture(load_texture(files.named(table, key), files, encoded, alpha))
+            textures[key] = Texture(load_texture(files.named(table, key, "texture"), files, encoded, alpha))
     if "specular_texture" in textures and textures["specular_texture"].image.shape[2] < 4:
         table.fail("specular_texture", "has no alpha channel, which holds the specular factor; give an image with alpha")
     return textures

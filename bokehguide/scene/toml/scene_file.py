@@ -13,8 +13,8 @@ from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.model_files import load_model
-from bokehguide.scene.overrides import Overrides, override_camera
+from bokehguide.scene.model_files import load_model, refuse_format
+from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
 from bokehguide.scene.shapes import SHAPES, transform, transformed
 from bokehguide.scene.tables import ANY, EMITTER_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
 from bokehguide.scene.toml.materials import read_materials
@@ -23,11 +23,11 @@ from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Materi
 from bokehguide.scene.validation import check_mesh, check_triangles
 
 SCENE_KEYS = ("camera", "film", "environment", "sun", "lights", "materials", "object")
-OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
+OBJECT_KEYS = ("name", "shape", "file", "material", "translate", "rotate", "scale")
 
 
-def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scene:
-    """The scene of a `.toml` file with the camera of `overrides`. Paths are relative to the file.
+def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
+    """The scene of a `.toml` file, and its camera with `overrides`. Paths are relative to the file.
 
     files: the files that the scene may name. Raises BokehguideError naming file, field, value and
     remedy for invalid input.
@@ -38,9 +38,10 @@ def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scen
     warnings: list[str] = []
     materials = read_materials(root, files)
     objects = _read_objects(root, files, materials)
-    return Scene(
+    chosen = override_camera(root.values["camera"], overrides, str(path), files, written=True)
+    scene = Scene(
         name=path.stem,
-        camera=override_camera(root.values["camera"], overrides, str(path), files),
+        camera=chosen.camera,
         meshes=tuple(objects.meshes),
         materials=tuple(objects.materials),
         film=_read_film(root),
@@ -49,6 +50,7 @@ def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scen
         warnings=(*objects.lines("warnings"), *_unused_sizes(root, objects), *warnings),
         supported=tuple(objects.lines("supported")),
     )
+    return scene, chosen
 
 
 def _parse(path: Path) -> dict[str, Any]:
@@ -80,7 +82,7 @@ def _read_environment(root: Table, files: SceneFiles, warnings: list[str]) -> En
     table = Table(root.values["environment"], root.file, "environment", keys)
     table.exclusive("color", "map")
     if "map" in table:
-        radiance, found = load_environment_map(files.named(table, "map"))
+        radiance, found = load_environment_map(files.named(table, "map", "environment map"))
         warnings += found
     elif "color" in table:
         radiance = constant_radiance(table.vector("color", None, NOT_NEGATIVE))
@@ -126,7 +128,8 @@ class _Objects:
 
     def load(self, table: Table) -> tuple[Model, int]:
         """The model of an object's `file`, and the index of its first material."""
-        path = self.files.named(table, "file")
+        refuse_format(Path(table.text("file")), table.place("file"))
+        path = self.files.named(table, "file", "model")
         if path not in self.models:
             self.models[path] = load_model(path, self.files, self.sizes), len(self.materials)
             self.materials.extend(self.models[path][0].materials)
@@ -176,10 +179,16 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
             objects.suns += place_suns(model, matrix)
         for mesh in placed:
             check_mesh(mesh, f"{root.file}: {table.path}", len(objects.materials))
-        objects.meshes += placed
+        objects.meshes += [_named(mesh, table) for mesh in placed]
         triangles += sum(len(mesh.triangles) for mesh in placed)
         check_triangles(triangles, f"{root.file}: {table.path}")
     return objects
+
+
+def _named(mesh: Mesh, table: Table) -> Mesh:
+    """A mesh under the name of its object; the names within a model stay valid too."""
+    name = table.text("name") or table.path
+    return replace(mesh, name=mesh.name or name, groups=(*mesh.groups, name))
 
 
 def _named_material(table: Table, named: dict[str, int]) -> int | None:
