@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
-from bokehguide.cli.render import check_device, overrides_from
+from bokehguide.cli.render import check_device, overrides_from, print_warnings
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import compare, given_reference, made_reference, report
 from bokehguide.evaluation.comparison import METRICS, SEED
@@ -38,9 +38,7 @@ def run(options: argparse.Namespace) -> int:
     reference = given_reference(options.reference, scene) if options.reference else None
     read_runs(options.out / METRICS)
     check_outputs(scene, every, options)
-    for warning in scene.warnings:
-        print(f"bokehguide: warning: {warning}", file=sys.stderr)
-
+    print_warnings(scene)
     try:
         if reference is None:
             spp = options.reference_spp or REFERENCE_SHARE * options.spp

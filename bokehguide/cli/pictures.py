@@ -5,15 +5,17 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image import tone_map, write_exr, write_png
 from bokehguide.render import Film
+from bokehguide.scene import Overrides
 from bokehguide.train import AdaptiveLoop, RenderLoop, describe_render
 from bokehguide.train.adaptive import HalvesFilm
 
-OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "camera_position", "camera_target", "fov", "camera")
+OVERRIDES = tuple(field.name for field in fields(Overrides) if field.name not in ("width", "height"))
 
 
 class Pictures:

@@ -113,8 +113,8 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
 
 
 def print_warnings(scene: Scene) -> None:
-    """Print the warnings of the scene's files on stderr."""
-    for warning in scene.warnings:
+    """Print the warnings of the scene's files and its likely mistakes on stderr."""
+    for warning in (*scene.warnings, *scene.likely_mistakes):
         print(f"bokehguide: warning: {warning}", file=sys.stderr)
 
 
