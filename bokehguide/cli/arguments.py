@@ -51,15 +51,26 @@ def make_parser() -> Parser:
     _add_compare(commands)
     _add_develop(commands)
     _add_metrics(commands)
-    info = commands.add_parser("info", help="print the contents of a scene, and the ignored parts of its files")
-    info.add_argument("scene", metavar="SCENE", help=SCENE_HELP)
-    _add_allow_outside(info)
+    _add_info(commands)
     commands.add_parser("scenes", help="list the built-in scenes")
     return parser
 
 
 def _add_render(commands: argparse._SubParsersAction) -> None:
     render = commands.add_parser("render", help="render a scene to an EXR and a PNG")
+    _add_render_options(render)
+    render.add_argument("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as a JSON object")
+
+
+def _add_info(commands: argparse._SubParsersAction) -> None:
+    info = commands.add_parser("info", help="print a scene as `render` with the same options sees it, and likely mistakes")
+    _add_render_options(info)
+    info.add_argument("--json", type=Path, metavar="PATH", help="write the facts as a JSON object")
+    view = "write a quick pinhole view in which the plane of focus is marked"
+    info.add_argument("--picture", type=png, metavar="PATH.png", help=view)
+
+
+def _add_render_options(render: argparse.ArgumentParser) -> None:
     add = render.add_argument
     add("scene", metavar="SCENE", help=SCENE_HELP)
     names = "uniform|lis|lis-b|lis-o|guided|area-restir|area-restir+lis"
@@ -74,7 +85,6 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--device", choices=("cpu", "cuda"), default="cpu", help="device of the tensors (default: cpu)")
     add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
     add("--compile", action="store_true", help=COMPILE_HELP)
-    add("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as a JSON object")
     _add_display(add)
     add("--denoise", action="store_true", help="also write a denoised picture into the EXR, and show it in the PNG")
     box = "render only this box: in pixels from the top left, or in fractions of the frame if W and H are at most 1"
@@ -150,13 +160,24 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     add = group.add_argument
     add("--environment", metavar="MAP|R,G,B", help="a .hdr or .exr map, or a constant radiance")
     lens = group.add_mutually_exclusive_group()
-    lens.add_argument("--f-number", type=float, metavar="N", help="f-number of the lens")
+    lens.add_argument("--f-number", type=float, metavar="N", help="focal length / diameter of the lens, on the scene's sensor")
     lens.add_argument("--aperture-radius", type=float, metavar="M", help="metres; 0: a pinhole")
-    add("--focus-distance", type=float, metavar="M", help="metres along the optical axis")
+    focus = group.add_mutually_exclusive_group()
+    focus.add_argument("--focus-distance", type=float, metavar="M", help="metres along the optical axis; inf: infinity")
+    at = "focus on the surface at this point, in pixels from the top left, or in fractions of the frame if both are at most 1"
+    focus.add_argument("--focus-at", type=point, metavar="X,Y", help=at)
+    focus.add_argument("--focus-on", metavar="NAME", help="focus on the visible part of an object, a glTF node or a material")
     add("--camera", metavar="NAME", help="a camera of the model by name or number, or `frame`: one that frames the model")
     add("--camera-position", type=vector, metavar="X,Y,Z", help="metres")
     add("--camera-target", type=vector, metavar="X,Y,Z", help="metres")
     add("--fov", type=float, metavar="DEG", help="horizontal field of view in degrees")
+    add("--aperture-blades", type=natural, metavar="N", help="blades of the iris; 0: round")
+    add("--aperture-rotation", type=float, metavar="DEG", help="rotation of the blades or of the mask, anticlockwise")
+    add("--aperture-curvature", type=float, metavar="X", help="curvature of the blades: 0 straight, 1 a circle")
+    add("--aperture-ratio", type=float, metavar="X", help="divides the width of the opening, as anamorphic lenses do")
+    add("--aperture-cat-eye", type=float, metavar="X", help="vignetting towards the corners, 0 to 1.5")
+    add("--aperture-edge", type=float, metavar="X", help="bright rim, up to 1, or bright centre, down to -1")
+    add("--aperture-image", metavar="PATH", help="a grey mask in place of blades")
 
 
 def _add_metrics(commands: argparse._SubParsersAction) -> None:
@@ -245,6 +266,11 @@ def png(text: str) -> Path:
     if path.suffix.lower() != ".png":
         raise argparse.ArgumentTypeError(f"{text!r} is no PNG; end it in .png")
     return path
+
+
+def point(text: str) -> tuple[float, float]:
+    x, y = _numbers(text, "X,Y")
+    return x, y
 
 
 def vector(text: str) -> tuple[float, float, float]:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bokehguide.cli.pictures import chosen_exposure
-from bokehguide.cli.render import make_folders, overrides_from, print_folders
-from bokehguide.cli.terminal import clear_stage, say
+from bokehguide.cli.render import make_folders, overrides_from, print_folders, print_warnings
+from bokehguide.cli.terminal import clear_stage
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import compare, given_reference, made_reference, report
 from bokehguide.evaluation.comparison import METRICS, SEED
@@ -43,9 +43,7 @@ def run(options: argparse.Namespace) -> int:
     read_runs(options.out / METRICS)
     created = make_folders([options.out])
     check_outputs(scene, every, options)
-    for warning in scene.warnings:
-        say(f"warning: {warning}")
-
+    print_warnings(scene)
     note_at_stop("finished modes are kept; the same command continues")
     if reference is None:
         spp = options.reference_spp or REFERENCE_SHARE * options.spp

@@ -4,10 +4,32 @@ from __future__ import annotations
 
 import argparse
 
+from bokehguide.cli.render import check_device, overrides_from, settings_from
+from bokehguide.cli.report import write_json
+from bokehguide.image import check_writable
+from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import load_scene, summarize
+from bokehguide.scene.emitters import find_emitters
+from bokehguide.scene.inspection import as_json, inspect
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the contents of a scene, and the ignored parts of its files."""
-    print(summarize(load_scene(options.scene, allow_outside=options.allow_outside)))
+    """Print a scene as `render` with the same options sees it, and write the files that are asked for."""
+    dedicate_process()
+    scene = load_scene(options.scene, overrides_from(options), options.allow_outside)
+    settings = settings_from(options, scene)
+    settings.window(scene.film.width, scene.film.height)
+    check_device(settings.device)
+    for path in (options.json, options.picture):
+        if path is not None:
+            check_writable(path)
+    facts = inspect(scene, find_emitters(scene))
+    print(summarize(scene, facts))
+    if options.json:
+        write_json(options.json, as_json(scene, facts))
+    if options.picture:
+        from bokehguide.cli.focus_view import write_focus_view  # imports the renderer, which the facts do not need
+
+        write_focus_view(options.picture, scene, facts)
+        print(f"wrote {options.picture}")
     return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,11 @@ from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, write_exr, write_png
 from bokehguide.render import Film
+from bokehguide.scene import Overrides
 from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render
 from bokehguide.train.adaptive import HalvesFilm
 
-OVERRIDES = ("environment", "f_number", "aperture_radius", "focus_distance", "camera_position", "camera_target", "fov", "camera")
+OVERRIDES = tuple(field.name for field in fields(Overrides) if field.name not in ("width", "height"))
 
 
 class Pictures:

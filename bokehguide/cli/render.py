@@ -176,8 +176,8 @@ def print_folders(created: list[Path]) -> None:
 
 
 def print_warnings(scene: Scene) -> None:
-    """Print the warnings of the scene's files on stderr."""
-    for warning in scene.warnings:
+    """Print the warnings of the scene's files and its likely mistakes on stderr."""
+    for warning in (*scene.warnings, *scene.likely_mistakes):
         say(f"warning: {warning}")
 
 

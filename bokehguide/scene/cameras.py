@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,19 +12,34 @@ from bokehguide.scene.apertures import read_aperture
 from bokehguide.scene.checks import viewing_direction
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
-from bokehguide.scene.types import Camera, Vector
+from bokehguide.scene.types import SENSOR_WIDTH, Camera, Vector
 
-SENSOR_WIDTH = 36.0
-"""Millimetres; the default sensor for focal lengths and f-numbers."""
+
+@dataclass(frozen=True)
+class Focus:
+    """What a camera focuses on: the surface at a point of the frame, or a named object.
+
+    place: the key or option that asks for it, for errors. at: pixels from the top left corner, or fractions of the frame if
+    both are at most 1. on: the name of an object, of a glTF node or of a material.
+    """
+
+    place: str
+    at: tuple[float, float] | None = None
+    on: str = ""
+
 
 CAMERA_KEYS = (
     *("position", "target", "up", "fov", "focal_length", "sensor_width"),
-    *("aperture_radius", "f_number", "focus_distance", "focus_point", "aperture"),
+    *("aperture_radius", "f_number", "focus_distance", "focus_point", "focus_at", "focus_on", "aperture"),
 )
+FOCUS_KEYS = ("focus_distance", "focus_point", "focus_at", "focus_on")
+"""Keys of which a table has one at most."""
 
 
-def read_camera(values: dict[str, Any], file: str, files: SceneFiles) -> Camera:
-    """The `[camera]` table of `file` as a Camera. files: the files that the table may name.
+def read_camera(values: dict[str, Any], file: str, files: SceneFiles, shape: dict[str, Any] | None = None) -> Camera:
+    """The `[camera]` table of `file` as a Camera.
+
+    files: the files that the table may name. shape: overrides of keys of the aperture's table.
 
     Raises BokehguideError for unknown keys, values out of range, two keys for one quantity, and a
     viewing direction that is zero or parallel to `up`.
@@ -31,7 +47,8 @@ def read_camera(values: dict[str, Any], file: str, files: SceneFiles) -> Camera:
     table = Table(values, file, "camera", CAMERA_KEYS)
     table.exclusive("fov", "focal_length")
     table.exclusive("aperture_radius", "f_number")
-    table.exclusive("focus_distance", "focus_point")
+    table.exclusive(*FOCUS_KEYS)
+    read_focus(table)
     for key in ("position", "target"):
         if key not in table:
             table.missing(key, "give [x, y, z] in metres")
@@ -46,8 +63,18 @@ def read_camera(values: dict[str, Any], file: str, files: SceneFiles) -> Camera:
         fov=_field_of_view(table),
         aperture_radius=_aperture_radius(table),
         focus_distance=_focus_distance(table, position, target, forward),
-        aperture=read_aperture(table, files),
+        aperture=read_aperture(table, files, shape or {}),
+        sensor_width=_sensor_width(table),
     )
+
+
+def read_focus(table: Table) -> Focus | None:
+    """The point of the frame or the name under `focus_at` or `focus_on` of a camera's table, None without either."""
+    if "focus_on" in table:
+        return Focus(table.place("focus_on"), on=table.text("focus_on"))
+    if "focus_at" in table:
+        return Focus(table.place("focus_at"), at=table.pair("focus_at", NOT_NEGATIVE))
+    return None
 
 
 def focal_length(fov: float, sensor_width: float = SENSOR_WIDTH) -> float:
@@ -58,25 +85,29 @@ def focal_length(fov: float, sensor_width: float = SENSOR_WIDTH) -> float:
 def _field_of_view(table: Table) -> float:
     """The horizontal field of view in degrees."""
     if "focal_length" not in table:
-        if "sensor_width" in table:
-            table.fail("sensor_width", "has no focal_length beside it; give both, or fov")
         return table.number("fov", Camera.fov, ANGLE_OF_VIEW)
-    length = table.number("focal_length", None, POSITIVE)
-    width = table.number("sensor_width", SENSOR_WIDTH, POSITIVE)
+    length, width = table.number("focal_length", None, POSITIVE), _sensor_width(table)
     fov = math.degrees(2.0 * math.atan(width / (2.0 * length)))
     if not ANGLE_OF_VIEW.contains(fov):
         table.fail("focal_length", f"sees {fov:.3g} degrees of a sensor {width:g} mm wide; give {ANGLE_OF_VIEW.remedy}")
     return fov
 
 
+def _sensor_width(table: Table) -> float:
+    """The width of the sensor in millimetres."""
+    return table.number("sensor_width", Camera.sensor_width, POSITIVE)
+
+
 def _aperture_radius(table: Table) -> float:
-    """The lens radius in metres, 0 without an aperture key."""
+    """The lens radius in metres, 0 without an aperture key.
+
+    The f-number is focal length / diameter; a table with a field of view has the focal length of that field of view.
+    """
     if "f_number" not in table:
         return table.number("aperture_radius", 0.0, NOT_NEGATIVE)
-    if "focal_length" not in table:
-        table.fail("f_number", "needs a focal_length (mm); give one, or give aperture_radius (m)")
-    f_number = table.number("f_number", None, POSITIVE)
-    radius = 1e-3 * table.number("focal_length", None, POSITIVE) / (2.0 * f_number)
+    from_fov = focal_length(table.number("fov", Camera.fov, ANGLE_OF_VIEW), _sensor_width(table))
+    length = table.number("focal_length", from_fov, POSITIVE)
+    radius = 1e-3 * length / (2.0 * table.number("f_number", None, POSITIVE))
     if not NOT_NEGATIVE.contains(radius):
         table.fail("f_number", f"makes a lens of radius {radius:g} m; give a larger one")
     return radius

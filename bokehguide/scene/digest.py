@@ -8,6 +8,8 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
+from bokehguide.scene.types import LABEL
+
 
 def digest(value: object) -> str:
     """The SHA-256 of plain data, in hexadecimal."""
@@ -18,11 +20,13 @@ def digest(value: object) -> str:
 
 
 def contents(value: object) -> Iterator[bytes]:
-    """The bytes of plain data. Fields with their default are omitted, so that new fields keep old digests."""
+    """The bytes of plain data, without labels. Fields with their default are omitted, so that new fields keep old digests."""
     if is_dataclass(value):
         yield type(value).__name__.encode()
         for field in fields(value):
             part = getattr(value, field.name)
+            if LABEL in field.metadata:
+                continue
             if isinstance(part, np.ndarray) or part != field.default:
                 yield field.name.encode()
                 yield from contents(part)

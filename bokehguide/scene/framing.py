@@ -2,63 +2,56 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from bokehguide.errors import BokehguideError, printable
+from bokehguide.scene.cameras import read_camera
+from bokehguide.scene.composition import FOV, compose, with_lens
+from bokehguide.scene.emitters import find_emitters
 from bokehguide.scene.environments import sky
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.model_files import load_model
-from bokehguide.scene.overrides import Overrides, override_camera
+from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera, override_environment, override_film
+from bokehguide.scene.sight import Sight
 from bokehguide.scene.tables import ANGLE_OF_VIEW
-from bokehguide.scene.types import Camera, FilmSettings, Mesh, ModelCamera, Scene, Vector, as_vector
+from bokehguide.scene.types import Camera, FilmSettings, Mesh, ModelCamera, Scene, as_vector
 
-VIEW = np.array([0.5, 0.4, 0.768115])
-"""Unit vector from the model's centre towards the camera: a three-quarter view from above."""
-
-FOV = 40.0
-UP = (0.0, 1.0, 0.0)
 SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))
 """White at the zenith, grey at the horizon, dim below."""
-
-APERTURE = 0.02
-"""Aperture radius relative to the focus distance."""
-MARGIN = 1.08
-"""Margin around the model, as a factor on the camera's distance."""
 
 FRAME = "frame"
 """Name of the framing camera for `--camera`."""
 
 
-def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> Scene:
-    """The model at `path` as a scene. files: the files that the model may name.
+def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
+    """The model at `path` as a scene, and its camera. files: the files that the model may name.
 
-    The camera is the one that `overrides` select, or the file's first. Without one, or if `overrides`
-    set its position or target, a camera frames the whole model in a three-quarter view. The lens
-    focuses on the nearest vertex in the frame. A model without emitters gets a soft sky, unless
-    `overrides` set the environment. Raises BokehguideError as `load_model` does.
+    The camera is the one that `overrides` select, or the file's first. Without one, or if `overrides` set its position or
+    target, `compose` chooses the view. The lens focuses on the part of the model in the middle of the frame, and highlights at
+    infinity have a diameter of HIGHLIGHT of its width. A model without emitters gets a soft sky, unless `overrides` set the
+    environment. Raises BokehguideError as `load_model` does.
     """
     model = load_model(path, files)
-    film = FilmSettings()
-    points = _used_vertices(model.meshes, str(path))
-    aspect = (overrides.height or film.height) / (overrides.width or film.width)
-    own = _select_camera(model.cameras, overrides, str(path))
-    camera = _framing_camera(points, overrides, aspect) if own is None else _with_lens(own, points, overrides, aspect)
     meshes = model.meshes + model.emitters
     lit = model.suns or any(model.materials[mesh.material].emits for mesh in meshes)
-    return Scene(
+    scene = Scene(
         name=path.stem,
-        camera=override_camera(asdict(camera), overrides, str(path), files),
+        camera=Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),
         meshes=meshes,
         materials=model.materials,
-        film=film,
+        film=override_film(FilmSettings(), overrides),
         environment=None if lit or overrides.environment is not None else SOFT_SKY,
         suns=model.suns,
         warnings=model.warnings,
         supported=model.supported,
     )
+    scene = override_environment(scene, overrides)
+    own = _select_camera(model.cameras, overrides, str(path))
+    scene = _framed(scene, model.meshes, overrides, str(path)) if own is None else _photographed(scene, own, overrides)
+    return scene, override_camera(asdict(scene.camera), overrides, str(path), files)
 
 
 def _used_vertices(meshes: tuple[Mesh, ...], file: str) -> np.ndarray:
@@ -88,57 +81,37 @@ def _select_camera(cameras: tuple[ModelCamera, ...], overrides: Overrides, file:
     return known.get(wanted)
 
 
-def _with_lens(own: ModelCamera, points: np.ndarray, overrides: Overrides, aspect: float) -> Camera:
-    """A model's camera with a lens. It keeps its vertical field of view for every aspect ratio."""
-    position, forward = np.array(own.position), np.array(own.forward)
-    horizontal = np.degrees(2.0 * np.arctan(np.tan(np.radians(own.vertical_fov) / 2.0) / aspect))
+def _photographed(scene: Scene, own: ModelCamera, overrides: Overrides) -> Scene:
+    """`scene` with a model's camera and a lens. The camera keeps its vertical field of view for every aspect ratio."""
+    position, forward, film = np.array(own.position), np.array(own.forward), scene.film
+    horizontal = np.degrees(2.0 * np.arctan(np.tan(np.radians(own.vertical_fov) / 2.0) * film.width / film.height))
     fov = float(min(horizontal, ANGLE_OF_VIEW.high)) if overrides.fov is None else overrides.fov
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
-    depth = max(abs(float((middle - position) @ forward)), 1e-3)
-    focus = _nearest_depth(points, position, position + depth * forward, fov, aspect, own.up)
-    target = position + focus * forward
-    return Camera(own.position, as_vector(target), own.up, fov, APERTURE * focus, focus)
+    middle = np.mean(_bounds(scene.meshes), axis=0)
+    target = position + max(abs(float((middle - position) @ forward)), 1e-3) * forward
+    camera = Camera(own.position, as_vector(target), own.up, fov)
+    return replace(scene, camera=with_lens(camera, Sight(scene.meshes, scene.materials), film))
 
 
-def _framing_camera(points: np.ndarray, overrides: Overrides, aspect: float) -> Camera:
-    """A camera that frames all `points`. Position, target and fov of `overrides` take precedence."""
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
+def _framed(scene: Scene, meshes: tuple[Mesh, ...], overrides: Overrides, file: str) -> Scene:
+    """`scene` with a camera that frames `meshes`. Position, target and fov of `overrides` take precedence."""
+    points, film = _used_vertices(meshes, file), scene.film
     fov = FOV if overrides.fov is None else overrides.fov
-    target = middle if overrides.camera_target is None else np.array(overrides.camera_target)
-    position = target + VIEW * _fitting_distance(points - target, fov, aspect)
-    if overrides.camera_position is not None:
-        position = np.array(overrides.camera_position)
-    focus = _nearest_depth(points, position, target, fov, aspect)
-    return Camera(
-        position=as_vector(position), target=as_vector(target), fov=fov, aperture_radius=APERTURE * focus, focus_distance=focus
-    )
+    sight = Sight(scene.meshes, scene.materials)
+    position, target = overrides.camera_position, overrides.camera_target
+    if position is None:
+        view = compose(points, sight, find_emitters(scene), film, fov)
+        camera, environment = view.camera, scene.environment
+        if view.rotation and environment is not None:
+            scene = replace(scene, environment=replace(environment, rotation=environment.rotation + view.rotation))
+        if target is None:
+            return replace(scene, camera=camera)
+        position = camera.position
+    target = target or as_vector(np.mean([points.min(axis=0), points.max(axis=0)], axis=0))
+    camera = read_camera({"position": position, "target": target, "fov": fov}, file, SceneFiles(Path()))
+    return replace(scene, camera=with_lens(camera, sight, film))
 
 
-def _axes(forward: np.ndarray, up: Vector = UP) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors to the right and up of a camera that looks along `forward`."""
-    right = np.cross(forward, up)
-    right /= max(np.linalg.norm(right), 1e-30)
-    return right, np.cross(right, forward)
-
-
-def _fitting_distance(relative: np.ndarray, fov: float, aspect: float) -> float:
-    """Distance along VIEW from which the frame contains all points `[N, 3]`, given relative to the target."""
-    right, up = _axes(-VIEW)
-    reach = np.tan(np.radians(fov) / 2.0)
-    distance = relative @ VIEW + np.maximum(np.abs(relative @ right) / reach, np.abs(relative @ up) / (reach * aspect))
-    return MARGIN * float(distance.max())
-
-
-def _nearest_depth(
-    points: np.ndarray, position: np.ndarray, target: np.ndarray, fov: float, aspect: float, up: Vector = UP
-) -> float:
-    """The smallest depth of the points in the frame, or the target's depth if there are none."""
-    distance = np.linalg.norm(target - position)
-    forward = (target - position) / max(distance, 1e-30)
-    right, upwards = _axes(forward, up)
-    relative = points - position
-    depth = relative @ forward
-    reach = np.tan(np.radians(fov) / 2.0) * depth
-    seen = (depth > 0.0) & (np.abs(relative @ right) < reach)
-    seen &= np.abs(relative @ upwards) < reach * aspect
-    return float(depth[seen].min()) if seen.any() else float(max(distance, 1e-6))
+def _bounds(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest and highest coordinates `[3]` of all vertices."""
+    low = np.min([mesh.vertices.min(axis=0) for mesh in meshes], axis=0)
+    return low.astype(np.float64), np.max([mesh.vertices.max(axis=0) for mesh in meshes], axis=0).astype(np.float64)

@@ -12,7 +12,18 @@ from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.overrides import NO_OVERRIDES, Overrides, override_camera, override_surroundings
+from bokehguide.scene.focusing import focused
+from bokehguide.scene.likely_mistakes import likely_mistakes
+from bokehguide.scene.model_files import refuse_format
+from bokehguide.scene.overrides import (
+    APERTURE,
+    NO_OVERRIDES,
+    ChosenCamera,
+    Overrides,
+    override_camera,
+    override_environment,
+    override_film,
+)
 from bokehguide.scene.types import Scene
 from bokehguide.scene.validation import checked
 
@@ -27,6 +38,7 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
     spec: the name of a built-in scene, the path of a `.toml` scene file, the path of a model, or a scene itself. A
     model without a camera gets one that frames it; a model without lights gets a sky.
     overrides: replace the scene's own values. allow_outside: permits paths that leave the file's folder.
+    The scene's `likely_mistakes` say what the user may not have meant.
 
     Raises BokehguideError for input that is missing, malformed or out of range.
     """
@@ -37,29 +49,41 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
     log.info("loading %s", printable(name, 120))
     files = SceneFiles(Path() if isinstance(spec, Scene) else Path(spec).parent, allow_outside)
     with located(name):
-        scene = _with_camera(spec, overrides, files) if isinstance(spec, Scene) else _read(name, suffix, overrides, files)
-        return checked(override_surroundings(scene, overrides), name)
+        if isinstance(spec, Scene):
+            scene, chosen = _with_camera(override_environment(spec, overrides), overrides, files)
+        else:
+            scene, chosen = _read(name, suffix, overrides, files)
+        scene = checked(replace(scene, camera=chosen.camera, film=override_film(scene.film, overrides)), name)
+        if chosen.focus is not None:
+            scene = focused(scene, chosen.focus)
+        return replace(scene, likely_mistakes=likely_mistakes(scene, chosen.written))
 
 
-def _with_camera(scene: Scene, overrides: Overrides, files: SceneFiles) -> Scene:
-    """`scene` with the camera of `overrides`, and the aperture's shape as it was."""
+def _with_camera(scene: Scene, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
+    """`scene`, and its camera with `overrides`."""
+    own = scene.camera.aperture
     values = asdict(replace(scene.camera, aperture=None))
-    camera = override_camera(values, overrides, scene.name, files)
-    return replace(scene, camera=replace(camera, aperture=scene.camera.aperture))
+    if own is None or {"aperture_image", "aperture_blades"} & overrides.given.keys():
+        return scene, override_camera(values, overrides, scene.name, files)
+    chosen = override_camera(values, replace(overrides, **dict.fromkeys(APERTURE.values())), scene.name, files)
+    shape = {key: overrides.given[name] for key, name in APERTURE.items() if name in overrides.given}
+    return scene, replace(chosen, camera=replace(chosen.camera, aperture=replace(own, **shape)))
 
 
-def _read(spec: str, suffix: str, overrides: Overrides, files: SceneFiles) -> Scene:
-    """The scene that `spec` names, with the camera of `overrides`."""
+def _read(spec: str, suffix: str, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
+    """The scene that `spec` names, and its camera with `overrides`."""
     if spec in BUILTIN:
-        return _with_camera(BUILTIN[spec](), overrides, files)
+        return _with_camera(override_environment(BUILTIN[spec](), overrides), overrides, files)
     if suffix == ".toml":
         from bokehguide.scene.toml.scene_file import read_scene_file
 
-        return read_scene_file(Path(spec), overrides, files)
+        scene, chosen = read_scene_file(Path(spec), overrides, files)
+        return override_environment(scene, overrides), chosen
     if suffix in MODEL_SUFFIXES:
         from bokehguide.scene.framing import model_scene
 
         return model_scene(Path(spec), overrides, files)
+    refuse_format(Path(spec), spec)
     near = difflib.get_close_matches(spec, BUILTIN, n=1)
     raise BokehguideError(
         f"{spec}: no such scene" + (f"; did you mean {near[0]!r}?" if near else "") + "\n"

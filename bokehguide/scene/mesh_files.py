@@ -79,7 +79,7 @@ def load_mesh_file(path: Path, files: SceneFiles) -> Model:
             mesh = _mesh(geometry, index[name])
             if mesh.normals is not None:
                 mesh = replace(mesh, normals=unit_normals(mesh.normals, mesh.vertices, mesh.triangles))
-            meshes.append(transformed(mesh, matrix))
+            meshes.append(replace(transformed(mesh, matrix), name=printable(name)))
     if ignored:
         terms = printable(", ".join(sorted(map(str, ignored))), 200)
         warnings.append(f".mtl file: {terms}: have no effect, only Kd, map_Kd and Ke do")

@@ -9,6 +9,24 @@ from bokehguide.errors import BokehguideError
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.types import LightSizes, Model
 
+FOREIGN = {
+    ".blend": "export it from Blender as glTF (File > Export > glTF 2.0) and give the .glb",
+    ".xml": "a Mitsuba scene is not read; write a .toml scene file with its meshes as .obj or .ply",
+    ".fbx": "convert it to glTF, with Blender for example, and give the .glb",
+    ".dae": "convert it to glTF, with Blender for example, and give the .glb",
+    ".pbrt": "a pbrt scene is not read; write a .toml scene file with its meshes as .ply",
+} | dict.fromkeys(
+    (".usd", ".usda", ".usdc", ".usdz"), "USD is not read; convert it to glTF, with Blender for example, and give the .glb"
+)
+"""Formats that are not read, each with what to do."""
+
+
+def refuse_format(path: Path, place: str) -> None:
+    """Raise BokehguideError, naming `place`, for a file in one of the formats FOREIGN."""
+    remedy = FOREIGN.get(path.suffix.lower())
+    if remedy is not None:
+        raise BokehguideError(f"{place}: a {path.suffix.lower()} file; {remedy}")
+
 
 def load_model(path: Path, files: SceneFiles | None = None, sizes: LightSizes | None = None) -> Model:
     """Read a model file. Instances become triangles; the file's normals are kept.
@@ -17,6 +35,7 @@ def load_model(path: Path, files: SceneFiles | None = None, sizes: LightSizes | 
     file's lights. Raises BokehguideError for a missing, damaged or empty file, values that are not
     finite and indices out of range.
     """
+    refuse_format(path, str(path))
     require_file(path, "model")
     files = files or SceneFiles(path.parent)
     if path.suffix.lower() in (".glb", ".gltf"):

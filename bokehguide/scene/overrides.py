@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length, read_camera
+from bokehguide.scene.apertures import KEYS as APERTURE_KEYS
+from bokehguide.scene.cameras import FOCUS_KEYS, Focus, read_camera, read_focus
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
-from bokehguide.scene.types import Camera, Environment, Scene, Vector
+from bokehguide.scene.types import Camera, Environment, FilmSettings, Scene, Vector
 
 NUMBERS = {"f_number": POSITIVE, "aperture_radius": NOT_NEGATIVE, "focus_distance": IN_FRONT, "fov": ANGLE_OF_VIEW}
+APERTURE = {key: f"aperture_{key}" for key in APERTURE_KEYS}
+"""Overrides of single keys of the table `[camera.aperture]`; `read_aperture` checks them."""
 
 
 @dataclass(frozen=True)
@@ -23,10 +26,14 @@ class Overrides:
     """Values that replace a scene's own; None keeps the scene's.
 
     width, height: pixels. environment: the path of a `.hdr` or `.exr` map, or a radiance "R,G,B".
-    f_number: relative to the scene's focal length, or to the focal length with the scene's field of
-    view on a sensor 36 mm wide. aperture_radius, focus_distance, camera_position, camera_target:
-    metres. fov: horizontal, degrees; a scene with a focal length keeps its sensor and f-number.
-    camera: name or number of a model's camera, or "frame" for a camera that frames the model.
+    f_number: focal length / lens diameter, with the focal length of the field of view on the scene's
+    sensor, 36 mm wide by default. aperture_radius, focus_distance, camera_position, camera_target:
+    metres. focus_at: focuses on the surface at a point of the frame, in pixels from the top left
+    corner, or in fractions of the frame if both are at most 1. focus_on: focuses on the visible part
+    of an object, glTF node or material of this name. fov: horizontal, degrees; a scene with an
+    f-number keeps it. camera: name or number of a model's camera, or "frame" for a camera that frames
+    the model. aperture_blades, aperture_rotation, aperture_curvature, aperture_ratio, aperture_cat_eye,
+    aperture_edge, aperture_image: single fields of `Aperture`; the image is a path.
 
     Raises BokehguideError, naming the command-line option, for a value out of range.
     """
@@ -37,15 +44,24 @@ class Overrides:
     f_number: float | None = None
     aperture_radius: float | None = None
     focus_distance: float | None = None
+    focus_at: tuple[float, float] | None = None
+    focus_on: str | None = None
     camera_position: Vector | None = None
     camera_target: Vector | None = None
     fov: float | None = None
     camera: str | None = None
+    aperture_blades: int | None = None
+    aperture_rotation: float | None = None
+    aperture_curvature: float | None = None
+    aperture_ratio: float | None = None
+    aperture_cat_eye: float | None = None
+    aperture_edge: float | None = None
+    aperture_image: str | None = None
 
     def __post_init__(self) -> None:
-        given = {key: value for key, value in asdict(self).items() if value is not None}
-        options = _Options(given, "", "", asdict(self))
+        options = self._options()
         options.exclusive("f_number", "aperture_radius")
+        options.exclusive("focus_distance", "focus_at", "focus_on")
         options.exclusive("camera", "camera_position")
         options.exclusive("camera", "camera_target")
         options.count("width", 1)
@@ -56,6 +72,20 @@ class Overrides:
             options.number(key, 1.0, limits)
         for key in ("camera_position", "camera_target"):
             options.vector(key, (0.0, 0.0, 0.0))
+        read_focus(options)
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The values that are not None, by name."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+    @property
+    def focus(self) -> Focus | None:
+        """What `focus_at` or `focus_on` ask for, None without either."""
+        return read_focus(self._options())
+
+    def _options(self) -> _Options:
+        return _Options(self.given, "", "", asdict(self))
 
 
 class _Options(Table):
@@ -70,45 +100,59 @@ class _Options(Table):
 NO_OVERRIDES = Overrides()
 
 
-def override_camera(values: dict[str, Any], overrides: Overrides, file: str, files: SceneFiles) -> Camera:
+@dataclass(frozen=True)
+class ChosenCamera:
+    """A camera whose focus may depend on the scene. focus: what it focuses on once the scene is there, None for its focus
+    distance. written: keys of the camera that the user wrote, in a scene file or as overrides."""
+
+    camera: Camera
+    focus: Focus | None
+    written: frozenset[str]
+
+
+def override_camera(
+    values: dict[str, Any], overrides: Overrides, file: str, files: SceneFiles, written: bool = False
+) -> ChosenCamera:
     """The camera of the table `values` with `overrides`.
 
-    values: as in `[camera]` of a scene file. files: the files that the table may name. Raises
-    BokehguideError for errors in the table, before or after the change.
+    values: as in `[camera]` of a scene file. files: the files that the table may name. written: whether the user wrote the
+    table. Raises BokehguideError for errors in the table, before or after the change.
     """
     read_camera(values, file, files)
+    keys = frozenset(overrides.given) | (frozenset(values) if written else frozenset())
     values = dict(values)
     if overrides.camera_position is not None:
         values["position"] = list(overrides.camera_position)
     if overrides.camera_target is not None:
         values["target"] = list(overrides.camera_target)
     if overrides.fov is not None:
-        if "focal_length" in values:
-            width = values.setdefault("sensor_width", SENSOR_WIDTH)
-            values["focal_length"] = focal_length(overrides.fov, width)
-        else:
-            values["fov"] = overrides.fov
+        values.pop("focal_length", None)
+        values["fov"] = overrides.fov
     if overrides.aperture_radius is not None:
         values.pop("f_number", None)
         values["aperture_radius"] = overrides.aperture_radius
     if overrides.f_number is not None:
         values.pop("aperture_radius", None)
         values["f_number"] = overrides.f_number
-        if "focal_length" not in values:
-            values["focal_length"] = focal_length(values.pop("fov", Camera.fov))
+    focus = overrides.focus or read_focus(Table(values, file, "camera", values))
+    if any(key in overrides.given for key in FOCUS_KEYS):
+        values = {key: value for key, value in values.items() if key not in FOCUS_KEYS}
     if overrides.focus_distance is not None:
-        values.pop("focus_point", None)
-        values["focus_distance"] = overrides.focus_distance
-    return read_camera(values, file, files)
+        values["focus_distance"], focus = overrides.focus_distance, None
+    shape = {key: overrides.given[name] for key, name in APERTURE.items() if name in overrides.given}
+    return ChosenCamera(read_camera(values, file, files, shape), focus, keys)
 
 
-def override_surroundings(scene: Scene, overrides: Overrides) -> Scene:
-    """`scene` with the film size and the radiance of the environment from `overrides`.
+def override_film(film: FilmSettings, overrides: Overrides) -> FilmSettings:
+    """`film` with the size from `overrides`."""
+    return replace(film, width=overrides.width or film.width, height=overrides.height or film.height)
+
+
+def override_environment(scene: Scene, overrides: Overrides) -> Scene:
+    """`scene` with the radiance of the environment from `overrides`.
 
     The environment keeps its `rotation` and `visible`, but not its intensity.
     """
-    film = replace(scene.film, width=overrides.width or scene.film.width, height=overrides.height or scene.film.height)
-    scene = replace(scene, film=film)
     if overrides.environment is None:
         return scene
     radiance, warnings = read_radiance(overrides.environment)

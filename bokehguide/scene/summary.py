@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from bokehguide.errors import printable
 from bokehguide.limits import FARTHEST_FOCUS
-from bokehguide.scene.cameras import SENSOR_WIDTH, focal_length
 from bokehguide.scene.emitters import Emitters, find_emitters, lens_coverage
+from bokehguide.scene.inspection import Inspection, SceneObject, inspect
 from bokehguide.scene.types import Aperture, Camera, Environment, Scene, Sun
 
+SHOWN_OBJECTS = 40
 
-def summarize(scene: Scene) -> str:
-    """The contents of a scene, its imported features and its warnings, one fact a line."""
+
+def summarize(scene: Scene, facts: Inspection | None = None) -> str:
+    """The contents of a scene, its imported features and its warnings, one fact a line. facts: found here if None."""
     camera, film, emitters = scene.camera, scene.film, find_emitters(scene)
-    facts = {
+    found = facts or inspect(scene, emitters)
+    rows = {
         "triangles": f"{sum(len(mesh.triangles) for mesh in scene.meshes):,}",
         "materials": _materials(scene),
         "lights": _lights(scene, emitters),
@@ -23,12 +27,18 @@ def summarize(scene: Scene) -> str:
         "aperture": _aperture(camera.aperture),
         "film": f"{film.width} × {film.height} pixels, paths of up to {film.max_depth} segments",
         "insets": "; ".join(f"{inset.x:g}, {inset.y:g}, {inset.width:g}, {inset.height:g}" for inset in scene.insets) or "none",
+        "in view": _in_view(found),
+        "blur": _blur(found),
         "coverage": _coverage(scene, emitters),
     }
     title = f"{scene.name}: {scene.description}" if scene.description else scene.name
-    lines = [title, *(f"  {name + ':':<14}{fact}" for name, fact in facts.items())]
+    lines = [title, *(f"  {name + ':':<14}{fact}" for name, fact in rows.items())]
+    lines += [f"  {'object:':<14}{_object(entry)}" for entry in found.objects[:SHOWN_OBJECTS]]
+    if len(found.objects) > SHOWN_OBJECTS:
+        lines.append(f"  {'':<14}… and {len(found.objects) - SHOWN_OBJECTS} more objects")
     lines += [f"  {'supported:':<14}{line}" for line in scene.supported]
     lines += [f"  {'ignored:':<14}{warning}" for warning in scene.warnings]
+    lines += [f"  {'warning:':<14}{warning}" for warning in scene.likely_mistakes]
     return "\n".join(lines)
 
 
@@ -69,10 +79,9 @@ def _environment(environment: Environment | None, peaks: int) -> str:
 def _lens(camera: Camera) -> str:
     if camera.aperture_radius == 0.0:
         return f"pinhole, focused at {_focus(camera)}"
-    f_number = 1e-3 * focal_length(camera.fov) / (2.0 * camera.aperture_radius)
     return (
         f"radius {camera.aperture_radius:.4g} m, focused at {_focus(camera)} "
-        f"(f/{f_number:.2g} on a sensor {SENSOR_WIDTH:g} mm wide)"
+        f"(f/{camera.f_number:.2g} on a sensor {camera.sensor_width:g} mm wide)"
     )
 
 
@@ -99,6 +108,26 @@ def _aperture(aperture: Aperture | None) -> str:
     if aperture.cat_eye:
         facts.append(f"cat's eyes of {aperture.cat_eye:g} radii towards the corners")
     return ", ".join(facts)
+
+
+def _in_view(facts: Inspection) -> str:
+    if facts.nearest is None or facts.farthest is None:
+        return "no surface"
+    nearest, farthest = (f"{end.depth:.4g} m ({end.object})" for end in (facts.nearest, facts.farthest))
+    return f"nearest {nearest}, farthest {farthest}" + (", and background" if facts.background else "")
+
+
+def _blur(facts: Inspection) -> str:
+    infinity = f"{facts.coc_infinity:.3g} pixels across at infinity"
+    if not facts.emitters:
+        return f"{infinity}; no emitter in the frame"
+    discs = (f"{each.coc:.3g} at pixel {each.pixel[0]:.0f},{each.pixel[1]:.0f}" for each in facts.emitters)
+    return f"{infinity}; of the brightest emitters in the frame: {'; '.join(discs)}"
+
+
+def _object(entry: SceneObject) -> str:
+    materials = printable(", ".join(entry.materials))
+    return f"{printable(entry.name)}: {_vector(entry.low)} to {_vector(entry.high)}, of {materials}"
 
 
 def _coverage(scene: Scene, emitters: Emitters) -> str:

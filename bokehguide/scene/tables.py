@@ -145,6 +145,15 @@ class Table:
             self.fail(key, f"is out of range; give three values, each {limits.remedy}")
         return as_vector(value)
 
+    def pair(self, key: str, limits: Limits = ANY) -> tuple[float, float]:
+        """Two numbers, each within `limits`, of a required key."""
+        value = self.values[key]
+        if not (isinstance(value, (list, tuple)) and len(value) == 2 and all(map(is_number, value))):
+            self.fail(key, "is not two numbers; give [x, y]")
+        if not all(map(limits.contains, value)):
+            self.fail(key, f"is out of range; give two values, each {limits.remedy}")
+        return float(value[0]), float(value[1])
+
     def direction(self, key: str) -> Vector:
         """The unit vector along the required vector `key`, whose length is above 0."""
         vector = self.vector(key, None)

@@ -37,6 +37,12 @@ from bokehguide.scene.tables import (
 from bokehguide.scene.vectors import Vector as Vector
 from bokehguide.scene.vectors import as_vector as as_vector
 
+SENSOR_WIDTH = 36.0
+"""Millimetres; the default sensor for focal lengths and f-numbers."""
+
+LABEL = "label"
+"""Metadata of fields that name something and change no picture; digests omit them."""
+
 WRAPS = ("repeat", "clamp", "mirror")
 INDEX = Limits("an index, a whole number of 0 or more", low=0)
 ALPHA_MODES = ("opaque", "mask", "blend")
@@ -79,7 +85,8 @@ class Camera:
 
     fov: horizontal field of view in degrees. aperture_radius: lens radius in metres, 0 for a pinhole.
     focus_distance: metres from the lens to the focal plane along the optical axis; FARTHEST_FOCUS
-    or more is infinity. aperture: shape of the lens opening; None is a disc.
+    or more is infinity. aperture: shape of the lens opening; None is a disc. sensor_width: of the
+    f-number, millimetres.
     """
 
     position: Vector
@@ -89,11 +96,19 @@ class Camera:
     aperture_radius: float = 0.0
     focus_distance: float = 1.0
     aperture: Aperture | None = None
+    sensor_width: float = SENSOR_WIDTH
+
+    @property
+    def f_number(self) -> float:
+        """Focal length / lens diameter; inf for a pinhole."""
+        if self.aperture_radius == 0.0:
+            return math.inf
+        return 1e-3 * 0.5 * self.sensor_width / math.tan(math.radians(self.fov) / 2.0) / (2.0 * self.aperture_radius)
 
     def __post_init__(self) -> None:
         fields = Fields(self)
         fields.check_vectors(position=ANY, target=ANY, up=ANY)
-        fields.check_numbers(fov=ANGLE_OF_VIEW, aperture_radius=NOT_NEGATIVE, focus_distance=IN_FRONT)
+        fields.check_numbers(fov=ANGLE_OF_VIEW, aperture_radius=NOT_NEGATIVE, focus_distance=IN_FRONT, sensor_width=POSITIVE)
         fields.check_instances(Aperture, "aperture")
         viewing_direction(fields, self.position, self.target, self.up)
 
@@ -263,7 +278,8 @@ class Mesh:
     uvs: float32 `[V, S, 2]`, S sets with v downwards from the texture's top row (glTF), or None.
     tangents: float32 `[V, 4]` for normal maps, glTF's unit tangent and the sign of the bitangent;
     None derives them from the uvs. colors: linear float32 `[V, 4]` that multiply base colour and
-    opacity, or None. name: of the object, empty without one.
+    opacity, or None. name: of the object, empty without one. groups: further names of the object, such as those of the
+    glTF nodes above its own.
     """
 
     vertices: np.ndarray
@@ -273,7 +289,8 @@ class Mesh:
     uvs: np.ndarray | None = None
     tangents: np.ndarray | None = None
     colors: np.ndarray | None = None
-    name: str = ""
+    name: str = field(default="", metadata={LABEL: True})
+    groups: tuple[str, ...] = field(default=(), metadata={LABEL: True})
 
     def __post_init__(self) -> None:
         fields = Fields(self)
@@ -379,7 +396,7 @@ class Scene:
     """Everything that a render needs.
 
     warnings: unsupported features of the input, one a line. supported: imported features of its
-    models, one a line.
+    models, one a line. likely_mistakes: values that the user may not have meant, one a line.
     """
 
     name: str
@@ -393,6 +410,7 @@ class Scene:
     description: str = ""
     warnings: tuple[str, ...] = field(default=())
     supported: tuple[str, ...] = ()
+    likely_mistakes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         fields = Fields(self)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import groupby, pairwise
 from typing import TYPE_CHECKING
 
@@ -48,9 +49,10 @@ class Builder:
         self._meshes.append(spheres(np.atleast_2d(centres), radii, material))
 
     def meshes(self) -> tuple[Mesh, ...]:
-        """One mesh for each combination of material and shading."""
+        """One mesh for each combination of material and shading, named after its material."""
         ordered = sorted(self._meshes, key=_kind)
-        return tuple(joined(list(group)) for _, group in groupby(ordered, key=_kind))
+        groups = [list(group) for _, group in groupby(ordered, key=_kind)]
+        return tuple(replace(joined(group), name=self.materials[group[0].material].name) for group in groups)
 
 
 def _kind(mesh: Mesh) -> tuple[int, bool]:

@@ -62,7 +62,8 @@ def read_lights(
             suns += [Sun(as_vector(-axis), sizes.sun_angle, irradiance)] if any(irradiance) else []
         elif any(radiance := _power(light, math.pi * radius**2)):
             cone = _cone(light, axis) if kind == "spot" else None
-            meshes.append(spheres(position[None], radius, len(materials), subdivisions))
+            sphere = spheres(position[None], radius, len(materials), subdivisions)
+            meshes.append(replace(sphere, name=node.node.label, groups=(light.label, *node.groups)))
             count = len(meshes) * len(meshes[0].triangles)
             check_triangles(count, f"{document.file}: {node.node.path}", document.files.most_triangles)
             black = Material(light.label, base_color=(0.0, 0.0, 0.0), specular=0.0)

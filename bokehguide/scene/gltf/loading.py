@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +62,7 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
     """Meshes in world space. Primitives without a material have the material index `len(materials)`."""
     read: dict[tuple[int, int | None], list[Mesh]] = {}
     skins = Skins(document, placed)
-    parts: list[tuple[Mesh, np.ndarray, str]] = []
+    parts: list[tuple[Mesh, np.ndarray, str, dict[str, Any]]] = []
     triangles, instances = 0, 0
     for node in placed:
         index = document.link(node.node, "mesh", "meshes")
@@ -77,12 +78,13 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
             instances += len(matrices) if INSTANCING in node.node.extensions else 0
         elif INSTANCING in node.node.extensions:  # the joints replace the node's own matrix
             document.note(f"{INSTANCING} of skinned meshes: one instance is drawn", node.node.label)
-        check_meshes(len(parts) + len(primitives), f"{document.file}: {node.node.path}", document.files.most_meshes)
-        parts += [(mesh, matrices, f"{document.file}: {node.node.path}") for mesh in primitives]
+        place, names = f"{document.file}: {node.node.path}", _names(document, node, index)
+        check_meshes(len(parts) + len(primitives), place, document.files.most_meshes)
+        parts += [(mesh, matrices, place, names) for mesh in primitives]
         triangles += sum(len(mesh.triangles) for mesh in primitives) * max(len(matrices), 1)
-        check_triangles(triangles, f"{document.file}: {node.node.path}", document.files.most_triangles)
+        check_triangles(triangles, place, document.files.most_triangles)
     meshes = []
-    for mesh, matrices, place in parts:
+    for mesh, matrices, place, names in parts:
         with np.errstate(over="ignore", invalid="ignore"):
             flat = np.linalg.det(matrices[:, :3, :3]) == 0.0
         if flat.any() and len(matrices) > 1:
@@ -90,8 +92,16 @@ def _place(document: Document, materials: Sequence[Material], placed: Sequence[P
             matrices = matrices[~flat]
         if len(matrices):
             with located(place):
-                meshes.append(instanced(mesh, matrices))
+                meshes.append(replace(instanced(mesh, matrices), **names))
     return meshes
+
+
+def _names(document: Document, node: Placed, index: int) -> dict[str, Any]:
+    """Name and groups of the meshes of a node: its own name, that of its mesh number `index`, and those above."""
+    mesh = document.items("meshes")[index]
+    own = [part.label for part in (node.node, mesh) if "name" in part]
+    name, *others = own or [mesh.label]
+    return {"name": name, "groups": (*others, *node.groups)}
 
 
 def _primitives(document: Document, index: int, materials: Sequence[Material], joints: np.ndarray | None = None) -> list[Mesh]:

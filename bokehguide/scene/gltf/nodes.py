@@ -12,14 +12,17 @@ from bokehguide.scene.gltf.document import Document, Part
 
 INSTANCING = "EXT_mesh_gpu_instancing"
 TRANSFORM = ("matrix", "rotation", "translation", "scale")
+MAX_GROUPS = 32
+"""Names above a node that are kept: a chain of a million nodes must not take a million names each."""
 
 
 @dataclass(frozen=True)
 class Placed:
-    """A node and the matrix `[4, 4]` from its space to world space."""
+    """A node, the matrix `[4, 4]` from its space to world space, and the names of the nodes above it, nearest first."""
 
     node: Part
     matrix: np.ndarray
+    groups: tuple[str, ...] = ()
 
 
 def place_nodes(document: Document) -> list[Placed]:
@@ -29,7 +32,7 @@ def place_nodes(document: Document) -> list[Placed]:
     """
     nodes = document.items("nodes")
     placed, seen = [], set()
-    waiting = [(index, np.eye(4)) for index in reversed(_roots(document))]
+    waiting = [(index, Placed(document.root, np.eye(4))) for index in reversed(_roots(document))]
     while waiting:
         index, parent = waiting.pop()
         node = nodes[index]
@@ -37,14 +40,20 @@ def place_nodes(document: Document) -> list[Placed]:
             problem = "has two parents or is its own ancestor; repair the file"
             raise BokehguideError(f"{document.file}: {node.path}: {problem}")
         seen.add(index)
-        matrix = parent
+        matrix = parent.matrix
         if any(key in node for key in TRANSFORM):
             with np.errstate(over="ignore", invalid="ignore"):
-                matrix = parent @ local_matrix(node)
-        placed.append(Placed(node, matrix))
+                matrix = parent.matrix @ local_matrix(node)
+        placed.append(Placed(node, matrix, _names_above(parent)))
         if "children" in node:
-            waiting += [(child, matrix) for child in reversed(document.links(node, "children", "nodes"))]
+            waiting += [(child, placed[-1]) for child in reversed(document.links(node, "children", "nodes"))]
     return placed
+
+
+def _names_above(parent: Placed) -> tuple[str, ...]:
+    """The names of a node and of the nodes above it, at most MAX_GROUPS."""
+    named = (parent.node.label,) if "name" in parent.node else ()
+    return (*named, *parent.groups)[:MAX_GROUPS]
 
 
 def _roots(document: Document) -> list[int]:

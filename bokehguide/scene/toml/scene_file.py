@@ -15,8 +15,8 @@ from bokehguide.limits import LARGEST, MAX_KEY_DEPTH
 from bokehguide.scene.checks import located
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.model_files import load_model
-from bokehguide.scene.overrides import Overrides, override_camera
+from bokehguide.scene.model_files import load_model, refuse_format
+from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
 from bokehguide.scene.shapes import SHAPES, sphere_subdivisions, transform, transformed, unit_sphere
 from bokehguide.scene.tables import ANY, EMITTER_RADIUS, EXPOSURE, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
 from bokehguide.scene.toml.lights import read_light_tables
@@ -27,11 +27,11 @@ from bokehguide.scene.validation import check_meshes, check_triangles
 
 SCENE_KEYS = ("camera", "film", "environment", "sun", "light", "lights", "materials", "object")
 DEEP_KEY = re.compile(rf"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_KEY_DEPTH}}}""")
-OBJECT_KEYS = ("shape", "file", "material", "translate", "rotate", "scale")
+OBJECT_KEYS = ("name", "shape", "file", "material", "translate", "rotate", "scale")
 
 
-def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scene:
-    """The scene of a `.toml` file with the camera of `overrides`. Paths are relative to the file.
+def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
+    """The scene of a `.toml` file, and its camera with `overrides`. Paths are relative to the file.
 
     files: the files that the scene may name. Raises BokehguideError naming file, field, value and
     remedy for invalid input.
@@ -42,10 +42,11 @@ def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scen
     warnings: list[str] = []
     materials = read_materials(root, files)
     objects = _read_objects(root, files, materials)
+    chosen = override_camera(root.values["camera"], overrides, str(path), files, written=True)
     meshes, emissive = read_light_tables(root, len(objects.materials))
-    return Scene(
+    scene = Scene(
         name=path.stem,
-        camera=override_camera(root.values["camera"], overrides, str(path), files),
+        camera=chosen.camera,
         meshes=(*objects.meshes, *meshes),
         materials=(*objects.materials, *emissive),
         film=_read_film(root),
@@ -54,6 +55,7 @@ def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> Scen
         warnings=(*objects.lines("warnings"), *_unused_sizes(root, objects), *warnings),
         supported=tuple(objects.lines("supported")),
     )
+    return scene, chosen
 
 
 def _parse(path: Path, files: SceneFiles) -> dict[str, Any]:
@@ -136,6 +138,7 @@ class _Objects:
 
     def load(self, table: Table) -> tuple[Model, int]:
         """The model of an object's `file`, and the index of its first material."""
+        refuse_format(Path(table.text("file")), table.place("file"))
         path = self.files.named(table, "file")
         if path not in self.models:
             self.models[path] = load_model(path, self.files, self.sizes), len(self.materials)
@@ -188,10 +191,16 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
                 model, first = objects.load(table)
                 placed += place_emitters(model, first, matrix, objects.materials)
                 objects.suns += place_suns(model, matrix)
-        objects.meshes += placed
+        objects.meshes += [_named(mesh, table) for mesh in placed]
         triangles += sum(len(mesh.triangles) for mesh in placed)
         check_triangles(triangles, f"{root.file}: {table.path}", files.most_triangles)
     return objects
+
+
+def _named(mesh: Mesh, table: Table) -> Mesh:
+    """A mesh under the name of its object; the names within a model stay valid too."""
+    name = table.text("name") or table.path
+    return replace(mesh, name=mesh.name or name, groups=(*mesh.groups, name))
 
 
 def _named_material(table: Table, named: dict[str, int]) -> int | None:
