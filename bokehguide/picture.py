@@ -148,7 +148,7 @@ def render(
     if denoise:
         require_denoiser()
     loaded = load_scene(scene, overrides, allow_outside)
-    for warning in () if quiet else loaded.warnings:
+    for warning in () if quiet else (*loaded.warnings, *loaded.likely_mistakes):
         warnings.warn(warning, stacklevel=2)
     with make_loop(loaded, settings) as loop:
         _take_steps(loop, quiet)
