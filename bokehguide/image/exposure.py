@@ -3,8 +3,8 @@
 The meter works on means over square blocks, so that the noise of few samples and single bright pixels hardly matter. Two
 conditions each give an exposure, and the lower one counts:
 
-- The logarithmic mean of the blocks becomes middle grey, KEY. Blocks count by their alpha, and blocks more than some four stops
-  below the highlights count less the darker they are: black surroundings are not to be brightened.
+- The logarithmic mean of the blocks becomes middle grey, KEY. Blocks count by their alpha. Blocks more than four stops below the
+  highlights count as four stops below: black surroundings are not to be brightened.
 - The highlights, the luminance that HIGHLIGHT_SHARE of the area exceeds, become HIGHLIGHTS at most. Lamps and reflections that
   cover less are left to the view's roll-off.
 """
@@ -20,7 +20,7 @@ KEY = 0.2
 """Radiance of a grey card, a little above its reflectance, as ACES shows middle grey darker than the sRGB curve does."""
 HIGHLIGHTS, HIGHLIGHT_SHARE = 4.0, 0.02
 DARKEST = 1.0 / 16.0
-"""Luminance by that of the highlights at which a block counts half."""
+"""Least luminance of a block by that of the highlights."""
 BLOCKS_ACROSS = 64
 """Blocks along the longer side of a picture."""
 LEAST_ALPHA = 0.05
@@ -40,8 +40,7 @@ def metered_exposure(radiance: np.ndarray, alpha: np.ndarray | None = None) -> f
     if not light.any():
         return 0.0
     highlights = float(np.quantile(light, 1.0 - HIGHLIGHT_SHARE)) or float(light.max())
-    weight = cover * light / (light + DARKEST * highlights)
-    mean = float(weight @ np.log2(light.clip(min=1e-300))) / float(weight.sum())
+    mean = float(cover @ np.log2(light.clip(min=DARKEST * highlights))) / float(cover.sum())
     stops = min(np.log2(KEY) - mean, np.log2(HIGHLIGHTS / highlights))
     return round(float(np.clip(stops, -MAX_EXPOSURE, MAX_EXPOSURE)), 2)
 
