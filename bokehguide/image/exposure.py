@@ -1,12 +1,12 @@
 """Metering: the exposure that suits a picture.
 
-The meter works on means over square blocks, so that the noise of few samples and single bright pixels hardly matter. Two
-conditions each give an exposure, and the lower one counts:
+The meter works on means over square blocks, so that the noise of few samples and single bright pixels hardly matter.
 
-- The logarithmic mean of the blocks becomes middle grey, KEY. Blocks count by their alpha, and blocks more than some four stops
-  below the highlights count less the darker they are: black surroundings are not to be brightened.
-- The highlights, the luminance that HIGHLIGHT_SHARE of the area exceeds, become HIGHLIGHTS at most. Lamps and reflections that
-  cover less are left to the view's roll-off.
+- The logarithmic mean of the lit blocks becomes middle grey, KEY. Blocks count by their alpha. Blocks more than four stops below
+  the upper quarter of the lit blocks count as four stops below. Discs of lamps out of focus often cover a tenth of a photograph, so
+  the upper quarter is a better reference than the brightest blocks.
+- The highlights, the luminance that HIGHLIGHT_SHARE of the area exceeds, become HIGHLIGHTS at most. The view rolls off the rest.
+- Where little of the picture is lit, the highlights become diffuse white at least: a lamp before black surroundings shines.
 """
 
 from __future__ import annotations
@@ -18,9 +18,13 @@ from bokehguide.limits import MAX_EXPOSURE
 
 KEY = 0.2
 """Radiance of a grey card, a little above its reflectance, as ACES shows middle grey darker than the sRGB curve does."""
-HIGHLIGHTS, HIGHLIGHT_SHARE = 4.0, 0.02
-DARKEST = 1.0 / 16.0
-"""Luminance by that of the highlights at which a block counts half."""
+HIGHLIGHTS, HIGHLIGHT_SHARE = 16.0, 0.02
+UPPER_SHARE, DARKEST = 0.25, 1.0 / 16.0
+"""Share of the lit blocks above the reference, and least luminance of a block relative to the reference."""
+BLACK = 2.0**-12
+"""Luminance of a block, relative to the highlights, below which the block is not lit."""
+LIT_SHARE = 0.25
+"""Share of the area below which little of a picture is lit."""
 BLOCKS_ACROSS = 64
 """Blocks along the longer side of a picture."""
 LEAST_ALPHA = 0.05
@@ -40,9 +44,14 @@ def metered_exposure(radiance: np.ndarray, alpha: np.ndarray | None = None) -> f
     if not light.any():
         return 0.0
     highlights = float(np.quantile(light, 1.0 - HIGHLIGHT_SHARE)) or float(light.max())
-    weight = cover * light / (light + DARKEST * highlights)
-    mean = float(weight @ np.log2(light.clip(min=1e-300))) / float(weight.sum())
+    lit = light > BLACK * highlights
+    lit_share = float(cover[lit].sum() / cover.sum())
+    light, cover = light[lit], cover[lit]
+    reference = float(np.quantile(light, 1.0 - UPPER_SHARE))
+    mean = float(cover @ np.log2(light.clip(min=DARKEST * reference))) / float(cover.sum())
     stops = min(np.log2(KEY) - mean, np.log2(HIGHLIGHTS / highlights))
+    if lit_share < LIT_SHARE:
+        stops = max(stops, -np.log2(highlights))
     return round(float(np.clip(stops, -MAX_EXPOSURE, MAX_EXPOSURE)), 2)
 
 
