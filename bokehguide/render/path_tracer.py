@@ -16,6 +16,7 @@ from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.lights.base import LightSampler
 from bokehguide.render.lights.power_sampler import PowerLightSampler
 from bokehguide.render.lights.scene_lights import Lights
+from bokehguide.render.native import NativeTracer
 from bokehguide.render.observer import PathObserver, PrimaryHitAOVs
 from bokehguide.render.paths import Paths, Rays
 from bokehguide.render.primary_hits import PrimaryHits
@@ -71,6 +72,8 @@ class PathTracer:
         self.light_sampler = PowerLightSampler(self.lights)
         self.visibility = Visibility(self.geometry, scene.meshes)
         self.max_depth = scene.film.max_depth
+        self.native = NativeTracer.make(self.geometry, self.lights, self.visibility)
+        """The native core for this scene, None where it is missing."""
 
     def trace(
         self,
@@ -90,9 +93,13 @@ class PathTracer:
         max_depth: of this trace; alive: positive for the rays to trace, `[N]`, None for all, the others count as misses;
         light_sampler: of primary hits; splitting: at primary hits; observers: whose hooks the trace calls.
         """
+        sampler, max_depth = light_sampler or self.light_sampler, max_depth or self.max_depth
+        if self.native is not None and sampler is self.light_sampler and splitting is UNSPLIT and not observers:
+            fields, rays = self.native.trace(origin, direction, alive, random, max_depth, timer)
+            return PathSamples(**fields, rays=rays, primary_hits=None)
         aovs = PrimaryHitAOVs(origin.shape[1], origin.device)
-        trace = _Trace(self, light_sampler or self.light_sampler, splitting, (aovs, *observers), timer)
-        radiance = trace.run(origin, direction, alive, random, max_depth or self.max_depth)
+        trace = _Trace(self, sampler, splitting, (aovs, *observers), timer)
+        radiance = trace.run(origin, direction, alive, random, max_depth)
         samples = PathSamples(radiance, **vars(aovs), rays=trace.rays, primary_hits=splitting.primary_hits)
         for observer in observers:
             observer.finished(radiance, samples.distance)
