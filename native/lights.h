@@ -9,22 +9,22 @@
 namespace BOKEHGUIDE_ISA {
 
 using bokehguide::DistantTable;
+using bokehguide::AliasEntry;
 using bokehguide::EmitterRow;
+using bokehguide::LEVELS_IN_LINE;
 
 constexpr float MISS_DISTANCE = 1e37f, LEAST_COSINE = 1e-12f;
 
 typedef double Double __attribute__((vector_size(64)));
 
 // `AliasTable.sample`: entries of rows that begin at `start` and have `count` entries.
-inline Int alias_sample(const float* keep, const int32_t* alias, Int start, Int count, Float u0, Float u1) {
-    Int slot, stays;
-    for (int lane = 0; lane < LANES; ++lane) {
-        const double position = (double(u0[lane]) + (double(u1[lane]) - 0.5) * 0x1p-23) * count[lane];
-        const int32_t place = int32_t(position);
-        slot[lane] = place + start[lane];
-        stays[lane] = position - place < keep[slot[lane]] ? -1 : 0;
-    }
-    return stays ? slot : gather(alias, slot);
+inline Int alias_sample(const AliasEntry* table, Int start, Int count, Float u0, Float u1) {
+    const Double fine = __builtin_convertvector(u0, Double) + (__builtin_convertvector(u1, Double) - 0.5) * 0x1p-23;
+    const Double position = fine * __builtin_convertvector(count, Double);
+    const Int place = __builtin_convertvector(position, Int), slot = place + start;
+    const Double kept = __builtin_convertvector(gather(&table->keep, 2 * slot), Double);
+    const Int stays = __builtin_convertvector(position - __builtin_convertvector(place, Double) < kept, Int);
+    return stays ? slot : gather(&table->alias, 2 * slot);
 }
 
 // `LightVoxelGrid.cells`; a NaN belongs to the first cell.
@@ -36,18 +36,27 @@ inline Int cell_of(const Tables& t, Vec3 point) {
     return along(point.x, 0) + along(point.y, 1) + along(point.z, 2);
 }
 
-// `ClusterTable.sample` and `pdf`.
+// `ClusterTable.sample`. The last of each CLUSTERS_IN_LINE cumulative probabilities are also in a table of their own, which fits a
+// cache: the search reads two lines of memory.
 inline Int sample_cluster(const Tables& t, Int cell, Float u) {
-    const Int base = (cell << t.cluster_levels) - 1;
-    Int place = base;
-    for (int level = t.cluster_levels - 1; level >= 0; --level) {
+    const int in_line = t.cluster_levels < LEVELS_IN_LINE ? t.cluster_levels : LEVELS_IN_LINE, upper = t.cluster_levels - in_line;
+    Int place = (cell << upper) - 1;
+    for (int level = upper - 1; level >= 0; --level) {
+        const Int further = place + (1 << level);
+        place = gather(t.cluster_lines, further) <= u ? further : place;
+    }
+    place = ((place + 1) << in_line) - 1;
+    for (int level = in_line - 1; level >= 0; --level) {
         const Int further = place + (1 << level);
         place = gather(t.cluster_cumulative, further) <= u ? further : place;
     }
-    return place - base;
+    return place + 1 - (cell << t.cluster_levels);
 }
+// `ClusterTable.pdf`: differences of cumulative probabilities.
 inline Float cluster_pdf(const Tables& t, Int cell, Int cluster) {
-    return gather(t.cluster_probability, (cell << t.cluster_levels) + cluster);
+    const Int place = (cell << t.cluster_levels) + cluster;
+    const Float before = gather(t.cluster_cumulative, cluster > 0 ? place - 1 : place);
+    return gather(t.cluster_cumulative, place) - (cluster > 0 ? before : all(0.0f));
 }
 
 // Points that lights illuminate (`Lights.query`).
@@ -176,7 +185,7 @@ inline LightSample sample_environment(const Tables& t, const PointQuery& query, 
     Vec3 direction = grey(all(0.0f));
     if (t.map_density != nullptr) {
         const Int size = all(t.map_width * t.map_height);
-        element = alias_sample(t.map_keep, t.map_alias, all(0), size, u[0], u[1]);
+        element = alias_sample(t.map_table, all(0), size, u[0], u[1]);
         direction = sample_texel(t, element, u[2], u[3]);
     }
     if (t.distant_count > 0) {
@@ -200,7 +209,7 @@ inline Float emitter_field(const Tables& t, Int emitter, int field) {
 inline LightSample sample_triangle(const Tables& t, const PointQuery& query, const Float (&u)[5], Int active) {
     const Int cluster = sample_cluster(t, query.cell, u[0]);
     const Int start = gather(t.within_start, cluster), count = gather(t.within_start, cluster + 1) - start;
-    const Int emitter = alias_sample(t.within_keep, t.within_alias, start, count, u[1], u[2]);
+    const Int emitter = alias_sample(t.within_table, start, count, u[1], u[2]);
     const auto field = [&](int number) { return emitter_field(t, emitter, number); };
     const auto vector = [&](int number) { return Vec3{field(number), field(number + 1), field(number + 2)}; };
     const Float root = sqrt(u[3]), a = root * (1.0f - u[4]), b = root * u[4];

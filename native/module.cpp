@@ -183,8 +183,8 @@ class Scene {
         t.emission = array<float>("emission"), t.specular_color = array<float>("specular_color");
         t.clearcoat = array<float>("clearcoat"), t.cones = array<float>("cones");
         t.opacity = array<float>("opacity"), t.absorption = array<float>("absorption");
-        t.emissive = array<uint8_t>("emissive"), t.tinted = array<uint8_t>("tinted");
-        t.is_translucent = array<uint8_t>("is_translucent");
+        t.emissive = array<int32_t>("emissive"), t.tinted = array<int32_t>("tinted");
+        t.is_translucent = array<int32_t>("is_translucent");
         for (int slot = 0; slot < SLOTS; ++slot) {
             const std::string number = std::to_string(slot);
             t.numbers[slot] = array<int64_t>("numbers" + number);
@@ -218,20 +218,35 @@ class Scene {
             emitters_[i].triangle = int32_t(triangles[i]), emitters_[i].cluster = cluster[i];
         }
         t.emitter_rows = emitters_.data();
-        t.within_keep = array<float>("within_keep"), t.within_alias = array<int32_t>("within_alias");
+        t.within_table = alias_table("within", within_table_);
         t.within_start = array<int32_t>("within_start"), t.far_share = array<float>("far_share");
-        t.cluster_cumulative = array<float>("cluster_cumulative"), t.cluster_probability = array<float>("cluster_probability");
-        t.cluster_levels = int32_t(number("cluster_levels"));
+        set_clusters();
         const float* box = array<float>("grid_box");  // low, cells per metre, last cell, steps
         for (int axis = 0; axis < 3; ++axis) {
             t.grid_low[axis] = box[axis], t.grid_last[axis] = box[4 + axis], t.grid_step[axis] = int32_t(box[7 + axis]);
         }
         t.grid_scale = box[3];
     }
+    void set_clusters() {
+        size_t size;
+        t.cluster_cumulative = array<float>("cluster_cumulative", &size);
+        t.cluster_levels = int32_t(number("cluster_levels"));
+        const size_t line = size_t(1) << (t.cluster_levels < LEVELS_IN_LINE ? t.cluster_levels : LEVELS_IN_LINE);
+        for (size_t last = line - 1; last < size; last += line) cluster_lines_.push_back(t.cluster_cumulative[last]);
+        t.cluster_lines = cluster_lines_.data();
+    }
+    const AliasEntry* alias_table(const std::string& name, std::vector<AliasEntry>& entries) {
+        size_t count;
+        const float* keep = array<float>(name + "_keep", &count);
+        const int32_t* alias = array<int32_t>(name + "_alias");
+        entries.resize(count);
+        for (size_t i = 0; i < count; ++i) entries[i] = {keep[i], alias[i]};
+        return entries.data();
+    }
     void set_environment() {
         t.has_environment = is("has_environment"), t.visible_environment = is("visible_environment");
-        t.map_texels = array<float>("map_texels"), t.map_keep = array<float>("map_keep");
-        t.map_density = array<float>("map_density"), t.map_alias = array<int32_t>("map_alias");
+        t.map_texels = array<float>("map_texels"), t.map_density = array<float>("map_density");
+        t.map_table = alias_table("map", map_table_);
         t.map_width = int32_t(number("map_width")), t.map_height = int32_t(number("map_height"));
         t.map_turn = float(number("map_turn")), t.map_share = float(number("map_share"));
         size_t size;
@@ -247,6 +262,8 @@ class Scene {
     std::vector<nb::ndarray<>> kept_;
     std::vector<TriangleRow> rows_;
     std::vector<EmitterRow> emitters_;
+    std::vector<AliasEntry> within_table_, map_table_;
+    std::vector<float> cluster_lines_;
 };
 
 // Keys of random numbers. directions: of Sobol' sequences, int32 `[8, 30]`.

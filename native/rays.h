@@ -73,7 +73,8 @@ inline int set_rays(RaysOf<8>& packet, int (&valid)[8], const RayRows& rays, int
     return active;
 }
 
-inline void nearest_by_packets(void* scene, const RayRows& rays, const HitRows& hits, int64_t count) {
+inline void nearest_by_packets(void* scene, const RayRows& rays, const HitRows& hits, int64_t count,
+                               bokehguide::QueryArguments* arguments = nullptr) {
     RayHitsOf<8> query;
     alignas(32) int valid[8];
     for (int64_t first = 0; first < count; first += LANES) {
@@ -81,7 +82,7 @@ inline void nearest_by_packets(void* scene, const RayRows& rays, const HitRows& 
         for (int lane = 0; lane < LANES; ++lane) {
             query.hit.geometry[lane] = query.hit.instance[lane] = query.hit.instance_primitive[lane] = bokehguide::INVALID;
         }
-        embree.intersect8(valid, scene, &query, nullptr);
+        embree.intersect8(valid, scene, &query, arguments);
         for (int lane = 0; lane < active; ++lane) {
             const bool found = query.hit.geometry[lane] != bokehguide::INVALID;
             hits.triangle[first + lane] = found ? int32_t(query.hit.triangle[lane]) : -1;
@@ -92,12 +93,13 @@ inline void nearest_by_packets(void* scene, const RayRows& rays, const HitRows& 
     }
 }
 
-inline void visible_by_packets(void* scene, const RayRows& rays, float* visible, int64_t count) {
+inline void visible_by_packets(void* scene, const RayRows& rays, float* visible, int64_t count,
+                               bokehguide::QueryArguments* arguments = nullptr) {
     RaysOf<8> packet;
     alignas(32) int valid[8];
     for (int64_t first = 0; first < count; first += LANES) {
         const int active = set_rays(packet, valid, rays, first, count);
-        embree.occluded8(valid, scene, &packet, nullptr);
+        embree.occluded8(valid, scene, &packet, arguments);
         for (int lane = 0; lane < active; ++lane) visible[first + lane] = packet.far[lane] < 0.0f ? 0.0f : 1.0f;
     }
 }

@@ -57,12 +57,6 @@ inline Int material_of(const Tables& t, Int triangle) {
     return gather(&t.triangles[0].material, triangle * 16);
 }
 inline Int emitter_of(const Tables& t, Int triangle) { return gather(&t.triangles[0].emitter, triangle * 16); }
-inline Int flag(const uint8_t* table, Int index) {
-    Int found;
-    for (int lane = 0; lane < LANES; ++lane) found[lane] = -int32_t(table[index[lane]]);
-    return found;
-}
-
 // Value at a hit from rows `[3 C, columns]` of first corners and differences; count: C.
 inline Float interpolated(const float* rows, int64_t columns, int count, int row, Int column, Float u, Float v) {
     return gather(rows + row * columns, column) + u * gather(rows + (count + row) * columns, column) +
@@ -279,7 +273,7 @@ inline Vec3 emission_share(const Tables& t, const Hits& hit, Vec3 direction, Int
     share = share * rgb(texels(t, bokehguide::EMISSION, hit, material, active));
     if (t.colors != nullptr) {
         const Vec3 color = interpolated3(t.colors, t.triangle_count, 4, hit.triangle, hit.u, hit.v);
-        share = choose(flag(t.tinted, material) != 0, share * color, share);
+        share = choose(gather(t.tinted, material) != 0, share * color, share);
     }
     if (t.clearcoat != nullptr) share = share * through_clearcoat(t, hit, material, direction, active);
     return share;

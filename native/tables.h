@@ -30,6 +30,13 @@ struct alignas(64) EmitterRow {
 };
 static_assert(sizeof(TriangleRow) == 64 && sizeof(EmitterRow) == 64, "one line of the cache");
 
+struct AliasEntry {
+    float keep;
+    int32_t alias;
+};
+
+constexpr int LEVELS_IN_LINE = 4;  // 16 floats make a line of the cache
+
 struct DistantTable {
     float frame[9];  // row by row; the third column points to the light
     float height, squared_radius, density, radiance[3];
@@ -47,7 +54,7 @@ struct Tables {
     // Materials, M columns
     int64_t materials;
     const float *parameters, *emission, *specular_color, *clearcoat, *cones, *opacity, *absorption, *normal_scales[SLOTS];
-    const uint8_t *emissive, *tinted, *is_translucent;
+    const int32_t *emissive, *tinted, *is_translucent;
     const int64_t* numbers[SLOTS];
     bool tilts_coats, has_transmission, plain_emission;
 
@@ -61,8 +68,9 @@ struct Tables {
     // Emissive triangles, E columns
     int64_t emitters;
     const EmitterRow* emitter_rows;
-    const float *within_keep, *cluster_cumulative, *cluster_probability, *far_share;
-    const int32_t *within_alias, *within_start;
+    const AliasEntry* within_table;
+    const int32_t* within_start;
+    const float *cluster_cumulative, *cluster_lines, *far_share;
     int32_t cluster_levels;
     float grid_low[3], grid_scale, grid_last[3];
     int32_t grid_step[3];
@@ -70,8 +78,8 @@ struct Tables {
 
     // Environment
     bool has_environment, visible_environment;
-    const float *map_texels, *map_keep, *map_density;  // the last two null where the map is not sampled
-    const int32_t* map_alias;
+    const float *map_texels, *map_density;  // the last null where the map is not sampled, as the next
+    const AliasEntry* map_table;
     int32_t map_width, map_height;
     float map_turn, map_share;
     int32_t distant_count;

@@ -284,7 +284,7 @@ class Tracing {
             throughput = throughput * transmittance(t, hit, s.front);
             store3(b.throughput, i, throughput);
         }
-        const Int emits = flag(t.emissive, material_of(t, hit.triangle)) & active;
+        const Int emits = (gather(t.emissive, material_of(t, hit.triangle)) != 0) & active;
         if (!any(emits)) return;
         Vec3 light = throughput * emission(t, hit, s.front, s.outgoing, emits);
         if (depth > 1) {

@@ -96,8 +96,8 @@ def _material_tables(materials: Materials) -> Tables:
         "absorption": materials.absorption,
     }
     facts = ("tilts_coats", "has_transmission", "plain_emission")
-    bytes_of = {name: flag.to(torch.uint8) for name, flag in flags.items()}
-    return {**tables, **numbers, **scales, **bytes_of}, {name: getattr(materials, name) for name in facts}
+    integers = {name: flag.int() for name, flag in flags.items()}
+    return {**tables, **numbers, **scales, **integers}, {name: getattr(materials, name) for name in facts}
 
 
 def _texture_tables(atlas: TextureAtlas) -> Tables:
@@ -128,7 +128,6 @@ def _emitter_tables(lights: Lights) -> Tables:
         "within_start": grid.within.start,
         "far_share": lights.far_share,
         "cluster_cumulative": grid.table.cumulative,
-        "cluster_probability": grid.table.flat_probability,
         "grid_box": torch.cat((low, scale, last, step)),
     }
     return tables, numbers | {"cluster_levels": grid.table.levels}

@@ -28,7 +28,7 @@ class ClusterTable:
         cumulative = probability.cumsum(1).float().clamp(max=1.0)
         cumulative[:, -1] = 1.0
         cumulative = pad(cumulative, (0, 2**self.levels - count), value=1.0)
-        self.flat_probability = torch.diff(cumulative, dim=1, prepend=torch.zeros_like(cumulative[:, :1])).reshape(-1)
+        self._probability = torch.diff(cumulative, dim=1, prepend=torch.zeros_like(cumulative[:, :1])).reshape(-1)
         self.cumulative = cumulative.reshape(-1)
 
     def sample(self, row: Tensor, uniforms: Tensor) -> Tensor:
@@ -42,7 +42,7 @@ class ClusterTable:
 
     def pdf(self, row: Tensor, cluster: Tensor) -> Tensor:
         """Probability of each cluster in each row, `[N]`."""
-        return self.flat_probability.index_select(0, (row << self.levels) + cluster)
+        return self._probability.index_select(0, (row << self.levels) + cluster)
 
 
 @kernel
