@@ -304,6 +304,39 @@ nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& directio
     return nb::make_tuple(arguments.rays, arguments.embree_seconds);
 }
 
+using Doubles = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+
+template <class Array> Array entry(const nb::dict& arrays, const char* name, size_t size) {
+    const auto found = nb::cast<Array>(arrays[name]);
+    check(found, size, name);
+    return found;
+}
+
+// Adds samples to the sums of a film, both as dictionaries by the names of render/film.py. Returns whether all are finite.
+bool expose(const nb::dict& sums, const nb::dict& samples, const std::optional<nb::ndarray<const int64_t, nb::c_contig>>& pixels,
+            int64_t first, bool recenter, nb::ndarray<uint8_t, nb::c_contig, nb::device::cpu> good) {
+    const size_t count = good.size();
+    FilmSums film{};
+    film.pixels = int64_t(nb::cast<FloatsOut>(sums["count"]).size());
+    const size_t size = size_t(film.pixels);
+    if (pixels ? pixels->size() != count : first < 0 || size_t(first) + count > size) throw std::invalid_argument("pixels beyond the film");
+    const auto doubles = [&](const char* name, size_t rows) { return entry<Doubles>(sums, name, rows * size).data(); };
+    const auto floats = [&](const char* name, size_t rows) { return entry<FloatsOut>(sums, name, rows * size).data(); };
+    const auto sample = [&](const char* name, size_t rows) { return entry<Floats>(samples, name, rows * count).data(); };
+    film.radiance = doubles("radiance", 3), film.emission = doubles("emission", 3), film.square = doubles("square", 1);
+    film.features = doubles("features", 9), film.count = floats("count", 1);
+    film.nearest = floats("nearest", 1), film.farthest = floats("farthest", 1);
+    if (sums.contains("passed")) film.passed = doubles("passed", 1);
+    if (sums.contains("control")) film.moments = floats("control", 10), film.center = floats("center", 9);
+    FilmSamples of{};
+    of.count = int64_t(count);
+    of.weight = sample("weight", 1), of.radiance = sample("radiance", 3), of.alpha = sample("alpha", 1), of.depth = sample("depth", 1);
+    of.normal = sample("normal", 3), of.albedo = sample("albedo", 3), of.emission = sample("emission", 3);
+    if (!nb::handle(samples["radiance_weight"]).is_none()) of.radiance_weight = sample("radiance_weight", 1);
+    nb::gil_scoped_release released;
+    return kernels().expose(film, of, pixels ? pixels->data() : nullptr, first, recenter, good.data());
+}
+
 }  // namespace
 }  // namespace bokehguide
 
@@ -329,11 +362,22 @@ NB_MODULE(_native, m) {
         .def(nb::init<nb::dict, nb::dict, nb::object, nb::object, nb::object>(), nb::arg(), nb::arg(), nb::arg().none(),
              nb::arg().none(), nb::arg().none())
         .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());
-    // Stages of a trace, for tests.
+    m.def("expose", &expose, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg());
+    m.def("camera_rays", [](const Floats& axes, const Floats& position, const Floats& focus, const Floats& points, FloatsOut rows) {
+        const size_t count = rows.size() / 6;
+        check(axes, 9, "axes"), check(position, 3, "position");
+        check(focus, 3 * count, "focus"), check(points, 2 * count, "points");
+        Camera camera;
+        std::memcpy(camera.axes, axes.data(), sizeof camera.axes), std::memcpy(camera.position, position.data(), sizeof camera.position);
+        nb::gil_scoped_release released;
+        kernels().camera_rays(camera, int64_t(count), focus.data(), points.data(), rows.data(), rows.data() + 3 * count);
+    });
     m.def("random", [](const Random& random, const Ints& pixels, uint32_t dimension, int numbers, int first, FloatsOut out) {
         check(out, size_t(numbers) * pixels.size(), "out");
+        nb::gil_scoped_release released;
         kernels().random(random, int64_t(pixels.size()), pixels.data(), dimension, numbers, first, out.data());
     });
+    // Stages of a trace, for tests.
     m.def("surfaces", [](const Scene& scene, const Floats& origin, const Floats& direction, const Ints& triangle, const Floats& hits,
                          FloatsOut rows) {
         check(rows, 32 * triangle.size(), "rows");

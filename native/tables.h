@@ -106,4 +106,19 @@ struct Trace {
     double embree_seconds;
 };
 
+// One sample for each of some pixels, and the sums of a film over its pixels (render/film.py); rows as in `Tables`.
+struct FilmSamples {
+    int64_t count;
+    const float *weight, *radiance_weight, *radiance, *alpha, *depth, *normal, *albedo, *emission;
+};
+struct FilmSums {
+    int64_t pixels;
+    double *radiance, *emission, *square, *features, *passed;  // passed: null unless the frame is vignetted
+    float *count, *nearest, *farthest, *moments, *center;      // the last two null without a control variate
+};
+
+struct Camera {
+    float axes[9], position[3];  // camera to world, row by row
+};
+
 }  // namespace bokehguide
