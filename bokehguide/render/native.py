@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ def native_scene(core: Any, geometry: Geometry, lights: Lights, visibility: Visi
     return core.Scene(arrays, numbers, *(None if tracer is None else tracer.native for tracer in scenes))
 
 
-Tables = tuple[dict[str, Tensor | None], dict[str, float]]
+Tables = tuple[Mapping[str, Tensor | None], Mapping[str, float]]
 
 
 def _geometry_tables(geometry: Geometry, lights: Lights, visibility: Visibility) -> Tables:
@@ -134,8 +135,10 @@ def _emitter_tables(lights: Lights) -> Tables:
 
 
 def _environment_tables(lights: Lights) -> Tables:
-    environment, tables = lights.environment, {}
-    numbers = dict.fromkeys(("has_environment", "visible_environment", "map_width", "map_height", "map_turn", "map_share"), 0.0)
+    environment = lights.environment
+    tables: dict[str, Tensor | None] = {}
+    names = ("has_environment", "visible_environment", "map_width", "map_height", "map_turn", "map_share")
+    numbers: dict[str, float] = dict.fromkeys(names, 0.0)
     if environment is None:
         return tables, numbers
     numbers |= {"has_environment": 1.0, "visible_environment": environment.visible, "map_share": environment.share[0]}
@@ -145,6 +148,7 @@ def _environment_tables(lights: Lights) -> Tables:
         tables["map_texels"] = environment.map.texels
     if environment.sampled_map is not None:
         table = environment.sampled_map.table
+        assert table is not None
         tables |= {"map_keep": table.keep, "map_alias": table.alias, "map_density": environment.sampled_map.densities}
     if environment.distant:
         tables["distant"] = torch.stack([light.row(share) for light, share in zip(environment.distant, environment.share[1:])])

@@ -7,6 +7,7 @@ environment variable `BOKEHGUIDE_NATIVE=0` chooses them everywhere.
 from __future__ import annotations
 
 import functools
+import importlib
 import os
 from pathlib import Path
 from types import ModuleType
@@ -29,13 +30,13 @@ def core() -> ModuleType | None:
 @functools.cache
 def _loaded() -> ModuleType | None:
     try:
-        from bokehguide import _native
+        extension = importlib.import_module("bokehguide._native")
     except ImportError:
         return None
     for library in embree_libraries():
         try:
-            if _native.load_embree(str(library)) in VERSIONS:
-                return _native
+            if extension.load_embree(str(library)) in VERSIONS:
+                return extension
         except RuntimeError:
             continue
     return None

@@ -22,9 +22,8 @@ HAS_CORE = "from bokehguide.runtime.native import core; print(core() is not None
 def built(tmp_path: Path, compiler: dict[str, str]) -> tuple[Path, set[str], set[str]]:
     """The wheel, the files in it, and those of the package; compiler: variables of the environment."""
     source = tmp_path / "source"
-    shutil.copytree(
-        REPOSITORY / "bokehguide", source / "bokehguide", ignore=shutil.ignore_patterns("__pycache__", "*.so", "*.pyd")
-    )
+    package = shutil.ignore_patterns("__pycache__", "*.so", "*.pyd")
+    shutil.copytree(REPOSITORY / "bokehguide", source / "bokehguide", ignore=package)
     sources = shutil.ignore_patterns("CMakeFiles", "CMakeCache.txt", "CMakeInit.txt", "*.cmake", "*.ninja", "*.a", ".ninja*")
     shutil.copytree(REPOSITORY / "native", source / "native", ignore=sources)
     for name in SOURCES:

@@ -175,7 +175,6 @@ def test_films_of_both_paths_agree(monkeypatch):
 
 def test_without_the_extension_pytorch_renders(monkeypatch):
     monkeypatch.setitem(sys.modules, "bokehguide._native", None)
-    monkeypatch.delattr("bokehguide._native", raising=False)
     native._loaded.cache_clear()
     try:
         assert native.core() is None
