@@ -5,6 +5,7 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 
+#include <atomic>
 #include <chrono>
 #include <cstring>
 #include <memory>
@@ -34,9 +35,21 @@ namespace {
 
 void* device = nullptr;
 
+bool has_avx2() {
+#if defined(BOKEHGUIDE_HAS_AVX2)
+    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
+#else
+    return false;
+#endif
+}
+
+std::atomic<bool> modern{has_avx2()};
+
+// Whether the AVX2 core serves from now on, where the processor has it; the other core has the same bits.
+bool use_avx2(bool wanted) { return modern = wanted && has_avx2(); }
+
 const Kernels& kernels() {
 #if defined(BOKEHGUIDE_HAS_AVX2)
-    static const bool modern = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
     if (modern) return avx2::kernels;
 #endif
     return baseline::kernels;
@@ -343,13 +356,7 @@ bool expose(const nb::dict& sums, const nb::dict& samples, const std::optional<n
 NB_MODULE(_native, m) {
     using namespace bokehguide;
     m.def("load_embree", &load_embree);
-    m.def("has_avx2", [] {
-#if defined(BOKEHGUIDE_HAS_AVX2)
-        return &kernels() == &avx2::kernels;
-#else
-        return false;
-#endif
-    });
+    m.def("use_avx2", &use_avx2);
     nb::class_<Triangles>(m, "Triangles")
         .def(nb::init<const nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>&,
                       const nb::ndarray<const int32_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>&>())

@@ -143,6 +143,22 @@ def test_a_path_does_not_depend_on_its_batch(name):
     assert torch.equal(alone.normal, whole.normal[:, part])
 
 
+@pytest.mark.parametrize("name", ("textures", "glass", "sheets", "lamps"))
+def test_both_instruction_sets_give_the_same_bits(name):
+    tracer, _ = both_tracers(name)
+    if not core().use_avx2(True):
+        pytest.skip("the processor has one instruction set")
+    origin, direction, random = rays(name, 1001)
+    found = tracer.trace(origin, direction, random, PhaseTimer())
+    try:
+        assert not core().use_avx2(False)
+        expected = tracer.trace(origin, direction, random, PhaseTimer())
+    finally:
+        core().use_avx2(True)
+    for field in ("radiance", "normal", "albedo", "distance"):
+        torch.testing.assert_close(getattr(found, field), getattr(expected, field), rtol=0.0, atol=0.0, equal_nan=True)
+
+
 @pytest.mark.parametrize("mode", ("uniform", pytest.param("lis-o", marks=pytest.mark.slow)))
 def test_threads_change_no_bit(mode):
     core()
