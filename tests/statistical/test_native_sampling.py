@@ -45,7 +45,7 @@ def test_directions_follow_their_density(degrees, choice, parameters):
     drawn, values = torch.empty(7, DRAWS), torch.empty(4, POINTS)
     found.sample(scene_tables, rows(DRAWS), torch.full((DRAWS,), choice), uniforms(DRAWS, 3), drawn)
     found.evaluate(scene_tables, rows(POINTS), torch.full((POINTS,), choice), GRID.directions, values)
-    valid = drawn[3] > 0.0
+    valid = drawn[6 if choice else 3] > 0.0
     cells = GRID.cell_integrals(values[3])
     counts = np.append(GRID.histogram(drawn[0:3, valid]), DRAWS - int(valid.sum()))
     expected = np.append(cells, max(1.0 - cells.sum(), 0.0) + 1e-6)
