@@ -25,6 +25,7 @@ from bokehguide.render.splitting import UNSPLIT, Splitting
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import divisor, dot, length
 from bokehguide.render.visibility import Arrivals, Visibility
+from bokehguide.runtime import native
 from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Scene
@@ -94,7 +95,8 @@ class PathTracer:
         light_sampler: of primary hits; splitting: at primary hits; observers: whose hooks the trace calls.
         """
         sampler, max_depth = light_sampler or self.light_sampler, max_depth or self.max_depth
-        if self.native is not None and sampler is self.light_sampler and splitting is UNSPLIT and not observers:
+        plain = sampler is self.light_sampler and splitting is UNSPLIT and not observers
+        if plain and self.native is not None and native.core() is not None:
             fields, rays = self.native.trace(origin, direction, alive, random, max_depth, timer)
             return PathSamples(**fields, rays=rays, primary_hits=None)
         aovs = PrimaryHitAOVs(origin.shape[1], origin.device)

@@ -235,6 +235,7 @@ def one_technique(technique: str, monkeypatch) -> None:
     if technique == "bounce rays":
         bsdf_sampling_only(monkeypatch)
     elif technique == "light samples":
+        monkeypatch.setenv(native.SWITCH, "0")
         monkeypatch.setattr(PowerLightSampler, "triangle_pdf", lambda *arguments: torch.full_like(arguments[-1], math.inf))
         monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: (other < math.inf).float())
 
