@@ -27,14 +27,6 @@ template <int N> struct alignas(N == 1 ? 16 : 4 * N) RayHitsOf {
     HitsOf<N> hit;
 };
 
-struct QueryArguments {
-    int flags;
-    int features;
-    void *context, *filter, *intersect;
-    float least_width_factor, unused;
-};
-constexpr int COHERENT = 1 << 16;
-
 struct Embree {
     void* (*new_device)(const char*);
     long (*device_property)(void*, int);
@@ -47,15 +39,12 @@ struct Embree {
     void (*release_geometry)(void*);
     void (*commit_scene)(void*);
     void (*release_scene)(void*);
-    void (*intersect1)(void*, RayHitsOf<1>*, QueryArguments*);
-    void (*occluded1)(void*, RaysOf<1>*, QueryArguments*);
-    void (*intersect8)(const int*, void*, RayHitsOf<8>*, QueryArguments*);
-    void (*occluded8)(const int*, void*, RaysOf<8>*, QueryArguments*);
+    void (*intersect1)(void*, RayHitsOf<1>*, void*);
+    void (*occluded1)(void*, RaysOf<1>*, void*);
 };
 
 extern Embree embree;
 
 static_assert(sizeof(RaysOf<1>) == 48 && sizeof(RayHitsOf<1>) == 96, "as in rtcore_ray.h");
-static_assert(sizeof(RaysOf<8>) == 384 && sizeof(RayHitsOf<8>) == 672, "as in rtcore_ray.h");
 
 }  // namespace bokehguide

@@ -86,7 +86,6 @@ long load_embree(const std::string& path) {
     bind(library, "rtcReleaseGeometry", embree.release_geometry), bind(library, "rtcCommitScene", embree.commit_scene);
     bind(library, "rtcReleaseScene", embree.release_scene);
     bind(library, "rtcIntersect1", embree.intersect1), bind(library, "rtcOccluded1", embree.occluded1);
-    bind(library, "rtcIntersect8", embree.intersect8), bind(library, "rtcOccluded8", embree.occluded8);
     if (device == nullptr) device = embree.new_device(nullptr);
     if (device == nullptr) throw std::runtime_error("Embree has no device");
     return embree.device_property(device, 0);
