@@ -6,6 +6,7 @@
 
 The check lists the cases that differ and exits with 1. Hashes hold for one kind of processor and one version of each
 library; the check tells where these differ. The number of threads changes no hash, nor do names in the state of a loop.
+Hashes are those of the PyTorch code, without the native core.
 Of the package's names, only `golden_scenes.py` and the functions down to `by_command` know any.
 """
 
@@ -32,6 +33,7 @@ from golden_scenes import make_scene
 
 import bokehguide
 from bokehguide.image import read_exr
+from bokehguide.runtime.native import SWITCH
 from bokehguide.train import RenderSettings, make_loop
 
 MODES = ("uniform", "lis", "lis-b", "lis-o", "guided", "area-restir", "area-restir+lis")
@@ -174,6 +176,7 @@ def main() -> int:
     parser.add_argument("--only", default="*", metavar="PATTERN", help="cases whose names match, such as 'modes/*guided'")
     parser.add_argument("--threads", type=int, default=2, metavar="N", help="that render, default 2")
     args = parser.parse_args()
+    os.environ[SWITCH] = "0"
     torch.set_num_threads(1)
     cases = {name: render for name, render in all_cases().items() if fnmatch(name, args.only)}
     path, since = args.check or args.write, time.perf_counter()

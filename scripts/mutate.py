@@ -96,7 +96,7 @@ class Audit:
     def _run_tests(self, copy: Path, tests: tuple[str, ...]) -> int | None:
         """Exit code of pytest; None if it exceeds the time limit."""
         # Python would reuse the bytecode of the other text for a file that changes twice within a second.
-        environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+        environment = os.environ | {"BOKEHGUIDE_NATIVE": "0", "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
         try:
             return subprocess.run(command, cwd=copy, env=environment, capture_output=True, timeout=self._limit).returncode

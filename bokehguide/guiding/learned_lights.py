@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import cast
 
-from torch import Tensor
-
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSampleRecorder, LightSamples
 from bokehguide.guiding.protocols import BatchSamples, LightStrategy, ModeContext, StepSummary
-from bokehguide.render.lights.base import LightDistribution
 from bokehguide.render.observer import PathObserver
 
 
@@ -18,14 +15,12 @@ class LearnedLights(LightStrategy):
     """Light strategy in which a `LearnedLightSampler` chooses light samples. The sampler learns at the ends of epochs."""
 
     learns = True
+    sampler: LearnedLightSampler
 
     def __init__(self, context: ModeContext, config: GuidedConfig):
         super().__init__(context)
         self.sampler = LearnedLightSampler(context.camera, context.tracer.light_sampler, context.ranks, config)
         self._learns = config.learn_lights
-
-    def at(self, points: Tensor) -> LightDistribution:
-        return self.sampler.at(points)
 
     def observers(self) -> Sequence[PathObserver]:
         return (LightSampleRecorder(),)

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from bokehguide.models.base import LensDensity
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import FilmSamples
-from bokehguide.render.lights.base import LightDistribution
+from bokehguide.render.lights.base import LightSampler
 from bokehguide.render.observer import PathObserver
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
@@ -254,15 +254,16 @@ class LensSampler(Strategy):
 
 
 class LightStrategy(Strategy):
-    """Chooses light samples at primary hits. This base class chooses by power, like all later vertices of the path tracer."""
+    """Chooses light samples at primary hits. This base class chooses by power, like all later vertices of the path tracer.
+
+    sampler: the distribution of light samples by position, world frame (see `render/lights/base.py`).
+    """
+
+    sampler: LightSampler
 
     def __init__(self, context: ModeContext):
         super().__init__()
-        self._by_power = context.tracer.light_sampler
-
-    def at(self, points: Tensor) -> LightDistribution:
-        """The distribution of light samples at primary hits `[3, N]`, world frame (see `render/lights/base.py`)."""
-        return self._by_power.at(points)
+        self.sampler = context.tracer.light_sampler
 
     def observers(self) -> Sequence[PathObserver]:
         """Observers of a batch's paths, for use by `record`."""

@@ -15,6 +15,7 @@ from bokehguide.render.film import NO_DEPTH
 from bokehguide.render.lens import make_lens
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import normalize
+from bokehguide.runtime import native
 from bokehguide.scene import types
 
 
@@ -55,6 +56,11 @@ class ThinLensCamera:
 
     def rays(self, focus: Tensor, lens_points: Tensor) -> tuple[Tensor, Tensor]:
         """World origins and unit directions `[3, N]` of rays from lens points `[2, N]` through focus points `[3, N]`."""
+        core = native.core()
+        if core is not None and focus.device.type == "cpu":
+            rows = torch.empty(6, focus.shape[1])
+            core.camera_rays(self.axes.contiguous(), self.position, focus.contiguous(), lens_points.contiguous(), rows)
+            return rows[0:3], rows[3:6]
         origin = torch.cat((lens_points, torch.zeros_like(lens_points[:1])))
         direction = normalize(focus - origin)
         return self.axes @ origin + self.position, self.axes @ direction

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures
 from bokehguide.render.vector import luminance
+from bokehguide.runtime import native
 from bokehguide.runtime.indexing import Pixels, gather_pixels, indices_of_each, scatter, scatter_add
 
 NO_DEPTH = 1e10
@@ -119,6 +121,9 @@ class Film:
         recenter: whether to compute the control variate of the features again before the addition. The weights of the new samples
         must then be independent of earlier samples. counted: whether a sample is in the picture, bool `[N]`, None for all.
         """
+        core = native.core()
+        if core is not None and counted is None and self._count.device.type == "cpu":
+            return self._add_natively(core, pixels, samples, step, recenter)
         weight, emission = samples.weight, samples.emission
         value, features = samples.value(), samples.features()
         good = value.sum(0).isfinite() & weight.isfinite()
@@ -135,6 +140,17 @@ class Film:
         scatter_add(self._square, pixels, luminance(value.double()).square())
         scatter_add(self._count, pixels, kept)
         self._add_range(pixels, samples)
+        return good
+
+    def _add_natively(self, core: ModuleType, pixels: Pixels, samples: FilmSamples, step: int, recenter: bool) -> Tensor:
+        """`add` by the native core."""
+        good = torch.empty(len(samples.weight), dtype=torch.uint8)
+        given = {name: None if x is None else x.contiguous() for name, x in vars(samples).items()}
+        first, places = (pixels.start or 0, None) if isinstance(pixels, slice) else (0, pixels.contiguous())
+        clean = core.expose(self._sums(), given, places, first, recenter, good)
+        good = good.view(torch.bool)
+        if not clean:
+            self._suspects.append((pixels, good, step))
         return good
 
     def initialise(self, pixels: Pixels, samples: FilmSamples) -> None:

@@ -102,18 +102,18 @@ class Geometry:
         numbers = torch.tensor([mesh.material for mesh in meshes], dtype=torch.int32)
         self.material = torch.repeat_interleave(numbers, counts).to(self.device)
         """Material of each triangle, int32 `[T]`."""
-        self._normals = self._rows(triangles.normal_rows(meshes))
+        self.normals = self._rows(triangles.normal_rows(meshes))
         self._targets = [(slot, targets) for slot, targets in TARGETS.items() if slot in self.materials.slots]
-        self._uvs: Tensor | None = None
-        self._colors: Tensor | None = None
+        self.uvs: Tensor | None = None
+        self.colors: Tensor | None = None
         if self.materials.atlas.uv_sets:
-            self._uvs = self._rows(triangles.uv_rows(meshes, self.materials.atlas.uv_sets)).flatten(1)
+            self.uvs = self._rows(triangles.uv_rows(meshes, self.materials.atlas.uv_sets)).flatten(1)
         if any(mesh.colors is not None for mesh in meshes):
-            self._colors = self._rows(triangles.color_rows(meshes))
-        self._tangents = {}
+            self.colors = self._rows(triangles.color_rows(meshes))
+        self.tangents = {}
         for slot in self.materials.normal_scales:
             normal_maps = [getattr(material, f"{slot}_texture") for material in scene.materials]
-            self._tangents[slot] = self._rows(triangles.tangent_rows(meshes, normal_maps))
+            self.tangents[slot] = self._rows(triangles.tangent_rows(meshes, normal_maps))
 
     def _rows(self, rows: np.ndarray) -> Tensor:
         return torch.from_numpy(rows).to(self.device)
@@ -125,7 +125,7 @@ class Geometry:
 
     def corner_normals(self, triangle: Tensor) -> Tensor:
         """Shading normals `[corner, component, N]` at the corners of triangles `[N]`."""
-        first, second, third = self._normals[3:12].index_select(1, triangle).view(3, 3, -1)
+        first, second, third = self.normals[3:12].index_select(1, triangle).view(3, 3, -1)
         return torch.stack((first, first + second, first + third))
 
     def areas(self, triangle: Tensor) -> Tensor:
@@ -135,7 +135,7 @@ class Geometry:
 
     def face_normals(self, triangle: Tensor) -> Tensor:
         """Unit geometric normals `[3, N]` on the front of triangles `[N]`."""
-        return self._normals[0:3].index_select(1, triangle)
+        return self.normals[0:3].index_select(1, triangle)
 
     def is_double_sided(self, triangle: Tensor) -> Tensor:
         """1 where triangles `[N]` emit from both faces, else 0; float32 `[N]`."""
@@ -143,7 +143,7 @@ class Geometry:
 
     def surface(self, origins: Tensor, directions: Tensor, hit: Hit) -> Surface:
         """Surfaces at the hits of rays `[3, N]`; every ray must have a hit."""
-        rows = self._normals.index_select(1, hit.triangle)
+        rows = self.normals.index_select(1, hit.triangle)
         sides = _sides(rows, origins, directions, hit)
         material = self.material.index_select(0, hit.triangle)
         values = self.materials.parameters.index_select(1, material)
@@ -163,7 +163,7 @@ class Geometry:
 
     def _apply_textures(self, surface: Surface, hit: Hit, material: Tensor) -> None:
         """Multiply parameters by vertex colours and textures, and apply normal maps, in place."""
-        if self._colors is not None:
+        if self.colors is not None:
             surface.base_color *= self._color(hit)[0:3]
         for slot, targets in self._targets:
             textured, texel = self._texels(slot, hit, material)
@@ -179,7 +179,7 @@ class Geometry:
 
     def _apply_normal_map(self, slot: str, surface: Surface, hit: Hit, mapped: ActiveEntries, tangent_space: Tensor) -> None:
         """Replace the shading normals of the `mapped` hits by those of the slot's maps, in tangent space `[.., K]`."""
-        rows = self._tangents[slot].index_select(1, mapped.select(hit.triangle))
+        rows = self.tangents[slot].index_select(1, mapped.select(hit.triangle))
         normal = mapped.select(getattr(surface, slot))
         tangent = _interpolate(rows[0:9], mapped.select(hit.u), mapped.select(hit.v))
         tangent = normalize(tangent - normal * dot(normal, tangent))  # a missing tangent stays 0 and leaves the normal unchanged
@@ -197,25 +197,25 @@ class Geometry:
         if surface.clearcoat_normal is not None:
             normals.append(surface.clearcoat_normal)
         if self.materials.normal_scales:  # they replace mapped normals, and geometric normals replace them
-            rows = self._normals.index_select(1, hit.triangle)
+            rows = self.normals.index_select(1, hit.triangle)
             normals.append(_interpolated_normal(rows, hit, surface.geometric_normal))
         return normals
 
     def _color(self, hit: Hit) -> Tensor:
         """Vertex colours `[4, N]`."""
-        assert self._colors is not None
-        return _interpolate(self._colors.index_select(1, hit.triangle), hit.u, hit.v)
+        assert self.colors is not None
+        return _interpolate(self.colors.index_select(1, hit.triangle), hit.u, hit.v)
 
     def _texels(self, slot: str, hit: Hit, material: Tensor) -> tuple[ActiveEntries, Tensor]:
         """The K hits on `material` `[N]` with a texture in the slot, and the texture's RGBA `[4, K]`, 1 at inactive hits."""
         textured, number = self.materials.textured(slot, material)
         if len(textured) == 0:
             return textured, torch.empty(4, 0, device=self.device)
-        assert self._uvs is not None
+        assert self.uvs is not None
         triangle = textured.select(hit.triangle)
         if len(self.materials.atlas.uv_sets) > 1:
             triangle = triangle + len(self.material) * self.materials.atlas.uv_set.index_select(0, number)
-        uv = _interpolate(self._uvs.index_select(1, triangle), textured.select(hit.u), textured.select(hit.v))
+        uv = _interpolate(self.uvs.index_select(1, triangle), textured.select(hit.u), textured.select(hit.v))
         return textured, textured.masked(self.materials.atlas.lookup(number, uv), 1.0)
 
     def emission(self, hit: Hit, front: Tensor, direction: Tensor | None) -> Tensor:
@@ -241,7 +241,7 @@ class Geometry:
         textured, texel = self._texels("emission", hit, material)
         if len(textured) > 0:
             share[:, textured.index] *= texel[0:3]
-        if self._colors is not None:
+        if self.colors is not None:
             tinted = ActiveEntries(self.materials.tinted.index_select(0, material))
             if len(tinted) > 0:
                 tinted.scatter(share, tinted.select(share) * self._color(Hit(*map(tinted.select, hit)))[0:3])
@@ -256,7 +256,7 @@ class Geometry:
         textured, texel = self._texels("clearcoat", hit, material)
         if len(textured) > 0:
             weight[textured.index] *= texel[0]
-        normal = normalize(_interpolate(self._normals[3:12].index_select(1, hit.triangle), hit.u, hit.v))
+        normal = normalize(_interpolate(self.normals[3:12].index_select(1, hit.triangle), hit.u, hit.v))
         grazing = fifth_power(1.0 - dot(normal, direction).abs().clamp(max=1.0))
         return 1.0 - weight * (CLEARCOAT_F0 + (1.0 - CLEARCOAT_F0) * grazing)
 
@@ -267,7 +267,7 @@ class Geometry:
     def opacity(self, hit: Hit) -> Tensor:
         """Opacity `[N]` at hits, 1 on opaque materials."""
         material = self.material.index_select(0, hit.triangle)
-        coverage = torch.ones_like(hit.u) if self._colors is None else self._color(hit)[3]
+        coverage = torch.ones_like(hit.u) if self.colors is None else self._color(hit)[3]
         textured, texel = self._texels("base_color", hit, material)
         if len(textured) > 0:
             coverage[textured.index] *= texel[3]

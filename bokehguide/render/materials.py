@@ -52,19 +52,19 @@ class Materials:
         """Whether some clearcoat has normals other than those of the layers beneath."""
         if not self.tilts_coats:
             del numbers["clearcoat_normal"]
-        self._numbers = {slot: torch.tensor(row, device=device) for slot, row in numbers.items() if max(row) >= 0}
-        self.slots = frozenset(self._numbers)
+        self.numbers = {slot: torch.tensor(row, device=device) for slot, row in numbers.items() if max(row) >= 0}
+        self.slots = frozenset(self.numbers)
         """Slots in which some material has a texture."""
         self.atlas = atlas.build(device)
         self.parameters = table(
             [(*m.base_color, m.metallic, m.roughness**2, m.specular, m.transmission, float(m.thin), m.ior) for m in materials]
         )
         """Base colour, metallic, α, specular, transmission, thin, ior."""
-        colored = "specular_color" in self._numbers or any(m.specular_color != WHITE for m in materials)
+        colored = "specular_color" in self.numbers or any(m.specular_color != WHITE for m in materials)
         self.specular_color = optional([m.specular_color for m in materials], colored)
         coated = any(m.clearcoat > 0.0 for m in materials)
         self.clearcoat = optional([(m.clearcoat, m.clearcoat_roughness**2) for m in materials], coated)
-        bending = [slot for slot in NORMAL_MAPS if slot in self._numbers]
+        bending = [slot for slot in NORMAL_MAPS if slot in self.numbers]
         self.normal_scales = {slot: table([(getattr(m, f"{slot}_scale"),) for m in materials]) for slot in bending}
         """Scales of x and y of the normal maps, by slot in use."""
         self.has_transmission = any(m.transmission > 0.0 for m in materials)
@@ -72,38 +72,38 @@ class Materials:
         self.emission = table([(*m.emission, float(m.double_sided)) for m in materials])
         self.tinted = torch.tensor([m.tint_emission for m in materials], device=device)
         """Whether vertex colours multiply the emission of a material, bool `[M]`."""
-        self._cones = optional([_cone_row(m.emission_cone) for m in materials], any(m.emission_cone for m in materials))
-        changed = self._cones is not None or coated or "emission" in self._numbers or any(m.tint_emission for m in materials)
+        self.cones = optional([_cone_row(m.emission_cone) for m in materials], any(m.emission_cone for m in materials))
+        changed = self.cones is not None or coated or "emission" in self.numbers or any(m.tint_emission for m in materials)
         self.plain_emission = not changed
         """Whether the emission of all materials is constant over the surface and over directions."""
         translucent = list(map(_is_translucent, materials, _least_colors(materials, meshes)))
         self.has_translucent = any(translucent)
         self.translucent = torch.tensor(translucent, device=device)
         """Which materials are translucent somewhere, bool `[M]`."""
-        self._opacity = table([(m.opacity, float(m.alpha_mode == "blend"), _cutoff(m)) for m in materials])
+        self.opacities = table([(m.opacity, float(m.alpha_mode == "blend"), _cutoff(m)) for m in materials])
         absorption = [_absorption(material) for material in materials]
         self.absorbs = any(map(any, absorption))
         """Whether some solid absorbs light."""
-        self._absorption = optional(absorption, self.absorbs)
+        self.absorption = optional(absorption, self.absorbs)
 
     def textured(self, slot: str, material: Tensor) -> tuple[ActiveEntries, Tensor]:
         """Those K of `material` `[N]` with a texture in the slot, and the number of the texture, int64 `[K]`; 0 if inactive."""
-        if slot not in self._numbers:
+        if slot not in self.numbers:
             return ActiveEntries(torch.zeros(0, dtype=torch.bool, device=material.device)), material[:0]
-        number = self._numbers[slot].index_select(0, material)
+        number = self.numbers[slot].index_select(0, material)
         textured = ActiveEntries(number >= 0)
         return textured, textured.masked(textured.select(number), 0)
 
     def cone(self, material: Tensor, direction: Tensor | None) -> Tensor:
         """Factor `[N]` of emission cones in unit directions `[3, N]`; None: along their axes."""
-        if self._cones is None or direction is None:
+        if self.cones is None or direction is None:
             return torch.ones(material.shape, device=material.device)
-        rows = self._cones.index_select(1, material)
+        rows = self.cones.index_select(1, material)
         return (dot(rows[0:3], direction) * rows[3] + rows[4]).clamp(0.0, 1.0).square()
 
     def opacity(self, material: Tensor, coverage: Tensor) -> Tensor:
         """Opacity `[N]` of `material` `[N]`, from the product `coverage` `[N]` of texture and vertex alpha."""
-        factor, blend, cutoff = self._opacity.index_select(1, material)
+        factor, blend, cutoff = self.opacities.index_select(1, material)
         coverage = factor * coverage
         return blend * coverage.clamp(0.0, 1.0) + (1.0 - blend) * (coverage >= cutoff)
 
@@ -113,8 +113,8 @@ class Materials:
         Call this method only if `absorbs` is true. Nested solids are not supported. If a ray meets the boundary of a solid from
         inside, the solid absorbs along the whole ray. A ray to another surface inside the solid has no absorption.
         """
-        assert self._absorption is not None
-        return (-self._absorption.index_select(1, material) * ((1.0 - front) * distance)).exp()
+        assert self.absorption is not None
+        return (-self.absorption.index_select(1, material) * ((1.0 - front) * distance)).exp()
 
 
 def _texture(material: Material, slot: str) -> Texture | None:

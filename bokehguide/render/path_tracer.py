@@ -16,6 +16,7 @@ from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.lights.base import LightSampler
 from bokehguide.render.lights.power_sampler import PowerLightSampler
 from bokehguide.render.lights.scene_lights import Lights
+from bokehguide.render.native import NativeTracer
 from bokehguide.render.observer import PathObserver, PrimaryHitAOVs
 from bokehguide.render.paths import Paths, Rays
 from bokehguide.render.primary_hits import PrimaryHits
@@ -24,6 +25,7 @@ from bokehguide.render.splitting import UNSPLIT, Splitting
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import divisor, dot, length
 from bokehguide.render.visibility import Arrivals, Visibility
+from bokehguide.runtime import native
 from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Scene
@@ -71,6 +73,8 @@ class PathTracer:
         self.light_sampler = PowerLightSampler(self.lights)
         self.visibility = Visibility(self.geometry, scene.meshes)
         self.max_depth = scene.film.max_depth
+        self.native = NativeTracer.make(self.geometry, self.lights, self.visibility)
+        """The native core for this scene, None where it is missing."""
 
     def trace(
         self,
@@ -91,9 +95,14 @@ class PathTracer:
         rays are misses. light_sampler: light sampler at primary hits. splitting: strategy of splitting at primary hits.
         observers: the trace calls their methods.
         """
+        sampler, max_depth = light_sampler or self.light_sampler, max_depth or self.max_depth
+        plain = sampler is self.light_sampler and splitting is UNSPLIT and not observers
+        if plain and self.native is not None and native.core() is not None:
+            fields, rays = self.native.trace(origin, direction, alive, random, max_depth, timer)
+            return PathSamples(**fields, rays=rays, primary_hits=None)
         aovs = PrimaryHitAOVs(origin.shape[1], origin.device)
-        trace = _Trace(self, light_sampler or self.light_sampler, splitting, (aovs, *observers), timer)
-        radiance = trace.run(origin, direction, alive, random, max_depth or self.max_depth)
+        trace = _Trace(self, sampler, splitting, (aovs, *observers), timer)
+        radiance = trace.run(origin, direction, alive, random, max_depth)
         samples = PathSamples(radiance, **vars(aovs), rays=trace.rays, primary_hits=splitting.primary_hits)
         for observer in observers:
             observer.finished(radiance, samples.distance)

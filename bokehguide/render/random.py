@@ -21,10 +21,12 @@ of BSDF samples depend on the light density. The numbers of these BSDF samples t
 from __future__ import annotations
 
 from collections.abc import Iterable
+from types import ModuleType
 
 import torch
 from torch import Tensor
 
+from bokehguide.runtime import native
 from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 
@@ -137,7 +139,21 @@ class PixelRandom:
 
         Multiples of 2^-23, shifted by half of that: neither 0 nor 1.
         """
+        if self._core is not None:
+            return self._native(self._core, dimension, count, 0)
         return _uniform(self.pixel_keys, self._keys(self.step_key + 0x3C6EF372 * (dimension + i) for i in range(count)))
+
+    @property
+    def _core(self) -> ModuleType | None:
+        """The native core, whose numbers have the same bits."""
+        return native.core() if self.pixel_keys.device.type == "cpu" else None
+
+    def _native(self, core: ModuleType, dimension: int, count: int, first: int) -> Tensor:
+        """Numbers of the native core; first: as in `stratified`, 0 for `uniform`."""
+        numbers = torch.empty(count, len(self.pixel_keys))
+        keys = core.Random(self.step_key, self.seed_key, self.index)
+        core.random(keys, self.pixel_keys.contiguous(), dimension & _MASK, count, first, numbers)
+        return numbers
 
     def _keys(self, keys: Iterable[int]) -> Tensor:
         return to_device([_signed(hash_int(key)) for key in keys], self.pixel_keys.device, torch.int32)
@@ -147,6 +163,8 @@ class PixelRandom:
 
         Each pair of `dimension` and `first` has its own sequence. Different sequences have independent scrambles.
         """
+        if self._core is not None:
+            return self._native(self._core, dimension, count, first)
         key = hash_int(self.seed_key + 0x3C6EF372 * dimension + hash_int(first - 1))
         index = shuffle_index(self.index - (first - 1), key)
         ones = [_places(sobol_point(index, i)) for i in range(count)]

@@ -48,17 +48,17 @@ class TextureAtlas:
         halves, scales = zip(*(_halves(*image) for image in self._images)) if self._images else ((), ())
         counts = torch.tensor([len(texels) for texels in halves], dtype=torch.int64)
         self.texels = torch.cat([texels.view(torch.int64)[:, 0] for texels in halves] or [counts]).to(device)
-        self._start = (counts.cumsum(0) - counts)[place].to(device)
+        self.start = (counts.cumsum(0) - counts)[place].to(device)
         sizes = torch.tensor([texture.image.shape[1::-1] for texture in textures], dtype=torch.int64).reshape(-1, 2)
-        self._sizes = sizes.T.contiguous().to(device)  # [2, textures]: width, height
-        self._bounds = None
+        self.sizes = sizes.T.contiguous().to(device)  # [2, textures]: width, height
+        self.bounds = None
         if any(texture.wrap != ("repeat", "repeat") for texture in textures):
             bounds = [[_bounds(size, wrap) for size, wrap in zip(t.image.shape[1::-1], t.wrap)] for t in textures]
-            self._bounds = torch.tensor(bounds).permute(1, 2, 0).contiguous().to(device)  # [axis, 3, textures]
-        self._transforms = None
+            self.bounds = torch.tensor(bounds).permute(1, 2, 0).contiguous().to(device)  # [axis, 3, textures]
+        self.transforms = None
         if any(texture.transform != _IDENTITY for texture in textures):
-            self._transforms = torch.tensor([texture.transform for texture in textures]).T.contiguous().to(device)
-        self._scales = torch.tensor(scales)[place].to(device) if any(scale != 1.0 for scale in scales) else None
+            self.transforms = torch.tensor([texture.transform for texture in textures]).T.contiguous().to(device)
+        self.scales = torch.tensor(scales)[place].to(device) if any(scale != 1.0 for scale in scales) else None
         self.uv_sets = tuple(sorted({texture.uv_set for texture in textures}))
         """The uv sets that textures use; `uv_set` is each texture's place among them."""
         places = [self.uv_sets.index(texture.uv_set) for texture in textures]
@@ -67,31 +67,31 @@ class TextureAtlas:
 
     def lookup(self, number: Tensor, uv: Tensor) -> Tensor:
         """Bilinear RGBA `[4, N]` of textures `number` int64 `[N]` at the mesh's `uv` `[2, N]`."""
-        if self._transforms is not None:
-            rows = self._transforms.index_select(1, number)
+        if self.transforms is not None:
+            rows = self.transforms.index_select(1, number)
             uv = rows[0::3] * uv[0] + rows[1::3] * uv[1] + rows[2::3]
         columns, right = self._neighbours(number, uv[0], 0)
         lines, below = self._neighbours(number, uv[1], 1)
-        start, width = self._start.index_select(0, number), self._sizes[0].index_select(0, number)
+        start, width = self.start.index_select(0, number), self.sizes[0].index_select(0, number)
         color = torch.zeros(len(number), 4, device=uv.device)
         for line, wy in zip(lines, (1.0 - below, below)):
             first = start + line * width
             for column, wx in zip(columns, (1.0 - right, right)):
                 texel = self.texels.index_select(0, first + column).view(torch.float16).view(-1, 4)
                 color.addcmul_(texel.float(), (wx * wy)[:, None])
-        if self._scales is not None:
-            color *= self._scales.index_select(0, number)[:, None]
+        if self.scales is not None:
+            color *= self.scales.index_select(0, number)[:, None]
         return color.T.contiguous()
 
     def _neighbours(self, number: Tensor, coordinate: Tensor, axis: int) -> tuple[tuple[Tensor, Tensor], Tensor]:
         """Texel indices on both sides of a coordinate `[N]`, and the weight of the second."""
-        size = self._sizes[axis].index_select(0, number)
+        size = self.sizes[axis].index_select(0, number)
         x = coordinate * size - 0.5
         floor = x.floor()
         index = floor.long()
-        if self._bounds is None:
+        if self.bounds is None:
             return (index % size, (index + 1) % size), x - floor
-        low, high, period = self._bounds[axis].index_select(1, number)
+        low, high, period = self.bounds[axis].index_select(1, number)
         pair = (torch.minimum(torch.maximum(i, low), high) % period for i in (index, index + 1))
         # The second half of a mirrored period is reversed; other textures end before it.
         first, second = (torch.minimum(i, 2 * size - 1 - i) for i in pair)

@@ -11,6 +11,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from torch import Tensor
 
+from bokehguide.runtime import native
 from bokehguide.runtime.device import to_device, to_host
 from bokehguide.stopping import default_signals
 
@@ -35,7 +36,7 @@ class Tracer:
     vertices: finite, float32 `[V, 3]`. triangles: int32 `[T, 3]`. Raises ValueError for other shapes and for invalid indices.
     embreex does not check shapes and indices, and Embree would read and write beyond short arrays.
 
-    A NaN or infinite ray hits nothing.
+    A NaN or infinite ray hits nothing. native: the scene of the native core, None without the core.
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray):
@@ -47,11 +48,16 @@ class Tracer:
         if not np.isfinite(vertices).all():
             raise ValueError("vertices must be finite")
         log.info("building the tracing structure of %s triangles", f"{len(triangles):,}")
-        with default_signals():  # embreex holds the interpreter's lock
-            self._scene = EmbreeScene(robust=True)
-            self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(vertices), np.ascontiguousarray(triangles))
-            far = np.full((1, 3), 1e30, np.float32)
-            self._scene.run(far, np.ones((1, 3), np.float32))  # commits, before any thread does
+        with default_signals():  # the builders hold the interpreter's lock
+            core = native.core()
+            self.native = (
+                None if core is None else core.Triangles(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles))
+            )
+            if self.native is None:
+                self._scene = EmbreeScene(robust=True)
+                self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(vertices), np.ascontiguousarray(triangles))
+                far = np.full((1, 3), 1e30, np.float32)
+                self._scene.run(far, np.ones((1, 3), np.float32))  # commits, before any thread does
 
     def intersect(self, origins: Tensor, directions: Tensor, limits: Tensor | None = None) -> Hit:
         """Nearest hits of rays `[3, N]` within distances `limits` `[N]`. The distance of a miss is the limit, or MISS_DISTANCE.
@@ -60,6 +66,11 @@ class Tracer:
         """
         _check_rays(origins, directions, limits)
         origin, direction, *limit = to_host(origins, directions, *(() if limits is None else (limits,)))
+        if self.native is not None:
+            triangle, found = torch.empty(origin.shape[1], dtype=torch.int32), torch.empty(3, origin.shape[1])
+            within = limit[0].contiguous() if limit else None
+            self.native.nearest(origin.contiguous(), direction.contiguous(), within, triangle, found)
+            return Hit(*(to_device(values, origins.device) for values in (triangle, *found)))
         distance = limit[0].numpy().copy() if limit else None  # Embree writes into it
         found = self._scene.run(origin.numpy().T, direction.numpy().T, dists=distance, output=True)
         return Hit(*(to_device(found[key], origins.device) for key in ("primID", "tfar", "u", "v")))
@@ -67,6 +78,11 @@ class Tracer:
     def visible(self, origins: Tensor, directions: Tensor, distances: Tensor) -> Tensor:
         """1 where rays `[3, N]` hit nothing within `distances` `[N]`, else 0; float32 `[N]`."""
         _check_rays(origins, directions, distances)
+        if self.native is not None:
+            given = [values.contiguous() for values in to_host(origins, directions, distances)]
+            passes = torch.empty(len(distances))
+            self.native.visible(*given, passes)
+            return to_device(passes, origins.device)
         origin, direction, distance = (values.numpy() for values in to_host(origins, directions, distances))
         blocked = self._scene.run(origin.T, direction.T, dists=distance, query="OCCLUDED")
         return to_device(blocked, origins.device).neg().to(torch.float32)

@@ -98,13 +98,15 @@ class Visibility:
         self._geometry = geometry
         self._emits = geometry.materials.emissive.index_select(0, geometry.material).cpu()
         """Which triangles are emitters, bool `[T]`, on the host."""
-        self._opaque: Tracer | None = geometry.tracer
-        self._translucent: Tracer | None = None
+        self.opaque: Tracer | None = geometry.tracer
+        self.translucent: Tracer | None = None
+        self.numbers: Tensor | None = None
+        """Numbers among all triangles of those of the translucent tracer, int64."""
         if geometry.materials.has_translucent:
             translucent = geometry.materials.translucent.tolist()
-            self._opaque, _ = _part(meshes, [not translucent[mesh.material] for mesh in meshes])
-            self._translucent, numbers = _part(meshes, [translucent[mesh.material] for mesh in meshes])
-            self._numbers = torch.from_numpy(numbers).to(geometry.device)
+            self.opaque, _ = _part(meshes, [not translucent[mesh.material] for mesh in meshes])
+            self.translucent, numbers = _part(meshes, [translucent[mesh.material] for mesh in meshes])
+            self.numbers = torch.from_numpy(numbers).to(geometry.device)
 
     def nearest(
         self,
@@ -127,7 +129,7 @@ class Visibility:
         with timer.measure("tracing rays"):
             hit = self._geometry.tracer.intersect(sorting.traced(origin), sorting.traced(direction))
         count = len(hit.triangle)
-        if self._translucent is not None:
+        if self.translucent is not None:
             random = sorting.traced_random(random, origins.device)
             hit, more = self._beyond_translucent(
                 sorting.traced(origins), sorting.traced(directions), hit, random, dimension, timer
@@ -185,7 +187,7 @@ class Visibility:
         count, through = len(rays), indices(visible > 0.0)
         rays, visible, length, weight = (values.index_select(0, through) for values in (rays, visible, length, weight))
         transmittance = to_device(visible, origins.device)
-        if self._translucent is not None:
+        if self.translucent is not None:
             index = to_device(rays, origins.device)
             origin, direction, distance = (values.index_select(-1, index) for values in (origins, directions, distances))
             count += self._dim(transmittance, origin, direction, distance, timer)
@@ -202,25 +204,26 @@ class Visibility:
             selected = (values.index_select(-1, index) for values in (origin, direction, distance, weight))
             origin, direction, distance, weight = selected
         visible = torch.ones(len(index))
-        if self._opaque is not None:
+        if self.opaque is not None:
             with timer.measure("tracing rays"):
-                visible = self._opaque.visible(origin, direction, distance)
+                visible = self.opaque.visible(origin, direction, distance)
         return index, visible, distance, weight
 
     def _dim(self, transmittance: Tensor, origins: Tensor, directions: Tensor, distances: Tensor, timer: PhaseTimer) -> int:
         """Multiply `transmittance` `[N]` by that of the translucent surfaces, in place; returns the number of traced rays."""
-        if self._translucent is None:
+        if self.translucent is None:
             return 0
         index, count = indices(transmittance > 0.0), 0
         start, origin = torch.zeros_like(distances[index]), origins[:, index]
         last = torch.full_like(index, -1)
         for _ in range(MAX_CROSSINGS):
             with timer.measure("tracing rays"):
-                found = self._translucent.intersect(origin, directions[:, index], distances[index] - start)
+                found = self.translucent.intersect(origin, directions[:, index], distances[index] - start)
             count += len(index)
             met = indices(found.triangle >= 0)
             index, found = index[met], Hit(*(field[met] for field in found))
-            triangle = self._numbers.index_select(0, found.triangle)
+            assert self.numbers is not None
+            triangle = self.numbers.index_select(0, found.triangle)
             opacity = self._geometry.opacity(found._replace(triangle=triangle))
             again = triangle == last[met]
             transmittance[index] *= 1.0 - opacity * ~again

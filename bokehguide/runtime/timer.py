@@ -16,6 +16,11 @@ class PhaseTimer:
         self._nested = [0.0]
         """Seconds of nested phases, for each open phase."""
 
+    def add(self, phase: str, seconds: float) -> None:
+        """Seconds of `phase` that were measured elsewhere, within the open phase."""
+        self.seconds[phase] += seconds  # pyright: ignore[reportArgumentType]
+        self._nested[-1] += seconds
+
     @contextmanager
     def measure(self, phase: str) -> Iterator[None]:
         """A context that adds its seconds to `phase`."""

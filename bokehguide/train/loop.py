@@ -161,7 +161,7 @@ class RenderLoop:
             batch.random,
             timer,
             alive=drawn.weight,
-            light_sampler=lights,
+            light_sampler=lights.sampler,
             splitting=lens.splitting(drawn.weight),
             observers=(*of_lens, *of_lights),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 from bokehguide.models import gaussian_mixture
 from bokehguide.render import mis
 from bokehguide.render.film import Film
+from bokehguide.runtime import native
 from bokehguide.runtime.indexing import Pixels
 
 
@@ -66,6 +68,10 @@ class Mutation:
     def __enter__(self) -> None:
         if self.name:
             owner, attribute, mutate = MUTATIONS[self.name]
+            self.switch, os.environ[native.SWITCH] = (
+                os.environ.get(native.SWITCH, "1"),
+                "0",
+            )  # the native core has functions of its own
             self.original = getattr(owner, attribute)
             setattr(owner, attribute, mutate(self.original))
 
@@ -73,3 +79,4 @@ class Mutation:
         if self.name:
             owner, attribute, _ = MUTATIONS[self.name]
             setattr(owner, attribute, self.original)
+            os.environ[native.SWITCH] = self.switch

@@ -8,6 +8,7 @@ from bokehguide.render.bsdf.opaque import OpaqueBSDF
 from bokehguide.render.lens import Lens
 from bokehguide.render.lights.scene_lights import Lights
 from bokehguide.render.tracer import Tracer
+from bokehguide.runtime import native
 from bokehguide.scene.types import Material
 from tests.support.light_checks import (
     direct_light,
@@ -71,23 +72,27 @@ def glare() -> float:
 
 
 def test_a_dropped_mis_weight_is_found(monkeypatch):
+    monkeypatch.setenv(native.SWITCH, "0")
     monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
     assert direct_light() < SIGNIFICANCE
     assert glare() < SIGNIFICANCE
 
 
 def test_an_mis_weight_of_the_wrong_density_is_found(monkeypatch):
+    monkeypatch.setenv(native.SWITCH, "0")
     density = Lights.triangle_pdf
     monkeypatch.setattr(Lights, "triangle_pdf", lambda self, *rest: 0.5 * density(self, *rest))
     assert direct_light() < SIGNIFICANCE
 
 
 def test_a_missing_shadow_test_is_found(monkeypatch):
+    monkeypatch.setenv(native.SWITCH, "0")
     monkeypatch.setattr(Tracer, "visible", lambda self, origins, directions, distances: torch.ones_like(distances))
     assert shadow() < SIGNIFICANCE
 
 
 def test_a_dropped_cosine_is_found(monkeypatch):
+    monkeypatch.setenv(native.SWITCH, "0")
     evaluate = OpaqueBSDF.evaluate
 
     def without_cosine(self, incoming):

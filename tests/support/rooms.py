@@ -7,6 +7,7 @@ import torch
 
 from bokehguide.render import mis
 from bokehguide.render.lights.scene_lights import Lights
+from bokehguide.runtime import native
 from bokehguide.scene.types import Environment, Material, Scene, Texture
 from tests.support.tracing import DOWN, UP, emitter, matte, rectangle, scene, sphere
 
@@ -53,5 +54,6 @@ def room(material: Material, environment: Environment | None, light: Material) -
 
 def bsdf_sampling_only(monkeypatch) -> None:
     """Turn off next-event estimation and MIS for the rest of a test."""
+    monkeypatch.setenv(native.SWITCH, "0")
     monkeypatch.setattr(Lights, "empty", property(lambda self: True))
     monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))

@@ -136,9 +136,9 @@ def test_one_infinite_sample_leaves_the_rest_of_the_frame_as_it_is():
 def test_an_emitter_behind_the_wall_is_hardly_sampled():
     loop = rendered(parted(), 16)
     emitters = loop.tracer.lights
-    triangles = torch.arange(len(loop.tracer.geometry.material))[-len(emitters._triangles) :]
+    triangles = torch.arange(len(loop.tracer.geometry.material))[-len(emitters.triangles) :]
     left = loop.tracer.geometry.corners(triangles).mean(0)[0] < 0.0
-    cluster = emitters.grid.cluster(emitters._emitter[triangles])
+    cluster = emitters.grid.cluster(emitters.emitter[triangles])
     of_left = torch.zeros(emitters.clusters.count, dtype=torch.bool)
     of_left[cluster[left]] = True
     sampler = loop.mode.lights.sampler

@@ -13,6 +13,7 @@ from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.paths import Paths
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.tracer import MISS_DISTANCE
+from bokehguide.runtime import native
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Environment, Material
 from tests.support.light_checks import (
@@ -51,6 +52,7 @@ def test_a_closed_furnace_converges_to_the_whole_series():
 
 @pytest.mark.parametrize("first", [1, 2, 1000])
 def test_russian_roulette_keeps_the_mean(first, monkeypatch):
+    monkeypatch.setenv(native.SWITCH, "0")
     monkeypatch.setattr(path_tracer, "ROULETTE_DEPTH", first)
     samples = estimates(furnace(0.7, 12), (0.1, 0.2, 0.3), OBLIQUE)
     assert mean_test(samples, 0.2 * (1.0 - 0.7**12) / (1.0 - 0.7) * LIGHT) > SIGNIFICANCE

@@ -14,6 +14,7 @@ from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.visibility import Visibility
+from bokehguide.runtime import native
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Material, Mesh, Texture
 from tests.support.brute_force import every_hit
@@ -234,6 +235,7 @@ def one_technique(technique: str, monkeypatch) -> None:
     if technique == "bounce rays":
         bsdf_sampling_only(monkeypatch)
     elif technique == "light samples":
+        monkeypatch.setenv(native.SWITCH, "0")
         monkeypatch.setattr(PowerLightSampler, "triangle_pdf", lambda *arguments: torch.full_like(arguments[-1], math.inf))
         monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: (other < math.inf).float())
 
@@ -340,6 +342,7 @@ def test_a_path_through_sheets_does_not_depend_on_those_beside_it():
 
 def test_no_random_number_is_used_twice(monkeypatch):
     """Crossings draw from dimensions of their own, whatever the segment."""
+    monkeypatch.setenv(native.SWITCH, "0")  # the native core draws by itself
     drawn = []
 
     def record(kind: str) -> None:

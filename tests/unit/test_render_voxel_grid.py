@@ -86,7 +86,7 @@ def test_lamps_of_a_row_are_told_apart_to_about_a_cell():
 def test_the_bisection_is_a_search_in_the_cumulative_sums():
     """Also at the sums themselves, where the next cluster begins."""
     grid = crowd()
-    sums = grid.table._cumulative.reshape(-1, 2**LEVELS)
+    sums = grid.table.cumulative.reshape(-1, 2**LEVELS)
     cells = grid.cells(points(*PLACES)).repeat_interleave(5000)
     u = PixelRandom(5, 0, torch.arange(len(cells))).uniform(0, 3)
     u[0, ::5] = sums[cells[::5], torch.arange(len(cells) // 5) % (2**LEVELS - 1)].clamp(max=1.0 - 2.0**-24)

@@ -28,16 +28,16 @@ class AliasTable:
             keep[low:high], columns = _columns(row * len(row))
             alias[low:high] = columns + low
         self.probability = torch.from_numpy(probability.astype(np.float32)).to(device)
-        self._keep = torch.from_numpy(keep.astype(np.float32)).to(device)
-        self._alias = torch.from_numpy(alias.astype(np.int32)).to(device)
-        self._start = torch.from_numpy(starts.astype(np.int32)).to(device)
+        self.keep = torch.from_numpy(keep.astype(np.float32)).to(device)
+        self.alias = torch.from_numpy(alias.astype(np.int32)).to(device)
+        self.start = torch.from_numpy(starts.astype(np.int32)).to(device)
 
     def sample(self, uniforms: Tensor, row: Tensor | None = None) -> Tensor:
         """Indices int32 `[N]` from uniform numbers `[2, N]`; row: `[N]`, None for a single table.
 
         Two numbers have 46 random bits, enough for the column and for the choice in it.
         """
-        return _drawn(self._keep, self._alias, None if row is None else (self._start, row), uniforms)
+        return _drawn(self.keep, self.alias, None if row is None else (self.start, row), uniforms)
 
     def pdf(self, index: Tensor) -> Tensor:
         """Probability of each index within its row, float32 `[N]`."""

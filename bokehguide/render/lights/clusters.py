@@ -24,25 +24,25 @@ class ClusterTable:
 
     def __init__(self, probability: Tensor):
         count = probability.shape[1]
-        self._levels = max((count - 1).bit_length(), 1)
+        self.levels = max((count - 1).bit_length(), 1)
         cumulative = probability.cumsum(1).float().clamp(max=1.0)
         cumulative[:, -1] = 1.0
-        cumulative = pad(cumulative, (0, 2**self._levels - count), value=1.0)
+        cumulative = pad(cumulative, (0, 2**self.levels - count), value=1.0)
         self._probability = torch.diff(cumulative, dim=1, prepend=torch.zeros_like(cumulative[:, :1])).reshape(-1)
-        self._cumulative = cumulative.reshape(-1)
+        self.cumulative = cumulative.reshape(-1)
 
     def sample(self, row: Tensor, uniforms: Tensor) -> Tensor:
         """Clusters int32 `[N]` for rows int32 `[N]` from uniform numbers `[N]`: the first cluster whose cumulative probability
         exceeds the uniform number."""
-        base = (row << self._levels) - 1
+        base = (row << self.levels) - 1
         place = base  # of the last cluster known to lie below
-        for level in reversed(range(self._levels)):
-            place = place + ((self._cumulative.index_select(0, place + (1 << level)) <= uniforms).int() << level)
+        for level in reversed(range(self.levels)):
+            place = place + ((self.cumulative.index_select(0, place + (1 << level)) <= uniforms).int() << level)
         return place - base
 
     def pdf(self, row: Tensor, cluster: Tensor) -> Tensor:
         """Probability of each cluster in each row, `[N]`."""
-        return self._probability.index_select(0, (row << self._levels) + cluster)
+        return self._probability.index_select(0, (row << self.levels) + cluster)
 
 
 @kernel

@@ -33,6 +33,11 @@ class DistantLight:
         offset = directions - self._frame[:, 2:]
         return (dot(offset, offset) <= self._squared_radius).to(torch.float32)
 
+    def row(self, share: float) -> Tensor:
+        """All of the light as float32 `[16]`, for the native core; share: of the samples of the environment."""
+        numbers = torch.tensor([self._height, self._squared_radius, self.density, *self.radiance.flatten().tolist(), share])
+        return torch.cat((self._frame.flatten(), numbers))
+
     def sample(self, uniforms: Tensor) -> Tensor:
         """Unit directions `[3, N]` from uniform numbers `[2, N]`."""
         return cap_directions(self._frame, self._height, uniforms)

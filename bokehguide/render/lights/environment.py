@@ -35,8 +35,8 @@ class EnvironmentLight:
         self.distant = [light for light in (DistantLight(sun, device) for sun in suns) if light.power > 0.0]
         powers = np.array([self.map.power if self.map else 0.0, *(light.power for light in self.distant)])
         self.power = float(powers.sum())
-        self._share = powers / self.power if self.power > 0.0 else powers
-        self._sampled_map = self.map if powers[0] > 0.0 else None
+        self.share = powers / self.power if self.power > 0.0 else powers
+        self.sampled_map = self.map if powers[0] > 0.0 else None
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
@@ -59,18 +59,18 @@ class EnvironmentLight:
 
     def sample_element(self, uniforms: Tensor) -> Tensor:
         """Elements `[N]`, drawn in proportion to their power from uniform numbers `[3, N]`."""
-        texel = None if self._sampled_map is None else self._sampled_map.sample_element(uniforms[0:2])
+        texel = None if self.sampled_map is None else self.sampled_map.sample_element(uniforms[0:2])
         if texel is not None and not self.distant:
             return texel
-        edges = to_device(np.cumsum(self._share[:-1]), uniforms.device, torch.float32)
+        edges = to_device(np.cumsum(self.share[:-1]), uniforms.device, torch.float32)
         number = (uniforms[2] >= edges[:, None]).sum(0, dtype=torch.int32)
         return -number if texel is None else torch.where(number > 0, -number, texel)
 
     def directions(self, element: Tensor, uniforms: Tensor) -> Tensor:
         """Unit directions `[3, N]` within elements `[N]`, from uniform numbers `[2, N]`."""
         direction = torch.zeros(3, len(element), device=element.device)
-        if self._sampled_map is not None:
-            direction = self._sampled_map.directions(element.clamp(min=0), uniforms)
+        if self.sampled_map is not None:
+            direction = self.sampled_map.directions(element.clamp(min=0), uniforms)
         for number, light in enumerate(self.distant, start=1):
             direction = torch.where(element == -number, light.sample(uniforms), direction)
         return direction
@@ -81,19 +81,19 @@ class EnvironmentLight:
         element: elements from which the directions were drawn, None for other directions. With `element`, rounding moves no
         direction to another texel.
         """
-        if self._sampled_map is None:
+        if self.sampled_map is None:
             return torch.zeros(directions.shape[1], dtype=torch.int32, device=directions.device)
         if element is None:
-            return self._sampled_map.texel_at(directions)
-        return torch.where(element < 0, self._sampled_map.texel_at(directions), element) if self.distant else element
+            return self.sampled_map.texel_at(directions)
+        return torch.where(element < 0, self.sampled_map.texel_at(directions), element) if self.distant else element
 
     def pdf(self, directions: Tensor, texel: Tensor | None = None) -> Tensor:
         """Solid-angle density `[N]` of `sample` at unit directions `[3, N]`; their texels may be given."""
         density = torch.zeros_like(directions[0])
-        if self._sampled_map is not None:
-            texel = self._sampled_map.texel_at(directions) if texel is None else texel
-            density = self._sampled_map.density(texel) * self._share[0]
-        for light, share in zip(self.distant, self._share[1:]):
+        if self.sampled_map is not None:
+            texel = self.sampled_map.texel_at(directions) if texel is None else texel
+            density = self.sampled_map.density(texel) * self.share[0]
+        for light, share in zip(self.distant, self.share[1:]):
             density = density + share * light.density * light.contains(directions)
         return density
 
@@ -111,19 +111,19 @@ class EnvironmentMap:
         self.height, self.width = radiance.shape[:2]
         log.info("preparing the environment map of %d x %d texels", self.width, self.height)
         self.texels = torch.from_numpy(radiance.reshape(-1, 3)).T.contiguous().to(device)
-        self._layout = Equirectangular(self.height, self.width, environment.rotation, device)
+        self.layout = Equirectangular(self.height, self.width, environment.rotation, device)
         rows = np.cos(np.pi * np.arange(self.height + 1) / self.height)
         self._solid_angle = torch.from_numpy((rows[:-1] - rows[1:]) * 2.0 * math.pi / self.width).float().to(device)
         excess = _excess(radiance @ LUMINANCE, self._solid_angle.cpu().numpy()[:, None])
         self.power = float(excess.sum())
         """Luminance above the map's mean, integrated over the sphere."""
-        self._table = AliasTable(excess.reshape(-1), device) if self.power > 0.0 else None
-        if self._table is not None:
-            self._density = self._table.probability * self.uniform_density()
+        self.table = AliasTable(excess.reshape(-1), device) if self.power > 0.0 else None
+        if self.table is not None:
+            self.densities = self.table.probability * self.uniform_density()
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
-        texels, across, down = _texels_about(self._layout, directions)
+        texels, across, down = _texels_about(self.layout, directions)
         return _blended(tuple(self.texels.index_select(1, texel) for texel in texels), across, down)
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor]:
@@ -137,20 +137,20 @@ class EnvironmentMap:
 
     def sample_element(self, uniforms: Tensor) -> Tensor:
         """Texels `[N]`, drawn in proportion to their power from uniform numbers `[2, N]`."""
-        assert self._table is not None
-        return self._table.sample(uniforms)
+        assert self.table is not None
+        return self.table.sample(uniforms)
 
     def directions(self, texel: Tensor, uniforms: Tensor) -> Tensor:
         """Unit directions `[3, N]`, uniform over texels `[N]`, from uniform numbers `[2, N]`."""
-        return _within(self._layout, texel, uniforms)
+        return _within(self.layout, texel, uniforms)
 
     def texel_at(self, directions: Tensor) -> Tensor:
         """Texels `[N]` that unit directions `[3, N]` lie in."""
-        return _texel_at(self._layout, directions)
+        return _texel_at(self.layout, directions)
 
     def density(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of `sample` in texels `[N]`."""
-        return self._density.index_select(0, texel)
+        return self.densities.index_select(0, texel)
 
     def uniform_density(self) -> Tensor:
         """Solid-angle density of uniform directions over each texel, `[H * W]`."""
@@ -158,9 +158,9 @@ class EnvironmentMap:
 
     def shares(self) -> np.ndarray:
         """Probability of each texel, float32 `[H, W]`; all 0 if there is nothing to sample."""
-        if self._table is None:
+        if self.table is None:
             return np.zeros((self.height, self.width), np.float32)
-        return self._table.probability.cpu().numpy().reshape(self.height, self.width)
+        return self.table.probability.cpu().numpy().reshape(self.height, self.width)
 
 
 @kernel

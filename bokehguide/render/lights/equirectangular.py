@@ -20,12 +20,12 @@ class Equirectangular:
 
     def __init__(self, height: int, width: int, rotation: float, device: torch.device | str = "cpu"):
         self.height, self.width = height, width
-        self._turn = torch.tensor(math.radians(rotation) / (2.0 * math.pi), device=device)
+        self.turn = torch.tensor(math.radians(rotation) / (2.0 * math.pi), device=device)
 
     def place(self, directions: Tensor) -> tuple[Tensor, Tensor]:
         """Columns and rows `[N]` of unit directions `[3, N]`, from 0 to the map's width and height."""
         x, y, z = directions.unbind(0)
-        u = 0.5 + polar_angle(x, -z) / (2.0 * math.pi) + self._turn
+        u = 0.5 + polar_angle(x, -z) / (2.0 * math.pi) + self.turn
         # The arc cosine of y would lose digits near the poles.
         return (u - u.floor()) * self.width, polar_angle((x * x + z * z).sqrt(), y) / math.pi * self.height
 
@@ -44,13 +44,13 @@ class Equirectangular:
 
     def around(self, column: Tensor, y: Tensor) -> Tensor:
         """Unit directions `[3, N]` at columns `[N]`, of height `y` `[N]` above the horizon."""
-        phi = 2.0 * math.pi * (column / self.width - 0.5 - self._turn)
+        phi = 2.0 * math.pi * (column / self.width - 0.5 - self.turn)
         sine = (1.0 - y * y).clamp(min=0.0).sqrt()
         return torch.stack((sine * phi.sin(), y, -sine * phi.cos()))
 
     def directions(self, column: Tensor, row: Tensor) -> Tensor:
         """Unit directions `[3, N]` at columns and rows `[N]`."""
         # `around` of the cosine would lose digits near the poles.
-        phi, theta = 2.0 * math.pi * (column / self.width - 0.5 - self._turn), math.pi / self.height * row
+        phi, theta = 2.0 * math.pi * (column / self.width - 0.5 - self.turn), math.pi / self.height * row
         sine = theta.sin()
         return torch.stack((sine * phi.sin(), theta.cos(), -sine * phi.cos()))

@@ -73,7 +73,7 @@ class Lights:
         triangles = indices(geometry.materials.emissive.index_select(0, geometry.material))
         power = _triangle_powers(geometry, triangles) * _cone_cosines(scene, geometry, triangles)
         triangles, power = triangles[power > 0.0], power[power > 0.0]
-        self._far_power = self.environment.power if self.environment else 0.0
+        self.far_power = self.environment.power if self.environment else 0.0
         self._grid: LightVoxelGrid | None = None
         if len(triangles) > 0:
             grid = self._grid = LightVoxelGrid(_grid_emitters(scene, geometry, triangles, power), device)
@@ -82,11 +82,11 @@ class Lights:
             self._density = within / geometry.areas(triangles)
             corners = geometry.corners(triangles)
             edges = corners[1] - corners[0], corners[2] - corners[0]
-            self._rows = torch.cat((corners[0], *edges, geometry.emission_rows(triangles), self._density[None]))  # [14, emitters]
-            self._far_share = (self._far_power / (self._far_power + grid.light)).clamp(MIN_SHARE, 1.0 - MIN_SHARE)
-        self._triangles = triangles
-        self._emitter = torch.full(geometry.material.shape, -1, device=device)
-        self._emitter[triangles] = torch.arange(len(triangles), device=device)
+            self.rows = torch.cat((corners[0], *edges, geometry.emission_rows(triangles), self._density[None]))  # [14, emitters]
+            self.far_share = (self.far_power / (self.far_power + grid.light)).clamp(MIN_SHARE, 1.0 - MIN_SHARE)
+        self.triangles = triangles
+        self.emitter = torch.full(geometry.material.shape, -1, device=device)
+        self.emitter[triangles] = torch.arange(len(triangles), device=device)
 
     @property
     def grid(self) -> LightVoxelGrid:
@@ -103,22 +103,22 @@ class Lights:
     @property
     def empty(self) -> bool:
         """Whether no light can be sampled."""
-        return self._far_power == 0.0 and len(self._triangles) == 0
+        return self.far_power == 0.0 and len(self.triangles) == 0
 
     def query(self, points: Tensor) -> PointQuery:
         """Shading points `[3, N]` with their cells."""
         if self._grid is None:
             cells = torch.zeros(points.shape[1], dtype=torch.int32, device=points.device)
-            return PointQuery(points, cells, torch.full(cells.shape, float(self._far_power > 0.0), device=points.device))
+            return PointQuery(points, cells, torch.full(cells.shape, float(self.far_power > 0.0), device=points.device))
         cells = self._grid.cells(points)
-        if self._far_power == 0.0:
+        if self.far_power == 0.0:
             return PointQuery(points, cells, torch.zeros(cells.shape, device=points.device))
-        return PointQuery(points, cells, self._far_share.index_select(0, cells))
+        return PointQuery(points, cells, self.far_share.index_select(0, cells))
 
     @cached_property
     def clusters(self) -> LightClusters:
         """Clusters of all lights."""
-        return LightClusters(self._grid, self.environment if self._far_power > 0.0 else None)
+        return LightClusters(self._grid, self.environment if self.far_power > 0.0 else None)
 
     def draw_by_kind(
         self,
@@ -134,9 +134,9 @@ class Lights:
         replace the first samples, so that few rows are copied. On a GPU, all points draw both kinds. This is faster than a wait
         for the counts.
         """
-        if self._far_power == 0.0:
+        if self.far_power == 0.0:
             return draw_triangles(query, uniforms)
-        if len(self._triangles) == 0:
+        if len(self.triangles) == 0:
             return draw_environment(query, uniforms)
         if is_far.device.type != "cpu":
             samples = draw_triangles(query, uniforms)
@@ -165,11 +165,11 @@ class Lights:
         share: probability with which the clusters were chosen, `[N]`.
         """
         emitter = self.grid.sample_within(cluster, uniforms[0:2])
-        rows = self._rows.index_select(1, emitter)
+        rows = self.rows.index_select(1, emitter)
         direction, distance, u, v, front, pdf, radiance = _on_triangle(rows, points, uniforms[2:4], share)
         materials = self._geometry.materials
         if materials.absorbs or materials.has_translucent or not materials.plain_emission:
-            hit = Hit(self._triangles.index_select(0, emitter), distance, u, v)
+            hit = Hit(self.triangles.index_select(0, emitter), distance, u, v)
             radiance = self._dimmed(radiance, hit, direction, front)
         return LightSample(direction, distance, radiance, pdf)
 
@@ -190,16 +190,16 @@ class Lights:
 
         distance, cosine: of the point on the triangle, seen from the shading point, `[N]`. share: probability of clusters, `[N]`.
         """
-        if len(self._triangles) == 0:
+        if len(self.triangles) == 0:
             return torch.zeros_like(distance)
-        emitter = self._emitter.index_select(0, triangle)
+        emitter = self.emitter.index_select(0, triangle)
         known = emitter.clamp(min=0)
         chosen = share(self.grid.cluster(known)) * (emitter >= 0)
         return chosen * self._density.index_select(0, known) * distance * distance / divisor(cosine.abs(), MIN_COSINE)
 
     def environment_pdf(self, directions: Tensor, density: Density) -> Tensor:
         """Density `[N]` of samples of unit directions `[3, N]` of the environment; density: of directions in texels."""
-        if self._far_power == 0.0:
+        if self.far_power == 0.0:
             return torch.zeros_like(directions[0])
         return density(directions, self.sampled_environment.texels(directions))
 

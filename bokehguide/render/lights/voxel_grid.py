@@ -90,12 +90,12 @@ class LightVoxelGrid:
         self.order = np.argsort(cluster, kind="stable")
         emitters = GridEmitters(*(field[self.order] for field in emitters))
         cluster = cluster[self.order]
-        self._within = AliasTable(emitters.power, device, np.searchsorted(cluster, np.arange(self.clusters + 1)))
-        self._cluster = torch.from_numpy(cluster.astype(np.int32)).to(device)
+        self.within = AliasTable(emitters.power, device, np.searchsorted(cluster, np.arange(self.clusters + 1)))
+        self.cluster_of = torch.from_numpy(cluster.astype(np.int32)).to(device)
         layout = _layout(emitters.center)
         low, cell, (x, y, z) = layout
-        self._box = [torch.tensor(values, device=device) for values in (low, [1.0 / cell], [x - 1, y - 1, z - 1], [y * z, z, 1])]
-        self._box = [values.reshape(-1, 1).float() for values in self._box[:3]] + [self._box[3][:, None].int()]
+        self.box = [torch.tensor(values, device=device) for values in (low, [1.0 / cell], [x - 1, y - 1, z - 1], [y * z, z, 1])]
+        self.box = [values.reshape(-1, 1).float() for values in self.box[:3]] + [self.box[3][:, None].int()]
         clusters = _cluster_properties(emitters, cluster, self.clusters)
         light = _cell_light(layout, clusters)
         self.light = torch.from_numpy(light.sum(axis=1).astype(np.float32)).to(device)
@@ -103,7 +103,7 @@ class LightVoxelGrid:
 
     def cells(self, points: Tensor) -> Tensor:
         """Cell `[N]` of each point `[3, N]`; points outside belong to the nearest cell."""
-        return _cells(points, *self._box)
+        return _cells(points, *self.box)
 
     def sample_cluster(self, cells: Tensor, uniforms: Tensor) -> Tensor:
         """Clusters `[N]` for points in `cells` `[N]`, from uniform numbers `[N]`."""
@@ -111,15 +111,15 @@ class LightVoxelGrid:
 
     def sample_within(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Triangles `[N]` of clusters `[N]`, drawn in proportion to their power from uniform numbers `[2, N]`."""
-        return self._within.sample(uniforms, cluster)
+        return self.within.sample(uniforms, cluster)
 
     def cluster(self, triangle: Tensor) -> Tensor:
         """Cluster `[N]` of each triangle."""
-        return self._cluster.index_select(0, triangle)
+        return self.cluster_of.index_select(0, triangle)
 
     def pdf_within(self, triangle: Tensor) -> Tensor:
         """Probability `[N]` of choosing each triangle in its cluster."""
-        return self._within.pdf(triangle)
+        return self.within.pdf(triangle)
 
 
 def _direction_scale(centers: np.ndarray) -> float:

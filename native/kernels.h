@@ -1,0 +1,40 @@
+// The functions that a core for one instruction set provides.
+
+#pragma once
+
+#include "tables.h"
+
+namespace bokehguide {
+
+struct Kernels {
+    void (*trace)(const Tables&, Trace&);
+    // Nearest hits of rays `[3, N]` within `limits` `[N]`, null for none; a miss has the triangle -1.
+    void (*nearest)(void* scene, int64_t count, const float* origin, const float* direction, const float* limits, int32_t* triangle,
+                    float* distance, float* u, float* v);
+    // 1 where rays meet nothing within `limits`, else 0.
+    void (*visible)(void* scene, int64_t count, const float* origin, const float* direction, const float* limits, float* visible);
+    // Adds samples of pixels from `first` on, or of `pixels`; `good` is 1 for the finite ones. Returns whether all are.
+    bool (*expose)(const FilmSums&, const FilmSamples&, const int64_t* pixels, int64_t first, bool recenter, uint8_t* good);
+    // Rays from lens points `[2, N]` through focus points `[3, N]`.
+    void (*camera_rays)(const Camera&, int64_t count, const float* focus, const float* points, float* origin, float* direction);
+    // Random numbers of dimensions from `dimension` on; first: of the range of steps of stratified ones, 0 for independent ones.
+    void (*random)(const Random&, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first, float* out);
+    // Stages of a trace, for tests.
+    void (*surfaces)(const Tables&, int64_t count, const float* origin, const float* direction, const int32_t* triangle,
+                     const float* hits, float* rows);
+    void (*evaluate)(const Tables&, int64_t count, const float* rows, const float* choice, const float* direction, float* out);
+    void (*sample)(const Tables&, int64_t count, const float* rows, const float* choice, const float* uniforms, float* out);
+    void (*lights)(const Tables&, int64_t count, const float* points, const float* uniforms, float* out);
+    void (*environment)(const Tables&, int64_t count, const float* points, const float* direction, float* out);
+    void (*emitters)(const Tables&, int64_t count, const float* points, const float* direction, const int32_t* triangle,
+                     const float* hits, float* out);
+};
+
+namespace baseline {
+extern const Kernels kernels;
+}
+namespace avx2 {
+extern const Kernels kernels;
+}
+
+}  // namespace bokehguide

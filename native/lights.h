@@ -1,0 +1,255 @@
+// Light sampling by power: render/lights/power_sampler.py, scene_lights.py, voxel_grid.py and environment.py, for eight points at
+// a time.
+
+#pragma once
+
+#include "bsdf.h"
+#include "random.h"
+
+namespace BOKEHGUIDE_ISA {
+
+using bokehguide::DistantTable;
+using bokehguide::AliasEntry;
+using bokehguide::EmitterRow;
+using bokehguide::LEVELS_IN_LINE;
+
+constexpr float MISS_DISTANCE = 1e37f, LEAST_COSINE = 1e-12f;
+
+typedef double Double __attribute__((vector_size(64)));
+
+// `AliasTable.sample`: entries of rows that begin at `start` and have `count` entries.
+inline Int alias_sample(const AliasEntry* table, Int start, Int count, Float u0, Float u1) {
+    const Double fine = __builtin_convertvector(u0, Double) + (__builtin_convertvector(u1, Double) - 0.5) * 0x1p-23;
+    const Double position = fine * __builtin_convertvector(count, Double);
+    const Int place = __builtin_convertvector(position, Int), slot = place + start;
+    const Double kept = __builtin_convertvector(gather(&table->keep, 2 * slot), Double);
+    const Int stays = __builtin_convertvector(position - __builtin_convertvector(place, Double) < kept, Int);
+    return stays ? slot : gather(&table->alias, 2 * slot);
+}
+
+// `LightVoxelGrid.cells`; a NaN belongs to the first cell.
+inline Int cell_of(const Tables& t, Vec3 point) {
+    const auto along = [&](Float x, int axis) {
+        const Float place = (x - t.grid_low[axis]) * t.grid_scale;
+        return to_int(at_most(place > all(0.0f) ? place : all(0.0f), t.grid_last[axis])) * t.grid_step[axis];
+    };
+    return along(point.x, 0) + along(point.y, 1) + along(point.z, 2);
+}
+
+// `ClusterTable.sample`. The last of each CLUSTERS_IN_LINE cumulative probabilities are also in a table of their own, which fits a
+// cache: the search reads two lines of memory.
+inline Int sample_cluster(const Tables& t, Int cell, Float u) {
+    const int in_line = t.cluster_levels < LEVELS_IN_LINE ? t.cluster_levels : LEVELS_IN_LINE, upper = t.cluster_levels - in_line;
+    Int place = (cell << upper) - 1;
+    for (int level = upper - 1; level >= 0; --level) {
+        const Int further = place + (1 << level);
+        place = gather(t.cluster_lines, further) <= u ? further : place;
+    }
+    place = ((place + 1) << in_line) - 1;
+    for (int level = in_line - 1; level >= 0; --level) {
+        const Int further = place + (1 << level);
+        place = gather(t.cluster_cumulative, further) <= u ? further : place;
+    }
+    return place + 1 - (cell << t.cluster_levels);
+}
+// `ClusterTable.pdf`: differences of cumulative probabilities.
+inline Float cluster_pdf(const Tables& t, Int cell, Int cluster) {
+    const Int place = (cell << t.cluster_levels) + cluster;
+    const Float before = gather(t.cluster_cumulative, cluster > 0 ? place - 1 : place);
+    return gather(t.cluster_cumulative, place) - (cluster > 0 ? before : all(0.0f));
+}
+
+// Points that lights illuminate (`Lights.query`).
+struct PointQuery {
+    Vec3 point;
+    Int cell;
+    Float environment_share;
+
+    PointQuery(const Tables& t, Vec3 at) : point(at), cell(all(0)), environment_share(all(t.has_far_power ? 1.0f : 0.0f)) {
+        if (t.emitters > 0) {
+            cell = cell_of(t, at);
+            if (t.has_far_power) environment_share = gather(t.far_share, cell);
+        }
+    }
+    Float share(const Tables& t, Int cluster) const { return (1.0f - environment_share) * cluster_pdf(t, cell, cluster); }
+};
+
+// -------------------------------------------------------------------------------------------------------- environment
+
+inline Float contains(const DistantTable& light, Vec3 direction) {
+    const Vec3 offset = direction - Vec3{all(light.frame[2]), all(light.frame[5]), all(light.frame[8])};
+    return one_if(dot(offset, offset) <= all(light.squared_radius));
+}
+
+// `Equirectangular.place`.
+inline void place(const Tables& t, Vec3 d, Float& column, Float& row) {
+    const Float u = 0.5f + polar_angle(d.x, -d.z) / (2.0f * PI) + t.map_turn;
+    column = (u - floor(u)) * float(t.map_width);
+    row = polar_angle(sqrt(d.x * d.x + d.z * d.z), d.y) / PI * float(t.map_height);
+}
+
+inline Int within(Int x, int32_t least, int32_t most) {
+    x = x < least ? all(least) : x;
+    return x > most ? all(most) : x;
+}
+
+inline Int texel_at(const Tables& t, Vec3 direction) {
+    Float column, row;
+    place(t, direction, column, row);
+    return within(to_int(row), 0, t.map_height - 1) * t.map_width + within(to_int(column), 0, t.map_width - 1);
+}
+
+inline Vec3 map_radiance(const Tables& t, Vec3 direction) {
+    Float x, y;
+    place(t, direction, x, y);
+    x = x - 0.5f, y = y - 0.5f;
+    const Float left = floor(x), top = floor(y), across = x - left, down = y - top;
+    const auto row = [&](Float line) { return within(to_int(line), 0, t.map_height - 1) * t.map_width; };
+    const auto column = [&](Float place) {
+        return within(to_int(place - floor(place / float(t.map_width)) * float(t.map_width)), 0, t.map_width - 1);
+    };
+    const Int upper = row(top), lower = row(top + 1.0f), first = column(left), second = column(left + 1.0f);
+    const int64_t size = int64_t(t.map_width) * t.map_height;
+    const auto at = [&](Int texel) { return gather3(t.map_texels, size, texel); };
+    const Vec3 above = (1.0f - across) * at(upper + first) + across * at(upper + second);
+    const Vec3 below = (1.0f - across) * at(lower + first) + across * at(lower + second);
+    return (1.0f - down) * above + down * below;
+}
+
+// `EnvironmentLight.radiance`.
+inline Vec3 environment_radiance(const Tables& t, Vec3 direction) {
+    Vec3 color = t.map_texels == nullptr ? grey(all(0.0f)) : map_radiance(t, direction);
+    for (int number = 0; number < t.distant_count; ++number) {
+        const DistantTable& light = t.distant[number];
+        color = color + Vec3{all(light.radiance[0]), all(light.radiance[1]), all(light.radiance[2])} * contains(light, direction);
+    }
+    return color;
+}
+
+inline Float environment_alpha(const Tables& t, Vec3 direction) {
+    if (t.map_texels != nullptr) return all(1.0f);
+    Float sum = all(0.0f);
+    for (int number = 0; number < t.distant_count; ++number) sum = sum + contains(t.distant[number], direction);
+    return at_most(sum, 1.0f);
+}
+
+// `EnvironmentLight.pdf` at directions in texels of the map.
+inline Float environment_density(const Tables& t, Vec3 direction, Int texel) {
+    Float density = t.map_density == nullptr ? all(0.0f) : gather(t.map_density, texel) * t.map_share;
+    for (int number = 0; number < t.distant_count; ++number) {
+        const DistantTable& light = t.distant[number];
+        density = density + light.share * light.density * contains(light, direction);
+    }
+    return density;
+}
+
+// `PowerLightSampler.environment_pdf`.
+inline Float environment_pdf(const Tables& t, Vec3 point, Vec3 direction) {
+    if (!t.has_far_power) return all(0.0f);
+    const Int texel = t.map_density == nullptr ? all(0) : texel_at(t, direction);
+    return PointQuery(t, point).environment_share * environment_density(t, direction, texel);
+}
+
+struct LightSample {
+    Vec3 direction;
+    Float distance;
+    Vec3 radiance;
+    Float pdf;
+};
+
+inline Vec3 sample_distant(const DistantTable& light, Float u0, Float u1) {
+    const Float down = light.height * u0, radius = sqrt(down * (2.0f - down)), z = 1.0f - down;
+    Float sine, cosine;
+    sincos(2.0f * PI * u1, sine, cosine);
+    const Float x = radius * cosine, y = radius * sine;
+    const float* f = light.frame;
+    return {f[0] * x + f[1] * y + f[2] * z, f[3] * x + f[4] * y + f[5] * z, f[6] * x + f[7] * y + f[8] * z};
+}
+
+// A direction uniform over a texel of the map.
+inline Vec3 sample_texel(const Tables& t, Int texel, Float u0, Float u1) {
+    Int row, column;
+    for (int lane = 0; lane < LANES; ++lane) row[lane] = texel[lane] / t.map_width, column[lane] = texel[lane] % t.map_width;
+    Float unused, top, bottom, sine, cosine;
+    sincos(PI / float(t.map_height) * to_float(row), unused, top);
+    sincos(PI / float(t.map_height) * to_float(row + 1), unused, bottom);
+    const Float y = top + (bottom - top) * u1;
+    const Float phi = 2.0f * PI * ((to_float(column) + u0) / float(t.map_width) - 0.5f - t.map_turn);
+    sincos(phi, sine, cosine);
+    const Float radius = sqrt(at_least(1.0f - y * y, 0.0f));
+    return {radius * sine, y, -radius * cosine};
+}
+
+inline LightSample sample_environment(const Tables& t, const PointQuery& query, const Float (&u)[5]) {
+    Int element = all(0);
+    Vec3 direction = grey(all(0.0f));
+    if (t.map_density != nullptr) {
+        const Int size = all(t.map_width * t.map_height);
+        element = alias_sample(t.map_table, all(0), size, u[0], u[1]);
+        direction = sample_texel(t, element, u[2], u[3]);
+    }
+    if (t.distant_count > 0) {
+        Int number = all(0);
+        for (int edge = 0; edge < t.distant_count; ++edge) number = number - (u[4] >= all(t.distant_edges[edge]));
+        for (int light = 1; light <= t.distant_count; ++light) {
+            direction = choose(number == light, sample_distant(t.distant[light - 1], u[2], u[3]), direction);
+        }
+        if (t.map_density != nullptr) element = number > 0 ? texel_at(t, direction) : element;
+    }
+    const Float pdf = query.environment_share * environment_density(t, direction, element);
+    return {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf};
+}
+
+// ---------------------------------------------------------------------------------------------------- emissive triangles
+
+inline Float emitter_field(const Tables& t, Int emitter, int field) {
+    return gather(reinterpret_cast<const float*>(t.emitter_rows) + field, emitter * 16);
+}
+
+inline LightSample sample_triangle(const Tables& t, const PointQuery& query, const Float (&u)[5], Int active) {
+    const Int cluster = sample_cluster(t, query.cell, u[0]);
+    const Int start = gather(t.within_start, cluster), count = gather(t.within_start, cluster + 1) - start;
+    const Int emitter = alias_sample(t.within_table, start, count, u[1], u[2]);
+    const auto field = [&](int number) { return emitter_field(t, emitter, number); };
+    const auto vector = [&](int number) { return Vec3{field(number), field(number + 1), field(number + 2)}; };
+    const Float root = sqrt(u[3]), a = root * (1.0f - u[4]), b = root * u[4];
+    const Vec3 first = vector(3), second = vector(6);
+    const Vec3 offset = vector(0) + a * first + b * second - query.point;
+    const Float squared = divisor(dot(offset, offset)), distance = sqrt(squared);
+    const Vec3 direction = offset / distance;
+    const Float cosine = -dot(normalize(cross(first, second)), direction);
+    const Float front = one_if(cosine > all(0.0f));
+    const Float pdf = query.share(t, cluster) * field(13) * squared / divisor(abs(cosine), LEAST_COSINE);
+    Vec3 radiance = emitted(vector(9), field(12), front);
+    if (!t.plain_emission || t.absorption != nullptr || t.translucent != nullptr) {
+        const Hits hit = {gather(&t.emitter_rows[0].triangle, emitter * 16), distance, a, b};
+        if (!t.plain_emission) radiance = radiance * emission_share(t, hit, -direction, active);
+        if (t.absorption != nullptr) radiance = radiance * transmittance(t, hit, front);
+        if (t.translucent != nullptr) radiance = radiance * opacity(t, hit, active);
+    }
+    return {direction, distance, radiance, pdf};
+}
+
+// `PowerLightSampler.draw`. active: lanes that count.
+inline LightSample sample_light(const Tables& t, const PointQuery& query, const Float (&u)[6], Int active) {
+    const Int far = u[0] < query.environment_share;
+    const Float rest[5] = {u[1], u[2], u[3], u[4], u[5]};
+    if (t.emitters == 0) return sample_environment(t, query, rest);
+    if (!any(far & active)) return sample_triangle(t, query, rest, active);
+    const LightSample sky = sample_environment(t, query, rest);
+    if (!any(~far & active)) return sky;
+    const LightSample near = sample_triangle(t, query, rest, active & ~far);
+    return {choose(far, sky.direction, near.direction), far ? sky.distance : near.distance, choose(far, sky.radiance, near.radiance),
+            far ? sky.pdf : near.pdf};
+}
+
+// `PowerLightSampler.triangle_pdf`: density with which points sample a triangle at a distance under a cosine.
+inline Float triangle_pdf(const Tables& t, Vec3 point, Int triangle, Float distance, Float cosine) {
+    if (t.emitters == 0) return all(0.0f);
+    const Int emitter = emitter_of(t, triangle), known = emitter < 0 ? all(0) : emitter;
+    const Int cluster = gather(&t.emitter_rows[0].cluster, known * 16);
+    const Float chosen = PointQuery(t, point).share(t, cluster) * one_if(emitter >= 0);
+    return chosen * emitter_field(t, known, 13) * distance * distance / divisor(abs(cosine), LEAST_COSINE);
+}
+
+}  // namespace BOKEHGUIDE_ISA

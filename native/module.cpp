@@ -1,0 +1,413 @@
+// The Python module `bokehguide._native`: scenes for Embree and whole scenes, on the arrays of PyTorch's tensors.
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstring>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#if defined(_WIN32)
+#include <windows.h>
+#else
+#include <dlfcn.h>
+#endif
+
+#include "embree.h"
+#include "kernels.h"
+
+namespace nb = nanobind;
+
+namespace bokehguide {
+
+Embree embree;
+
+double seconds() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+
+namespace {
+
+void* device = nullptr;
+
+bool has_avx2() {
+#if defined(BOKEHGUIDE_HAS_AVX2)
+    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
+#else
+    return false;
+#endif
+}
+
+std::atomic<bool> modern{has_avx2()};
+
+// Whether the AVX2 core serves from now on, where the processor has it; the other core has the same bits.
+bool use_avx2(bool wanted) { return modern = wanted && has_avx2(); }
+
+const Kernels& kernels() {
+#if defined(BOKEHGUIDE_HAS_AVX2)
+    if (modern) return avx2::kernels;
+#endif
+    return baseline::kernels;
+}
+
+// ------------------------------------------------------------------------------------------------------------- Embree
+
+void* symbol(void* library, const char* name) {
+#if defined(_WIN32)
+    void* found = reinterpret_cast<void*>(GetProcAddress(static_cast<HMODULE>(library), name));
+#else
+    void* found = dlsym(library, name);
+#endif
+    if (found == nullptr) throw std::runtime_error(std::string("Embree lacks ") + name);
+    return found;
+}
+
+template <class Function> void bind(void* library, const char* name, Function& function) {
+    function = reinterpret_cast<Function>(symbol(library, name));
+}
+
+// Version of the Embree library in a file, major · 10000 + minor · 100 + patch, which serves all scenes from now on.
+long load_embree(const std::string& path) {
+#if defined(_WIN32)
+    void* library = LoadLibraryA(path.c_str());
+#else
+    void* library = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
+#endif
+    if (library == nullptr) throw std::runtime_error("Embree cannot be loaded from " + path);
+    bind(library, "rtcNewDevice", embree.new_device), bind(library, "rtcGetDeviceProperty", embree.device_property);
+    bind(library, "rtcNewScene", embree.new_scene), bind(library, "rtcSetSceneFlags", embree.set_scene_flags);
+    bind(library, "rtcNewGeometry", embree.new_geometry), bind(library, "rtcSetNewGeometryBuffer", embree.new_buffer);
+    bind(library, "rtcCommitGeometry", embree.commit_geometry), bind(library, "rtcAttachGeometry", embree.attach_geometry);
+    bind(library, "rtcReleaseGeometry", embree.release_geometry), bind(library, "rtcCommitScene", embree.commit_scene);
+    bind(library, "rtcReleaseScene", embree.release_scene);
+    bind(library, "rtcIntersect1", embree.intersect1), bind(library, "rtcOccluded1", embree.occluded1);
+    if (device == nullptr) device = embree.new_device(nullptr);
+    if (device == nullptr) throw std::runtime_error("Embree has no device");
+    return embree.device_property(device, 0);
+}
+
+using Floats = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
+using Ints = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
+using FloatsOut = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
+using IntsOut = nb::ndarray<int32_t, nb::c_contig, nb::device::cpu>;
+
+template <class Array> void check(const Array& array, size_t size, const char* name) {
+    if (array.size() != size) {
+        throw std::invalid_argument(std::string(name) + " has " + std::to_string(array.size()) + " entries, not " + std::to_string(size));
+    }
+}
+
+// Triangles that rays may meet; threads may call it side by side.
+class Triangles {
+  public:
+    Triangles(const nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>& vertices,
+              const nb::ndarray<const int32_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>& corners) {
+        if (device == nullptr) throw std::runtime_error("Embree is not loaded");
+        constexpr int INDEX = 0, VERTEX = 1, UINT3 = 0x5003, FLOAT3 = 0x9003, TRIANGLE = 0, ROBUST = 4;
+        scene = embree.new_scene(device);
+        embree.set_scene_flags(scene, ROBUST);
+        void* geometry = embree.new_geometry(device, TRIANGLE);
+        std::memcpy(embree.new_buffer(geometry, VERTEX, 0, FLOAT3, 12, vertices.shape(0)), vertices.data(), 4 * vertices.size());
+        std::memcpy(embree.new_buffer(geometry, INDEX, 0, UINT3, 12, corners.shape(0)), corners.data(), 4 * corners.size());
+        embree.commit_geometry(geometry);
+        embree.attach_geometry(scene, geometry);
+        embree.release_geometry(geometry);
+        nb::gil_scoped_release released;
+        embree.commit_scene(scene);
+    }
+    ~Triangles() { embree.release_scene(scene); }
+    Triangles(const Triangles&) = delete;
+
+    void nearest(const Floats& origin, const Floats& direction, const std::optional<Floats>& limits, IntsOut triangle,
+                 FloatsOut found) const {
+        const size_t count = triangle.size();
+        check(origin, 3 * count, "origin"), check(direction, 3 * count, "direction"), check(found, 3 * count, "found");
+        if (limits) check(*limits, count, "limits");
+        nb::gil_scoped_release released;
+        float* rows = found.data();
+        kernels().nearest(scene, int64_t(count), origin.data(), direction.data(), limits ? limits->data() : nullptr, triangle.data(),
+                          rows, rows + count, rows + 2 * count);
+    }
+    void visible(const Floats& origin, const Floats& direction, const Floats& limits, FloatsOut passes) const {
+        const size_t count = passes.size();
+        check(origin, 3 * count, "origin"), check(direction, 3 * count, "direction"), check(limits, count, "limits");
+        nb::gil_scoped_release released;
+        kernels().visible(scene, int64_t(count), origin.data(), direction.data(), limits.data(), passes.data());
+    }
+
+    void* scene;
+};
+
+// ------------------------------------------------------------------------------------------------------------- scenes
+
+// A scene's tables, by the names of `Tables`; it keeps the arrays alive that it points to.
+class Scene {
+  public:
+    Scene(nb::dict arrays, nb::dict numbers, nb::object tracer, nb::object opaque, nb::object translucent)
+        : arrays_(arrays), numbers_(numbers), scenes_(nb::make_tuple(tracer, opaque, translucent)) {
+        const auto scene = [](nb::handle triangles) { return triangles.is_none() ? nullptr : nb::cast<Triangles&>(triangles).scene; };
+        t.tracer = scene(tracer), t.opaque = scene(opaque), t.translucent = scene(translucent);
+        set_geometry(), set_materials(), set_textures(), set_lights(), set_environment();
+        arrays_.clear();
+        numbers_.clear();
+    }
+
+    Tables t{};
+
+  private:
+    template <class T> const T* array(const std::string& name, size_t* size = nullptr) {
+        if (!arrays_.contains(name.c_str()) || nb::handle(arrays_[name.c_str()]).is_none()) {
+            if (size) *size = 0;
+            return nullptr;
+        }
+        auto found = nb::cast<nb::ndarray<const T, nb::c_contig, nb::device::cpu>>(arrays_[name.c_str()]);
+        if (size) *size = found.size();
+        kept_.push_back(nb::ndarray<>(found));
+        return found.data();
+    }
+    double number(const char* name) { return nb::cast<double>(numbers_[name]); }
+    bool is(const char* name) { return number(name) != 0.0; }
+
+    void set_geometry() {
+        size_t size, count;
+        const float* normals = array<float>("normals", &size);
+        const int32_t* material = array<int32_t>("material", &count);
+        const int32_t* emitter = array<int32_t>("emitter");
+        t.triangle_count = int64_t(count);
+        rows_.resize(count);
+        for (size_t i = 0; i < count; ++i) {
+            for (int row = 0; row < 12; ++row) (row < 3 ? rows_[i].geometric[row] : rows_[i].normals[row - 3]) = normals[row * count + i];
+            rows_[i].material = material[i], rows_[i].emitter = emitter[i];
+        }
+        t.triangles = rows_.data();
+        t.translucent_numbers = array<int64_t>("translucent_numbers");
+        t.uvs = array<float>("uvs"), t.colors = array<float>("colors");
+    }
+    void set_materials() {
+        size_t size;
+        t.parameters = array<float>("parameters", &size);
+        t.materials = int64_t(size / 9);
+        t.emission = array<float>("emission"), t.specular_color = array<float>("specular_color");
+        t.clearcoat = array<float>("clearcoat"), t.cones = array<float>("cones");
+        t.opacity = array<float>("opacity"), t.absorption = array<float>("absorption");
+        t.emissive = array<int32_t>("emissive"), t.tinted = array<int32_t>("tinted");
+        t.is_translucent = array<int32_t>("is_translucent");
+        for (int slot = 0; slot < SLOTS; ++slot) {
+            const std::string number = std::to_string(slot);
+            t.numbers[slot] = array<int64_t>("numbers" + number);
+            t.normal_scales[slot] = array<float>("normal_scales" + number);
+            t.tangents[slot] = array<float>("tangents" + number);
+        }
+        t.tilts_coats = is("tilts_coats"), t.has_transmission = is("has_transmission"), t.plain_emission = is("plain_emission");
+    }
+    void set_textures() {
+        size_t size;
+        t.texels = reinterpret_cast<const uint16_t*>(array<int64_t>("texels"));
+        t.texture_start = array<int64_t>("texture_start", &size);
+        t.textures = int64_t(size);
+        t.texture_sizes = array<int64_t>("texture_sizes"), t.texture_bounds = array<int64_t>("texture_bounds");
+        t.texture_uv_set = array<int64_t>("texture_uv_set"), t.texture_transforms = array<float>("texture_transforms");
+        t.texture_scales = array<float>("texture_scales");
+        t.uv_sets = int64_t(number("uv_sets"));
+    }
+    void set_lights() {
+        size_t count;
+        const int64_t* triangles = array<int64_t>("emitter_triangles", &count);
+        t.emitters = int64_t(count);
+        t.has_far_power = is("has_far_power");
+        if (count == 0) return;
+        const float* rows = array<float>("emitter_rows");
+        const int32_t* cluster = array<int32_t>("emitter_cluster");
+        emitters_.resize(count);
+        for (size_t i = 0; i < count; ++i) {
+            float* fields = reinterpret_cast<float*>(&emitters_[i]);
+            for (int row = 0; row < 14; ++row) fields[row] = rows[row * count + i];
+            emitters_[i].triangle = int32_t(triangles[i]), emitters_[i].cluster = cluster[i];
+        }
+        t.emitter_rows = emitters_.data();
+        t.within_table = alias_table("within", within_table_);
+        t.within_start = array<int32_t>("within_start"), t.far_share = array<float>("far_share");
+        set_clusters();
+        const float* box = array<float>("grid_box");  // low, cells per metre, last cell, steps
+        for (int axis = 0; axis < 3; ++axis) {
+            t.grid_low[axis] = box[axis], t.grid_last[axis] = box[4 + axis], t.grid_step[axis] = int32_t(box[7 + axis]);
+        }
+        t.grid_scale = box[3];
+    }
+    void set_clusters() {
+        size_t size;
+        t.cluster_cumulative = array<float>("cluster_cumulative", &size);
+        t.cluster_levels = int32_t(number("cluster_levels"));
+        const size_t line = size_t(1) << (t.cluster_levels < LEVELS_IN_LINE ? t.cluster_levels : LEVELS_IN_LINE);
+        for (size_t last = line - 1; last < size; last += line) cluster_lines_.push_back(t.cluster_cumulative[last]);
+        t.cluster_lines = cluster_lines_.data();
+    }
+    const AliasEntry* alias_table(const std::string& name, std::vector<AliasEntry>& entries) {
+        size_t count;
+        const float* keep = array<float>(name + "_keep", &count);
+        const int32_t* alias = array<int32_t>(name + "_alias");
+        entries.resize(count);
+        for (size_t i = 0; i < count; ++i) entries[i] = {keep[i], alias[i]};
+        return entries.data();
+    }
+    void set_environment() {
+        t.has_environment = is("has_environment"), t.visible_environment = is("visible_environment");
+        t.map_texels = array<float>("map_texels"), t.map_density = array<float>("map_density");
+        t.map_table = alias_table("map", map_table_);
+        t.map_width = int32_t(number("map_width")), t.map_height = int32_t(number("map_height"));
+        t.map_turn = float(number("map_turn")), t.map_share = float(number("map_share"));
+        size_t size;
+        const float* distant = array<float>("distant", &size);
+        static_assert(sizeof(DistantTable) == 16 * sizeof(float), "one row of `distant`");
+        t.distant = reinterpret_cast<const DistantTable*>(distant);
+        t.distant_count = int32_t(size / 16);
+        t.distant_edges = array<float>("distant_edges");
+    }
+
+    nb::dict arrays_, numbers_;
+    nb::tuple scenes_;
+    std::vector<nb::ndarray<>> kept_;
+    std::vector<TriangleRow> rows_;
+    std::vector<EmitterRow> emitters_;
+    std::vector<AliasEntry> within_table_, map_table_;
+    std::vector<float> cluster_lines_;
+};
+
+// Keys of random numbers. directions: of Sobol' sequences, int32 `[8, 30]`.
+Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index) {
+    static int32_t directions[8][30];
+    static bool ready = false;
+    if (!ready) {
+        nb::list rows = nb::cast<nb::list>(nb::module_::import_("bokehguide.render.random").attr("_DIRECTIONS"));
+        for (int row = 0; row < 8; ++row) {
+            for (int bit = 0; bit < 30; ++bit) directions[row][bit] = nb::cast<int32_t>(rows[row][bit]);
+        }
+        ready = true;
+    }
+    return {step_key, seed_key, index, directions};
+}
+
+using Keys = std::tuple<uint32_t, uint32_t, uint32_t>;
+
+nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& direction, const std::optional<Floats>& alive,
+                const Ints& pixel_keys, const Random& random, int max_depth, int first_step, FloatsOut rows, IntsOut triangle) {
+    const size_t count = pixel_keys.size();
+    check(origin, 3 * count, "origin"), check(direction, 3 * count, "direction"), check(rows, 14 * count, "rows");
+    check(triangle, count, "triangle");
+    if (alive) check(*alive, count, "alive");
+    Trace arguments{};
+    arguments.count = int64_t(count);
+    arguments.origin = origin.data(), arguments.direction = direction.data(), arguments.alive = alive ? alive->data() : nullptr;
+    arguments.pixel_keys = pixel_keys.data(), arguments.random = random;
+    arguments.max_depth = max_depth, arguments.first_step = first_step;
+    float* row = rows.data();
+    arguments.radiance = row, arguments.normal = row + 3 * count, arguments.albedo = row + 6 * count;
+    arguments.emission = row + 9 * count, arguments.distance = row + 12 * count, arguments.alpha = row + 13 * count;
+    arguments.triangle = triangle.data();
+    {
+        nb::gil_scoped_release released;
+        kernels().trace(scene.t, arguments);
+    }
+    return nb::make_tuple(arguments.rays, arguments.embree_seconds);
+}
+
+using Doubles = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+
+template <class Array> Array entry(const nb::dict& arrays, const char* name, size_t size) {
+    const auto found = nb::cast<Array>(arrays[name]);
+    check(found, size, name);
+    return found;
+}
+
+// Adds samples to the sums of a film, both as dictionaries by the names of render/film.py. Returns whether all are finite.
+bool expose(const nb::dict& sums, const nb::dict& samples, const std::optional<nb::ndarray<const int64_t, nb::c_contig>>& pixels,
+            int64_t first, bool recenter, nb::ndarray<uint8_t, nb::c_contig, nb::device::cpu> good) {
+    const size_t count = good.size();
+    FilmSums film{};
+    film.pixels = int64_t(nb::cast<FloatsOut>(sums["count"]).size());
+    const size_t size = size_t(film.pixels);
+    if (pixels ? pixels->size() != count : first < 0 || size_t(first) + count > size) throw std::invalid_argument("pixels beyond the film");
+    const auto doubles = [&](const char* name, size_t rows) { return entry<Doubles>(sums, name, rows * size).data(); };
+    const auto floats = [&](const char* name, size_t rows) { return entry<FloatsOut>(sums, name, rows * size).data(); };
+    const auto sample = [&](const char* name, size_t rows) { return entry<Floats>(samples, name, rows * count).data(); };
+    film.radiance = doubles("radiance", 3), film.emission = doubles("emission", 3), film.square = doubles("square", 1);
+    film.features = doubles("features", 9), film.count = floats("count", 1);
+    film.nearest = floats("nearest", 1), film.farthest = floats("farthest", 1);
+    if (sums.contains("passed")) film.passed = doubles("passed", 1);
+    if (sums.contains("control")) film.moments = floats("control", 10), film.center = floats("center", 9);
+    FilmSamples of{};
+    of.count = int64_t(count);
+    of.weight = sample("weight", 1), of.radiance = sample("radiance", 3), of.alpha = sample("alpha", 1), of.depth = sample("depth", 1);
+    of.normal = sample("normal", 3), of.albedo = sample("albedo", 3), of.emission = sample("emission", 3);
+    if (!nb::handle(samples["radiance_weight"]).is_none()) of.radiance_weight = sample("radiance_weight", 1);
+    nb::gil_scoped_release released;
+    return kernels().expose(film, of, pixels ? pixels->data() : nullptr, first, recenter, good.data());
+}
+
+}  // namespace
+}  // namespace bokehguide
+
+NB_MODULE(_native, m) {
+    using namespace bokehguide;
+    m.def("load_embree", &load_embree);
+    m.def("use_avx2", &use_avx2);
+    nb::class_<Triangles>(m, "Triangles")
+        .def(nb::init<const nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>&,
+                      const nb::ndarray<const int32_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>&>())
+        .def("nearest", &Triangles::nearest, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg())
+        .def("visible", &Triangles::visible);
+    nb::class_<Random>(m, "Random").def("__init__", [](Random* self, uint32_t step_key, uint32_t seed_key, uint32_t index) {
+        new (self) Random(random_of(step_key, seed_key, index));
+    });
+    nb::class_<Scene>(m, "Scene")
+        .def(nb::init<nb::dict, nb::dict, nb::object, nb::object, nb::object>(), nb::arg(), nb::arg(), nb::arg().none(),
+             nb::arg().none(), nb::arg().none())
+        .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());
+    m.def("expose", &expose, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg());
+    m.def("camera_rays", [](const Floats& axes, const Floats& position, const Floats& focus, const Floats& points, FloatsOut rows) {
+        const size_t count = rows.size() / 6;
+        check(axes, 9, "axes"), check(position, 3, "position");
+        check(focus, 3 * count, "focus"), check(points, 2 * count, "points");
+        Camera camera;
+        std::memcpy(camera.axes, axes.data(), sizeof camera.axes), std::memcpy(camera.position, position.data(), sizeof camera.position);
+        nb::gil_scoped_release released;
+        kernels().camera_rays(camera, int64_t(count), focus.data(), points.data(), rows.data(), rows.data() + 3 * count);
+    });
+    m.def("random", [](const Random& random, const Ints& pixels, uint32_t dimension, int numbers, int first, FloatsOut out) {
+        check(out, size_t(numbers) * pixels.size(), "out");
+        nb::gil_scoped_release released;
+        kernels().random(random, int64_t(pixels.size()), pixels.data(), dimension, numbers, first, out.data());
+    });
+    // Stages of a trace, for tests.
+    m.def("surfaces", [](const Scene& scene, const Floats& origin, const Floats& direction, const Ints& triangle, const Floats& hits,
+                         FloatsOut rows) {
+        check(rows, 32 * triangle.size(), "rows");
+        kernels().surfaces(scene.t, int64_t(triangle.size()), origin.data(), direction.data(), triangle.data(), hits.data(), rows.data());
+    });
+    m.def("evaluate", [](const Scene& scene, const Floats& rows, const Floats& choice, const Floats& direction, FloatsOut out) {
+        check(out, 4 * choice.size(), "out");
+        kernels().evaluate(scene.t, int64_t(choice.size()), rows.data(), choice.data(), direction.data(), out.data());
+    });
+    m.def("sample", [](const Scene& scene, const Floats& rows, const Floats& choice, const Floats& uniforms, FloatsOut out) {
+        check(out, 7 * choice.size(), "out");
+        kernels().sample(scene.t, int64_t(choice.size()), rows.data(), choice.data(), uniforms.data(), out.data());
+    });
+    m.def("lights", [](const Scene& scene, const Floats& points, const Floats& uniforms, FloatsOut out) {
+        check(out, 8 * (points.size() / 3), "out");
+        kernels().lights(scene.t, int64_t(points.size() / 3), points.data(), uniforms.data(), out.data());
+    });
+    m.def("environment", [](const Scene& scene, const Floats& points, const Floats& direction, FloatsOut out) {
+        check(out, 5 * (points.size() / 3), "out");
+        kernels().environment(scene.t, int64_t(points.size() / 3), points.data(), direction.data(), out.data());
+    });
+    m.def("emitters", [](const Scene& scene, const Floats& points, const Floats& direction, const Ints& triangle, const Floats& hits,
+                         FloatsOut out) {
+        check(out, 8 * triangle.size(), "out");
+        kernels().emitters(scene.t, int64_t(triangle.size()), points.data(), direction.data(), triangle.data(), hits.data(), out.data());
+    });
+}

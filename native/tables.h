@@ -1,0 +1,124 @@
+// The tables of a scene and the arguments of a trace, as plain pointers: the same for every instruction set.
+//
+// Tables are those of the PyTorch modules (render/geometry.py, render/materials.py, render/textures.py, render/lights/), whose
+// docstrings describe them. A row of a table `[rows, N]` begins N entries after the one before. A pointer is null where the
+// scene has no use for the table.
+
+#pragma once
+
+#include <cstdint>
+
+namespace bokehguide {
+
+double seconds();  // of a steady clock
+
+// Texture slots, in the order of `SLOTS` in render/materials.py.
+enum Slot { BASE_COLOR, METALLIC_ROUGHNESS, EMISSION, NORMAL, SPECULAR, SPECULAR_COLOR, TRANSMISSION, CLEARCOAT, CLEARCOAT_ROUGHNESS,
+            CLEARCOAT_NORMAL, SLOTS };
+
+// What the renderer needs of a triangle at a hit, in one line of the cache.
+struct alignas(64) TriangleRow {
+    float geometric[3], normals[9];
+    int32_t material, emitter, unused[2];
+};
+
+// What the renderer needs of an emissive triangle, in one line of the cache: the first corner, the edges from there, emission and
+// double-sidedness, the density of samples in its cluster.
+struct alignas(64) EmitterRow {
+    float corner[3], first[3], second[3], emission[4], density;
+    int32_t triangle, cluster;
+};
+static_assert(sizeof(TriangleRow) == 64 && sizeof(EmitterRow) == 64, "one line of the cache");
+
+struct AliasEntry {
+    float keep;
+    int32_t alias;
+};
+
+constexpr int LEVELS_IN_LINE = 4;  // 16 floats make a line of the cache
+
+struct DistantTable {
+    float frame[9];  // row by row; the third column points to the light
+    float height, squared_radius, density, radiance[3];
+    float share;  // of the samples of the environment
+};
+
+struct Tables {
+    // Geometry
+    const TriangleRow* triangles;
+    int64_t triangle_count;
+    void *tracer, *opaque, *translucent;  // RTCScene; null for none
+    const int64_t* translucent_numbers;   // numbers of the translucent scene's triangles among all
+    const float *uvs, *colors, *tangents[SLOTS];
+
+    // Materials, M columns
+    int64_t materials;
+    const float *parameters, *emission, *specular_color, *clearcoat, *cones, *opacity, *absorption, *normal_scales[SLOTS];
+    const int32_t *emissive, *tinted, *is_translucent;
+    const int64_t* numbers[SLOTS];
+    bool tilts_coats, has_transmission, plain_emission;
+
+    // Textures, K columns
+    int64_t textures;
+    const uint16_t* texels;
+    const int64_t *texture_start, *texture_sizes, *texture_bounds, *texture_uv_set;
+    const float *texture_transforms, *texture_scales;
+    int64_t uv_sets;
+
+    // Emissive triangles, E columns
+    int64_t emitters;
+    const EmitterRow* emitter_rows;
+    const AliasEntry* within_table;
+    const int32_t* within_start;
+    const float *cluster_cumulative, *cluster_lines, *far_share;
+    int32_t cluster_levels;
+    float grid_low[3], grid_scale, grid_last[3];
+    int32_t grid_step[3];
+    bool has_far_power;
+
+    // Environment
+    bool has_environment, visible_environment;
+    const float *map_texels, *map_density;  // the last null where the map is not sampled, as the next
+    const AliasEntry* map_table;
+    int32_t map_width, map_height;
+    float map_turn, map_share;
+    int32_t distant_count;
+    const DistantTable* distant;
+    const float* distant_edges;  // cumulative shares of the map and of all distant lights but the last
+};
+
+// Keys of the random numbers of a step (render/random.py).
+struct Random {
+    uint32_t step_key, seed_key, index;
+    const int32_t (*directions)[30];  // of Sobol' sequences, eight dimensions
+};
+
+struct Trace {
+    int64_t count;
+    const float *origin, *direction, *alive;  // [3, count] each, [count] or null
+    const int32_t* pixel_keys;
+    Random random;
+    int32_t max_depth, first_step;
+    // Results, all written.
+    float *radiance, *distance, *normal, *albedo, *emission, *alpha;
+    int32_t* triangle;
+    int64_t rays;
+    double embree_seconds;
+};
+
+// One sample for each of some pixels, and the sums of a film over its pixels (render/film.py); rows as in `Tables`.
+struct FilmSamples {
+    int64_t count;
+    const float *weight, *radiance_weight, *radiance, *alpha, *depth, *normal, *albedo, *emission;
+};
+struct FilmSums {
+    int64_t pixels;
+    double *radiance, *emission, *square, *features, *passed;  // passed: null unless the frame is vignetted
+    float *count, *nearest, *farthest, *moments, *center;      // the last two null without a control variate
+};
+
+struct Camera {
+    float axes[9], position[3];  // camera to world, row by row
+};
+
+}  // namespace bokehguide

@@ -1,0 +1,447 @@
+// Whole paths: render/path_tracer.py with the power light sampler, one path a ray, and the AOVs of primary hits.
+//
+// Blocks of paths go from the camera to their ends, segment by segment. A block's arrays stay in the cache. What happens to a
+// path depends on neither its block nor its lane.
+
+#pragma once
+
+#include <new>
+
+#include "lights.h"
+#include "rays.h"
+
+namespace BOKEHGUIDE_ISA {
+
+using bokehguide::Trace;
+
+constexpr int BLOCK = 1024;
+constexpr int ROULETTE_DEPTH = 4;
+constexpr float MAX_SURVIVAL = 0.95f, SHADOW_END = 1.0f - 1e-4f, SHORT = 1.0f / 16.0f;
+// Random dimensions (render/dimensions.py).
+constexpr uint32_t PART = 0, BSDF = 1, ROULETTE = 4, LIGHT = 5, LIGHT_COUNT = 6, MAX_CROSSINGS = 256;
+inline uint32_t vertex_dimension(int depth) { return 32 + 16 * uint32_t(depth - 1); }
+inline uint32_t crossing_dimension(int depth) { return (1u << 20) + MAX_CROSSINGS * uint32_t(depth); }
+
+typedef float Row[BLOCK];
+typedef int32_t IntRow[BLOCK];
+
+inline Vec3 load3(const Row* rows, int first) { return {load<Float>(rows[0] + first), load<Float>(rows[1] + first), load<Float>(rows[2] + first)}; }
+inline void store3(Row* rows, int first, Vec3 v) { store(rows[0] + first, v.x), store(rows[1] + first, v.y), store(rows[2] + first, v.z); }
+inline Vec3 gather3(const Row* rows, Int index) { return {gather(rows[0], index), gather(rows[1], index), gather(rows[2], index)}; }
+inline Int first_lanes(int count) { return Int{0, 1, 2, 3, 4, 5, 6, 7} < count; }
+
+struct alignas(64) Block {
+    // Paths that are alive.
+    IntRow slot, key;
+    Row throughput[3], radiance[3];
+    // Their next segments, as `Rays` of paths.py has them.
+    Row vertex[3], origin[3], direction[3], pdf, alive;
+    // The hits of these, and the surfaces there.
+    IntRow triangle;
+    Row distance, u, v, surface[SURFACE_ROWS];
+    // Light samples, and their shadow rays.
+    Row contribution[3], weight, shadow_origin[3], shadow_direction[3], shadow_length, visibility;
+    // Which paths go on or met a surface, and which did not.
+    IntRow kept, dropped;
+    // Rays beyond translucent surfaces.
+    IntRow beyond, last, beyond_triangle;
+    Row beyond_origin[3], beyond_direction[3], beyond_start, beyond_limit, beyond_distance, beyond_u, beyond_v;
+};
+
+class Tracing {
+  public:
+    Tracing(const Tables& tables, Trace& arguments) : t(tables), trace(arguments), block(*new (std::align_val_t(64)) Block()) {}
+    ~Tracing() { operator delete(&block, std::align_val_t(64)); }
+    Tracing(const Tracing&) = delete;
+
+    void run() {
+        trace.rays = 0;
+        trace.embree_seconds = 0.0;
+        for (first = 0; first < trace.count; first += BLOCK) {
+            begin();
+            for (int depth = 1; depth <= trace.max_depth && paths > 0; ++depth) segment(depth);
+        }
+    }
+
+  private:
+    const Tables& t;
+    Trace& trace;
+    Block& block;
+    int64_t first = 0;
+    int paths = 0;
+
+    void begin() {
+        Block& b = block;
+        paths = trace.count - first < BLOCK ? int(trace.count - first) : BLOCK;
+        const size_t size = sizeof(float) * size_t(paths);
+        for (int axis = 0; axis < 3; ++axis) {
+            const int64_t row = axis * trace.count + first;
+            std::memcpy(b.origin[axis], trace.origin + row, size);
+            std::memcpy(b.vertex[axis], trace.origin + row, size);
+            std::memcpy(b.direction[axis], trace.direction + row, size);
+            float* const results[] = {trace.radiance, trace.normal, trace.albedo, trace.emission};
+            for (float* result : results) std::memset(result + row, 0, size);
+        }
+        std::memcpy(b.key, trace.pixel_keys + first, size);
+        if (trace.alive != nullptr) std::memcpy(b.alive, trace.alive + first, size);
+        std::memset(trace.alpha + first, 0, size);
+        for (int i = 0; i < paths; ++i) trace.distance[first + i] = MISS_DISTANCE, trace.triangle[first + i] = -1;
+        for (int i = 0; i < paths; i += LANES) {
+            store(b.slot + i, Int{0, 1, 2, 3, 4, 5, 6, 7} + i);
+            store3(b.throughput, i, grey(all(1.0f)));
+            store3(b.radiance, i, grey(all(0.0f)));
+            store(b.pdf + i, all(DELTA_PDF));
+            if (trace.alive == nullptr) store(b.alive + i, all(1.0f));
+        }
+    }
+
+    void segment(int depth) {
+        drop_ended();
+        if (paths == 0) return;
+        find_nearest(depth);
+        leave_scene(depth);
+        if (paths == 0) return;
+        for (int i = 0; i < paths; i += LANES) meet(depth, i);
+        if (depth == 1) report_primary_hits();
+        if (depth == trace.max_depth) return finish(paths);
+        for (int i = 0; i < paths; i += LANES) scatter(depth, i);
+        if (lit()) add_direct_light();
+    }
+
+    bool lit() const { return t.emitters > 0 || t.has_far_power; }
+
+    // Add the radiance of the first paths to that of their rays.
+    void finish(int count) {
+        for (int i = 0; i < count; ++i) collect(i, 0.0f, 0.0f, 0.0f);
+    }
+    void collect(int path, float red, float green, float blue) {
+        const float more[3] = {red, green, blue};
+        for (int channel = 0; channel < 3; ++channel) {
+            trace.radiance[channel * trace.count + first + block.slot[path]] = block.radiance[channel][path] + more[channel];
+        }
+    }
+
+    // Sort paths by a condition into `kept` and `dropped`; returns the number kept.
+    template <class Condition> int sort(Condition keeps) {
+        int kept = 0, dropped = 0;
+        for (int i = 0; i < paths; ++i) {
+            const bool keep = keeps(i);
+            block.kept[kept] = block.dropped[dropped] = i;
+            kept += keep, dropped += !keep;
+        }
+        for (int i = kept; i < (kept + LANES - 1) / LANES * LANES; ++i) block.kept[i] = 0;
+        for (int i = dropped; i < (dropped + LANES - 1) / LANES * LANES; ++i) block.dropped[i] = 0;
+        return kept;
+    }
+    template <class T> void compact(T (&row)[BLOCK], int count) {
+        for (int i = 0; i < count; i += LANES) store(row + i, gather(row, load<Int>(block.kept + i)));
+    }
+    template <int N> void compact(Row (&rows)[N], int count) {
+        for (Row& row : rows) compact(row, count);
+    }
+    // Keep the first `count` of `kept`.
+    void keep(int count, bool with_hits) {
+        Block& b = block;
+        compact(b.slot, count), compact(b.key, count), compact(b.throughput, count), compact(b.radiance, count);
+        compact(b.vertex, count), compact(b.origin, count), compact(b.direction, count), compact(b.pdf, count);
+        if (with_hits) compact(b.triangle, count), compact(b.distance, count), compact(b.u, count), compact(b.v, count);
+        paths = count;
+    }
+
+    // End paths that are not alive. Throughputs of NaN make their radiance NaN.
+    void drop_ended() {
+        const int going = sort([&](int i) { return block.alive[i] > 0.0f; });
+        if (going == paths) return;
+        for (int i = 0; i < paths - going; ++i) {
+            const int path = block.dropped[i];
+            collect(path, 0.0f * block.throughput[0][path], 0.0f * block.throughput[1][path], 0.0f * block.throughput[2][path]);
+        }
+        keep(going, false);
+    }
+
+    template <class Work> void in_embree(int rays, Work work) {
+        const double begun = bokehguide::seconds();
+        work();
+        trace.embree_seconds += bokehguide::seconds() - begun;
+        trace.rays += rays;
+    }
+
+    void find_nearest(int depth) {
+        Block& b = block;
+        const RayRows rays(b.origin[0], b.direction[0], BLOCK, nullptr);
+        in_embree(paths, [&] { nearest(t.tracer, rays, {b.triangle, b.distance, b.u, b.v}, paths); });
+        if (t.translucent != nullptr) go_beyond_translucent(depth);
+    }
+
+    // Distances just beyond surfaces along rays, and the points there (`_beyond` of visibility.py).
+    static Float beyond(Vec3 origin, Vec3 direction, Float distance, Int again, Vec3& start) {
+        const Float step = again ? all(1.0f) : all(SHORT);
+        const Float further = distance + step * leaving_distance(origin + distance * direction, distance);
+        start = origin + further * direction;
+        return further;
+    }
+
+    // Lanes that do not count have some triangle, so that tables can be read.
+    static Hits valid(Hits hit, Int active) {
+        hit.triangle = active ? hit.triangle : all(0);
+        return hit;
+    }
+    Hits hits_of(Int path) const {
+        return {gather(block.triangle, path), gather(block.distance, path), gather(block.u, path), gather(block.v, path)};
+    }
+
+    // Paths go on from translucent surfaces with probability 1 - opacity.
+    void go_beyond_translucent(int depth) {
+        Block& b = block;
+        int count = 0;
+        for (int i = 0; i < paths; ++i) b.beyond[i] = i, b.last[i] = -1;
+        count = paths;
+        for (uint32_t crossing = 0; crossing < MAX_CROSSINGS; ++crossing) {
+            count = keep_if(b.beyond, count, [&](int path) {
+                return b.triangle[path] >= 0 && t.is_translucent[t.triangles[b.triangle[path]].material];
+            });
+            int going = 0;
+            for (int i = 0; i < count; i += LANES) {
+                const Int active = first_lanes(count - i), path = load<Int>(b.beyond + i);
+                const Hits hit = valid(hits_of(path), active);
+                const Float number = uniform(trace.random, bits<Bits>(gather(b.key, path)), crossing_dimension(depth) + crossing);
+                const Int again = hit.triangle == gather(b.last, path);
+                const unsigned on = lanes(((number >= opacity(t, hit, active)) | again) & active);
+                Vec3 start;
+                const Float further = beyond(gather3(b.origin, path), gather3(b.direction, path), hit.distance, again, start);
+                for (int lane = 0; lane < LANES; ++lane) {
+                    if (!(on >> lane & 1)) continue;
+                    b.last[path[lane]] = hit.triangle[lane];
+                    set_beyond(going, path[lane], start, lane, b.direction);
+                    b.beyond[going] = path[lane], b.beyond_start[going++] = further[lane];
+                }
+            }
+            count = going;
+            if (count == 0) break;
+            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], BLOCK, nullptr);
+            in_embree(count, [&] { nearest(t.tracer, rays, {b.beyond_triangle, b.beyond_distance, b.beyond_u, b.beyond_v}, count); });
+            for (int i = 0; i < count; ++i) {
+                const int path = b.beyond[i];
+                b.triangle[path] = b.beyond_triangle[i], b.u[path] = b.beyond_u[i], b.v[path] = b.beyond_v[i];
+                b.distance[path] = b.beyond_distance[i] + b.beyond_start[i];
+            }
+        }
+    }
+    void set_beyond(int place, int path, const Vec3& start, int lane, const Row* direction) {
+        const float point[3] = {start.x[lane], start.y[lane], start.z[lane]};
+        for (int axis = 0; axis < 3; ++axis) {
+            block.beyond_origin[axis][place] = point[axis], block.beyond_direction[axis][place] = direction[axis][path];
+        }
+    }
+    template <class Condition> static int keep_if(IntRow& list, int count, Condition keeps) {
+        int kept = 0;
+        for (int i = 0; i < count; ++i) {
+            if (keeps(list[i])) list[kept++] = list[i];
+        }
+        for (int i = kept; i < (kept + LANES - 1) / LANES * LANES; ++i) list[i] = 0;
+        return kept;
+    }
+
+    // Paths that meet nothing end in the environment.
+    void leave_scene(int depth) {
+        Block& b = block;
+        const int met = sort([&](int i) { return b.triangle[i] >= 0; }), missed = paths - met;
+        if (missed == 0) return;
+        for (int i = 0; i < missed && t.has_environment; i += LANES) add_environment(depth, i, missed);
+        for (int i = 0; i < missed; ++i) collect(b.dropped[i], 0.0f, 0.0f, 0.0f);
+        keep(met, true);
+    }
+
+    void add_environment(int depth, int i, int missed) {
+        Block& b = block;
+        const Int path = load<Int>(b.dropped + i);
+        const Vec3 direction = gather3(b.direction, path);
+        if (depth == 1 && !t.visible_environment) return;
+        Vec3 light = gather3(b.throughput, path) * environment_radiance(t, direction);
+        if (depth > 1) {
+            const Float other = environment_pdf(t, gather3(b.vertex, path), direction);
+            light = light * power_heuristic(gather(b.pdf, path), other);
+        }
+        light = gather3(b.radiance, path) + light;
+        const Float alpha = environment_alpha(t, direction);
+        for (int lane = 0; lane < LANES && i + lane < missed; ++lane) {
+            b.radiance[0][path[lane]] = light.x[lane];
+            b.radiance[1][path[lane]] = light.y[lane];
+            b.radiance[2][path[lane]] = light.z[lane];
+            if (depth == 1) trace.alpha[first + b.slot[path[lane]]] = alpha[lane];
+        }
+    }
+
+    // Surfaces, absorption on the way there, and emission from there.
+    void meet(int depth, int i) {
+        Block& b = block;
+        const Int active = first_lanes(paths - i);
+        const Hits hit = valid({load<Int>(b.triangle + i), load<Float>(b.distance + i), load<Float>(b.u + i), load<Float>(b.v + i)}, active);
+        const Surface s = surface_at(t, load3(b.origin, i), load3(b.direction, i), hit, active);
+        store_surface(b.surface[0] + i, BLOCK, s);
+        Vec3 throughput = load3(b.throughput, i);
+        if (t.absorption != nullptr) {
+            throughput = throughput * transmittance(t, hit, s.front);
+            store3(b.throughput, i, throughput);
+        }
+        const Int emits = (gather(t.emissive, material_of(t, hit.triangle)) != 0) & active;
+        if (!any(emits)) return;
+        Vec3 light = throughput * emission(t, hit, s.front, s.outgoing, emits);
+        if (depth > 1) {
+            const Vec3 vertex = load3(b.vertex, i), offset = s.position - vertex;
+            const Float distance = length(offset), cosine = dot(s.geometric_normal, offset) / divisor(distance);
+            light = light * power_heuristic(load<Float>(b.pdf + i), triangle_pdf(t, vertex, hit.triangle, distance, cosine));
+        }
+        const Vec3 radiance = load3(b.radiance, i);
+        store3(b.radiance, i, choose(emits, radiance + light, radiance));
+    }
+
+    void report_primary_hits() {
+        const Block& b = block;
+        for (int i = 0; i < paths; ++i) {
+            const int64_t ray = first + b.slot[i];
+            trace.distance[ray] = b.distance[i], trace.triangle[ray] = b.triangle[i], trace.alpha[ray] = 1.0f;
+            for (int axis = 0; axis < 3; ++axis) {
+                trace.normal[axis * trace.count + ray] = b.surface[9 + axis][i];
+                trace.albedo[axis * trace.count + ray] = b.surface[15 + axis][i];
+                trace.emission[axis * trace.count + ray] = b.radiance[axis][i];
+            }
+        }
+    }
+
+    // Uniform numbers of `count` dimensions; those of primary hits are stratified.
+    template <int N> void numbers(int depth, uint32_t offset, Bits key, Float (&out)[N]) const {
+        const uint32_t dimension = vertex_dimension(depth) + offset;
+        if (depth == 1) {
+            const Stratified sequence(trace.random, dimension, N, uint32_t(trace.first_step));
+            for (int i = 0; i < N; ++i) out[i] = sequence(key, i);
+        } else {
+            for (int i = 0; i < N; ++i) out[i] = uniform(trace.random, key, dimension + uint32_t(i));
+        }
+    }
+
+    // Sample lights and the BSDF; from ROULETTE_DEPTH on, play Russian roulette.
+    void scatter(int depth, int i) {
+        Block& b = block;
+        const Int active = first_lanes(paths - i);
+        const Bits key = bits<Bits>(load<Int>(b.key + i));
+        const Surface s = load_surface(b.surface[0] + i, BLOCK);
+        Vec3 throughput = load3(b.throughput, i);
+        Float part[1] = {all(0.0f)};
+        if (t.has_transmission) numbers(depth, PART, key, part);
+        const Scattering scattering(t, s, part[0]);
+        if (lit()) {
+            Float of_light[6];
+            numbers(depth, LIGHT, key, of_light);
+            sample_direct(i, s, scattering, throughput, of_light, active);
+        }
+        Float of_bsdf[3], pdf;
+        numbers(depth, BSDF, key, of_bsdf);
+        Vec3 weight;
+        const Vec3 direction = scattering.sample(of_bsdf[0], of_bsdf[1], of_bsdf[2], weight, pdf);
+        throughput = throughput * weight;
+        Float survival = largest(throughput);
+        if (depth >= ROULETTE_DEPTH) {
+            const Float chance = at_most(survival, MAX_SURVIVAL);
+            survival = chance * one_if(uniform(trace.random, key, vertex_dimension(depth) + ROULETTE) < chance);
+            throughput = throughput / divisor(chance, 1e-20f);
+        }
+        store3(b.throughput, i, throughput);
+        store3(b.vertex, i, s.position), store3(b.origin, i, leave(s, direction)), store3(b.direction, i, direction);
+        store(b.pdf + i, pdf), store(b.alive + i, survival);
+    }
+
+    void sample_direct(int i, const Surface& s, const Scattering& scattering, Vec3 throughput, const Float (&u)[6], Int active) {
+        Block& b = block;
+        const LightSample light = sample_light(t, PointQuery(t, s.position), u, active);
+        const Scattered found = scattering.evaluate(light.direction);
+        const Float weight = power_heuristic(light.pdf, found.pdf) / divisor(light.pdf);
+        const Vec3 contribution = throughput * (found.value * light.radiance * weight);
+        const Vec3 origin = leave(s, light.direction), target = light.direction - (origin - s.position) / light.distance;
+        const Float stretch = length(target);
+        store3(b.contribution, i, contribution), store(b.weight + i, largest(contribution));
+        store3(b.shadow_origin, i, origin), store3(b.shadow_direction, i, target / stretch);
+        store(b.shadow_length + i, light.distance * stretch * SHADOW_END);
+    }
+
+    // Add the light samples that are not blocked, as far as translucent surfaces let them pass.
+    void add_direct_light() {
+        Block& b = block;
+        const int traced = sort([&](int i) { return b.weight[i] > 0.0f; });
+        for (int i = 0; i < paths; i += LANES) store(b.visibility + i, all(0.0f));
+        if (traced < paths) {
+            compact(b.shadow_origin, traced), compact(b.shadow_direction, traced), compact(b.shadow_length, traced);
+        }
+        Row& passes = b.distance;
+        for (int i = 0; i < traced; ++i) passes[i] = 1.0f;
+        if (t.opaque != nullptr) {
+            const RayRows rays(b.shadow_origin[0], b.shadow_direction[0], BLOCK, b.shadow_length);
+            in_embree(traced, [&] { visible(t.opaque, rays, passes, traced); });
+        } else {
+            trace.rays += traced;
+        }
+        if (t.translucent != nullptr) dim(passes, traced);
+        for (int i = 0; i < traced; ++i) b.visibility[b.kept[i]] = passes[i];
+        for (int i = 0; i < paths; i += LANES) {
+            store3(b.radiance, i, load3(b.radiance, i) + load3(b.contribution, i) * load<Float>(b.visibility + i));
+        }
+    }
+
+    // Multiply transmittances of shadow rays by those of the translucent surfaces (`Visibility._dim`).
+    void dim(Row& passes, int traced) {
+        Block& b = block;
+        for (int i = 0; i < traced; ++i) b.beyond[i] = i, b.last[i] = -1, b.beyond_start[i] = 0.0f;
+        int count = keep_if(b.beyond, traced, [&](int ray) { return passes[ray] > 0.0f; });
+        for (int i = 0; i < count; ++i) {
+            const int ray = b.beyond[i];
+            for (int axis = 0; axis < 3; ++axis) b.beyond_origin[axis][i] = b.shadow_origin[axis][ray];
+        }
+        for (uint32_t crossing = 0; crossing < MAX_CROSSINGS && count > 0; ++crossing) {
+            for (int i = 0; i < count; ++i) {
+                const int ray = b.beyond[i];
+                for (int axis = 0; axis < 3; ++axis) b.beyond_direction[axis][i] = b.shadow_direction[axis][ray];
+                b.beyond_limit[i] = b.shadow_length[ray] - b.beyond_start[i];
+            }
+            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], BLOCK, b.beyond_limit);
+            in_embree(count, [&] {
+                nearest(t.translucent, rays, {b.beyond_triangle, b.beyond_distance, b.beyond_u, b.beyond_v}, count);
+            });
+            count = dim_once(passes, count);
+        }
+        for (int i = 0; i < count; ++i) passes[b.beyond[i]] = 0.0f;
+    }
+
+    // One translucent surface along each of `count` rays; returns the number of rays that go on.
+    int dim_once(Row& passes, int count) {
+        Block& b = block;
+        int met = 0;
+        for (int i = 0; i < count; ++i) {  // rays that met a surface, in place
+            if (b.beyond_triangle[i] < 0) continue;
+            b.beyond[met] = b.beyond[i];
+            b.beyond_triangle[met] = int32_t(t.translucent_numbers[b.beyond_triangle[i]]);
+            b.beyond_distance[met] = b.beyond_distance[i] + b.beyond_start[i], b.beyond_u[met] = b.beyond_u[i];
+            b.beyond_v[met++] = b.beyond_v[i];
+        }
+        for (int i = met; i < (met + LANES - 1) / LANES * LANES; ++i) b.beyond[i] = b.beyond_triangle[i] = 0;
+        int going = 0;
+        for (int i = 0; i < met; i += LANES) {
+            const Int active = first_lanes(met - i), ray = load<Int>(b.beyond + i), triangle = load<Int>(b.beyond_triangle + i);
+            const Float distance = load<Float>(b.beyond_distance + i);
+            const Hits hit = {triangle, distance, load<Float>(b.beyond_u + i), load<Float>(b.beyond_v + i)};
+            const Int again = triangle == gather(b.last, ray);
+            const Float left = again ? all(1.0f) : 1.0f - opacity(t, hit, active);
+            Vec3 start;
+            const Float further = beyond(gather3(b.shadow_origin, ray), gather3(b.shadow_direction, ray), distance, again, start);
+            for (int lane = 0; lane < LANES && i + lane < met; ++lane) {
+                passes[ray[lane]] *= left[lane];
+                if (!(passes[ray[lane]] > 0.0f && further[lane] < b.shadow_length[ray[lane]])) continue;
+                b.last[ray[lane]] = triangle[lane];
+                set_beyond(going, ray[lane], start, lane, b.shadow_direction);
+                b.beyond[going] = ray[lane], b.beyond_start[going++] = further[lane];
+            }
+        }
+        return going;
+    }
+};
+
+}  // namespace BOKEHGUIDE_ISA
