@@ -23,7 +23,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from bokehguide.color import LUMINANCE
 from bokehguide.image.oidn import Denoiser
@@ -90,6 +89,8 @@ def denoise_by_variance(beauty: np.ndarray, variance: np.ndarray, albedo: np.nda
 
 def windowed(squares: list[np.ndarray], picture: np.ndarray) -> list[np.ndarray]:
     """Windowed means `[H, W]` of squares `[H, W, C]` of radiance, relative to the squared brightness of `picture`."""
+    from scipy.ndimage import gaussian_filter  # takes long to import, and most renders do not denoise
+
     level = gaussian_filter((picture @ LUMINANCE).clip(min=0.0), LEVEL_WINDOW, mode="nearest") + FLOOR
     return [gaussian_filter(square.mean(-1) / level**2, WINDOW, mode="nearest") for square in squares]
 

@@ -55,7 +55,7 @@ def test_the_picture_of_several_is_that_of_one(name, bokehguide, lamps_file, tmp
     options = (lamps_file, *options, "--threads", 1)
     assert bokehguide("render", *options, "--spp", 24, "--out", "one.exr").returncode == 0
     blend_weights = logged_blend_weights(tmp_path)
-    job = torchrun(tmp_path, count, *options, "--spp", 18, "--out", "some.exr")
+    job = torchrun(tmp_path, count, *options, "--spp", 18, "--out", "some.exr", "--checkpoint-every", 60)
     assert job.wait(120) == 0, (tmp_path / "job.log").read_text()
     assert logged_blend_weights(tmp_path) == blend_weights
     resumed = bokehguide("render", *options, "--spp", 24, "--out", "some.exr", "--resume")  # by one alone

@@ -25,6 +25,7 @@ def run(folder: Path, *arguments: str | bytes, shell: str = "", **environment: s
     return subprocess.run(command, cwd=folder, capture_output=True, timeout=120, env=os.environ | environment)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_messages_that_find_a_full_disk(lamps_file, tmp_path):
     """The picture is there, and the code says whether the summary was lost."""
@@ -127,6 +128,7 @@ def test_folders_are_created_in_existing_ones_alone(option, folder, lamps_file, 
         assert not list(Path("a").iterdir())
 
 
+@pytest.mark.slow
 def test_stages_are_told_as_they_begin(lamps_file, tmp_path):
     command = [*COMMAND, "render", "emitters.toml", "--spp", "2", "--out", "a.exr"]
     start = time.process_time()
@@ -143,6 +145,7 @@ def test_stages_are_told_as_they_begin(lamps_file, tmp_path):
     assert re.findall("bokehguide: (.*)\n", told)[:3] == stages
 
 
+@pytest.mark.slow
 def test_one_rank_tells_the_stages(lamps_file, tmp_path):
     finished = run(tmp_path, "render", "emitters.toml", "--mode", "none", RANK="1")
     assert finished.returncode == 2 and finished.stderr.count(b"\n") == 1

@@ -17,6 +17,7 @@ NOTEBOOK = json.loads(PATH.read_text(encoding="utf-8"))
 CODE = [cell for cell in NOTEBOOK["cells"] if cell["cell_type"] == "code"]
 
 
+@pytest.mark.slow
 def test_the_cells_run(tmp_path, monkeypatch, capsys):
     """With one sample for each of a few pixels; the last expression of a cell is shown, as a notebook does."""
     monkeypatch.chdir(tmp_path)

@@ -14,7 +14,7 @@ PAGE = (REPOSITORY / "docs/reference/scene-file.md").read_text(encoding="utf-8")
 SECTIONS = {
     "Camera": cameras.CAMERA_KEYS,
     "Aperture": apertures.KEYS,
-    "Film": ("width", "height", "max_depth"),
+    "Film": ("width", "height", "max_depth", "exposure"),
     "Environment": ("color", "map", "intensity", "rotation", "visible"),
     "Suns": ("direction", "irradiance", "angle"),
     "Lights": lights.LIGHT_KEYS,

@@ -152,7 +152,8 @@ def test_the_files_first_camera_is_the_default(tmp_path):
     assert camera.target == pytest.approx((0, 0, 0), abs=1e-6) and camera.focus_distance == pytest.approx(5.0)
     vertical = 2 * math.atan(math.tan(math.radians(camera.fov / 2)) / 3)
     assert math.degrees(vertical) == pytest.approx(30.0), "the vertical field of view holds"
-    assert camera.aperture_radius == pytest.approx(0.02 * 5.0)
+    across = 2.0 * math.tan(math.radians(camera.fov / 2)) * camera.focus_distance
+    assert 2.0 * camera.aperture_radius == pytest.approx(0.06 * across), "a disc at infinity has 6 % of the frame's width"
     assert scene.warnings == ("set.glb: orthographic cameras: left out (flat)",)
     assert "cameras: 0 front, 1 wide" in summarize(scene)
 
@@ -169,8 +170,12 @@ def test_a_camera_by_name_or_number(tmp_path, name):
 @pytest.mark.parametrize("overrides", [{"camera": "frame"}, {"camera_position": (3.0, 3.0, 3.0)}])
 def test_the_framing_camera_is_still_there(tmp_path, overrides):
     path = photographed().save(tmp_path / "set.glb")
-    assert load_scene(path, Overrides(**overrides)).camera.target == (0.0, 0.0, 0.0)
-    assert load_scene(path, Overrides(**overrides)).camera.position not in ((0.0, 0.0, 5.0), (0.0, 0.0, 8.0))
+    camera = load_scene(path, Overrides(**overrides)).camera
+    assert camera.position not in ((0.0, 0.0, 5.0), (0.0, 0.0, 8.0))
+    forward = np.subtract(camera.target, camera.position)
+    towards = np.negative(camera.position)  # the model surrounds the origin
+    cosine = forward @ towards / np.linalg.norm(forward) / np.linalg.norm(towards)
+    assert cosine > math.cos(math.radians(camera.fov / 2)), "the model is in the frame"
 
 
 def test_a_camera_that_is_not_there(tmp_path, bokehguide):

@@ -145,6 +145,7 @@ def test_before_the_first_update_the_lens_is_uniform():
     assert not lens.weight(outside).any() and bool(lens.log_prob(outside).isneginf().all())
 
 
+@pytest.mark.slow
 def test_means_agree_with_the_uniform_lens_while_the_guide_learns():
     """Blocks of 4 × 4 pixels, and the frame; an error of a tenth would fail. The guided variance is several times lower."""
     guide, uniform = LensGuide(CAMERA, WIDTH, HEIGHT), LensGuide(CAMERA, WIDTH, HEIGHT)

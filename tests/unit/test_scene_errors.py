@@ -51,11 +51,11 @@ def test_the_scene_that_is_broken_below_is_good(tmp_path):
         ("fov = 40.0", "fov = true", ["camera.fov", "True", "not a number"]),
         ("fov = 40.0", 'fov = "wide"', ["camera.fov", "'wide'", "not a number"]),
         ("fov = 40.0", "fov = 40.0\nfocal_length = 50.0", ["camera.fov", "focal_length", "keep one"]),
-        ("fov = 40.0", "sensor_width = 36.0", ["camera.sensor_width", "focal_length"]),
+        ("fov = 40.0", "sensor_width = 0.0", ["camera.sensor_width", "0.0", "above 0"]),
         ("fov = 40.0", "focal_length = -50", ["camera.focal_length", "-50", "above 0"]),
         ("fov = 40.0", "fow = 40.0", ["camera.fow", "unknown key", "did you mean 'fov'?"]),
         ("aperture_radius = 0.1", "aperture_radius = -0.1", ["camera.aperture_radius", "-0.1"]),
-        ("aperture_radius = 0.1", "f_number = 2.0", ["camera.f_number", "2.0", "focal_length"]),
+        ("aperture_radius = 0.1", "f_number = 0.0", ["camera.f_number", "0.0", "above 0"]),
         (
             "aperture_radius = 0.1",
             "aperture_radius = 0.1\nf_number = 2.0",
