@@ -12,7 +12,7 @@ from tqdm import trange
 
 from bokehguide.cli.arguments import Parser, exr, natural, positive, size
 from bokehguide.cli.scripts import run
-from bokehguide.image import check_writable, tone_map, write_exr, write_png
+from bokehguide.image import Display, check_writable, write_exr, write_png
 from bokehguide.metrics import mape, read_reference, relmse
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import MODES, RenderLogger, RenderLoop, RenderSettings, describe_render
@@ -52,7 +52,7 @@ def main() -> None:
         logger.finish(loop, settings.spp, loop.film)
 
     write_exr(args.out, loop.film.layers(), describe_render(scene, settings, settings.spp))
-    write_png(args.out.with_suffix(".png"), tone_map(loop.film.radiance()))
+    write_png(args.out.with_suffix(".png"), Display().show(loop.film.radiance()))
     print(f"wrote {args.out}; curves: tensorboard --logdir {args.logdir}")
 
 

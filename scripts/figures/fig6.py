@@ -22,6 +22,7 @@ from bokehguide.evaluation import Comparison, regions
 from bokehguide.evaluation.crops_figure import COLORS, GAP, MARGIN, draw_scene, lay_out
 from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
 from bokehguide.guiding.config import GaussianConfig
+from bokehguide.image import Display
 from bokehguide.scene import Inset, Scene
 from bokehguide.train import RenderLoop, RenderSettings
 
@@ -64,7 +65,7 @@ def write_figure(path: Path, comparisons: Sequence[Comparison], maps: Sequence[T
     figure = Figure((WIDTH, sum(layout.height + MAP_GAP + row + 0.08 for layout, row in zip(layouts, rows))))
     top = 0.0
     for comparison, layout, row, beta in zip(comparisons, layouts, rows, maps):
-        draw_scene(figure, comparison, layout, top + layout.head, 0.0)
+        draw_scene(figure, comparison, layout, top + layout.head, Display())
         top += layout.height + MAP_GAP
         draw_maps(figure, comparison.scene, beta, top, row)
         top += row + 0.08
