@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     )
     from bokehguide.train import RenderLoop, RenderSettings
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 __all__ = [
     "Aperture",
