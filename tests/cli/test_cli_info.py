@@ -1,0 +1,43 @@
+"""`bokehguide info` with the options of `render`."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from PIL import Image
+
+
+def test_the_result_of_the_options_is_told(bokehguide, tmp_path):
+    options = (
+        "cutout",
+        "--focus-on",
+        "glaze",
+        "--f-number",
+        "1.4",
+        "--size",
+        "96x54",
+        "--json",
+        "facts.json",
+        "--picture",
+        "view.png",
+    )
+    finished = bokehguide("info", *options)
+    assert finished.returncode == 0, finished.stderr
+    facts = json.loads((tmp_path / "facts.json").read_text())
+    assert facts["camera"]["f_number"] == pytest.approx(1.4)
+    assert f"focused at {facts['camera']['focus_distance']:.4g} m" in finished.stdout and "f/1.4" in finished.stdout
+    assert facts["film"]["width"] == 96
+    near, far = (facts["in_view"][key] for key in ("nearest", "farthest"))
+    assert 0.0 < near["depth"] <= facts["camera"]["focus_distance"] <= far["depth"]
+    assert facts["objects"] and all(len(entry["low"]) == 3 for entry in facts["objects"])
+    with Image.open(tmp_path / "view.png") as view:
+        assert abs(view.width / view.height - 96 / 54) < 0.02
+        assert len(view.convert("RGB").getcolors(1 << 24)) > 100
+
+
+def test_an_unknown_name_is_one_line(bokehguide):
+    finished = bokehguide("info", "cutout", "--focus-on", "glase")
+    assert finished.returncode == 2
+    *_, error = finished.stderr.splitlines()
+    assert error.startswith("bokehguide: error: --focus-on: 'glase' is no object") and "did you mean" in error

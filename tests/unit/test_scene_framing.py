@@ -1,0 +1,74 @@
+"""The view of a model without a camera."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from bokehguide.image import write_exr
+from bokehguide.scene import Overrides, load_scene
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A statue, and a dark map with one lamp low in the direction -z, as the front of a model faces +z."""
+    folder = tmp_path_factory.mktemp("framing")
+    body = trimesh.creation.cylinder(0.4, 1.6, sections=48)
+    body.apply_transform(trimesh.transformations.rotation_matrix(-math.pi / 2, (1, 0, 0)))
+    head = trimesh.creation.icosphere(3, 0.5)
+    head.apply_translation((0.0, 1.2, 0.0))
+    trimesh.util.concatenate([body, head]).export(folder / "statue.ply")
+    radiance = np.full((64, 128, 3), 0.02, np.float32)
+    radiance[28:30, 60:63] = 4000.0  # the middle of a map lies at -z
+    write_exr(folder / "lamp.exr", {"beauty": radiance})
+    return folder
+
+
+def frame_of(camera, points):
+    """Positions of points `[N, 3]` in the frame, from -1 to 1 across the width, and their depths."""
+    forward = np.subtract(camera.target, camera.position) / np.linalg.norm(np.subtract(camera.target, camera.position))
+    right = np.cross(forward, camera.up)
+    right /= np.linalg.norm(right)
+    relative = np.asarray(points) - camera.position
+    depth = relative @ forward
+    reach = np.tan(np.radians(camera.fov / 2.0)) * depth
+    return relative @ right / reach, relative @ np.cross(right, forward) / reach, depth
+
+
+def test_the_model_is_in_the_frame_and_in_focus(folder):
+    scene = load_scene(str(folder / "statue.ply"))
+    points = np.concatenate([mesh.vertices for mesh in scene.meshes])
+    x, y, depth = frame_of(scene.camera, points)
+    assert np.abs(x).max() < 1.0 and np.abs(y).max() < scene.film.height / scene.film.width
+    assert max(np.abs(x).max(), np.abs(y).max() * scene.film.width / scene.film.height) > 0.6, "it is not small"
+    assert depth.min() - 0.01 < scene.camera.focus_distance < np.median(depth), "focused on the near surface in the middle"
+    azimuth = math.degrees(math.atan2(scene.camera.position[0], scene.camera.position[2]))
+    assert 15.0 < abs(azimuth) < 55.0, "three quarters from the front"
+    heights = points[:, 1]
+    assert heights.min() - 0.5 < scene.camera.position[1] < heights.max() + 1.0, "about the model's own height"
+
+
+def test_highlights_at_infinity_have_six_percent_of_the_width(folder):
+    camera = load_scene(str(folder / "statue.ply")).camera
+    frame = 2.0 * math.tan(math.radians(camera.fov / 2.0)) * camera.focus_distance
+    assert 2.0 * camera.aperture_radius / frame == pytest.approx(0.06, rel=1e-6)
+
+
+def test_the_lamp_of_the_map_is_in_the_frame(folder):
+    scene = load_scene(str(folder / "statue.ply"), Overrides(environment=str(folder / "lamp.exr")))
+    height, width = scene.environment.radiance.shape[:2]
+    row, column = np.unravel_index(scene.environment.radiance.sum(-1).argmax(), (height, width))
+    polar, around = math.pi * (row + 0.5) / height, 2.0 * math.pi * ((column + 0.5) / width - 0.5)
+    around -= math.radians(scene.environment.rotation)
+    towards = np.array([math.sin(polar) * math.sin(around), math.cos(polar), -math.sin(polar) * math.cos(around)])
+    x, y, depth = frame_of(scene.camera, [scene.camera.position + 1e6 * towards])
+    assert depth[0] > 0.0 and abs(x[0]) < 1.0 and abs(y[0]) < scene.film.height / scene.film.width
+
+
+def test_the_same_files_give_the_same_view(folder):
+    overrides = Overrides(environment=str(folder / "lamp.exr"))
+    first, second = (load_scene(str(folder / "statue.ply"), overrides).camera for _ in range(2))
+    assert first == second

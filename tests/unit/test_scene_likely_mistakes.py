@@ -1,0 +1,68 @@
+"""Warnings for likely mistakes."""
+
+from __future__ import annotations
+
+import pytest
+
+from bokehguide.scene import BUILTIN, Overrides, load_scene
+
+BALL = """
+[camera]
+position = [0.0, 0.0, 5.0]
+target = [0.0, 0.0, 0.0]
+{lens}
+
+[environment]
+color = [1.0, 1.0, 1.0]
+
+[materials.clay]
+
+[[object]]
+name = "ball"
+shape = "sphere"
+material = "clay"
+scale = {scale}
+"""
+
+CASES = {
+    "a wide lens": ({"aperture_radius": 3.0, "focus_distance": 4.0}, "wider than its focus distance"),
+    "an f-number": ({"f_number": 0.3}, "an f-number of 0.3 is below"),
+    "a narrow view": ({"fov": 1.0}, "narrower than 2°"),
+    "a wide view": ({"fov": 160.0}, "wider than 150°"),
+    "darkness": ({"environment": "0,0,0"}, "nothing shines"),
+    "inside": ({"camera_position": (0.0, 0.0, 0.2)}, "the camera is inside 'ball'"),
+    "focus behind": ({"focus_distance": 40.0, "aperture_radius": 0.2}, "lies behind everything"),
+}
+
+
+def mistakes(tmp_path, lens="aperture_radius = 0.05", scale=1.0, **overrides):
+    path = tmp_path / "ball.toml"
+    path.write_text(BALL.format(lens=lens, scale=scale))
+    return load_scene(str(path), Overrides(**overrides)).likely_mistakes
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_likely_mistake_is_one_line(tmp_path, case):
+    overrides, message = CASES[case]
+    found = mistakes(tmp_path, **overrides)
+    assert any(message in line for line in found) and not any("\n" in line for line in found)
+    assert mistakes(tmp_path) == (), "the scene without the mistake"
+
+
+def test_a_pinhole_that_nobody_asked_for(tmp_path):
+    (line,) = mistakes(tmp_path, lens="")
+    assert "the camera is a pinhole" in line
+    assert mistakes(tmp_path, lens="aperture_radius = 0.0") == ()
+    assert mistakes(tmp_path, lens="", aperture_radius=0.0) == ()
+
+
+@pytest.mark.parametrize("scale", [1e-5, 1e5])
+def test_a_model_far_from_metres(tmp_path, scale):
+    assert any(
+        "lengths are in metres" in line for line in mistakes(tmp_path, scale=scale, camera_position=(0.0, 0.0, 5.0 * scale))
+    )
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_the_built_in_scenes_hold_none(name):
+    assert load_scene(name).likely_mistakes == ()
