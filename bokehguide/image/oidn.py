@@ -12,7 +12,7 @@ from bokehguide.errors import BokehguideError
 def require_denoiser() -> ModuleType:
     """The module `mitsuba_oidn`. Raises BokehguideError where it is not installed."""
     try:
-        import mitsuba_oidn
+        import mitsuba_oidn  # pyright: ignore[reportMissingImports]  # an extra
     except ImportError as error:
         raise BokehguideError(f"denoising: needs Open Image Denoise ({error}); pip install 'bokehguide[denoise]'") from None
     return mitsuba_oidn
