@@ -18,7 +18,7 @@ MAX_EXTENT = 1e9
 MAX_TRIANGLES = 20_000_000
 """Triangles of a scene; each instance counts, as it has its own memory."""
 
-FREE_TRIANGLES, FREE_INSTANCES, FREE_MESHES = 2**22, 2**20, 2**15
+FREE_TRIANGLES, FREE_INSTANCES, FREE_MESHES = 2**23, 2**20, 2**15
 """Triangles, instances and meshes of a scene that no file stores: of shapes, lights and repeated parts."""
 
 MESH_BYTES = 100
