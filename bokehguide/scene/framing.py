@@ -18,6 +18,7 @@ from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera,
 from bokehguide.scene.sight import Sight
 from bokehguide.scene.tables import ANGLE_OF_VIEW
 from bokehguide.scene.types import Camera, FilmSettings, Mesh, ModelCamera, Scene, as_vector
+from bokehguide.scene.validation import checked
 
 SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))
 """White at the zenith, grey at the horizon, dim below."""
@@ -99,7 +100,8 @@ def _framed(scene: Scene, meshes: tuple[Mesh, ...], overrides: Overrides, file: 
     sight = Sight(scene.meshes, scene.materials)
     position, target = overrides.camera_position, overrides.camera_target
     if position is None:
-        view = compose(points, sight, find_emitters(scene), film, fov)
+        emitters = find_emitters(checked(scene, file))  # without triangles of no area
+        view = compose(points, sight, emitters, film, fov)
         camera, environment = view.camera, scene.environment
         if view.rotation and environment is not None:
             scene = replace(scene, environment=replace(environment, rotation=environment.rotation + view.rotation))

@@ -72,3 +72,10 @@ def test_the_same_files_give_the_same_view(folder):
     overrides = Overrides(environment=str(folder / "lamp.exr"))
     first, second = (load_scene(str(folder / "statue.ply"), overrides).camera for _ in range(2))
     assert first == second
+
+
+def test_an_emitter_without_area_does_not_count(tmp_path):
+    (tmp_path / "m.mtl").write_text("newmtl lamp\nKd 0 0 0\nKe 5 5 5\n")
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 3 0 0\nv 4 0 0\nv 5 0 0\n"
+    (tmp_path / "m.obj").write_text(f"mtllib m.mtl\n{corners}usemtl lamp\nf 1 2 3\nf 4 5 6\n")
+    assert np.isfinite(load_scene(str(tmp_path / "m.obj")).camera.position).all()
