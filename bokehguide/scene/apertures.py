@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,27 @@ NEEDS = {"rotation": ("blades", "image"), "curvature": ("blades",)}
 """Keys that have no effect without one of the listed keys."""
 SHAPES = ("blades", "curvature", "edge")
 """Keys that an image replaces."""
+
+
+@dataclass(frozen=True)
+class _Mask:
+    """The mask of a Scene under the key `image`: texels `[H, W]`, shown in one line."""
+
+    texels: np.ndarray
+
+    def __repr__(self) -> str:
+        height, width = self.texels.shape
+        return f"a mask of {width} × {height} texels"
+
+
+def aperture_table(aperture: Aperture) -> dict[str, Any]:
+    """The fields of `aperture` that differ from the defaults and have an effect, as the table that `read_aperture` takes."""
+    left_out = ("image",) if aperture.image is None else SHAPES
+    given = {key: value for key, value in vars(aperture).items() if key not in left_out}
+    given = {key: value for key, value in given.items() if key == "image" or value != getattr(Aperture, key)}
+    if aperture.image is not None:
+        given["image"] = _Mask(aperture.image)
+    return {key: value for key, value in given.items() if key not in NEEDS or given.keys() & set(NEEDS[key])}
 
 
 class _Shape(Table):
@@ -76,6 +98,9 @@ def read_aperture(camera: Table, files: SceneFiles, overrides: dict[str, Any]) -
 
 def _image(table: _Shape, files: SceneFiles) -> np.ndarray:
     """The mask: luminance of the encoded image, times alpha, float32 `[H, W]`."""
+    given = table.values["image"]
+    if isinstance(given, _Mask):
+        return given.texels
     path = Path(table.text("image")) if "image" in table.overrides else files.named(table, "image")
     texels = load_texture(path, files, srgb=False, alpha=True)
     mask = texels[..., :3] @ LUMINANCE.astype(np.float32)

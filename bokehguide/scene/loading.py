@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from bokehguide.errors import BokehguideError, printable
+from bokehguide.scene.apertures import aperture_table
 from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
@@ -63,11 +64,11 @@ def _with_camera(scene: Scene, overrides: Overrides, files: SceneFiles) -> tuple
     """`scene`, and its camera with `overrides`."""
     own = scene.camera.aperture
     values = asdict(replace(scene.camera, aperture=None))
-    if own is None or {"aperture_image", "aperture_blades"} & overrides.given.keys():
-        return scene, override_camera(values, overrides, scene.name, files)
-    chosen = override_camera(values, replace(overrides, **dict.fromkeys(APERTURE.values())), scene.name, files)
-    shape = {key: overrides.given[name] for key, name in APERTURE.items() if name in overrides.given}
-    return scene, replace(chosen, camera=replace(chosen.camera, aperture=replace(own, **shape)))
+    reshaped = any(name in overrides.given for name in APERTURE.values())
+    if own is not None and reshaped:
+        values["aperture"] = aperture_table(own)
+    chosen = override_camera(values, overrides, scene.name, files)
+    return scene, chosen if reshaped else replace(chosen, camera=replace(chosen.camera, aperture=own))
 
 
 def _read(spec: str, suffix: str, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
