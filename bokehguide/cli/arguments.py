@@ -135,7 +135,7 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
 def _add_display(add: Callable[..., object]) -> None:
     stops = "exposure of display images, or auto to meter the picture (default: the scene's, or auto)"
     add("--exposure", type=exposure, metavar="auto|EV", help=stops)
-    views = "display transform: photo keeps the hue of lamps, aces is ACES 2.0, srgb clips (default: photo)"
+    views = "display transform: photo keeps the hue of emitters, aces is ACES 2.0, srgb clips (default: photo)"
     add("--view", choices=VIEWS, default=VIEWS[0], help=views)
 
 

@@ -6,8 +6,9 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 
+from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.pictures import chosen_exposure
-from bokehguide.cli.render import make_folders, overrides_from, print_folders, print_warnings
+from bokehguide.cli.render import overrides_from, print_warnings
 from bokehguide.cli.terminal import clear_stage
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import compare, given_reference, made_reference, report

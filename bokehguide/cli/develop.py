@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.pictures import chosen_exposure
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.image import Display, check_writable, read_layers, write_png
@@ -24,6 +25,7 @@ def run(options: argparse.Namespace) -> int:
     if "beauty" not in layers:
         raise BokehguideError(f"{options.picture}: has no channels R, G and B; give an EXR of a picture")
     out = options.out or options.picture.with_suffix(".png")
+    print_folders(make_folders([out.parent]))
     check_writable(out)
     radiance = denoised(layers, options) if options.denoise else layers["beauty"]
     display = display_of(options, header).metered(radiance, layers.get("alpha"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.render import check_device, overrides_from, settings_from
 from bokehguide.cli.report import write_json
 from bokehguide.image import check_writable
@@ -20,9 +21,10 @@ def run(options: argparse.Namespace) -> int:
     settings = settings_from(options, scene)
     settings.window(scene.film.width, scene.film.height)
     check_device(settings.device)
-    for path in (options.json, options.picture):
-        if path is not None:
-            check_writable(path)
+    outputs = [path for path in (options.json, options.picture) if path is not None]
+    print_folders(make_folders([path.parent for path in outputs]))
+    for path in outputs:
+        check_writable(path)
     facts = inspect(scene, find_emitters(scene))
     print(summarize(scene, facts))
     if options.json:

@@ -11,13 +11,14 @@ import torch
 from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
+from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.memory import check_memory, describe, explained
 from bokehguide.cli.pictures import OVERRIDES, Pictures, chosen_exposure
 from bokehguide.cli.report import write_json
 from bokehguide.cli.steps import measure, take_steps
 from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
-from bokehguide.image import Display, check_writable, make_folder, remove_abandoned
+from bokehguide.image import Display, check_writable, remove_abandoned
 from bokehguide.image.oidn import require_denoiser
 from bokehguide.metrics import read_reference
 from bokehguide.render import Film
@@ -162,17 +163,6 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
     if options.logdir:
         check_writable(log_folder / "events")
     print_folders(created)
-
-
-def make_folders(folders: list[Path]) -> list[Path]:
-    """Create each folder that is missing in an existing one; returns these. Raises BokehguideError as `make_folder`."""
-    return [folder for folder in folders if make_folder(folder)]
-
-
-def print_folders(created: list[Path]) -> None:
-    """Print the folders that the command has created on stderr."""
-    for folder in created:
-        say(f"created the folder {folder}")
 
 
 def print_warnings(scene: Scene) -> None:

@@ -3,10 +3,10 @@
 The meter works on means over square blocks, so that the noise of few samples and single bright pixels hardly matter.
 
 - The logarithmic mean of the lit blocks becomes middle grey, KEY. Blocks count by their alpha. Blocks more than four stops below
-  the upper quarter of the lit blocks count as four stops below. Discs of lamps out of focus often cover a tenth of a picture, so
+  the upper quarter of the lit blocks count as four stops below. Emitters out of focus often cover a tenth of a picture, so
   the upper quarter is a better reference than the brightest blocks.
 - The highlights, the luminance that HIGHLIGHT_SHARE of the area exceeds, become HIGHLIGHTS at most. The view rolls off the rest.
-- Where little of the picture is lit, the highlights become diffuse white at least: a lamp before black surroundings shines.
+- Where little of the picture is lit, the highlights become diffuse white at least: an emitter before black surroundings shines.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Views: transforms of radiance to display values.
 
 `photo` compresses radiance above ROLL_OFF by a logarithm of the largest channel, with the ratio of the channels unchanged, and
-shows the result by the output transform of ACES 2.0 for standard displays. Lamps are a thousand times brighter than a lit wall
-even out of focus. ACES 2.0 alone shows a lamp of any hue white from about 30 times diffuse white on; with the compression a lamp
-becomes white beyond 10,000 times diffuse white. Radiance below ROLL_OFF is shown as by `aces`.
+shows the result by the output transform of ACES 2.0 for standard displays. Emitters are a thousand times brighter than a lit wall
+even out of focus. ACES 2.0 alone shows an emitter of any hue white from about 30 times diffuse white on. With the compression, an
+emitter becomes white beyond 10,000 times diffuse white. Radiance below ROLL_OFF is shown as by `aces`.
 """
 
 from __future__ import annotations

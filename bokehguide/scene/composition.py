@@ -65,13 +65,13 @@ def compose(points: np.ndarray, sight: Sight, emitters: Emitters, film: FilmSett
     sight: of the model. emitters: of the model and its environment. fov: horizontal, degrees. The environment turns only where
     no view has an emitter of the map in the frame.
     """
-    points, lamps = _thinned(points), _lamps(emitters)
+    points, bright = _thinned(points), _bright_emitters(emitters)
     views = [view for view in _views(points, film, fov) if view.elevation >= _by_shape(points, LOWEST)]
-    shares = np.array([lamps.share(view, sight, film) for view in views])
+    shares = np.array([bright.share(view, sight, film) for view in views])
     rotation = 0.0
-    if not shares.any() and (angle := lamps.useful_rotation()) is not None:
-        rotation, lamps = angle, lamps.rotated(angle)
-        shares = np.array([lamps.share(view, sight, film) for view in views])
+    if not shares.any() and (angle := bright.useful_rotation()) is not None:
+        rotation, bright = angle, bright.rotated(angle)
+        shares = np.array([bright.share(view, sight, film) for view in views])
     costs = np.array([_cost(view, _by_shape(points, (HIGH, LOW))) for view in views])
     best = views[int(np.argmax(shares / max(shares.max(), 1e-30) - costs))].camera
     return Composition(with_lens(best, sight, film), rotation if shares.any() else 0.0)
@@ -161,7 +161,7 @@ def _cost(view: _View, elevation: float) -> float:
 
 
 @dataclass(frozen=True)
-class _Lamps:
+class _BrightEmitters:
     """The emitters that count. centres: `[K, 3]`, unit directions where `infinite` `[K]`; flux: luminance × solid angle at
     infinity, luminance × area elsewhere, `[K]`."""
 
@@ -170,9 +170,9 @@ class _Lamps:
     infinite: np.ndarray
 
     def share(self, view: _View, sight: Sight, film: FilmSettings) -> float:
-        """The sum of the square roots of the fluxes of the lamps that are visible behind the model.
+        """The sum of the square roots of the fluxes of the emitters that are visible behind the model.
 
-        The root lets many lamps count for more than one bright lamp. A near lamp counts in proportion to its blur.
+        The root lets many emitters count for more than one bright emitter. A near emitter counts in proportion to its blur.
         """
         camera = view.camera
         position = np.array(camera.position)
@@ -191,14 +191,14 @@ class _Lamps:
         squared = np.where(self.infinite, 1.0, (relative**2).sum(1))[chosen]
         return float((blur[chosen] * np.sqrt(self.flux[chosen] / squared)).sum())
 
-    def rotated(self, angle: float) -> _Lamps:
-        """The lamps, those at infinity turned by `angle` degrees about +y, anticlockwise seen from above."""
+    def rotated(self, angle: float) -> _BrightEmitters:
+        """The emitters, those at infinity turned by `angle` degrees about +y, anticlockwise seen from above."""
         cosine, sine = np.cos(np.radians(angle)), np.sin(np.radians(angle))
         turned = self.centres @ np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
         return replace(self, centres=np.where(self.infinite[:, None], turned, self.centres))
 
     def useful_rotation(self) -> float | None:
-        """The rotation that brings the brightest low lamp of the map behind the model in the first view; None without one."""
+        """The rotation that brings the brightest low emitter of the map behind the model in the first view; None without one."""
         low = self.infinite & (np.abs(self.centres[:, 1]) < np.sin(np.radians(15.0)))
         if not low.any():
             return None
@@ -209,13 +209,13 @@ class _Lamps:
         return float((wanted - 12.0 - behind + 180.0) % 360.0 - 180.0)
 
 
-def _lamps(emitters: Emitters) -> _Lamps:
+def _bright_emitters(emitters: Emitters) -> _BrightEmitters:
     """The emitters that are bright enough to count, among the ones that may be in a frame: no sun overhead."""
     high = emitters.infinite & (np.abs(emitters.centres[:, 1]) > np.sin(np.radians(OVERHEAD)))
     flux = np.where(high, 0.0, emitters.luminance * np.pi * emitters.radii**2)
     bright = np.argsort(-flux, kind="stable")[:MOST_EMITTERS]
     bright = bright[flux[bright] > FAINT * flux.sum()]
-    return _Lamps(emitters.centres[bright], flux[bright], emitters.infinite[bright])
+    return _BrightEmitters(emitters.centres[bright], flux[bright], emitters.infinite[bright])
 
 
 def _thinned(points: np.ndarray) -> np.ndarray:

@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def shared_cells(scene: Scene) -> dict[str, int]:
-    """Number of emitters in view of a pinhole, and number of those that touch an emitter beyond the depth gap of a split.
+    """Number of emitters in view of a pinhole, and number of emitters that touch another emitter beyond the depth gap of a split.
 
     Two emitters touch if they are less than a cell apart on the raster.
     """

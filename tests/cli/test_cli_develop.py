@@ -144,3 +144,12 @@ def test_bad_files_give_one_line(case, tmp_path, monkeypatch, capsys):
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert main(["develop", "plain.exr"]) == 0  # a header that does not fit is ignored
+
+
+def test_a_folder_is_created_in_an_existing_one_alone(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_exr("plain.exr", {"beauty": np.ones((2, 2, 3), np.float32)})
+    assert main(["develop", "plain.exr", "--out", "new/deep/a.png"]) == 2 and not (tmp_path / "new").exists()
+    assert "the folder new does not exist" in capsys.readouterr().err
+    assert main(["develop", "plain.exr", "--out", "new/a.png"]) == 0 and (tmp_path / "new/a.png").exists()
+    assert "created the folder new" in capsys.readouterr().err

@@ -67,7 +67,7 @@ ALL = ShapesCase(
     parallelogram_index=(-1, -1, 1),
 )
 LEARNT = ShapesCase(
-    "all, and what is learnt of them",
+    "all, with learned scales",
     X_F,
     0.9,
     means_of(WALL, BALL, FAR_AWAY, WALL),

@@ -1,4 +1,4 @@
-"""Memory that would run out or has run out is one line that says of what there is too much."""
+"""A lack of memory, before or during a render, causes one line that names the part that is too large."""
 
 from dataclasses import replace
 

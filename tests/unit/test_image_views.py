@@ -1,4 +1,4 @@
-"""Views: greys, hues, and values that are no colours."""
+"""Views: greys, hues, NaN and infinities."""
 
 import colorsys
 

@@ -1,4 +1,4 @@
-"""The modules that learn: state dicts, bounds, memory, and what an Adam step moves."""
+"""The modules that learn: state dicts, bounds, memory, and the parameters that an Adam step moves."""
 
 from __future__ import annotations
 

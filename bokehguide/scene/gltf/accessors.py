@@ -69,7 +69,9 @@ def read_raw(document: Document, index: int, *kinds: str) -> np.ndarray:
 
 
 def _count_unstored(document: Document, accessor: Part, index: int, count: int) -> None:
-    """Add the elements of accessor `index` to those that the file does not store. Raises BokehguideError for too many."""
+    """Add the elements of accessor `index` to the number of elements without stored bytes. Raises BokehguideError for
+    too many.
+    """
     if index not in document.unstored:
         document.unstored[index] = count
         if sum(document.unstored.values()) > MAX_UNSTORED_IN_ALL:
