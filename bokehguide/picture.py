@@ -22,13 +22,13 @@ from bokehguide.image.oidn import require_denoiser
 from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.scene import Overrides, Scene, load_scene
+from bokehguide.scene.overrides import OVERRIDES
 from bokehguide.scene.tables import did_you_mean, shown
 from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, denoise_picture, describe_render, make_loop
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-OVERRIDES = tuple(field.name for field in fields(Overrides) if field.name not in ("width", "height"))
 SETTINGS = tuple(field.name for field in fields(RenderSettings) if field.name not in ("mode", "spp", "denoise"))
 
 

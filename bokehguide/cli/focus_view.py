@@ -9,8 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from bokehguide.image import replacing, tone_map
-from bokehguide.image.png import to_8_bit
+from bokehguide.image import Display, replacing, to_8_bit
 from bokehguide.render.film import NO_DEPTH
 from bokehguide.scene import Scene
 from bokehguide.scene.inspection import Inspection
@@ -23,14 +22,12 @@ SHARP = 1.0
 """Diameter in pixels of the picture of the largest circle of confusion that counts as in focus."""
 BAND, CONTOUR, DISC = (64, 224, 255), (255, 64, 160), (255, 208, 64)
 """Colours of the part in focus, of the line where the plane of focus cuts surfaces, and of circles of confusion."""
-MEDIAN = 0.18
-"""Display value before the sRGB curve of the median of the view, as a light meter has it."""
 
 
 def write_focus_view(path: Path, scene: Scene, facts: Inspection) -> None:
     """Write the view as a PNG. Raises BokehguideError if the folder cannot be written."""
     radiance, depth = _pinhole_view(scene)
-    picture = to_8_bit(tone_map(radiance * _metered(radiance))).astype(np.float32)
+    picture = to_8_bit(Display().show(radiance)).astype(np.float32)
     scale = depth.shape[1] / scene.film.width
     _mark_focus(picture, scene, depth)
     image = Image.fromarray(picture.round().astype(np.uint8))
@@ -53,12 +50,6 @@ def _pinhole_view(scene: Scene) -> tuple[Tensor, np.ndarray]:
             loop.step()
     depth = loop.film.layers()["depth"]
     return loop.film.radiance().cpu(), np.where(depth < 0.5 * NO_DEPTH, depth, np.inf).squeeze()
-
-
-def _metered(radiance: Tensor) -> float:
-    """The factor that brings the median luminance to MEDIAN."""
-    middle = float(radiance.mean(dim=2).median())
-    return MEDIAN / middle if middle > 0.0 else 1.0
 
 
 def _mark_focus(picture: np.ndarray, scene: Scene, depth: np.ndarray) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +12,9 @@ from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, write_exr, write_png
 from bokehguide.render import Film
-from bokehguide.scene import Overrides
+from bokehguide.scene.overrides import OVERRIDES
 from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render
 from bokehguide.train.adaptive import HalvesFilm
-
-OVERRIDES = tuple(field.name for field in fields(Overrides) if field.name not in ("width", "height"))
 
 
 class Pictures:

@@ -13,7 +13,7 @@ from torch import Tensor
 from bokehguide.cli.checkpoints import Checkpoints
 from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.memory import check_memory, describe, explained
-from bokehguide.cli.pictures import OVERRIDES, Pictures, chosen_exposure
+from bokehguide.cli.pictures import Pictures, chosen_exposure
 from bokehguide.cli.report import write_json
 from bokehguide.cli.steps import measure, take_steps
 from bokehguide.cli.terminal import say
@@ -26,6 +26,7 @@ from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import FilmSettings, Inset, Overrides, Scene, load_scene
+from bokehguide.scene.overrides import OVERRIDES
 from bokehguide.train import AdaptiveLoop, Ranks, RenderLoop, RenderSettings, make_loop, restarts
 from bokehguide.train.adaptive import HalvesFilm
 from bokehguide.train.logger import run_folder

@@ -13,15 +13,15 @@ from bokehguide.render.film import Film, FilmSamples
 from bokehguide.runtime.indexing import Pixels, scatter_add
 
 POOLED = 5
-"""Pixels across the squares about a pixel whose mean is the expected radiance."""
+"""Side, in pixels, of the square around a pixel whose mean estimates the radiance of the pixel."""
 
 
 def relative_error(first: Tensor, second: Tensor) -> Tensor:
     """Estimated error of the mean of two independent pictures `[C, H, W]`, relative to the truth (plus 0.01), `[C, H, W]`.
 
-    Half the difference of the two is as large as the error of their mean. The estimate of the truth is their mean in the pixel
-    or, where that is less, around the pixel: a rare highlight makes a pixel too bright, and its neighbours do not have the
-    highlight. Features that both pictures missed go undetected.
+    Half of the difference of two pictures has the magnitude of the error of their mean. The denominator uses the mean of both
+    pictures in the pixel or around the pixel, whichever is less. A rare highlight makes a single pixel too bright, but not its
+    neighbours. Features that both pictures missed go undetected.
     """
     mean = (0.5 * (first + second)).clamp(min=0.0)
     about = avg_pool2d(mean[None], POOLED, 1, POOLED // 2, count_include_pad=False)[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +98,9 @@ class _Options(Table):
 
 
 NO_OVERRIDES = Overrides()
+
+OVERRIDES = tuple(field.name for field in fields(Overrides) if field.name not in ("width", "height"))
+"""Names of the overrides, except the size of the film."""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bokehguide.scene.types import Camera, FilmSettings, Material, Mesh, Texture
+from bokehguide.stopping import default_signals
 
 MAX_CROSSINGS = 32
 """Invisible surfaces that a line of sight crosses at most."""
@@ -34,7 +35,7 @@ class Sight:
     """Finds the first visible surfaces of `meshes` along rays.
 
     A surface is visible where its opacity is at least `alpha_cutoff` (alpha mode `mask`) or VISIBLE (`blend`). Glass is
-    visible. Every mesh must have passed `check_mesh`, as Embree does not check indices.
+    visible.
     """
 
     def __init__(self, meshes: Sequence[Mesh], materials: Sequence[Material]):
@@ -48,8 +49,9 @@ class Sight:
         offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
         triangles = np.concatenate([mesh.triangles + np.int32(offset) for mesh, offset in zip(meshes, offsets)], dtype=np.int32)
         vertices = np.concatenate([mesh.vertices for mesh in meshes], dtype=np.float32)
-        self._scene = EmbreeScene(robust=True)
-        self._embree_mesh = TriangleMesh(self._scene, vertices, triangles)
+        with default_signals():  # embreex holds the interpreter's lock
+            self._scene = EmbreeScene(robust=True)
+            self._embree_mesh = TriangleMesh(self._scene, vertices, triangles)
 
     def along(self, origin: np.ndarray, directions: np.ndarray) -> Seen:
         """The first visible surfaces from `origin` `[3]` in `directions` `[N, 3]`, which need no unit length."""
