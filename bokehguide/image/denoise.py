@@ -1,10 +1,8 @@
 """Denoising that is not worse than the noisy picture: a mixture of both, by errors that two halves estimate.
 
-A picture N = s A + (1 - s) B has halves A and B with uncorrelated noise. The denoised picture is the mean of the denoised halves,
-D = s D(A) + (1 - s) D(B). Pixels that share samples have correlated noise, of which a denoiser keeps a part as structure; the
-part differs between the halves, and their mean has less of it than D(N).
-
-The squared error of N + w (D - N) is V - 2 w G + w² Q with
+A picture N = s A + (1 - s) B has halves A and B with uncorrelated noise. The delivered picture is N + w (D(N) - N), where D(N) is
+the denoised picture and w the weight of the denoiser. The denoised halves, D = s D(A) + (1 - s) D(B), tell the weight, because
+the other half is an unbiased witness for each of them. The squared error of N + w (D - N) is V - 2 w G + w² Q with
 
     V = E (N - T)²,  G = E (T - N)(D - N),  Q = E (D - N)²,
 
@@ -13,9 +11,13 @@ where T is the truth. As A has the mean T and does not depend on the noise of B,
     V by s (1 - s) (A - B)²,  G by s² (A - B)(A - D(A)) + (1 - s)² (B - A)(B - D(B)),  Q by (D - N)².
 
 V's estimate takes the variance of a half to be inversely proportional to its samples. w = G / Q has the least error. With more
-samples G falls as 1 / samples and Q tends to the squared bias of the denoiser, so that the mixture tends to the truth. Sums have
-Gaussian windows and are relative to the brightness, as MAPE is. (Squared errors from noisy pictures alone: Stein 1981; from two
-halves: Rousselle, Knaus and Zwicker 2012.)
+samples G falls as 1 / samples and Q tends to the squared bias of the denoiser, so that the mixture tends to the truth. D(N) is
+used for D(A) and D(B) because a denoiser works better on all samples than on half of the samples. Sums have Gaussian windows and
+are relative to the brightness, as MAPE is. (Squared errors from noisy pictures alone: Stein 1981; from two halves: Rousselle,
+Knaus and Zwicker 2012.)
+
+The reported error is a mean absolute error, and a few bright pixels dominate squared errors. The ratio of errors therefore
+comes from V, G and Q of compressed pictures, tanh(A / brightness), with the weight w.
 """
 
 from __future__ import annotations
@@ -33,6 +35,8 @@ LEVEL_WINDOW = 1.5
 """As WINDOW, of the brightness that errors are relative to."""
 FLOOR = 0.01
 """Added to the brightness, as in MAPE."""
+PROBE = 0.5
+"""Standard deviation of the noise that is added to a picture without halves, by that of the picture's noise."""
 LEAST = 1e-20
 
 
@@ -40,7 +44,7 @@ class Denoised(NamedTuple):
     """A denoised picture.
 
     radiance: float32 `[H, W, 3]`; weight: of the denoiser in it, 0 to 1, float32 `[H, W]`; error_ratio: estimated error by that
-    of the noisy picture, 0 to 1, float32 `[H, W]`, None where only one half has samples.
+    of the noisy picture, 0 to 1, float32 `[H, W]`, None for a picture without two halves.
     """
 
     radiance: np.ndarray
@@ -54,45 +58,65 @@ def denoise_halves(first: np.ndarray, second: np.ndarray, share: np.ndarray, alb
     albedo, normal: layers of the picture, `[H, W, 3]`. A picture without a second half, as after one sample, is the denoised one
     alone. Raises BokehguideError where Open Image Denoise is not installed.
     """
-    s = share[..., None]
-    one, two = finite_pixels(first), finite_pixels(second)
-    noisy = s * one + (1.0 - s) * two
+    noisy = share[..., None] * finite_pixels(first) + (1.0 - share[..., None]) * finite_pixels(second)
     denoiser = Denoiser(albedo, normal)
+    clean = denoiser(noisy)
     if not ((share > 0.0) & (share < 1.0)).any():
-        return Denoised(denoiser(noisy), np.ones_like(share), None)
-    clean_one, clean_two = denoiser(one), denoiser(two)
-    clean = s * clean_one + (1.0 - s) * clean_two
-    both = (s > 0.0) & (s < 1.0)
-    gain = s**2 * (one - two) * (one - clean_one) + (1.0 - s) ** 2 * (two - one) * (two - clean_two)
-    change, variance = (clean - noisy) ** 2, s * (1.0 - s) * (one - two) ** 2
-    sums = windowed([np.where(both, x, 0.0) for x in (gain, change, variance)], clean)
-    weight = mixing_weight(sums[0], sums[1])
-    error = sums[2] - 2.0 * weight * sums[0] + weight**2 * sums[1]
-    ratio = np.sqrt((error.clip(min=0.0) / sums[2].clip(min=LEAST)).clip(max=1.0))
+        return Denoised(clean, np.ones_like(share), None)
+    pictures = [finite_pixels(first), finite_pixels(second), denoiser(first), denoiser(second)]
+    level = brightness(clean)
+    gain, change, _ = error_terms(*(picture / level for picture in pictures), share)
+    weight = mixing_weight(gain, change)
+    gain, change, variance = error_terms(*(np.tanh(picture / level) for picture in pictures), share)
+    error = variance - 2.0 * weight * gain + weight**2 * change
+    ratio = np.sqrt((error.clip(min=0.0) / variance.clip(min=LEAST)).clip(max=1.0))
     return Denoised(mixture(noisy, clean, weight), weight.astype(np.float32), ratio.astype(np.float32))
+
+
+def error_terms(
+    first: np.ndarray, second: np.ndarray, clean_first: np.ndarray, clean_second: np.ndarray, share: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Windowed estimates of G, Q and V, each `[H, W]`, of halves `[H, W, C]` and their denoised pictures."""
+    s = share[..., None]
+    both = (s > 0.0) & (s < 1.0)
+    difference = np.where(both, first - second, 0.0)
+    gain = s**2 * difference * (first - clean_first) - (1.0 - s) ** 2 * difference * (second - clean_second)
+    change = np.where(both, s * (clean_first - first) + (1.0 - s) * (clean_second - second), 0.0)
+    return windowed(gain), windowed(change**2), windowed(s * (1.0 - s) * difference**2)
 
 
 def denoise_by_variance(beauty: np.ndarray, variance: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> Denoised:
     """The mixture for a picture without halves, by the estimated variance of its luminance, `[H, W]`.
 
-    G is taken to be V: the denoised picture's own noise counts as none. At few samples the variance is a poor estimate, and so is
-    the weight.
+    V is the variance. A second denoising, of the picture with small independent noise added, estimates the covariance C of D and
+    N, so that G = V - C and E (D - T)² = Q - V + 2 C (Ramani, Blu and Unser 2008). The weight is 1 - E (D - T)² / Q, which is
+    less than G / Q by C / Q: the noise of pixels that share samples is not independent, and the denoiser keeps more of it than of
+    the added noise.
     """
-    noisy = finite_pixels(beauty)
-    clean = Denoiser(albedo, normal)(noisy)
-    light = ((clean - noisy) @ LUMINANCE)[..., None] ** 2
-    power, change = windowed([finite_pixels(variance)[..., None], light], clean)
-    weight = mixing_weight(power, change)
-    ratio = np.sqrt((1.0 - weight).clip(min=0.0))
-    return Denoised(mixture(noisy, clean, weight), weight.astype(np.float32), ratio.astype(np.float32))
+    noisy, deviation = finite_pixels(beauty), np.sqrt(finite_pixels(variance).clip(min=0.0))[..., None]
+    denoiser = Denoiser(albedo, normal)
+    clean = denoiser(noisy)
+    probe = deviation * np.random.default_rng(0).normal(size=deviation.shape)
+    kept = (denoiser(noisy + PROBE * probe) - clean) / PROBE
+    level = brightness(clean)
+    power, covariance = windowed((deviation / level) ** 2), windowed(probe * kept @ LUMINANCE[:, None] / level**2)
+    change = windowed(((clean - noisy) @ LUMINANCE[:, None] / level) ** 2)
+    weight = mixing_weight(power - 2.0 * covariance.clip(min=0.0), change)
+    return Denoised(mixture(noisy, clean, weight), weight.astype(np.float32), None)
 
 
-def windowed(squares: list[np.ndarray], picture: np.ndarray) -> list[np.ndarray]:
-    """Windowed means `[H, W]` of squares `[H, W, C]` of radiance, relative to the squared brightness of `picture`."""
+def brightness(picture: np.ndarray) -> np.ndarray:
+    """Smoothed luminance `[H, W, 1]` that errors are relative to."""
     from scipy.ndimage import gaussian_filter  # takes long to import, and most renders do not denoise
 
-    level = gaussian_filter((picture @ LUMINANCE).clip(min=0.0), LEVEL_WINDOW, mode="nearest") + FLOOR
-    return [gaussian_filter(square.mean(-1) / level**2, WINDOW, mode="nearest") for square in squares]
+    return gaussian_filter((picture @ LUMINANCE).clip(min=0.0), LEVEL_WINDOW, mode="nearest")[..., None] + FLOOR
+
+
+def windowed(values: np.ndarray) -> np.ndarray:
+    """Means `[H, W]` of values `[H, W, C]` over channels and a Gaussian window."""
+    from scipy.ndimage import gaussian_filter
+
+    return gaussian_filter(values.mean(-1), WINDOW, mode="nearest")
 
 
 def mixing_weight(gain: np.ndarray, change: np.ndarray) -> np.ndarray:

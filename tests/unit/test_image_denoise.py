@@ -49,18 +49,55 @@ def test_the_picture_tends_to_the_truth_where_the_denoiser_does_not():
     assert mixed.weight[detail].mean() < 0.1
 
 
-def test_the_estimated_errors_are_those_of_many_pictures(monkeypatch):
-    """With a linear filter for the denoiser: V - 2 w G + w² Q against the squared error itself, averaged over pictures."""
-    monkeypatch.setattr(denoise, "Denoiser", lambda *_: lambda picture: 0.5 * (picture + np.roll(picture, 1, 1)))
-    sums = np.zeros(2)
-    for seed in range(40):
-        first, second = halves(0.3, seed)
+def test_error_terms_are_unbiased():
+    """With a linear filter for the denoiser, whose terms have known means: z-tests of sums over 200 pictures."""
+    share, noise = 0.25, 0.3
+
+    def filtered(picture: np.ndarray) -> np.ndarray:
+        return 0.6 * picture + 0.4 * np.roll(picture, 1, 1)
+
+    variance, bias = (noise * truth()) ** 2, filtered(truth()) - truth()
+    gain, removed = 0.4 * variance, 0.16 * (variance + np.roll(variance, 1, 1))
+    expected = [float(x.mean()) for x in (gain, removed + bias**2, variance)]
+    found = []
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        first, second = (
+            truth() * (1.0 + noise / np.sqrt(part) * random.normal(size=(HEIGHT, WIDTH, 1))) for part in (share, 1.0 - share)
+        )
+        terms = denoise.error_terms(first, second, filtered(first), filtered(second), np.full((HEIGHT, WIDTH), share))
+        found.append([term.mean() for term in terms])
+    error = np.std(found, axis=0) / np.sqrt(len(found))
+    assert (error < 0.005 * np.array(expected)).all()
+    assert (np.abs(np.mean(found, axis=0) - expected) < 4.0 * error).all()
+
+
+@pytest.mark.parametrize("noise", [0.4, 0.1, 0.02])
+def test_the_error_ratio_is_that_of_many_pictures(noise):
+    """The mean absolute error of the mixture by that of the noisy picture, which the ratio estimates within a fifth."""
+    sums = np.zeros(3)
+    for seed in range(4):
+        first, second = halves(noise, seed)
         mixed = denoise.denoise_halves(first, second, SHARE, FLAT, FLAT)
-        noisy, interior = 0.5 * (first + second), np.s_[4:-4, 4:-4]
-        level = (truth().mean(-1) + denoise.FLOOR) ** 2
-        gain = [((picture - truth()) ** 2).mean(-1) / level for picture in (mixed.radiance, noisy)]
-        sums += [gain[0][interior].mean(), (mixed.error_ratio**2 * gain[1])[interior].mean()]
-    assert sums[1] == pytest.approx(sums[0], rel=0.25)  # the weight suits the noise that it is measured by
+        noisy = np.abs(0.5 * (first + second) - truth()).mean(-1)
+        sums += [np.abs(mixed.radiance - truth()).mean(), noisy.mean(), (noisy * mixed.error_ratio).mean()]
+    assert sums[2] == pytest.approx(sums[0], abs=0.2 * sums[1])
+    assert sums[2] < 0.9 * sums[1]
+
+
+def test_rare_bright_pixels_do_not_hide_the_error_of_the_others(monkeypatch):
+    """A denoiser that removes bright pixels and nothing else: the others keep their errors, and so does the estimate."""
+    monkeypatch.setattr(denoise, "Denoiser", lambda *_: lambda picture: picture.clip(max=0.8))
+    base, random = np.full((HEIGHT, WIDTH, 3), 0.5), np.random.default_rng(3)
+    first, second = (
+        base + 0.05 * random.normal(size=(HEIGHT, WIDTH, 1)) + 50.0 * (random.uniform(size=(HEIGHT, WIDTH, 1)) < 0.01)
+        for _ in "ab"
+    )
+    mixed = denoise.denoise_halves(first, second, SHARE, FLAT, FLAT)
+    noisy = np.abs(0.5 * (first + second) - base).mean(-1)
+    ordinary = noisy < 1.0
+    left = np.abs(mixed.radiance - base).mean(-1)
+    assert (noisy * mixed.error_ratio)[ordinary].mean() == pytest.approx(left[ordinary].mean(), rel=0.2)
 
 
 def test_unequal_halves_have_their_shares():
@@ -91,12 +128,28 @@ def test_pixels_that_are_not_finite_spoil_no_others():
     assert np.abs(mixed.radiance - spared.radiance)[far].mean() < 0.02
 
 
-@pytest.mark.parametrize("noise", [0.4, 0.02])
+def correlated(noise: float) -> np.ndarray:
+    """A picture whose pixels share their noise in groups of 2 × 2."""
+    random = np.random.default_rng(1).normal(size=(HEIGHT // 2, WIDTH // 2, 1)).repeat(2, 0).repeat(2, 1)
+    return (truth() * (1.0 + noise * random)).astype(np.float32)
+
+
+@pytest.mark.parametrize("noise", [0.4, 0.1, 0.02, 0.005])
 def test_by_variance_it_is_not_worse_either(noise):
-    first, second = halves(noise)
-    noisy = 0.5 * (first + second)
-    variance = ((truth()[..., 0] * noise) ** 2 / 2).astype(np.float32)
-    assert error(denoise.denoise_by_variance(noisy, variance, FLAT, FLAT).radiance) < error(noisy)
+    independent = (truth() * (1.0 + noise * np.random.default_rng(1).normal(size=(HEIGHT, WIDTH, 1)))).astype(np.float32)
+    variance = ((truth()[..., 0] * noise) ** 2).astype(np.float32)
+    for noisy in (independent, correlated(noise)):
+        mixed = denoise.denoise_by_variance(noisy, variance, FLAT, FLAT)
+        assert error(mixed.radiance) < error(noisy)
+        assert mixed.error_ratio is None
+
+
+def test_by_variance_noise_that_the_denoiser_keeps_lowers_the_weight(monkeypatch):
+    """A linear filter on a flat picture: C = 0.2 V and Q = 1.28 V, so that the weight is 0.6 / 1.28."""
+    monkeypatch.setattr(denoise, "Denoiser", lambda *_: lambda picture: 0.2 * picture + 0.8 * np.roll(picture, 10, 1))
+    noisy = 0.5 + 0.1 * np.random.default_rng(2).normal(size=(HEIGHT, WIDTH, 1)) * np.ones(3)
+    mixed = denoise.denoise_by_variance(noisy, np.full((HEIGHT, WIDTH), 0.01), FLAT, FLAT)
+    assert mixed.weight.mean() == pytest.approx(0.6 / 1.28, abs=0.03)
 
 
 def test_without_the_package_one_line_says_what_to_install(monkeypatch):
