@@ -45,7 +45,7 @@ HIGHLIGHT = 0.06
 """Diameter of the circle of confusion at infinity, relative to the width of the frame."""
 GRID = (65, 37)
 """Rays over the frame, both numbers odd, that look for the surface in its middle."""
-WEIGHT_HEIGHT, WEIGHT_AZIMUTH, WEIGHT_SIDE, WEIGHT_FILL, WEIGHT_LOWERED = 0.0016, 0.004, 0.15, 0.8, 0.08
+WEIGHT_HEIGHT, WEIGHT_AZIMUTH, WEIGHT_SIDE, WEIGHT_FILL, WEIGHT_LOWERED = 0.0016, 0.004, 0.5, 0.8, 0.08
 """Costs of a view, relative to the merit of 1 for the most emitters in the frame: per squared degree from the preferred
 elevation, per degree from the preferred azimuth, of the side of -x (models that do not face +z often face +x), of a small model,
 and of a model below the middle."""
@@ -63,18 +63,22 @@ def compose(points: np.ndarray, sight: Sight, emitters: Emitters, film: FilmSett
     """The best view of a model with the vertices `points` `[N, 3]`.
 
     sight: of the model. emitters: of the model and its environment. fov: horizontal, degrees. The environment turns only where
-    no view has an emitter of the map in the frame.
+    the best view without a turn has no emitter in the frame.
     """
     points, bright = _thinned(points), _bright_emitters(emitters)
     views = [view for view in _views(points, film, fov) if view.elevation >= _by_shape(points, LOWEST)]
-    shares = np.array([bright.share(view, sight, film) for view in views])
-    rotation = 0.0
-    if not shares.any() and (angle := bright.useful_rotation()) is not None:
-        rotation, bright = angle, bright.rotated(angle)
-        shares = np.array([bright.share(view, sight, film) for view in views])
     costs = np.array([_cost(view, _by_shape(points, (HIGH, LOW))) for view in views])
-    best = views[int(np.argmax(shares / max(shares.max(), 1e-30) - costs))].camera
-    return Composition(with_lens(best, sight, film), rotation if shares.any() else 0.0)
+
+    def best(bright: _BrightEmitters) -> tuple[_View, float]:
+        shares = np.array([bright.share(view, sight, film) for view in views])
+        chosen = int(np.argmax(shares / max(shares.max(), 1e-30) - costs))
+        return views[chosen], float(shares[chosen])
+
+    (view, share), rotation = best(bright), 0.0
+    if share == 0.0 and (angle := bright.useful_rotation()) is not None:
+        turned, share = best(bright.rotated(angle))
+        view, rotation = (turned, angle) if share > 0.0 else (view, 0.0)
+    return Composition(with_lens(view.camera, sight, film), rotation)
 
 
 def with_lens(camera: Camera, sight: Sight, film: FilmSettings) -> Camera:

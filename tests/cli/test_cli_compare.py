@@ -212,6 +212,7 @@ def emitters(lamps_file, tmp_path, monkeypatch, capfd):
     return run
 
 
+@pytest.mark.slow
 def test_a_given_reference_and_insets_of_the_command_line(emitters):
     found, said = emitters("--modes", "uniform", "--inset", "0,0,0.5,0.5", "--inset", "0.5,0.25,0.25,0.5")
     image = read_rgb("out/uniform.exr")

@@ -43,8 +43,8 @@ def test_an_unknown_name_is_one_line(bokehguide):
     assert error.startswith("bokehguide: error: --focus-on: 'glase' is no object") and "did you mean" in error
 
 
-def test_a_folder_is_created_in_an_existing_one_alone(bokehguide, tmp_path):
-    refused = bokehguide("info", "cutout", "--json", "new/deep/facts.json")
+def test_a_folder_is_created_in_an_existing_one_alone(bokehguide, lamps_file, tmp_path):
+    refused = bokehguide("info", lamps_file, "--json", "new/deep/facts.json")
     assert refused.returncode == 2 and "the folder new does not exist" in refused.stderr and not (tmp_path / "new").exists()
-    made = bokehguide("info", "cutout", "--json", "new/facts.json")
+    made = bokehguide("info", lamps_file, "--json", "new/facts.json")
     assert made.returncode == 0 and "created the folder new" in made.stderr and (tmp_path / "new/facts.json").exists()

@@ -34,6 +34,7 @@ def test_frame_and_insets(bokehguide, images):
     assert table["inset 0.5,0,0.5,1"] == [0.0, 0.0, 1.0, float("inf")]
 
 
+@pytest.mark.slow
 def test_an_inset_too_small_for_ssim_has_a_dash_there(bokehguide, images):
     finished = bokehguide("metrics", *images, "--inset", "0,0,0.25,1", "--inset", "0.01,0.01,0.01,0.01")
     assert finished.returncode == 0, finished.stderr

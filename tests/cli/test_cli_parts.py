@@ -73,6 +73,7 @@ def test_a_guided_crop_has_the_mean_of_the_frame(mode):
     assert z_test(means[0] - means[1], math.hypot(*errors)) > SIGNIFICANCE
 
 
+@pytest.mark.slow
 def test_the_error_of_a_crop_is_measured_against_the_frame(bokehguide, lamps_file, tmp_path):
     reference = np.random.default_rng(1).random((20, 32, 3)).astype(np.float32)
     write_exr(tmp_path / "reference.exr", {"beauty": reference})

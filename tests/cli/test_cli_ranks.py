@@ -65,6 +65,7 @@ def test_the_picture_of_several_is_that_of_one(name, bokehguide, lamps_file, tmp
     assert log.count("wrote some.exr") == 1 and log.count("18/18") == 1, "one rank speaks"
 
 
+@pytest.mark.slow
 def test_area_restir_is_refused(lamps_file, tmp_path):
     job = torchrun(tmp_path, 2, lamps_file, "--mode", "area-restir", "--spp", 1)
     assert job.wait(120) != 0

@@ -59,6 +59,7 @@ def test_files_and_reports(bokehguide, lamps_file, tmp_path):
     assert len(list((tmp_path / "logs/emitters/guided").iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_the_command_in_the_header_renders_the_same_bits(bokehguide, lamps_file, tmp_path):
     options = ("--mode", "lis", "--spp", 3, "--camera-position", "-0.5,0.1,4", "--size", "24x16", "--f-number", 90.5)
     first = bokehguide("render", lamps_file, *options, "--environment", ".1,.2,.3", "--out", "a.exr")

@@ -65,6 +65,7 @@ def mean_and_variance(mode: str, spp: int) -> tuple[np.ndarray, np.ndarray]:
     return light.numpy(), layers["variance"].astype(np.float64)
 
 
+@pytest.mark.slow
 def test_means_agree_with_the_uniform_lens(rim):
     """In luminance, over blocks of 4 × 4 pixels."""
     (found, noise), (expected, other) = mean_and_variance("rim", 512), mean_and_variance("uniform", 4096)

@@ -33,6 +33,8 @@ FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\w+)(?P<options>[^\n]*)\n(?P
 OPTION = re.compile(r'([\w-]+)="([^"]*)"')
 LINK = re.compile(r"!?\[[^\]]*\]\((?P<target>[^)\s]+)(?:\s+\"[^\"]*\")?\)|<img[^>]*\ssrc=\"(?P<source>[^\"]+)\"")
 RUN = ("python", "bash", "console")
+SLOW = ("how-to", "tutorials", "reference", "explanation")
+"""Folders of the pages whose blocks are among the slow tests."""
 SECONDS = 120
 
 
@@ -77,7 +79,12 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return os.environ | {"PATH": path, "PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1", "COLUMNS": "100"}
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if any(block.runs for block in blocks(page))], ids=name)
+RUNNING = [page for page in PAGES if any(block.runs for block in blocks(page))]
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=[pytest.mark.slow] if page.parent.name in SLOW else []) for page in RUNNING], ids=name
+)
 def test_blocks_run(page, environment, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {"__name__": "__main__"}

@@ -282,6 +282,7 @@ def test_coefficients_of_the_same_epoch_fail_the_test_of_means():
     assert agree(renders(CONTROLLED, from_the_same_epoch), renders(UNCONTROLLED)) < SIGNIFICANCE
 
 
+@pytest.mark.slow
 def test_the_variance_falls_where_the_radiance_is_even():
     controlled, plain = renders(CONTROLLED)[:, :, :, :8], renders(UNCONTROLLED)[:, :, :, :8]
     assert controlled.var(0).mean() < 0.7 * plain.var(0).mean()

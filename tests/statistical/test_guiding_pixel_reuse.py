@@ -309,6 +309,7 @@ def test_reuse_keeps_the_mean(sheet, sky, learns):
     assert no_bias(weight) > SIGNIFICANCE
 
 
+@pytest.mark.slow
 def test_reuse_keeps_the_mean_where_shading_normals_are_replaced():
     light, _ = pictures(leaning(24, 16), 200)  # the weights of a group, drawn evenly, always sum to the same
     assert no_bias(light) > SIGNIFICANCE

@@ -48,6 +48,7 @@ def test_uniform_over_pixels_at_any_step(step):
     assert sidak([uniformity(numbers) for numbers in drawn]) > SIGNIFICANCE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [1, 2, 64, 1000])
 def test_one_pixel_is_uniform_over_seeds(step):
     pixel = torch.tensor([12345])

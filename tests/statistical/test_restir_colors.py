@@ -40,6 +40,7 @@ def colours_by_step(mode: str) -> np.ndarray:
     return torch.stack(pictures, dim=1).double().numpy()
 
 
+@pytest.mark.slow
 def test_means_of_each_colour_are_those_of_the_uniform_lens():
     expected = colours_by_step("uniform")
     found = [colours_by_step(mode) for mode in ("area-restir", "area-restir+lis")]

@@ -61,6 +61,7 @@ def test_means_are_those_of_the_uniform_lens():
     assert reused.var(0).mean() < 0.7 * uniform().var(0).mean()
 
 
+@pytest.mark.slow
 def test_means_with_guided_samples_are_those_of_the_uniform_lens():
     assert same_means(rendered("area-restir+lis", scene()), uniform()) > SIGNIFICANCE
 
@@ -77,6 +78,7 @@ def shaped() -> Scene:
     return replace(scene(), camera=replace(scene().camera, aperture=aperture))
 
 
+@pytest.mark.slow
 def test_means_are_right_through_a_shaped_aperture():
     assert same_means(rendered("area-restir", shaped()), rendered("uniform", shaped())) > SIGNIFICANCE
 
@@ -115,6 +117,7 @@ def as_if_drawn_evenly(monkeypatch) -> None:
     monkeypatch.setattr(spatial_reuse.SpatialReuse, "_exchange", exchanged)
 
 
+@pytest.mark.slow
 def test_a_forgotten_transmission_fails_the_means(monkeypatch):
     """Shifted samples that count as if the aperture passed the same everywhere."""
     expected = rendered("uniform", shaped())

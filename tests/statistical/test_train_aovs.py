@@ -86,6 +86,7 @@ def test_guided_aovs_are_those_of_the_uniform_lens(files, name, mode):
     assert t_test(plain - guided, np.sqrt(plain_variance + variance)) > SIGNIFICANCE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["lis-o", "guided"])
 def test_guided_depth_is_that_of_the_uniform_lens(files, mode):
     """Within two percent where half of the samples meet surfaces: elsewhere the quotient of means is biased."""

@@ -38,6 +38,7 @@ def test_furnace_comes_out_one(mode):
         assert (found.variance > 1e-5).mean() > 0.5
 
 
+@pytest.mark.slow
 def test_the_control_variate_removes_nearly_all_noise_of_a_furnace():
     """All noise comes from the weights; the mean of every pixel is 1 within the remaining noise."""
     found, noisy = furnace("guided"), furnace("guided", controlled=False)
@@ -53,6 +54,7 @@ def test_means_while_learning_are_those_of_the_uniform_lens(mode):
     assert means_check(found, reference_spp(mode)) > SIGNIFICANCE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", GUIDED)
 def test_means_after_learning_are_those_of_the_uniform_lens(mode):
     found = frozen(mode)

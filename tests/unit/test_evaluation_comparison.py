@@ -81,6 +81,7 @@ def test_what_a_run_depends_on_decides_whether_it_is_kept(emitters):
         assert said.startswith("uniform: rendered again, as the scene, the reference, the insets or the settings"), what
 
 
+@pytest.mark.slow
 def test_only_what_reuses_samples_depends_on_the_radius(emitters):
     emitters("uniform", "area-restir")
     _, said = emitters("uniform", "area-restir", settings=replace(SETTINGS, reuse_radius=4.0))

@@ -128,6 +128,7 @@ def test_a_damaged_file(tmp_path, place, value, named):
     assert named in message(path)
 
 
+@pytest.mark.slow
 def test_no_damage_is_a_traceback(tmp_path):
     """Every value of a file, one after the other, is replaced by an invalid value."""
     document = rich(tmp_path)
