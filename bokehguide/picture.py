@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
 import threading
+import time
 import warnings
 from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
@@ -122,6 +124,7 @@ def render(
     *,
     size: tuple[int, int] | None = None,
     denoise: bool = False,
+    time_limit: float | None = None,
     quiet: bool = False,
     allow_outside: bool = False,
     **options: Any,
@@ -130,7 +133,8 @@ def render(
 
     scene: a `Scene`, the name of a built-in scene, or the path of a scene file or of a model. mode: how the lens is sampled.
     spp: samples per pixel. size: width and height in pixels, by default the scene's. denoise: also give the denoised picture, for
-    which the extra `denoise` must be installed. quiet: show neither a progress bar nor warnings of the scene.
+    which the extra `denoise` must be installed. time_limit: seconds from the call, after which no step begins; one step is
+    always taken. quiet: show neither a progress bar nor warnings of the scene.
     allow_outside: let a scene file name files outside its folder.
     options: fields of `Overrides`, such as `environment` and `focus_distance`, and of `RenderSettings`, such as `seed`,
     `target_noise` and `crop`.
@@ -138,6 +142,7 @@ def render(
     Ctrl-C, or the stop button of a notebook, ends the render after the current step. The picture so far is returned; its
     metadata say how many samples it has. Raises BokehguideError for input that is missing, malformed or out of range.
     """
+    deadline = _deadline(time_limit)
     width, height = _pair(size)
     overrides = Overrides(width=width, height=height, **_of(options, OVERRIDES))
     settings = RenderSettings(mode=mode, spp=spp, denoise=denoise, **_of(options, SETTINGS))
@@ -151,7 +156,7 @@ def render(
     for warning in () if quiet else (*loaded.warnings, *loaded.likely_mistakes):
         warnings.warn(warning, stacklevel=2)
     with make_loop(loaded, settings) as loop:
-        _take_steps(loop, quiet)
+        _take_steps(loop, deadline, quiet)
         return _picture(loop)
 
 
@@ -192,8 +197,18 @@ def _pair(size: tuple[int, int] | None) -> tuple[int | None, int | None]:
     return width, height
 
 
-def _take_steps(loop: RenderLoop | AdaptiveLoop, quiet: bool) -> None:
-    """Take all steps, or those until an interruption. A SIGTERM takes effect after the step."""
+def _deadline(time_limit: float | None) -> float:
+    """The reading of `time.monotonic` after which no step begins."""
+    if time_limit is None:
+        return math.inf
+    number = isinstance(time_limit, (int, float)) and not isinstance(time_limit, bool)
+    if not (number and 0.0 < time_limit < math.inf):
+        raise BokehguideError(f"render: time_limit: {shown(time_limit)} is no number above 0; give seconds")
+    return time.monotonic() + time_limit
+
+
+def _take_steps(loop: RenderLoop | AdaptiveLoop, deadline: float, quiet: bool) -> None:
+    """Take all steps, or those until an interruption or the deadline. A SIGTERM takes effect after the step."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # tqdm warns in notebooks without ipywidgets, and shows a bar of text
         from tqdm.auto import tqdm
@@ -205,7 +220,7 @@ def _take_steps(loop: RenderLoop | AdaptiveLoop, quiet: bool) -> None:
         while loop.step_number < spp and not (isinstance(loop, AdaptiveLoop) and loop.finished):
             loop.step()
             bar.update()
-            if interrupt is not None and interrupt.requested:
+            if time.monotonic() > deadline or (interrupt is not None and interrupt.requested):
                 break
     if interrupt is not None and interrupt.signal == signal.SIGTERM:
         signal.raise_signal(signal.SIGTERM)

@@ -117,6 +117,15 @@ def test_an_interruption_returns_the_picture_so_far(monkeypatch):
     np.testing.assert_array_equal(picture.beauty, expected.beauty)
 
 
+def test_no_step_begins_after_the_time_limit():
+    assert bokehguide.render(triangle(), spp=10_000, size=(16, 9), time_limit=1e-3, threads=1, quiet=True).metadata["spp"] == 1
+    picture = bokehguide.render(triangle(), size=(16, 9), time_limit=600.0, **SMALL)
+    assert picture.metadata["spp"] == SMALL["spp"]
+    for wrong in (0.0, -1, float("nan"), float("inf"), "1 min", True):
+        with pytest.raises(BokehguideError, match=r"render: time_limit: .* is no number above 0; give seconds"):
+            bokehguide.render(triangle(), time_limit=wrong, **SMALL)
+
+
 def test_a_termination_is_not_lost(monkeypatch):
     seen = []
     previous = signal.signal(signal.SIGTERM, lambda number, _: seen.append(number))
