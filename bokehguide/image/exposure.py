@@ -2,9 +2,9 @@
 
 The meter works on means over square blocks, so that the noise of few samples and single bright pixels hardly matter.
 
-- The logarithmic mean of the lit blocks becomes middle grey, KEY. Blocks count by their alpha. Blocks more than four stops below
-  the upper quarter of the lit blocks count as four stops below. Emitters out of focus often cover a tenth of a picture, so
-  the upper quarter is a better reference than the brightest blocks.
+- The logarithmic mean of the lit blocks becomes middle grey, KEY. Blocks count by their alpha. The reference is the lower bound
+  of the upper quarter of the lit blocks. Blocks count as four stops below the reference at least and as the reference at most:
+  emitters out of focus often cover a tenth of a picture, and must not darken the rest.
 - The highlights, the luminance that HIGHLIGHT_SHARE of the area exceeds, become HIGHLIGHTS at most. The view rolls off the rest.
 - Where little of the picture is lit, the highlights become diffuse white at least: an emitter before black surroundings shines.
 """
@@ -48,7 +48,7 @@ def metered_exposure(radiance: np.ndarray, alpha: np.ndarray | None = None) -> f
     lit_share = float(cover[lit].sum() / cover.sum())
     light, cover = light[lit], cover[lit]
     reference = float(np.quantile(light, 1.0 - UPPER_SHARE))
-    mean = float(cover @ np.log2(light.clip(min=DARKEST * reference))) / float(cover.sum())
+    mean = float(cover @ np.log2(light.clip(DARKEST * reference, reference))) / float(cover.sum())
     stops = min(np.log2(KEY) - mean, np.log2(HIGHLIGHTS / highlights))
     if lit_share < LIT_SHARE:
         stops = max(stops, -np.log2(highlights))

@@ -32,6 +32,13 @@ def test_a_bokeh_disc_limits_the_exposure():
     assert np.log2(HIGHLIGHTS / 32.0) - 1.0 < metered_exposure(picture) <= np.log2(HIGHLIGHTS / 32.0)
 
 
+def test_emitters_do_not_darken_the_rest():
+    picture = card(0.2)
+    exposure = metered_exposure(picture)
+    picture[40:100, 100:180] = 3.0  # below the limit of the highlights
+    assert metered_exposure(picture) == pytest.approx(exposure, abs=0.02)
+
+
 def test_surroundings_without_alpha_do_not_count():
     picture, alpha = card(0.0), np.zeros((180, 320), np.float32)
     picture[:, :20], alpha[:, :20] = 0.25 * 0.5, 0.5  # premultiplied
