@@ -21,15 +21,13 @@ from PIL import Image
 
 ROOT = Path(__file__).parent.parent
 IMAGES, TUTORIAL = ROOT / "docs" / "images", ROOT / "docs" / "tutorials" / "your-own-model.md"
-VIEW = "--exposure 0 --view srgb"
 GALLERY = {
-    name: f"{name} --size 480x270 --spp 96 {VIEW}"
-    for name in ("occluded", "chrome", "night-street", "glitter", "cutout", "daylight")
+    name: f"{name} --size 480x270 --spp 96" for name in ("occluded", "chrome", "night-street", "glitter", "cutout", "daylight")
 }
 TUTORIALS = {
-    "first-uniform": "fairy-lights --size 320x180 --spp 32 --mode uniform " + VIEW,
-    "first-guided": "fairy-lights --size 320x180 --spp 32 --mode guided " + VIEW,
-    "ring": "ring.toml --size 480x270 --spp 64 " + VIEW,
+    "first-uniform": "fairy-lights --size 320x180 --spp 32 --mode uniform",
+    "first-guided": "fairy-lights --size 320x180 --spp 32 --mode guided",
+    "ring": "ring.toml --size 480x270 --spp 64",
 }
 PICTURES = GALLERY | TUTORIALS
 

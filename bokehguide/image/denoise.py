@@ -65,18 +65,17 @@ def denoise_halves(first: np.ndarray, second: np.ndarray, share: np.ndarray, alb
         return Denoised(clean, np.ones_like(share), None)
     pictures = [finite_pixels(first), finite_pixels(second), denoiser(first), denoiser(second)]
     level = brightness(clean)
-    gain, change, _ = error_terms(*(picture / level for picture in pictures), share)
+    gain, change, _ = error_terms([picture / level for picture in pictures], share)
     weight = mixing_weight(gain, change)
-    gain, change, variance = error_terms(*(np.tanh(picture / level) for picture in pictures), share)
+    gain, change, variance = error_terms([np.tanh(picture / level) for picture in pictures], share)
     error = variance - 2.0 * weight * gain + weight**2 * change
     ratio = np.sqrt((error.clip(min=0.0) / variance.clip(min=LEAST)).clip(max=1.0))
     return Denoised(mixture(noisy, clean, weight), weight.astype(np.float32), ratio.astype(np.float32))
 
 
-def error_terms(
-    first: np.ndarray, second: np.ndarray, clean_first: np.ndarray, clean_second: np.ndarray, share: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Windowed estimates of G, Q and V, each `[H, W]`, of halves `[H, W, C]` and their denoised pictures."""
+def error_terms(pictures: list[np.ndarray], share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Windowed estimates of G, Q and V, each `[H, W]`. pictures: A, B, D(A) and D(B), `[H, W, C]`; share: of A, `[H, W]`."""
+    first, second, clean_first, clean_second = pictures
     s = share[..., None]
     both = (s > 0.0) & (s < 1.0)
     difference = np.where(both, first - second, 0.0)

@@ -65,7 +65,7 @@ def test_error_terms_are_unbiased():
         first, second = (
             truth() * (1.0 + noise / np.sqrt(part) * random.normal(size=(HEIGHT, WIDTH, 1))) for part in (share, 1.0 - share)
         )
-        terms = denoise.error_terms(first, second, filtered(first), filtered(second), np.full((HEIGHT, WIDTH), share))
+        terms = denoise.error_terms([first, second, filtered(first), filtered(second)], np.full((HEIGHT, WIDTH), share))
         found.append([term.mean() for term in terms])
     error = np.std(found, axis=0) / np.sqrt(len(found))
     assert (error < 0.005 * np.array(expected)).all()
