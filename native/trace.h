@@ -1,4 +1,4 @@
-// Whole paths: render/path_tracer.py with the power light sampler, one path a ray, and the AOVs of primary hits.
+// Whole paths: render/path_tracer.py, with the AOVs of primary hits, splits, and virtual images.
 //
 // Blocks of paths go from the camera to their ends, segment by segment. A block's arrays stay in the cache. What happens to a
 // path depends on neither its block nor its lane.
@@ -7,14 +7,16 @@
 
 #include <new>
 
-#include "lights.h"
+#include "cluster_lights.h"
+#include "images.h"
 #include "rays.h"
 
 namespace BOKEHGUIDE_ISA {
 
+using bokehguide::SplitRecord;
 using bokehguide::Trace;
 
-constexpr int BLOCK = 1024;
+constexpr int BLOCK = 1024, NORMAL_ROW = 9;  // row of the shading normal in a `Surface`
 constexpr int ROULETTE_DEPTH = 4;
 constexpr float MAX_SURVIVAL = 0.95f, SHADOW_END = 1.0f - 1e-4f, SHORT = 1.0f / 16.0f;
 // Random dimensions (render/dimensions.py).
@@ -40,12 +42,19 @@ struct alignas(64) Block {
     IntRow triangle;
     Row distance, u, v, surface[SURFACE_ROWS];
     // Light samples, and their shadow rays.
-    Row contribution[3], weight, shadow_origin[3], shadow_direction[3], shadow_length, visibility;
+    Row contribution[3], weight, shadow_origin[3], shadow_direction[3], shadow_length, visibility, light_direction[3];
     // Which paths go on or met a surface, and which did not.
     IntRow kept, dropped;
     // Rays beyond translucent surfaces.
     IntRow beyond, last, beyond_triangle;
     Row beyond_origin[3], beyond_direction[3], beyond_start, beyond_limit, beyond_distance, beyond_u, beyond_v;
+    // Primary hits that split, by their number in the block.
+    IntRow hit_key;
+    Row hit_throughput[3];
+    // Virtual images of paths, by slot: the ray, the distance of the primary hit, whether the path met only mirrors and glass, and
+    // ray transfers; images that light samples would have (0 for none), and the brightest image of each ray.
+    IntRow ray, narrow;
+    Row primary_distance, transfer[5], sample_image, brightest;
 };
 
 class Tracing {
@@ -57,9 +66,15 @@ class Tracing {
     void run() {
         trace.rays = 0;
         trace.embree_seconds = 0.0;
+        if (trace.split != nullptr) trace.split->hit_count = trace.split->path_count = 0;
         for (first = 0; first < trace.count; first += BLOCK) {
             begin();
-            for (int depth = 1; depth <= trace.max_depth && paths > 0; ++depth) segment(depth);
+            if (!arrive(1)) continue;
+            if (trace.split != nullptr) {
+                follow_splits();
+            } else {
+                follow();
+            }
         }
     }
 
@@ -69,9 +84,13 @@ class Tracing {
     Block& block;
     int64_t first = 0;
     int paths = 0;
+    // Where paths add their radiance: rows `[3, columns]`, from the path with slot 0 on.
+    float* collected = nullptr;
+    int64_t columns = 0, base = 0;
 
     void begin() {
         Block& b = block;
+        collected = trace.radiance, columns = trace.count, base = first;
         paths = trace.count - first < BLOCK ? int(trace.count - first) : BLOCK;
         const size_t size = sizeof(float) * size_t(paths);
         for (int axis = 0; axis < 3; ++axis) {
@@ -85,6 +104,8 @@ class Tracing {
         std::memcpy(b.key, trace.pixel_keys + first, size);
         if (trace.alive != nullptr) std::memcpy(b.alive, trace.alive + first, size);
         std::memset(trace.alpha + first, 0, size);
+        for (int row = 0; row < 3 && trace.images != nullptr; ++row) std::memset(trace.images + row * trace.count + first, 0, size);
+        std::memset(b.brightest, 0, sizeof b.brightest);
         for (int i = 0; i < paths; ++i) trace.distance[first + i] = MISS_DISTANCE, trace.triangle[first + i] = -1;
         for (int i = 0; i < paths; i += LANES) {
             store(b.slot + i, Int{0, 1, 2, 3, 4, 5, 6, 7} + i);
@@ -95,20 +116,91 @@ class Tracing {
         }
     }
 
-    void segment(int depth) {
+    // Trace a segment; returns whether paths continue.
+    bool arrive(int depth) {
         drop_ended();
-        if (paths == 0) return;
+        if (paths == 0) return false;
         find_nearest(depth);
         leave_scene(depth);
-        if (paths == 0) return;
+        if (paths == 0) return false;
         for (int i = 0; i < paths; i += LANES) meet(depth, i);
         if (depth == 1) report_primary_hits();
-        if (depth == trace.max_depth) return finish(paths);
+        if (depth == trace.max_depth) finish(paths);
+        return depth < trace.max_depth;
+    }
+    // Scatter paths at the ends of their segments.
+    void leave_surfaces(int depth) {
         for (int i = 0; i < paths; i += LANES) scatter(depth, i);
-        if (lit()) add_direct_light();
+        if (lit()) add_direct_light(depth);
+    }
+    // From the primary hits to the ends of the paths.
+    void follow() {
+        leave_surfaces(1);
+        for (int depth = 2; arrive(depth); ++depth) leave_surfaces(depth);
+    }
+
+    // `Paths.split`: record the primary hits, then follow their paths, a block of them at a time.
+    void follow_splits() {
+        SplitRecord& record = *trace.split;
+        const int64_t first_hit = record.hit_count, first_path = record.path_count;
+        record_hits();
+        for (int64_t path = first_path; path < record.path_count; path += BLOCK) {
+            load_paths(first_hit, path);
+            follow();
+        }
+        for (int64_t path = first_path; path < record.path_count; ++path) {  // `SplitPaths.collect`
+            const int64_t ray = record.ray[record.owner[path]];
+            for (int channel = 0; channel < 3; ++channel) {
+                const int64_t column = channel * record.path_columns + path;
+                trace.radiance[channel * trace.count + ray] += record.direct[column] + record.indirect[column];
+            }
+        }
+    }
+
+    void record_hits() {
+        const Block& b = block;
+        SplitRecord& record = *trace.split;
+        std::memcpy(block.hit_key, b.key, sizeof b.key), std::memcpy(block.hit_throughput, b.throughput, sizeof b.throughput);
+        finish(paths);
+        for (int i = 0; i < paths; ++i) {
+            const int64_t hit = record.hit_count++, ray = first + b.slot[i];
+            record.ray[hit] = int32_t(ray), record.triangle[hit] = b.triangle[i], record.paths[hit] = int32_t(record.counts[ray]);
+            record.distance[hit] = b.distance[i], record.u[hit] = b.u[i], record.v[hit] = b.v[i];
+            for (int row = 0; row < SURFACE_ROWS; ++row) record.surface[row * record.hit_columns + hit] = b.surface[row][i];
+            for (int channel = 0; channel < 3; ++channel) record.emission[channel * record.hit_columns + hit] = b.radiance[channel][i];
+            for (int number = 0; number < record.paths[hit]; ++number) record.owner[record.path_count++] = hit;
+        }
+    }
+
+    // The next BLOCK paths of the record, at their primary hits; first_hit: of the block of rays.
+    void load_paths(int64_t first_hit, int64_t first_path) {
+        Block& b = block;
+        SplitRecord& record = *trace.split;
+        collected = record.indirect, columns = record.path_columns, base = first_path;
+        paths = record.path_count - first_path < BLOCK ? int(record.path_count - first_path) : BLOCK;
+        for (int i = 0; i < paths; ++i) {
+            const int64_t path = first_path + i, hit = record.owner[path];
+            int64_t copies = 1;
+            while (path >= copies && record.owner[path - copies] == hit) ++copies;
+            const int32_t number = int32_t(copies - 1), local = int32_t(hit - first_hit);
+            b.slot[i] = i, b.ray[i] = int32_t(record.ray[hit] - first), b.primary_distance[i] = record.distance[hit];
+            b.key[i] = number == 0 ? b.hit_key[local] : int32_t(hash(uint32_t(b.hit_key[local]) ^ hash(uint32_t(number))));
+            b.triangle[i] = record.triangle[hit], b.distance[i] = record.distance[hit];
+            for (int row = 0; row < SURFACE_ROWS; ++row) b.surface[row][i] = record.surface[row * record.hit_columns + hit];
+            for (int axis = 0; axis < 3; ++axis) {
+                b.throughput[axis][i] = b.hit_throughput[axis][local] / float(record.paths[hit]), b.radiance[axis][i] = 0.0f;
+                record.direct[axis * record.path_columns + path] = 0.0f;
+                record.light_direction[axis * record.path_columns + path] = b.surface[NORMAL_ROW + axis][i];
+            }
+            b.narrow[i] = -1;
+            for (int row = 0; row < 5; ++row) b.transfer[row][i] = row == 1 || row == 2 ? 0.0f : 1.0f;
+        }
     }
 
     bool lit() const { return t.emitters > 0 || t.has_far_power; }
+
+    // Whether light samples at the starts of segments come from the learned clusters.
+    bool learned(int depth) const { return depth == 2 && trace.lights != nullptr; }
 
     // Add the radiance of the first paths to that of their rays.
     void finish(int count) {
@@ -117,7 +209,7 @@ class Tracing {
     void collect(int path, float red, float green, float blue) {
         const float more[3] = {red, green, blue};
         for (int channel = 0; channel < 3; ++channel) {
-            trace.radiance[channel * trace.count + first + block.slot[path]] = block.radiance[channel][path] + more[channel];
+            collected[channel * columns + base + block.slot[path]] = block.radiance[channel][path] + more[channel];
         }
     }
 
@@ -259,8 +351,11 @@ class Tracing {
         if (depth == 1 && !t.visible_environment) return;
         Vec3 light = gather3(b.throughput, path) * environment_radiance(t, direction);
         if (depth > 1) {
-            const Float other = environment_pdf(t, gather3(b.vertex, path), direction);
+            const Vec3 vertex = gather3(b.vertex, path);
+            const Float other = learned(depth) ? ClusterSampler(t, *trace.lights, vertex, all(-1)).environment_pdf(direction)
+                                               : environment_pdf(t, vertex, direction);
             light = light * power_heuristic(gather(b.pdf, path), other);
+            add_images(path, light, all(MISS_DISTANCE), first_lanes(missed - i));
         }
         light = gather3(b.radiance, path) + light;
         const Float alpha = environment_alpha(t, direction);
@@ -290,7 +385,10 @@ class Tracing {
         if (depth > 1) {
             const Vec3 vertex = load3(b.vertex, i), offset = s.position - vertex;
             const Float distance = length(offset), cosine = dot(s.geometric_normal, offset) / divisor(distance);
-            light = light * power_heuristic(load<Float>(b.pdf + i), triangle_pdf(t, vertex, hit.triangle, distance, cosine));
+            const Float other = learned(depth) ? ClusterSampler(t, *trace.lights, vertex, all(-1)).triangle_pdf(hit.triangle, distance, cosine)
+                                               : triangle_pdf(t, vertex, hit.triangle, distance, cosine);
+            light = light * power_heuristic(load<Float>(b.pdf + i), other);
+            add_images(Int{0, 1, 2, 3, 4, 5, 6, 7} + i, light, distance, emits);
         }
         const Vec3 radiance = load3(b.radiance, i);
         store3(b.radiance, i, choose(emits, radiance + light, radiance));
@@ -302,7 +400,7 @@ class Tracing {
             const int64_t ray = first + b.slot[i];
             trace.distance[ray] = b.distance[i], trace.triangle[ray] = b.triangle[i], trace.alpha[ray] = 1.0f;
             for (int axis = 0; axis < 3; ++axis) {
-                trace.normal[axis * trace.count + ray] = b.surface[9 + axis][i];
+                trace.normal[axis * trace.count + ray] = b.surface[NORMAL_ROW + axis][i];
                 trace.albedo[axis * trace.count + ray] = b.surface[15 + axis][i];
                 trace.emission[axis * trace.count + ray] = b.radiance[axis][i];
             }
@@ -333,12 +431,16 @@ class Tracing {
         if (lit()) {
             Float of_light[6];
             numbers(depth, LIGHT, key, of_light);
-            sample_direct(i, s, scattering, throughput, of_light, active);
+            const Light light = direct_light(depth, i, s, scattering, of_light, key, active);
+            if (trace.images != nullptr) prepare_image(i, s, light, active);
+            aim_shadow_ray(i, s, throughput, light);
         }
         Float of_bsdf[3], pdf;
         numbers(depth, BSDF, key, of_bsdf);
         Vec3 weight;
         const Vec3 direction = scattering.sample(of_bsdf[0], of_bsdf[1], of_bsdf[2], weight, pdf);
+        if (depth == 1 && trace.split != nullptr) record_directions(i, direction, pdf);
+        if (trace.images != nullptr) transfer_through(i, s, direction, pdf, active);
         throughput = throughput * weight;
         Float survival = largest(throughput);
         if (depth >= ROULETTE_DEPTH) {
@@ -351,21 +453,144 @@ class Tracing {
         store(b.pdf + i, pdf), store(b.alive + i, survival);
     }
 
-    void sample_direct(int i, const Surface& s, const Scattering& scattering, Vec3 throughput, const Float (&u)[6], Int active) {
-        Block& b = block;
+    // A light sample without shadow: its direction, distance and reflected radiance, and the density of BSDF samples there.
+    struct Light {
+        Vec3 direction;
+        Float distance;
+        Vec3 value;
+        Float bsdf_pdf;
+    };
+
+    Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const Float (&u)[6], Bits key, Int active) {
+        if (depth == 1 && trace.lights != nullptr) {
+            const ClusterSampler sampler(t, *trace.lights, s.position, active);
+            const DirectLight found = sampler.sample(scattering, u, trace.random, key);
+            record_light(i, found);
+            return {found.direction, found.distance, found.value, found.bsdf_pdf};
+        }
         const LightSample light = sample_light(t, PointQuery(t, s.position), u, active);
         const Scattered found = scattering.evaluate(light.direction);
         const Float weight = power_heuristic(light.pdf, found.pdf) / divisor(light.pdf);
-        const Vec3 contribution = throughput * (found.value * light.radiance * weight);
+        return {light.direction, light.distance, found.value * light.radiance * weight, found.pdf};
+    }
+
+    void aim_shadow_ray(int i, const Surface& s, Vec3 throughput, const Light& light) {
+        Block& b = block;
+        const Vec3 contribution = throughput * light.value;
         const Vec3 origin = leave(s, light.direction), target = light.direction - (origin - s.position) / light.distance;
         const Float stretch = length(target);
         store3(b.contribution, i, contribution), store(b.weight + i, largest(contribution));
         store3(b.shadow_origin, i, origin), store3(b.shadow_direction, i, target / stretch);
         store(b.shadow_length + i, light.distance * stretch * SHADOW_END);
+        if (trace.split != nullptr) store3(b.light_direction, i, light.direction);
     }
 
+    // Records of paths at their primary hits, where slots are places.
+    void record_light(int i, const DirectLight& light) {
+        const SplitRecord& record = *trace.split;
+        for (int lane = 0; lane < LANES && i + lane < paths; ++lane) {
+            const int64_t path = base + i + lane;
+            record.light_row[path] = light.row[lane], record.light_cluster[path] = light.cluster[lane];
+            record.light_rms[path] = light.contribution_rms[lane];
+        }
+    }
+    void record_directions(int i, Vec3 direction, Float pdf) {
+        const SplitRecord& record = *trace.split;
+        for (int lane = 0; lane < LANES && i + lane < paths; ++lane) {
+            float* column = record.scattered_direction + base + i + lane;
+            column[0] = direction.x[lane], column[record.path_columns] = direction.y[lane];
+            column[2 * record.path_columns] = direction.z[lane];
+            if (trace.images != nullptr && pdf[lane] > NARROW) trace.images[2 * trace.count + first + block.ray[i + lane]] = 1.0f;
+        }
+    }
+    void record_direct() {
+        const Block& b = block;
+        const SplitRecord& record = *trace.split;
+        for (int i = 0; i < paths; ++i) {
+            for (int axis = 0; axis < 3; ++axis) {
+                const int64_t column = axis * record.path_columns + base + i;
+                record.direct[column] = b.contribution[axis][i] * b.visibility[i];
+                record.light_direction[column] = b.light_direction[axis][i];
+            }
+            if (trace.lights == nullptr) continue;
+            record.light_rms[base + i] *= b.visibility[i], record.light_visibility[base + i] = b.visibility[i];
+        }
+    }
+
+    // ------------------------------------------------------------------------------------------------ virtual images
+
+    RayTransfer transfer_of(Int slot) const {
+        const Row* rows = block.transfer;
+        return {gather(rows[0], slot), gather(rows[1], slot), gather(rows[2], slot), gather(rows[3], slot), gather(rows[4], slot)};
+    }
+    Hits hits_at(int i, Int active) const {
+        return valid({load<Int>(block.triangle + i), load<Float>(block.distance + i), all(0.0f), all(0.0f)}, active);
+    }
+
+    // Images of light samples at eight vertices.
+    void prepare_image(int i, const Surface& s, const Light& light, Int active) {
+        const Int slot = load<Int>(block.slot + i), shows = active & gather(block.narrow, slot) & (light.bsdf_pdf > all(NARROW));
+        Float image = all(0.0f);
+        if (any(shows)) {
+            const Hits hit = hits_at(i, active);
+            const RayTransfer at = propagate_through(t, transfer_of(slot), hit.distance, hit.triangle, s, light.direction);
+            image = shows ? image_distance(at, light.distance) : image;
+        }
+        store(block.sample_image + i, image);
+    }
+
+    // Follow eight paths through a mirror or glass; other paths show no image from here on.
+    void transfer_through(int i, const Surface& s, Vec3 direction, Float pdf, Int active) {
+        Block& b = block;
+        const Int slot = load<Int>(b.slot + i), goes_on = active & gather(b.narrow, slot) & (pdf > all(NARROW));
+        RayTransfer at = {};
+        if (any(goes_on)) {
+            const Hits hit = hits_at(i, active);
+            at = propagate_through(t, transfer_of(slot), hit.distance, hit.triangle, s, direction);
+        }
+        for (int lane = 0; lane < LANES && i + lane < paths; ++lane) {
+            b.narrow[slot[lane]] = goes_on[lane];
+            const float rows[5] = {at.a[lane], at.b[lane], at.c[lane], at.d[lane], at.index[lane]};
+            for (int row = 0; row < 5; ++row) b.transfer[row][slot[lane]] = rows[row];
+        }
+    }
+
+    // Light that arrives along some paths from a distance beyond the last vertex.
+    void add_images(Int path, Vec3 light, Float distance, Int arrives) {
+        if (trace.images == nullptr) return;
+        const Int slot = gather(block.slot, path), shows = arrives & gather(block.narrow, slot) & (largest(light) > all(0.0f));
+        if (!any(shows)) return;
+        const Float image = image_distance(transfer_of(slot), distance), bright = luminance(light);
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (shows[lane]) add_image(slot[lane], image[lane], bright[lane]);
+        }
+    }
+    void add_image(int slot, float image, float light) {
+        Block& b = block;
+        const int ray = b.ray[slot];
+        if (!(image > LEAST_SHARE * b.primary_distance[slot])) return;
+        float* const found = trace.images + first + ray;
+        found[0] += light;
+        if (light >= b.brightest[ray]) b.brightest[ray] = light, found[trace.count] = image;
+    }
+    void add_sampled_images() {
+        const Block& b = block;
+        for (int i = 0; i < paths; ++i) {
+            if (!(b.sample_image[i] > 0.0f && b.visibility[i] > 0.0f)) continue;
+            const float* const channels[3] = {b.contribution[0], b.contribution[1], b.contribution[2]};
+            float light[3], brightest = 0.0f;
+            for (int channel = 0; channel < 3; ++channel) {
+                light[channel] = channels[channel][i] * b.visibility[i];
+                brightest = light[channel] > brightest ? light[channel] : brightest;
+            }
+            if (brightest > 0.0f) add_image(b.slot[i], b.sample_image[i], 0.2126f * light[0] + 0.7152f * light[1] + 0.0722f * light[2]);
+        }
+    }
+
+    // ------------------------------------------------------------------------------------------------ shadow rays
+
     // Add the light samples that are not blocked, as far as translucent surfaces let them pass.
-    void add_direct_light() {
+    void add_direct_light(int depth) {
         Block& b = block;
         const int traced = sort([&](int i) { return b.weight[i] > 0.0f; });
         for (int i = 0; i < paths; i += LANES) store(b.visibility + i, all(0.0f));
@@ -382,6 +607,8 @@ class Tracing {
         }
         if (t.translucent != nullptr) dim(passes, traced);
         for (int i = 0; i < traced; ++i) b.visibility[b.kept[i]] = passes[i];
+        if (trace.images != nullptr) add_sampled_images();
+        if (depth == 1 && trace.split != nullptr) return record_direct();
         for (int i = 0; i < paths; i += LANES) {
             store3(b.radiance, i, load3(b.radiance, i) + load3(b.contribution, i) * load<Float>(b.visibility + i));
         }
