@@ -16,7 +16,8 @@ namespace BOKEHGUIDE_ISA {
 using bokehguide::SplitRecord;
 using bokehguide::Trace;
 
-constexpr int BLOCK = 1024, NORMAL_ROW = 9;  // row of the shading normal in a `Surface`
+// Paths in a block; entries of a row, so that rows of a power of two do not share sets of the cache; rows of a `Surface`.
+constexpr int BLOCK = 1024, ROW = BLOCK + 16, NORMAL_ROW = 9, ALBEDO_ROW = 15;
 constexpr int ROULETTE_DEPTH = 4;
 constexpr float MAX_SURVIVAL = 0.95f, SHADOW_END = 1.0f - 1e-4f, SHORT = 1.0f / 16.0f;
 // Random dimensions (render/dimensions.py).
@@ -24,8 +25,8 @@ constexpr uint32_t PART = 0, BSDF = 1, ROULETTE = 4, LIGHT = 5, LIGHT_COUNT = 6,
 inline uint32_t vertex_dimension(int depth) { return 32 + 16 * uint32_t(depth - 1); }
 inline uint32_t crossing_dimension(int depth) { return (1u << 20) + MAX_CROSSINGS * uint32_t(depth); }
 
-typedef float Row[BLOCK];
-typedef int32_t IntRow[BLOCK];
+typedef float Row[ROW];
+typedef int32_t IntRow[ROW];
 
 inline Vec3 load3(const Row* rows, int first) { return {load<Float>(rows[0] + first), load<Float>(rows[1] + first), load<Float>(rows[2] + first)}; }
 inline void store3(Row* rows, int first, Vec3 v) { store(rows[0] + first, v.x), store(rows[1] + first, v.y), store(rows[2] + first, v.z); }
@@ -141,7 +142,7 @@ class Tracing {
 
     // `Paths.split`: record the primary hits, then follow their paths, a block of them at a time.
     void follow_splits() {
-        SplitRecord& record = *trace.split;
+        const SplitRecord& record = *trace.split;
         const int64_t first_hit = record.hit_count, first_path = record.path_count;
         record_hits();
         for (int64_t path = first_path; path < record.path_count; path += BLOCK) {
@@ -158,16 +159,19 @@ class Tracing {
     }
 
     void record_hits() {
-        const Block& b = block;
+        Block& b = block;
         SplitRecord& record = *trace.split;
-        std::memcpy(block.hit_key, b.key, sizeof b.key), std::memcpy(block.hit_throughput, b.throughput, sizeof b.throughput);
+        std::memcpy(b.hit_key, b.key, sizeof b.key), std::memcpy(b.hit_throughput, b.throughput, sizeof b.throughput);
         finish(paths);
+        const size_t size = sizeof(float) * size_t(paths);
+        const int64_t hits = record.hit_count;
+        std::memcpy(record.triangle + hits, b.triangle, size), std::memcpy(record.distance + hits, b.distance, size);
+        std::memcpy(record.u + hits, b.u, size), std::memcpy(record.v + hits, b.v, size);
+        for (int row = 0; row < SURFACE_ROWS; ++row) std::memcpy(record.surface + row * record.hit_columns + hits, b.surface[row], size);
+        for (int row = 0; row < 3; ++row) std::memcpy(record.emission + row * record.hit_columns + hits, b.radiance[row], size);
         for (int i = 0; i < paths; ++i) {
             const int64_t hit = record.hit_count++, ray = first + b.slot[i];
-            record.ray[hit] = int32_t(ray), record.triangle[hit] = b.triangle[i], record.paths[hit] = int32_t(record.counts[ray]);
-            record.distance[hit] = b.distance[i], record.u[hit] = b.u[i], record.v[hit] = b.v[i];
-            for (int row = 0; row < SURFACE_ROWS; ++row) record.surface[row * record.hit_columns + hit] = b.surface[row][i];
-            for (int channel = 0; channel < 3; ++channel) record.emission[channel * record.hit_columns + hit] = b.radiance[channel][i];
+            record.ray[hit] = int32_t(ray), record.paths[hit] = int32_t(record.counts[ray]);
             for (int number = 0; number < record.paths[hit]; ++number) record.owner[record.path_count++] = hit;
         }
     }
@@ -175,26 +179,39 @@ class Tracing {
     // The next BLOCK paths of the record, at their primary hits; first_hit: of the block of rays.
     void load_paths(int64_t first_hit, int64_t first_path) {
         Block& b = block;
-        SplitRecord& record = *trace.split;
+        const SplitRecord& record = *trace.split;
         collected = record.indirect, columns = record.path_columns, base = first_path;
         paths = record.path_count - first_path < BLOCK ? int(record.path_count - first_path) : BLOCK;
         for (int i = 0; i < paths; ++i) {
             const int64_t path = first_path + i, hit = record.owner[path];
-            int64_t copies = 1;
-            while (path >= copies && record.owner[path - copies] == hit) ++copies;
-            const int32_t number = int32_t(copies - 1), local = int32_t(hit - first_hit);
-            b.slot[i] = i, b.ray[i] = int32_t(record.ray[hit] - first), b.primary_distance[i] = record.distance[hit];
-            b.key[i] = number == 0 ? b.hit_key[local] : int32_t(hash(uint32_t(b.hit_key[local]) ^ hash(uint32_t(number))));
-            b.triangle[i] = record.triangle[hit], b.distance[i] = record.distance[hit];
-            for (int row = 0; row < SURFACE_ROWS; ++row) b.surface[row][i] = record.surface[row * record.hit_columns + hit];
-            for (int axis = 0; axis < 3; ++axis) {
-                b.throughput[axis][i] = b.hit_throughput[axis][local] / float(record.paths[hit]), b.radiance[axis][i] = 0.0f;
-                record.direct[axis * record.path_columns + path] = 0.0f;
-                record.light_direction[axis * record.path_columns + path] = b.surface[NORMAL_ROW + axis][i];
-            }
-            b.narrow[i] = -1;
-            for (int row = 0; row < 5; ++row) b.transfer[row][i] = row == 1 || row == 2 ? 0.0f : 1.0f;
+            int64_t before = path;
+            while (before > 0 && record.owner[before - 1] == hit) --before;
+            const uint32_t number = uint32_t(path - before), key = uint32_t(b.hit_key[hit - first_hit]);
+            b.key[i] = int32_t(number == 0 ? key : hash(key ^ hash(number)));
+            b.kept[i] = int32_t(hit - first_hit);
+            b.slot[i] = i, b.ray[i] = int32_t(record.ray[hit] - first);
         }
+        for (int i = paths; i % LANES != 0; ++i) b.kept[i] = 0;
+        for (int i = 0; i < paths; i += LANES) load_hits(i, first_hit);
+        for (int axis = 0; axis < 3; ++axis) {
+            const int64_t row = axis * record.path_columns + base;
+            std::memset(record.direct + row, 0, sizeof(float) * size_t(paths));
+            std::memcpy(record.light_direction + row, b.surface[NORMAL_ROW + axis], sizeof(float) * size_t(paths));
+        }
+    }
+    void load_hits(int i, int64_t first_hit) {
+        Block& b = block;
+        const SplitRecord& record = *trace.split;
+        const Int hit = load<Int>(b.kept + i);
+        const Float share = to_float(gather(record.paths + first_hit, hit)), distance = gather(record.distance + first_hit, hit);
+        store(b.triangle + i, gather(record.triangle + first_hit, hit));
+        store(b.distance + i, distance), store(b.primary_distance + i, distance);
+        for (int row = 0; row < SURFACE_ROWS; ++row) {
+            store(b.surface[row] + i, gather(record.surface + row * record.hit_columns + first_hit, hit));
+        }
+        store3(b.throughput, i, gather3(b.hit_throughput, hit) / share), store3(b.radiance, i, grey(all(0.0f)));
+        store(b.narrow + i, all(-1));
+        for (int row = 0; row < 5; ++row) store(b.transfer[row] + i, all(row == 1 || row == 2 ? 0.0f : 1.0f));
     }
 
     bool lit() const { return t.emitters > 0 || t.has_far_power; }
@@ -225,7 +242,7 @@ class Tracing {
         for (int i = dropped; i < (dropped + LANES - 1) / LANES * LANES; ++i) block.dropped[i] = 0;
         return kept;
     }
-    template <class T> void compact(T (&row)[BLOCK], int count) {
+    template <class T> void compact(T (&row)[ROW], int count) {
         for (int i = 0; i < count; i += LANES) store(row + i, gather(row, load<Int>(block.kept + i)));
     }
     template <int N> void compact(Row (&rows)[N], int count) {
@@ -260,7 +277,7 @@ class Tracing {
 
     void find_nearest(int depth) {
         Block& b = block;
-        const RayRows rays(b.origin[0], b.direction[0], BLOCK, nullptr);
+        const RayRows rays(b.origin[0], b.direction[0], ROW, nullptr);
         in_embree(paths, [&] { nearest(t.tracer, rays, {b.triangle, b.distance, b.u, b.v}, paths); });
         if (t.translucent != nullptr) go_beyond_translucent(depth);
     }
@@ -310,7 +327,7 @@ class Tracing {
             }
             count = going;
             if (count == 0) break;
-            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], BLOCK, nullptr);
+            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], ROW, nullptr);
             in_embree(count, [&] { nearest(t.tracer, rays, {b.beyond_triangle, b.beyond_distance, b.beyond_u, b.beyond_v}, count); });
             for (int i = 0; i < count; ++i) {
                 const int path = b.beyond[i];
@@ -373,7 +390,7 @@ class Tracing {
         const Int active = first_lanes(paths - i);
         const Hits hit = valid({load<Int>(b.triangle + i), load<Float>(b.distance + i), load<Float>(b.u + i), load<Float>(b.v + i)}, active);
         const Surface s = surface_at(t, load3(b.origin, i), load3(b.direction, i), hit, active);
-        store_surface(b.surface[0] + i, BLOCK, s);
+        store_surface(b.surface[0] + i, ROW, s);
         Vec3 throughput = load3(b.throughput, i);
         if (t.absorption != nullptr) {
             throughput = throughput * transmittance(t, hit, s.front);
@@ -399,12 +416,15 @@ class Tracing {
         for (int i = 0; i < paths; ++i) {
             const int64_t ray = first + b.slot[i];
             trace.distance[ray] = b.distance[i], trace.triangle[ray] = b.triangle[i], trace.alpha[ray] = 1.0f;
-            for (int axis = 0; axis < 3; ++axis) {
-                trace.normal[axis * trace.count + ray] = b.surface[NORMAL_ROW + axis][i];
-                trace.albedo[axis * trace.count + ray] = b.surface[15 + axis][i];
-                trace.emission[axis * trace.count + ray] = b.radiance[axis][i];
-            }
         }
+        for (int axis = 0; axis < 3; ++axis) {
+            report(b.surface[NORMAL_ROW + axis], trace.normal, axis), report(b.surface[ALBEDO_ROW + axis], trace.albedo, axis);
+            report(b.radiance[axis], trace.emission, axis);
+        }
+    }
+    void report(const Row& values, float* rows, int axis) const {
+        float* const row = rows + axis * trace.count + first;
+        for (int i = 0; i < paths; ++i) row[block.slot[i]] = values[i];
     }
 
     // Uniform numbers of `count` dimensions; those of primary hits are stratified.
@@ -423,7 +443,7 @@ class Tracing {
         Block& b = block;
         const Int active = first_lanes(paths - i);
         const Bits key = bits<Bits>(load<Int>(b.key + i));
-        const Surface s = load_surface(b.surface[0] + i, BLOCK);
+        const Surface s = load_surface(b.surface[0] + i, ROW);
         Vec3 throughput = load3(b.throughput, i);
         Float part[1] = {all(0.0f)};
         if (t.has_transmission) numbers(depth, PART, key, part);
@@ -439,7 +459,7 @@ class Tracing {
         numbers(depth, BSDF, key, of_bsdf);
         Vec3 weight;
         const Vec3 direction = scattering.sample(of_bsdf[0], of_bsdf[1], of_bsdf[2], weight, pdf);
-        if (depth == 1 && trace.split != nullptr) record_directions(i, direction, pdf);
+        if (depth == 1 && trace.split != nullptr) record_directions(i, direction, pdf, active);
         if (trace.images != nullptr) transfer_through(i, s, direction, pdf, active);
         throughput = throughput * weight;
         Float survival = largest(throughput);
@@ -486,35 +506,35 @@ class Tracing {
     }
 
     // Records of paths at their primary hits, where slots are places.
-    void record_light(int i, const DirectLight& light) {
-        const SplitRecord& record = *trace.split;
-        for (int lane = 0; lane < LANES && i + lane < paths; ++lane) {
-            const int64_t path = base + i + lane;
-            record.light_row[path] = light.row[lane], record.light_cluster[path] = light.cluster[lane];
-            record.light_rms[path] = light.contribution_rms[lane];
-        }
+    template <class V, class T> void record(T* row, int i, V values) const {
+        if (i + LANES <= paths) return store(row + base + i, values);
+        for (int lane = 0; i + lane < paths; ++lane) row[base + i + lane] = values[lane];
     }
-    void record_directions(int i, Vec3 direction, Float pdf) {
-        const SplitRecord& record = *trace.split;
-        for (int lane = 0; lane < LANES && i + lane < paths; ++lane) {
-            float* column = record.scattered_direction + base + i + lane;
-            column[0] = direction.x[lane], column[record.path_columns] = direction.y[lane];
-            column[2 * record.path_columns] = direction.z[lane];
-            if (trace.images != nullptr && pdf[lane] > NARROW) trace.images[2 * trace.count + first + block.ray[i + lane]] = 1.0f;
+    void record(float* rows, int i, Vec3 v) const {
+        const int64_t next = trace.split->path_columns;
+        record(rows, i, v.x), record(rows + next, i, v.y), record(rows + 2 * next, i, v.z);
+    }
+    void record_light(int i, const DirectLight& light) const {
+        record(trace.split->light_row, i, light.row), record(trace.split->light_cluster, i, light.cluster);
+        record(trace.split->light_rms, i, light.contribution_rms);
+    }
+    void record_directions(int i, Vec3 direction, Float pdf, Int active) const {
+        record(trace.split->scattered_direction, i, direction);
+        const Int narrow = active & (pdf > all(NARROW));
+        if (trace.images == nullptr || !any(narrow)) return;
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (narrow[lane]) trace.images[2 * trace.count + first + block.ray[i + lane]] = 1.0f;
         }
     }
     void record_direct() {
         const Block& b = block;
-        const SplitRecord& record = *trace.split;
-        for (int i = 0; i < paths; ++i) {
-            for (int axis = 0; axis < 3; ++axis) {
-                const int64_t column = axis * record.path_columns + base + i;
-                record.direct[column] = b.contribution[axis][i] * b.visibility[i];
-                record.light_direction[column] = b.light_direction[axis][i];
-            }
-            if (trace.lights == nullptr) continue;
-            record.light_rms[base + i] *= b.visibility[i], record.light_visibility[base + i] = b.visibility[i];
+        for (int i = 0; i < paths; i += LANES) {
+            const Float visibility = load<Float>(b.visibility + i);
+            record(trace.split->direct, i, load3(b.contribution, i) * visibility);
+            record(trace.split->light_direction, i, load3(b.light_direction, i));
+            if (trace.lights != nullptr) record(trace.split->light_visibility, i, visibility);
         }
+        for (int i = 0; i < paths && trace.lights != nullptr; ++i) trace.split->light_rms[base + i] *= b.visibility[i];
     }
 
     // ------------------------------------------------------------------------------------------------ virtual images
@@ -542,14 +562,14 @@ class Tracing {
     // Follow eight paths through a mirror or glass; other paths show no image from here on.
     void transfer_through(int i, const Surface& s, Vec3 direction, Float pdf, Int active) {
         Block& b = block;
-        const Int slot = load<Int>(b.slot + i), goes_on = active & gather(b.narrow, slot) & (pdf > all(NARROW));
-        RayTransfer at = {};
-        if (any(goes_on)) {
-            const Hits hit = hits_at(i, active);
-            at = propagate_through(t, transfer_of(slot), hit.distance, hit.triangle, s, direction);
-        }
-        for (int lane = 0; lane < LANES && i + lane < paths; ++lane) {
-            b.narrow[slot[lane]] = goes_on[lane];
+        const Int slot = load<Int>(b.slot + i), narrow = active & gather(b.narrow, slot), goes_on = narrow & (pdf > all(NARROW));
+        if (!any(narrow)) return;
+        for (int lane = 0; lane < LANES && i + lane < paths; ++lane) b.narrow[slot[lane]] = goes_on[lane];
+        if (!any(goes_on)) return;
+        const Hits hit = hits_at(i, active);
+        const RayTransfer at = propagate_through(t, transfer_of(slot), hit.distance, hit.triangle, s, direction);
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (!goes_on[lane]) continue;
             const float rows[5] = {at.a[lane], at.b[lane], at.c[lane], at.d[lane], at.index[lane]};
             for (int row = 0; row < 5; ++row) b.transfer[row][slot[lane]] = rows[row];
         }
@@ -600,7 +620,7 @@ class Tracing {
         Row& passes = b.distance;
         for (int i = 0; i < traced; ++i) passes[i] = 1.0f;
         if (t.opaque != nullptr) {
-            const RayRows rays(b.shadow_origin[0], b.shadow_direction[0], BLOCK, b.shadow_length);
+            const RayRows rays(b.shadow_origin[0], b.shadow_direction[0], ROW, b.shadow_length);
             in_embree(traced, [&] { visible(t.opaque, rays, passes, traced); });
         } else {
             trace.rays += traced;
@@ -629,7 +649,7 @@ class Tracing {
                 for (int axis = 0; axis < 3; ++axis) b.beyond_direction[axis][i] = b.shadow_direction[axis][ray];
                 b.beyond_limit[i] = b.shadow_length[ray] - b.beyond_start[i];
             }
-            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], BLOCK, b.beyond_limit);
+            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], ROW, b.beyond_limit);
             in_embree(count, [&] {
                 nearest(t.translucent, rays, {b.beyond_triangle, b.beyond_distance, b.beyond_u, b.beyond_v}, count);
             });
