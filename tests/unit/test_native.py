@@ -159,7 +159,7 @@ def test_both_instruction_sets_give_the_same_bits(name):
         torch.testing.assert_close(getattr(found, field), getattr(expected, field), rtol=0.0, atol=0.0, equal_nan=True)
 
 
-@pytest.mark.parametrize("mode", ("uniform", pytest.param("lis-o", marks=pytest.mark.slow)))
+@pytest.mark.parametrize("mode", ("uniform", "guided", pytest.param("lis-o", marks=pytest.mark.slow)))
 def test_threads_change_no_bit(mode):
     core()
     scene = load_scene("fairy-lights", Overrides(width=320, height=180))
