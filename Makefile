@@ -43,8 +43,11 @@ clean:
 help:
 	@sed -n 's/^# //p' Makefile
 
-# Installed again only when pyproject.toml or constraints.txt has changed; the stem names the extras.
-$(VENV)/.ready-%: pyproject.toml constraints.txt
+# Lint and documentation run no render, so they compile nothing.
+$(VENV)/.ready-lint $(VENV)/.ready-docs: export BOKEHGUIDE_NATIVE := 0
+
+# Installed again only when pyproject.toml, constraints.txt or the native core has changed; the stem names the extras.
+$(VENV)/.ready-%: pyproject.toml constraints.txt $(wildcard native/CMakeLists.txt native/*.cpp native/*.h)
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("bokehguide needs Python 3.11 or newer, and " \
 	    "$(PYTHON) is " + sys.version.split()[0] + "; try make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)

@@ -19,6 +19,9 @@ struct Kernels {
     void (*camera_rays)(const Camera&, int64_t count, const float* focus, const float* points, float* origin, float* direction);
     // Random numbers of dimensions from `dimension` on; first: of the range of steps of stratified ones, 0 for independent ones.
     void (*random)(const Random&, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first, float* out);
+    // Incident light `[6, paths]` of recorded paths, and radiance `[3, views]` of primary hits towards other lens points.
+    void (*incident)(const Tables&, const PathLight&, const int64_t* owner, const float* direct, const float* indirect, float* incident);
+    void (*reflected)(const Tables&, const PathLight&, int64_t views, const int64_t* chosen, const float* outgoing, float* radiance);
     // Stages of a trace, for tests.
     void (*surfaces)(const Tables&, int64_t count, const float* origin, const float* direction, const int32_t* triangle,
                      const float* hits, float* rows);

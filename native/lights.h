@@ -53,10 +53,10 @@ inline Int sample_cluster(const Tables& t, Int cell, Float u) {
     return place + 1 - (cell << t.cluster_levels);
 }
 // `ClusterTable.pdf`: differences of cumulative probabilities.
-inline Float cluster_pdf(const Tables& t, Int cell, Int cluster) {
-    const Int place = (cell << t.cluster_levels) + cluster;
-    const Float before = gather(t.cluster_cumulative, cluster > 0 ? place - 1 : place);
-    return gather(t.cluster_cumulative, place) - (cluster > 0 ? before : all(0.0f));
+inline Float cluster_pdf(const float* cumulative, int levels, Int row, Int cluster) {
+    const Int place = (row << levels) + cluster;
+    const Float before = gather(cumulative, cluster > 0 ? place - 1 : place);
+    return gather(cumulative, place) - (cluster > 0 ? before : all(0.0f));
 }
 
 // Points that lights illuminate (`Lights.query`).
@@ -71,7 +71,7 @@ struct PointQuery {
             if (t.has_far_power) environment_share = gather(t.far_share, cell);
         }
     }
-    Float share(const Tables& t, Int cluster) const { return (1.0f - environment_share) * cluster_pdf(t, cell, cluster); }
+    Float share(const Tables& t, Int cluster) const { return (1.0f - environment_share) * cluster_pdf(t.cluster_cumulative, t.cluster_levels, cell, cluster); }
 };
 
 // -------------------------------------------------------------------------------------------------------- environment
@@ -180,23 +180,38 @@ inline Vec3 sample_texel(const Tables& t, Int texel, Float u0, Float u1) {
     return {radius * sine, y, -radius * cosine};
 }
 
-inline LightSample sample_environment(const Tables& t, const PointQuery& query, const Float (&u)[5]) {
+// `EnvironmentLight.sample_element`: a texel of the map, or -1, -2, ... for a distant light.
+inline Int environment_element(const Tables& t, const Float (&u)[5]) {
     Int element = all(0);
-    Vec3 direction = grey(all(0.0f));
-    if (t.map_density != nullptr) {
-        const Int size = all(t.map_width * t.map_height);
-        element = alias_sample(t.map_table, all(0), size, u[0], u[1]);
-        direction = sample_texel(t, element, u[2], u[3]);
-    }
+    if (t.map_density != nullptr) element = alias_sample(t.map_table, all(0), all(t.map_width * t.map_height), u[0], u[1]);
     if (t.distant_count > 0) {
         Int number = all(0);
         for (int edge = 0; edge < t.distant_count; ++edge) number = number - (u[4] >= all(t.distant_edges[edge]));
-        for (int light = 1; light <= t.distant_count; ++light) {
-            direction = choose(number == light, sample_distant(t.distant[light - 1], u[2], u[3]), direction);
-        }
-        if (t.map_density != nullptr) element = number > 0 ? texel_at(t, direction) : element;
+        element = number > 0 ? -number : element;
     }
-    const Float pdf = query.environment_share * environment_density(t, direction, element);
+    return element;
+}
+
+// `EnvironmentLight.directions`.
+inline Vec3 environment_direction(const Tables& t, Int element, Float u0, Float u1) {
+    Vec3 direction = grey(all(0.0f));
+    if (t.map_density != nullptr) direction = sample_texel(t, element > 0 ? element : all(0), u0, u1);
+    for (int light = 1; light <= t.distant_count; ++light) {
+        direction = choose(element == -light, sample_distant(t.distant[light - 1], u0, u1), direction);
+    }
+    return direction;
+}
+
+// `EnvironmentLight.texels`: texels that directions lie in, which were drawn from elements.
+inline Int element_texel(const Tables& t, Int element, Vec3 direction) {
+    if (t.map_density == nullptr) return all(0);
+    return t.distant_count > 0 ? (element < 0 ? texel_at(t, direction) : element) : element;
+}
+
+inline LightSample sample_environment(const Tables& t, const PointQuery& query, const Float (&u)[5]) {
+    const Int element = environment_element(t, u);
+    const Vec3 direction = environment_direction(t, element, u[2], u[3]);
+    const Float pdf = query.environment_share * environment_density(t, direction, element_texel(t, element, direction));
     return {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf};
 }
 
@@ -206,20 +221,20 @@ inline Float emitter_field(const Tables& t, Int emitter, int field) {
     return gather(reinterpret_cast<const float*>(t.emitter_rows) + field, emitter * 16);
 }
 
-inline LightSample sample_triangle(const Tables& t, const PointQuery& query, const Float (&u)[5], Int active) {
-    const Int cluster = sample_cluster(t, query.cell, u[0]);
+// `Lights.triangle_sample`: points on triangles of clusters, chosen with the probability `share`.
+inline LightSample sample_triangle(const Tables& t, Vec3 point, Int cluster, Float share, const Float (&u)[5], Int active) {
     const Int start = gather(t.within_start, cluster), count = gather(t.within_start, cluster + 1) - start;
     const Int emitter = alias_sample(t.within_table, start, count, u[1], u[2]);
     const auto field = [&](int number) { return emitter_field(t, emitter, number); };
     const auto vector = [&](int number) { return Vec3{field(number), field(number + 1), field(number + 2)}; };
     const Float root = sqrt(u[3]), a = root * (1.0f - u[4]), b = root * u[4];
     const Vec3 first = vector(3), second = vector(6);
-    const Vec3 offset = vector(0) + a * first + b * second - query.point;
+    const Vec3 offset = vector(0) + a * first + b * second - point;
     const Float squared = divisor(dot(offset, offset)), distance = sqrt(squared);
     const Vec3 direction = offset / distance;
     const Float cosine = -dot(normalize(cross(first, second)), direction);
     const Float front = one_if(cosine > all(0.0f));
-    const Float pdf = query.share(t, cluster) * field(13) * squared / divisor(abs(cosine), LEAST_COSINE);
+    const Float pdf = share * field(13) * squared / divisor(abs(cosine), LEAST_COSINE);
     Vec3 radiance = emitted(vector(9), field(12), front);
     if (!t.plain_emission || t.absorption != nullptr || t.translucent != nullptr) {
         const Hits hit = {gather(&t.emitter_rows[0].triangle, emitter * 16), distance, a, b};
@@ -228,6 +243,11 @@ inline LightSample sample_triangle(const Tables& t, const PointQuery& query, con
         if (t.translucent != nullptr) radiance = radiance * opacity(t, hit, active);
     }
     return {direction, distance, radiance, pdf};
+}
+
+inline LightSample sample_triangle(const Tables& t, const PointQuery& query, const Float (&u)[5], Int active) {
+    const Int cluster = sample_cluster(t, query.cell, u[0]);
+    return sample_triangle(t, query.point, cluster, query.share(t, cluster), u, active);
 }
 
 // `PowerLightSampler.draw`. active: lanes that count.

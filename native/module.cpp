@@ -145,21 +145,13 @@ class Triangles {
 
 // ------------------------------------------------------------------------------------------------------------- scenes
 
-// A scene's tables, by the names of `Tables`; it keeps the arrays alive that it points to.
-class Scene {
+// Arrays and numbers by name; the arrays stay alive as long as the object.
+class Named {
   public:
-    Scene(nb::dict arrays, nb::dict numbers, nb::object tracer, nb::object opaque, nb::object translucent)
-        : arrays_(arrays), numbers_(numbers), scenes_(nb::make_tuple(tracer, opaque, translucent)) {
-        const auto scene = [](nb::handle triangles) { return triangles.is_none() ? nullptr : nb::cast<Triangles&>(triangles).scene; };
-        t.tracer = scene(tracer), t.opaque = scene(opaque), t.translucent = scene(translucent);
-        set_geometry(), set_materials(), set_textures(), set_lights(), set_environment();
-        arrays_.clear();
-        numbers_.clear();
-    }
+    Named(nb::dict arrays, nb::dict numbers) : arrays_(arrays), numbers_(numbers) {}
+    Named(const Named&) = delete;
 
-    Tables t{};
-
-  private:
+  protected:
     template <class T> const T* array(const std::string& name, size_t* size = nullptr) {
         if (!arrays_.contains(name.c_str()) || nb::handle(arrays_[name.c_str()]).is_none()) {
             if (size) *size = 0;
@@ -172,7 +164,38 @@ class Scene {
     }
     double number(const char* name) { return nb::cast<double>(numbers_[name]); }
     bool is(const char* name) { return number(name) != 0.0; }
+    const AliasEntry* alias_table(const std::string& name, std::vector<AliasEntry>& entries) {
+        size_t count;
+        const float* keep = array<float>(name + "_keep", &count);
+        const int32_t* alias = array<int32_t>(name + "_alias");
+        entries.resize(count);
+        for (size_t i = 0; i < count; ++i) entries[i] = {keep[i], alias[i]};
+        return count > 0 ? entries.data() : nullptr;
+    }
+    void forget_names() {
+        arrays_.clear();
+        numbers_.clear();
+    }
 
+  private:
+    nb::dict arrays_, numbers_;
+    std::vector<nb::ndarray<>> kept_;
+};
+
+// A scene's tables, by the names of `Tables`.
+class Scene : Named {
+  public:
+    Scene(nb::dict arrays, nb::dict numbers, nb::object tracer, nb::object opaque, nb::object translucent)
+        : Named(arrays, numbers), scenes_(nb::make_tuple(tracer, opaque, translucent)) {
+        const auto scene = [](nb::handle triangles) { return triangles.is_none() ? nullptr : nb::cast<Triangles&>(triangles).scene; };
+        t.tracer = scene(tracer), t.opaque = scene(opaque), t.translucent = scene(translucent);
+        set_geometry(), set_materials(), set_textures(), set_lights(), set_environment();
+        forget_names();
+    }
+
+    Tables t{};
+
+  private:
     void set_geometry() {
         size_t size, count;
         const float* normals = array<float>("normals", &size);
@@ -187,6 +210,7 @@ class Scene {
         t.triangles = rows_.data();
         t.translucent_numbers = array<int64_t>("translucent_numbers");
         t.uvs = array<float>("uvs"), t.colors = array<float>("colors");
+        t.vertices = array<float>("vertices"), t.corners = array<int32_t>("corners");
     }
     void set_materials() {
         size_t size;
@@ -247,14 +271,6 @@ class Scene {
         for (size_t last = line - 1; last < size; last += line) cluster_lines_.push_back(t.cluster_cumulative[last]);
         t.cluster_lines = cluster_lines_.data();
     }
-    const AliasEntry* alias_table(const std::string& name, std::vector<AliasEntry>& entries) {
-        size_t count;
-        const float* keep = array<float>(name + "_keep", &count);
-        const int32_t* alias = array<int32_t>(name + "_alias");
-        entries.resize(count);
-        for (size_t i = 0; i < count; ++i) entries[i] = {keep[i], alias[i]};
-        return entries.data();
-    }
     void set_environment() {
         t.has_environment = is("has_environment"), t.visible_environment = is("visible_environment");
         t.map_texels = array<float>("map_texels"), t.map_density = array<float>("map_density");
@@ -269,13 +285,36 @@ class Scene {
         t.distant_edges = array<float>("distant_edges");
     }
 
-    nb::dict arrays_, numbers_;
     nb::tuple scenes_;
-    std::vector<nb::ndarray<>> kept_;
     std::vector<TriangleRow> rows_;
     std::vector<EmitterRow> emitters_;
     std::vector<AliasEntry> within_table_, map_table_;
     std::vector<float> cluster_lines_;
+};
+
+// The learned choice among clusters of lights, by the names of `ClusterLights`.
+class LearnedLights : Named {
+  public:
+    LearnedLights(nb::dict arrays, nb::dict numbers) : Named(arrays, numbers) {
+        std::memcpy(c.axes, array<float>("axes"), sizeof c.axes), std::memcpy(c.position, array<float>("position"), sizeof c.position);
+        const auto real = [&](const char* name) { return float(number(name)); };
+        const auto whole = [&](const char* name) { return int32_t(number(name)); };
+        c.pixel_slope = real("pixel_slope"), c.half_width = real("half_width"), c.half_height = real("half_height");
+        c.tile_size = real("tile_size"), c.last_column = real("across") - 1.0f, c.last_row = real("down") - 1.0f;
+        c.across = whole("across"), c.clusters = whole("clusters"), c.candidates = whole("candidates");
+        c.cumulative = array<float>("cumulative"), c.visibility = array<float>("visibility");
+        c.levels = whole("levels"), c.first_step = whole("first_step");
+        c.first_texels = whole("first_texels"), c.map_clusters = whole("map_clusters"), c.first_distant = whole("first_distant");
+        c.texel_table = alias_table("texel", texel_table_), c.texel_start = array<int32_t>("texel_start");
+        c.texel_order = array<int32_t>("texel_order"), c.texel_cluster = array<uint8_t>("texel_cluster");
+        c.texel_density = array<float>("texel_density");
+        forget_names();
+    }
+
+    ClusterLights c{};
+
+  private:
+    std::vector<AliasEntry> texel_table_;
 };
 
 // Keys of random numbers. directions: of Sobol' sequences, int32 `[8, 30]`.
@@ -292,19 +331,56 @@ Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index) {
     return {step_key, seed_key, index, directions};
 }
 
-using Keys = std::tuple<uint32_t, uint32_t, uint32_t>;
+template <class T> using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
 
+// An array of a dictionary, which must have some number of entries.
+template <class Array> Array entry(const nb::dict& arrays, const char* name, size_t size) {
+    const auto found = nb::cast<Array>(arrays[name], false);  // a converted copy would end with this function
+    check(found, size, name);
+    return found;
+}
+
+// The arrays of a record of split paths, by the names of `SplitRecord`.
+SplitRecord split_record(const nb::dict& arrays, size_t rays, bool with_lights) {
+    SplitRecord record{};
+    const size_t paths = nb::cast<Out<int64_t>>(arrays["owner"], false).size();
+    const auto of_hits = [&](const char* name, size_t rows) { return entry<FloatsOut>(arrays, name, rows * rays).data(); };
+    const auto of_paths = [&](const char* name, size_t rows) { return entry<FloatsOut>(arrays, name, rows * paths).data(); };
+    const auto whole = [&](const char* name, size_t size) { return entry<IntsOut>(arrays, name, size).data(); };
+    record.hit_columns = int64_t(rays), record.path_columns = int64_t(paths);
+    record.counts = of_hits("counts", 1), record.ray = whole("ray", rays), record.triangle = whole("triangle", rays);
+    record.paths = whole("paths", rays), record.owner = nb::cast<Out<int64_t>>(arrays["owner"], false).data();
+    record.distance = of_hits("distance", 1), record.u = of_hits("u", 1), record.v = of_hits("v", 1);
+    record.surface = of_hits("surface", 32), record.emission = of_hits("emission", 3);
+    record.light_direction = of_paths("light_direction", 3), record.direct = of_paths("direct", 3);
+    record.scattered_direction = of_paths("scattered_direction", 3), record.indirect = of_paths("indirect", 3);
+    if (with_lights) {
+        record.light_row = whole("light_row", paths), record.light_cluster = whole("light_cluster", paths);
+        record.light_rms = of_paths("light_rms", 1), record.light_visibility = of_paths("light_visibility", 1);
+    }
+    return record;
+}
+
+// Traces rays into `rows` `[14, N]` and `triangle`. With a `split` record, paths split; `lights` and `images` `[3, N]` need one.
+// Returns the number of rays, seconds in Embree, and the numbers of recorded hits and paths.
 nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& direction, const std::optional<Floats>& alive,
-                const Ints& pixel_keys, const Random& random, int max_depth, int first_step, FloatsOut rows, IntsOut triangle) {
+                const Ints& pixel_keys, const Random& random, int max_depth, FloatsOut rows, IntsOut triangle,
+                const std::optional<nb::dict>& split, const LearnedLights* lights, const std::optional<FloatsOut>& images) {
     const size_t count = pixel_keys.size();
     check(origin, 3 * count, "origin"), check(direction, 3 * count, "direction"), check(rows, 14 * count, "rows");
     check(triangle, count, "triangle");
     if (alive) check(*alive, count, "alive");
+    if (images) check(*images, 3 * count, "images");
+    if (!split && (lights != nullptr || images)) throw std::invalid_argument("learned lights and images need a record of splits");
     Trace arguments{};
+    SplitRecord record{};
+    if (split) record = split_record(*split, count, lights != nullptr), arguments.split = &record;
     arguments.count = int64_t(count);
     arguments.origin = origin.data(), arguments.direction = direction.data(), arguments.alive = alive ? alive->data() : nullptr;
-    arguments.pixel_keys = pixel_keys.data(), arguments.random = random;
-    arguments.max_depth = max_depth, arguments.first_step = first_step;
+    arguments.pixel_keys = pixel_keys.data(), arguments.random = random, arguments.max_depth = max_depth;
+    arguments.first_step = lights ? lights->c.first_step : 1;
+    arguments.lights = lights ? &lights->c : nullptr;
+    if (images) arguments.images = const_cast<float*>(images->data());
     float* row = rows.data();
     arguments.radiance = row, arguments.normal = row + 3 * count, arguments.albedo = row + 6 * count;
     arguments.emission = row + 9 * count, arguments.distance = row + 12 * count, arguments.alpha = row + 13 * count;
@@ -313,16 +389,48 @@ nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& directio
         nb::gil_scoped_release released;
         kernels().trace(scene.t, arguments);
     }
-    return nb::make_tuple(arguments.rays, arguments.embree_seconds);
+    return nb::make_tuple(arguments.rays, arguments.embree_seconds, record.hit_count, record.path_count);
+}
+
+// The light of recorded paths, by the names of `PathLight`; `paths` of them are in use.
+PathLight path_light(const nb::dict& arrays, int64_t paths) {
+    PathLight of{};
+    of.hit_columns = int64_t(nb::cast<Ints>(arrays["paths"], false).size()), of.path_columns = int64_t(nb::cast<Out<const int64_t>>(arrays["owner"], false).size());
+    of.path_count = paths;
+    if (paths < 0 || paths > of.path_columns) throw std::invalid_argument("more paths than the record has entries");
+    const auto rows = [&](const char* name, size_t size) { return entry<Floats>(arrays, name, size).data(); };
+    const size_t columns = size_t(of.path_columns);
+    of.surface = rows("surface", 32 * size_t(of.hit_columns));
+    of.light_direction = rows("light_direction", 3 * columns), of.scattered_direction = rows("scattered_direction", 3 * columns);
+    of.paths = nb::cast<Ints>(arrays["paths"], false).data();
+    return of;
+}
+
+void incident(const Scene& scene, const nb::dict& arrays, int64_t paths, FloatsOut found) {
+    const PathLight of = path_light(arrays, paths);
+    const size_t columns = size_t(of.path_columns);
+    check(found, 6 * columns, "incident");
+    const float *direct = entry<Floats>(arrays, "direct", 3 * columns).data(), *indirect = entry<Floats>(arrays, "indirect", 3 * columns).data();
+    const int64_t* owner = nb::cast<Out<const int64_t>>(arrays["owner"], false).data();
+    nb::gil_scoped_release released;
+    kernels().incident(scene.t, of, owner, direct, indirect, found.data());
+}
+
+void reflected(const Scene& scene, const nb::dict& arrays, int64_t paths, const Floats& incident, const Ints& first_path,
+               const Out<const int64_t>& chosen, const Floats& outgoing, FloatsOut radiance) {
+    PathLight of = path_light(arrays, paths);
+    const size_t views = chosen.size();
+    check(incident, 6 * size_t(of.path_columns), "incident"), check(outgoing, 3 * views, "outgoing"), check(radiance, 3 * views, "radiance");
+    of.incident = incident.data(), of.first_path = first_path.data();
+    for (size_t view = 0; view < views; ++view) {
+        const int64_t hit = chosen.data()[view];
+        if (hit < 0 || size_t(hit) >= first_path.size()) throw std::invalid_argument("a primary hit beyond the record");
+    }
+    nb::gil_scoped_release released;
+    kernels().reflected(scene.t, of, int64_t(views), chosen.data(), outgoing.data(), radiance.data());
 }
 
 using Doubles = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-
-template <class Array> Array entry(const nb::dict& arrays, const char* name, size_t size) {
-    const auto found = nb::cast<Array>(arrays[name]);
-    check(found, size, name);
-    return found;
-}
 
 // Adds samples to the sums of a film, both as dictionaries by the names of render/film.py. Returns whether all are finite.
 bool expose(const nb::dict& sums, const nb::dict& samples, const std::optional<nb::ndarray<const int64_t, nb::c_contig>>& pixels,
@@ -367,7 +475,11 @@ NB_MODULE(_native, m) {
     nb::class_<Scene>(m, "Scene")
         .def(nb::init<nb::dict, nb::dict, nb::object, nb::object, nb::object>(), nb::arg(), nb::arg(), nb::arg().none(),
              nb::arg().none(), nb::arg().none())
-        .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());
+        .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
+             nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none())
+        .def("incident", &incident)
+        .def("reflected", &reflected);
+    nb::class_<LearnedLights>(m, "LearnedLights").def(nb::init<nb::dict, nb::dict>());
     m.def("expose", &expose, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg());
     m.def("camera_rays", [](const Floats& axes, const Floats& position, const Floats& focus, const Floats& points, FloatsOut rows) {
         const size_t count = rows.size() / 6;

@@ -50,6 +50,8 @@ struct Tables {
     void *tracer, *opaque, *translucent;  // RTCScene; null for none
     const int64_t* translucent_numbers;   // numbers of the translucent scene's triangles among all
     const float *uvs, *colors, *tangents[SLOTS];
+    const float* vertices;   // three coordinates each
+    const int32_t* corners;  // three vertices for each triangle
 
     // Materials, M columns
     int64_t materials;
@@ -93,12 +95,56 @@ struct Random {
     const int32_t (*directions)[30];  // of Sobol' sequences, eight dimensions
 };
 
+// A learned choice among clusters of lights at primary hits (guiding/light_sampler.py and render/lights/light_clusters.py).
+struct ClusterLights {
+    // Tiles of the frame, which are the rows of the table
+    float axes[9], position[3], pixel_slope, half_width, half_height, tile_size, last_column, last_row;
+    int32_t across;
+    // The table; null in the first epoch, in which the voxel grid chooses alone
+    const float *cumulative, *visibility;
+    int32_t levels, clusters, first_step, candidates;
+    // Clusters of the environment: those of the map begin at `first_texels`, those of distant lights at `first_distant`
+    int32_t first_texels, map_clusters, first_distant;
+    const AliasEntry* texel_table;  // null where the map is not sampled, as the next four
+    const int32_t *texel_start, *texel_order;
+    const uint8_t* texel_cluster;
+    const float* texel_density;
+};
+
+// Primary hits whose rays split into paths, and the paths (render/primary_hits.py). Hits are in the order of the rays.
+struct SplitRecord {
+    const float* counts;  // paths of each ray
+    int64_t hit_columns, path_columns;
+    // Of hits
+    int32_t *ray, *triangle, *paths;
+    float *distance, *u, *v, *surface, *emission;
+    // Of paths
+    int64_t* owner;
+    float *light_direction, *direct, *scattered_direction, *indirect;
+    // Light samples of paths; null without `lights`
+    int32_t *light_row, *light_cluster;
+    float *light_rms, *light_visibility;
+    int64_t hit_count, path_count;
+};
+
+// The incident light of recorded paths, by which their primary hits are shaded; rows as in `SplitRecord`.
+struct PathLight {
+    int64_t hit_columns, path_columns, path_count;
+    const float *surface, *light_direction, *scattered_direction, *incident;
+    const int32_t *first_path, *paths;  // of each hit
+};
+
 struct Trace {
     int64_t count;
     const float *origin, *direction, *alive;  // [3, count] each, [count] or null
     const int32_t* pixel_keys;
     Random random;
     int32_t max_depth, first_step;
+    const ClusterLights* lights;  // of primary hits; null for those by power
+    SplitRecord* split;           // null for one path a ray
+    // Virtual images (guiding/virtual_images.py), [3, count]: their light, the distance of the brightest, and whether some path
+    // leaves the primary hit as in a mirror or glass. Null for none.
+    float* images;
     // Results, all written.
     float *radiance, *distance, *normal, *albedo, *emission, *alpha;
     int32_t* triangle;

@@ -1,4 +1,4 @@
-// Whole paths: render/path_tracer.py with the power light sampler, one path a ray, and the AOVs of primary hits.
+// Whole paths: render/path_tracer.py, with the AOVs of primary hits, splits, and virtual images.
 //
 // Blocks of paths go from the camera to their ends, segment by segment. A block's arrays stay in the cache. What happens to a
 // path depends on neither its block nor its lane.
@@ -7,14 +7,17 @@
 
 #include <new>
 
-#include "lights.h"
+#include "cluster_lights.h"
+#include "images.h"
 #include "rays.h"
 
 namespace BOKEHGUIDE_ISA {
 
+using bokehguide::SplitRecord;
 using bokehguide::Trace;
 
-constexpr int BLOCK = 1024;
+// Paths in a block; entries of a row, so that rows of a power of two do not share sets of the cache; rows of a `Surface`.
+constexpr int BLOCK = 1024, ROW = BLOCK + 16, NORMAL_ROW = 9, ALBEDO_ROW = 15;
 constexpr int ROULETTE_DEPTH = 4;
 constexpr float MAX_SURVIVAL = 0.95f, SHADOW_END = 1.0f - 1e-4f, SHORT = 1.0f / 16.0f;
 // Random dimensions (render/dimensions.py).
@@ -22,8 +25,8 @@ constexpr uint32_t PART = 0, BSDF = 1, ROULETTE = 4, LIGHT = 5, LIGHT_COUNT = 6,
 inline uint32_t vertex_dimension(int depth) { return 32 + 16 * uint32_t(depth - 1); }
 inline uint32_t crossing_dimension(int depth) { return (1u << 20) + MAX_CROSSINGS * uint32_t(depth); }
 
-typedef float Row[BLOCK];
-typedef int32_t IntRow[BLOCK];
+typedef float Row[ROW];
+typedef int32_t IntRow[ROW];
 
 inline Vec3 load3(const Row* rows, int first) { return {load<Float>(rows[0] + first), load<Float>(rows[1] + first), load<Float>(rows[2] + first)}; }
 inline void store3(Row* rows, int first, Vec3 v) { store(rows[0] + first, v.x), store(rows[1] + first, v.y), store(rows[2] + first, v.z); }
@@ -40,12 +43,19 @@ struct alignas(64) Block {
     IntRow triangle;
     Row distance, u, v, surface[SURFACE_ROWS];
     // Light samples, and their shadow rays.
-    Row contribution[3], weight, shadow_origin[3], shadow_direction[3], shadow_length, visibility;
+    Row contribution[3], weight, shadow_origin[3], shadow_direction[3], shadow_length, visibility, light_direction[3];
     // Which paths go on or met a surface, and which did not.
     IntRow kept, dropped;
     // Rays beyond translucent surfaces.
     IntRow beyond, last, beyond_triangle;
     Row beyond_origin[3], beyond_direction[3], beyond_start, beyond_limit, beyond_distance, beyond_u, beyond_v;
+    // Primary hits that split, by their number in the block.
+    IntRow hit_key;
+    Row hit_throughput[3];
+    // Virtual images of paths, by slot: the ray, the distance of the primary hit, whether the path met only mirrors and glass, and
+    // ray transfers; images that light samples would have (0 for none), and the brightest image of each ray.
+    IntRow ray, narrow;
+    Row primary_distance, transfer[5], sample_image, brightest;
 };
 
 class Tracing {
@@ -57,9 +67,15 @@ class Tracing {
     void run() {
         trace.rays = 0;
         trace.embree_seconds = 0.0;
+        if (trace.split != nullptr) trace.split->hit_count = trace.split->path_count = 0;
         for (first = 0; first < trace.count; first += BLOCK) {
             begin();
-            for (int depth = 1; depth <= trace.max_depth && paths > 0; ++depth) segment(depth);
+            if (!arrive(1)) continue;
+            if (trace.split != nullptr) {
+                follow_splits();
+            } else {
+                follow();
+            }
         }
     }
 
@@ -69,9 +85,13 @@ class Tracing {
     Block& block;
     int64_t first = 0;
     int paths = 0;
+    // Where paths add their radiance: rows `[3, columns]`, from the path with slot 0 on.
+    float* collected = nullptr;
+    int64_t columns = 0, base = 0;
 
     void begin() {
         Block& b = block;
+        collected = trace.radiance, columns = trace.count, base = first;
         paths = trace.count - first < BLOCK ? int(trace.count - first) : BLOCK;
         const size_t size = sizeof(float) * size_t(paths);
         for (int axis = 0; axis < 3; ++axis) {
@@ -85,6 +105,8 @@ class Tracing {
         std::memcpy(b.key, trace.pixel_keys + first, size);
         if (trace.alive != nullptr) std::memcpy(b.alive, trace.alive + first, size);
         std::memset(trace.alpha + first, 0, size);
+        for (int row = 0; row < 3 && trace.images != nullptr; ++row) std::memset(trace.images + row * trace.count + first, 0, size);
+        std::memset(b.brightest, 0, sizeof b.brightest);
         for (int i = 0; i < paths; ++i) trace.distance[first + i] = MISS_DISTANCE, trace.triangle[first + i] = -1;
         for (int i = 0; i < paths; i += LANES) {
             store(b.slot + i, Int{0, 1, 2, 3, 4, 5, 6, 7} + i);
@@ -95,20 +117,107 @@ class Tracing {
         }
     }
 
-    void segment(int depth) {
+    // Trace a segment; returns whether paths continue.
+    bool arrive(int depth) {
         drop_ended();
-        if (paths == 0) return;
+        if (paths == 0) return false;
         find_nearest(depth);
         leave_scene(depth);
-        if (paths == 0) return;
+        if (paths == 0) return false;
         for (int i = 0; i < paths; i += LANES) meet(depth, i);
         if (depth == 1) report_primary_hits();
-        if (depth == trace.max_depth) return finish(paths);
+        if (depth == trace.max_depth) finish(paths);
+        return depth < trace.max_depth;
+    }
+    // Scatter paths at the ends of their segments.
+    void leave_surfaces(int depth) {
         for (int i = 0; i < paths; i += LANES) scatter(depth, i);
-        if (lit()) add_direct_light();
+        if (lit()) add_direct_light(depth);
+    }
+    // From the primary hits to the ends of the paths.
+    void follow() {
+        leave_surfaces(1);
+        for (int depth = 2; arrive(depth); ++depth) leave_surfaces(depth);
+    }
+
+    // `Paths.split`: record the primary hits, then follow their paths, a block of them at a time.
+    void follow_splits() {
+        const SplitRecord& record = *trace.split;
+        const int64_t first_hit = record.hit_count, first_path = record.path_count;
+        record_hits();
+        for (int64_t path = first_path; path < record.path_count; path += BLOCK) {
+            load_paths(first_hit, path);
+            follow();
+        }
+        for (int64_t path = first_path; path < record.path_count; ++path) {  // `SplitPaths.collect`
+            const int64_t ray = record.ray[record.owner[path]];
+            for (int channel = 0; channel < 3; ++channel) {
+                const int64_t column = channel * record.path_columns + path;
+                trace.radiance[channel * trace.count + ray] += record.direct[column] + record.indirect[column];
+            }
+        }
+    }
+
+    void record_hits() {
+        Block& b = block;
+        SplitRecord& record = *trace.split;
+        std::memcpy(b.hit_key, b.key, sizeof b.key), std::memcpy(b.hit_throughput, b.throughput, sizeof b.throughput);
+        finish(paths);
+        const size_t size = sizeof(float) * size_t(paths);
+        const int64_t hits = record.hit_count;
+        std::memcpy(record.triangle + hits, b.triangle, size), std::memcpy(record.distance + hits, b.distance, size);
+        std::memcpy(record.u + hits, b.u, size), std::memcpy(record.v + hits, b.v, size);
+        for (int row = 0; row < SURFACE_ROWS; ++row) std::memcpy(record.surface + row * record.hit_columns + hits, b.surface[row], size);
+        for (int row = 0; row < 3; ++row) std::memcpy(record.emission + row * record.hit_columns + hits, b.radiance[row], size);
+        for (int i = 0; i < paths; ++i) {
+            const int64_t hit = record.hit_count++, ray = first + b.slot[i];
+            record.ray[hit] = int32_t(ray), record.paths[hit] = int32_t(record.counts[ray]);
+            for (int number = 0; number < record.paths[hit]; ++number) record.owner[record.path_count++] = hit;
+        }
+    }
+
+    // The next BLOCK paths of the record, at their primary hits; first_hit: of the block of rays.
+    void load_paths(int64_t first_hit, int64_t first_path) {
+        Block& b = block;
+        const SplitRecord& record = *trace.split;
+        collected = record.indirect, columns = record.path_columns, base = first_path;
+        paths = record.path_count - first_path < BLOCK ? int(record.path_count - first_path) : BLOCK;
+        for (int i = 0; i < paths; ++i) {
+            const int64_t path = first_path + i, hit = record.owner[path];
+            int64_t before = path;
+            while (before > 0 && record.owner[before - 1] == hit) --before;
+            const uint32_t number = uint32_t(path - before), key = uint32_t(b.hit_key[hit - first_hit]);
+            b.key[i] = int32_t(number == 0 ? key : hash(key ^ hash(number)));
+            b.kept[i] = int32_t(hit - first_hit);
+            b.slot[i] = i, b.ray[i] = int32_t(record.ray[hit] - first);
+        }
+        for (int i = paths; i % LANES != 0; ++i) b.kept[i] = 0;
+        for (int i = 0; i < paths; i += LANES) load_hits(i, first_hit);
+        for (int axis = 0; axis < 3; ++axis) {
+            const int64_t row = axis * record.path_columns + base;
+            std::memset(record.direct + row, 0, sizeof(float) * size_t(paths));
+            std::memcpy(record.light_direction + row, b.surface[NORMAL_ROW + axis], sizeof(float) * size_t(paths));
+        }
+    }
+    void load_hits(int i, int64_t first_hit) {
+        Block& b = block;
+        const SplitRecord& record = *trace.split;
+        const Int hit = load<Int>(b.kept + i);
+        const Float share = to_float(gather(record.paths + first_hit, hit)), distance = gather(record.distance + first_hit, hit);
+        store(b.triangle + i, gather(record.triangle + first_hit, hit));
+        store(b.distance + i, distance), store(b.primary_distance + i, distance);
+        for (int row = 0; row < SURFACE_ROWS; ++row) {
+            store(b.surface[row] + i, gather(record.surface + row * record.hit_columns + first_hit, hit));
+        }
+        store3(b.throughput, i, gather3(b.hit_throughput, hit) / share), store3(b.radiance, i, grey(all(0.0f)));
+        store(b.narrow + i, all(-1));
+        for (int row = 0; row < 5; ++row) store(b.transfer[row] + i, all(row == 1 || row == 2 ? 0.0f : 1.0f));
     }
 
     bool lit() const { return t.emitters > 0 || t.has_far_power; }
+
+    // Whether light samples at the starts of segments come from the learned clusters.
+    bool learned(int depth) const { return depth == 2 && trace.lights != nullptr; }
 
     // Add the radiance of the first paths to that of their rays.
     void finish(int count) {
@@ -117,7 +226,7 @@ class Tracing {
     void collect(int path, float red, float green, float blue) {
         const float more[3] = {red, green, blue};
         for (int channel = 0; channel < 3; ++channel) {
-            trace.radiance[channel * trace.count + first + block.slot[path]] = block.radiance[channel][path] + more[channel];
+            collected[channel * columns + base + block.slot[path]] = block.radiance[channel][path] + more[channel];
         }
     }
 
@@ -133,7 +242,7 @@ class Tracing {
         for (int i = dropped; i < (dropped + LANES - 1) / LANES * LANES; ++i) block.dropped[i] = 0;
         return kept;
     }
-    template <class T> void compact(T (&row)[BLOCK], int count) {
+    template <class T> void compact(T (&row)[ROW], int count) {
         for (int i = 0; i < count; i += LANES) store(row + i, gather(row, load<Int>(block.kept + i)));
     }
     template <int N> void compact(Row (&rows)[N], int count) {
@@ -168,7 +277,7 @@ class Tracing {
 
     void find_nearest(int depth) {
         Block& b = block;
-        const RayRows rays(b.origin[0], b.direction[0], BLOCK, nullptr);
+        const RayRows rays(b.origin[0], b.direction[0], ROW, nullptr);
         in_embree(paths, [&] { nearest(t.tracer, rays, {b.triangle, b.distance, b.u, b.v}, paths); });
         if (t.translucent != nullptr) go_beyond_translucent(depth);
     }
@@ -218,7 +327,7 @@ class Tracing {
             }
             count = going;
             if (count == 0) break;
-            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], BLOCK, nullptr);
+            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], ROW, nullptr);
             in_embree(count, [&] { nearest(t.tracer, rays, {b.beyond_triangle, b.beyond_distance, b.beyond_u, b.beyond_v}, count); });
             for (int i = 0; i < count; ++i) {
                 const int path = b.beyond[i];
@@ -259,8 +368,11 @@ class Tracing {
         if (depth == 1 && !t.visible_environment) return;
         Vec3 light = gather3(b.throughput, path) * environment_radiance(t, direction);
         if (depth > 1) {
-            const Float other = environment_pdf(t, gather3(b.vertex, path), direction);
+            const Vec3 vertex = gather3(b.vertex, path);
+            const Float other = learned(depth) ? ClusterSampler(t, *trace.lights, vertex, all(-1)).environment_pdf(direction)
+                                               : environment_pdf(t, vertex, direction);
             light = light * power_heuristic(gather(b.pdf, path), other);
+            add_images(path, light, all(MISS_DISTANCE), first_lanes(missed - i));
         }
         light = gather3(b.radiance, path) + light;
         const Float alpha = environment_alpha(t, direction);
@@ -278,7 +390,7 @@ class Tracing {
         const Int active = first_lanes(paths - i);
         const Hits hit = valid({load<Int>(b.triangle + i), load<Float>(b.distance + i), load<Float>(b.u + i), load<Float>(b.v + i)}, active);
         const Surface s = surface_at(t, load3(b.origin, i), load3(b.direction, i), hit, active);
-        store_surface(b.surface[0] + i, BLOCK, s);
+        store_surface(b.surface[0] + i, ROW, s);
         Vec3 throughput = load3(b.throughput, i);
         if (t.absorption != nullptr) {
             throughput = throughput * transmittance(t, hit, s.front);
@@ -290,7 +402,10 @@ class Tracing {
         if (depth > 1) {
             const Vec3 vertex = load3(b.vertex, i), offset = s.position - vertex;
             const Float distance = length(offset), cosine = dot(s.geometric_normal, offset) / divisor(distance);
-            light = light * power_heuristic(load<Float>(b.pdf + i), triangle_pdf(t, vertex, hit.triangle, distance, cosine));
+            const Float other = learned(depth) ? ClusterSampler(t, *trace.lights, vertex, all(-1)).triangle_pdf(hit.triangle, distance, cosine)
+                                               : triangle_pdf(t, vertex, hit.triangle, distance, cosine);
+            light = light * power_heuristic(load<Float>(b.pdf + i), other);
+            add_images(Int{0, 1, 2, 3, 4, 5, 6, 7} + i, light, distance, emits);
         }
         const Vec3 radiance = load3(b.radiance, i);
         store3(b.radiance, i, choose(emits, radiance + light, radiance));
@@ -301,12 +416,15 @@ class Tracing {
         for (int i = 0; i < paths; ++i) {
             const int64_t ray = first + b.slot[i];
             trace.distance[ray] = b.distance[i], trace.triangle[ray] = b.triangle[i], trace.alpha[ray] = 1.0f;
-            for (int axis = 0; axis < 3; ++axis) {
-                trace.normal[axis * trace.count + ray] = b.surface[9 + axis][i];
-                trace.albedo[axis * trace.count + ray] = b.surface[15 + axis][i];
-                trace.emission[axis * trace.count + ray] = b.radiance[axis][i];
-            }
         }
+        for (int axis = 0; axis < 3; ++axis) {
+            report(b.surface[NORMAL_ROW + axis], trace.normal, axis), report(b.surface[ALBEDO_ROW + axis], trace.albedo, axis);
+            report(b.radiance[axis], trace.emission, axis);
+        }
+    }
+    void report(const Row& values, float* rows, int axis) const {
+        float* const row = rows + axis * trace.count + first;
+        for (int i = 0; i < paths; ++i) row[block.slot[i]] = values[i];
     }
 
     // Uniform numbers of `count` dimensions; those of primary hits are stratified.
@@ -325,7 +443,7 @@ class Tracing {
         Block& b = block;
         const Int active = first_lanes(paths - i);
         const Bits key = bits<Bits>(load<Int>(b.key + i));
-        const Surface s = load_surface(b.surface[0] + i, BLOCK);
+        const Surface s = load_surface(b.surface[0] + i, ROW);
         Vec3 throughput = load3(b.throughput, i);
         Float part[1] = {all(0.0f)};
         if (t.has_transmission) numbers(depth, PART, key, part);
@@ -333,12 +451,16 @@ class Tracing {
         if (lit()) {
             Float of_light[6];
             numbers(depth, LIGHT, key, of_light);
-            sample_direct(i, s, scattering, throughput, of_light, active);
+            const Light light = direct_light(depth, i, s, scattering, of_light, key, active);
+            if (trace.images != nullptr) prepare_image(i, s, light, active);
+            aim_shadow_ray(i, s, throughput, light);
         }
         Float of_bsdf[3], pdf;
         numbers(depth, BSDF, key, of_bsdf);
         Vec3 weight;
         const Vec3 direction = scattering.sample(of_bsdf[0], of_bsdf[1], of_bsdf[2], weight, pdf);
+        if (depth == 1 && trace.split != nullptr) record_directions(i, direction, pdf, active);
+        if (trace.images != nullptr) transfer_through(i, s, direction, pdf, active);
         throughput = throughput * weight;
         Float survival = largest(throughput);
         if (depth >= ROULETTE_DEPTH) {
@@ -351,21 +473,144 @@ class Tracing {
         store(b.pdf + i, pdf), store(b.alive + i, survival);
     }
 
-    void sample_direct(int i, const Surface& s, const Scattering& scattering, Vec3 throughput, const Float (&u)[6], Int active) {
-        Block& b = block;
+    // A light sample without shadow: its direction, distance and reflected radiance, and the density of BSDF samples there.
+    struct Light {
+        Vec3 direction;
+        Float distance;
+        Vec3 value;
+        Float bsdf_pdf;
+    };
+
+    Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const Float (&u)[6], Bits key, Int active) {
+        if (depth == 1 && trace.lights != nullptr) {
+            const ClusterSampler sampler(t, *trace.lights, s.position, active);
+            const DirectLight found = sampler.sample(scattering, u, trace.random, key);
+            record_light(i, found);
+            return {found.direction, found.distance, found.value, found.bsdf_pdf};
+        }
         const LightSample light = sample_light(t, PointQuery(t, s.position), u, active);
         const Scattered found = scattering.evaluate(light.direction);
         const Float weight = power_heuristic(light.pdf, found.pdf) / divisor(light.pdf);
-        const Vec3 contribution = throughput * (found.value * light.radiance * weight);
+        return {light.direction, light.distance, found.value * light.radiance * weight, found.pdf};
+    }
+
+    void aim_shadow_ray(int i, const Surface& s, Vec3 throughput, const Light& light) {
+        Block& b = block;
+        const Vec3 contribution = throughput * light.value;
         const Vec3 origin = leave(s, light.direction), target = light.direction - (origin - s.position) / light.distance;
         const Float stretch = length(target);
         store3(b.contribution, i, contribution), store(b.weight + i, largest(contribution));
         store3(b.shadow_origin, i, origin), store3(b.shadow_direction, i, target / stretch);
         store(b.shadow_length + i, light.distance * stretch * SHADOW_END);
+        if (trace.split != nullptr) store3(b.light_direction, i, light.direction);
     }
 
+    // Records of paths at their primary hits, where slots are places.
+    template <class V, class T> void record(T* row, int i, V values) const {
+        if (i + LANES <= paths) return store(row + base + i, values);
+        for (int lane = 0; i + lane < paths; ++lane) row[base + i + lane] = values[lane];
+    }
+    void record(float* rows, int i, Vec3 v) const {
+        const int64_t next = trace.split->path_columns;
+        record(rows, i, v.x), record(rows + next, i, v.y), record(rows + 2 * next, i, v.z);
+    }
+    void record_light(int i, const DirectLight& light) const {
+        record(trace.split->light_row, i, light.row), record(trace.split->light_cluster, i, light.cluster);
+        record(trace.split->light_rms, i, light.contribution_rms);
+    }
+    void record_directions(int i, Vec3 direction, Float pdf, Int active) const {
+        record(trace.split->scattered_direction, i, direction);
+        const Int narrow = active & (pdf > all(NARROW));
+        if (trace.images == nullptr || !any(narrow)) return;
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (narrow[lane]) trace.images[2 * trace.count + first + block.ray[i + lane]] = 1.0f;
+        }
+    }
+    void record_direct() {
+        const Block& b = block;
+        for (int i = 0; i < paths; i += LANES) {
+            const Float visibility = load<Float>(b.visibility + i);
+            record(trace.split->direct, i, load3(b.contribution, i) * visibility);
+            record(trace.split->light_direction, i, load3(b.light_direction, i));
+            if (trace.lights != nullptr) record(trace.split->light_visibility, i, visibility);
+        }
+        for (int i = 0; i < paths && trace.lights != nullptr; ++i) trace.split->light_rms[base + i] *= b.visibility[i];
+    }
+
+    // ------------------------------------------------------------------------------------------------ virtual images
+
+    RayTransfer transfer_of(Int slot) const {
+        const Row* rows = block.transfer;
+        return {gather(rows[0], slot), gather(rows[1], slot), gather(rows[2], slot), gather(rows[3], slot), gather(rows[4], slot)};
+    }
+    Hits hits_at(int i, Int active) const {
+        return valid({load<Int>(block.triangle + i), load<Float>(block.distance + i), all(0.0f), all(0.0f)}, active);
+    }
+
+    // Images of light samples at eight vertices.
+    void prepare_image(int i, const Surface& s, const Light& light, Int active) {
+        const Int slot = load<Int>(block.slot + i), shows = active & gather(block.narrow, slot) & (light.bsdf_pdf > all(NARROW));
+        Float image = all(0.0f);
+        if (any(shows)) {
+            const Hits hit = hits_at(i, active);
+            const RayTransfer at = propagate_through(t, transfer_of(slot), hit.distance, hit.triangle, s, light.direction);
+            image = shows ? image_distance(at, light.distance) : image;
+        }
+        store(block.sample_image + i, image);
+    }
+
+    // Follow eight paths through a mirror or glass; other paths show no image from here on.
+    void transfer_through(int i, const Surface& s, Vec3 direction, Float pdf, Int active) {
+        Block& b = block;
+        const Int slot = load<Int>(b.slot + i), narrow = active & gather(b.narrow, slot), goes_on = narrow & (pdf > all(NARROW));
+        if (!any(narrow)) return;
+        for (int lane = 0; lane < LANES && i + lane < paths; ++lane) b.narrow[slot[lane]] = goes_on[lane];
+        if (!any(goes_on)) return;
+        const Hits hit = hits_at(i, active);
+        const RayTransfer at = propagate_through(t, transfer_of(slot), hit.distance, hit.triangle, s, direction);
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (!goes_on[lane]) continue;
+            const float rows[5] = {at.a[lane], at.b[lane], at.c[lane], at.d[lane], at.index[lane]};
+            for (int row = 0; row < 5; ++row) b.transfer[row][slot[lane]] = rows[row];
+        }
+    }
+
+    // Light that arrives along some paths from a distance beyond the last vertex.
+    void add_images(Int path, Vec3 light, Float distance, Int arrives) {
+        if (trace.images == nullptr) return;
+        const Int slot = gather(block.slot, path), shows = arrives & gather(block.narrow, slot) & (largest(light) > all(0.0f));
+        if (!any(shows)) return;
+        const Float image = image_distance(transfer_of(slot), distance), bright = luminance(light);
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (shows[lane]) add_image(slot[lane], image[lane], bright[lane]);
+        }
+    }
+    void add_image(int slot, float image, float light) {
+        Block& b = block;
+        const int ray = b.ray[slot];
+        if (!(image > LEAST_SHARE * b.primary_distance[slot])) return;
+        float* const found = trace.images + first + ray;
+        found[0] += light;
+        if (light >= b.brightest[ray]) b.brightest[ray] = light, found[trace.count] = image;
+    }
+    void add_sampled_images() {
+        const Block& b = block;
+        for (int i = 0; i < paths; ++i) {
+            if (!(b.sample_image[i] > 0.0f && b.visibility[i] > 0.0f)) continue;
+            const float* const channels[3] = {b.contribution[0], b.contribution[1], b.contribution[2]};
+            float light[3], brightest = 0.0f;
+            for (int channel = 0; channel < 3; ++channel) {
+                light[channel] = channels[channel][i] * b.visibility[i];
+                brightest = light[channel] > brightest ? light[channel] : brightest;
+            }
+            if (brightest > 0.0f) add_image(b.slot[i], b.sample_image[i], 0.2126f * light[0] + 0.7152f * light[1] + 0.0722f * light[2]);
+        }
+    }
+
+    // ------------------------------------------------------------------------------------------------ shadow rays
+
     // Add the light samples that are not blocked, as far as translucent surfaces let them pass.
-    void add_direct_light() {
+    void add_direct_light(int depth) {
         Block& b = block;
         const int traced = sort([&](int i) { return b.weight[i] > 0.0f; });
         for (int i = 0; i < paths; i += LANES) store(b.visibility + i, all(0.0f));
@@ -375,13 +620,15 @@ class Tracing {
         Row& passes = b.distance;
         for (int i = 0; i < traced; ++i) passes[i] = 1.0f;
         if (t.opaque != nullptr) {
-            const RayRows rays(b.shadow_origin[0], b.shadow_direction[0], BLOCK, b.shadow_length);
+            const RayRows rays(b.shadow_origin[0], b.shadow_direction[0], ROW, b.shadow_length);
             in_embree(traced, [&] { visible(t.opaque, rays, passes, traced); });
         } else {
             trace.rays += traced;
         }
         if (t.translucent != nullptr) dim(passes, traced);
         for (int i = 0; i < traced; ++i) b.visibility[b.kept[i]] = passes[i];
+        if (trace.images != nullptr) add_sampled_images();
+        if (depth == 1 && trace.split != nullptr) return record_direct();
         for (int i = 0; i < paths; i += LANES) {
             store3(b.radiance, i, load3(b.radiance, i) + load3(b.contribution, i) * load<Float>(b.visibility + i));
         }
@@ -402,7 +649,7 @@ class Tracing {
                 for (int axis = 0; axis < 3; ++axis) b.beyond_direction[axis][i] = b.shadow_direction[axis][ray];
                 b.beyond_limit[i] = b.shadow_length[ray] - b.beyond_start[i];
             }
-            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], BLOCK, b.beyond_limit);
+            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], ROW, b.beyond_limit);
             in_embree(count, [&] {
                 nearest(t.translucent, rays, {b.beyond_triangle, b.beyond_distance, b.beyond_u, b.beyond_v}, count);
             });

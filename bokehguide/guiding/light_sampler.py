@@ -7,6 +7,7 @@ cluster include these effects. Probabilities in proportion to the square roots o
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import NamedTuple
 
 import torch
@@ -15,10 +16,11 @@ from torch import Tensor
 from bokehguide.guiding.cluster_lights import ClusterTables, MixtureLights, VoxelLights
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.lights.base import DirectLight, LightDistribution
+from bokehguide.render.lights.base import CoreLightSampler, DirectLight, LightDistribution
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.power_sampler import PowerLightSampler
-from bokehguide.render.observer import PathObserver
+from bokehguide.render.native import cluster_lights
+from bokehguide.render.observer import CoreObserver, CoreReport
 from bokehguide.render.vector import divisor
 from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.distributed import Ranks, RankSums
@@ -50,7 +52,7 @@ class LightSamples(NamedTuple):
     visibility: Tensor
 
 
-class LightSampleRecorder(PathObserver):
+class LightSampleRecorder(CoreObserver):
     """Records the light samples of one trace whose cluster a table chose. samples: list of at most one batch."""
 
     def __init__(self) -> None:
@@ -62,8 +64,13 @@ class LightSampleRecorder(PathObserver):
             row, cluster, contribution_rms = light.clusters
             self.samples.append(LightSamples(row, cluster, contribution_rms * visibility, visibility))
 
+    def reported(self, report: CoreReport) -> None:
+        """See `CoreObserver`."""
+        if report.light_samples is not None:
+            self.samples.append(LightSamples(*report.light_samples))
 
-class LearnedLightSampler(RankSums):
+
+class LearnedLightSampler(RankSums, CoreLightSampler):
     """Learns the probabilities with which primary hits sample clusters of lights.
 
     `add` takes the light samples of a step; `update` ends an epoch.
@@ -99,6 +106,7 @@ class LearnedLightSampler(RankSums):
         self._first_far = torch.tensor([clusters.triangles], device=device)
         self._candidates, self._learns_visibility = config.light_candidates, config.learn_visibility
         self._tables: ClusterTables | None = None  # None in the first epoch
+        self._core_lights: tuple[ClusterTables | None, object] | None = None
 
     def tiles(self, points: Tensor) -> Tensor:
         """Tile of each world point `[3, N]`, projected through the lens centre, int32 `[N]`.
@@ -116,6 +124,24 @@ class LearnedLightSampler(RankSums):
         if tables is None:
             return VoxelLights(self._power, tiles, self._candidates)
         return MixtureLights(self._power, tiles, tables, self._candidates)
+
+    def core_lights(self, core: ModuleType) -> object:
+        """See `CoreLightSampler`."""
+        made, tables = self._core_lights, self._tables
+        if made is None or made[0] is not tables:
+            arrays, numbers = self._tile_numbers()
+            arrays |= {} if tables is None else {"cumulative": tables.table.cumulative, "visibility": tables.visibility}
+            levels, first_step = (0, 1) if tables is None else (tables.table.levels, tables.first_step)
+            numbers |= {"levels": levels, "first_step": first_step, "candidates": self._candidates}
+            made = self._core_lights = (tables, cluster_lights(core, self._power.lights.clusters, arrays, numbers))
+        return made[1]
+
+    def _tile_numbers(self) -> tuple[dict[str, Tensor], dict[str, float]]:
+        """Arrays and numbers from which the native core finds the tiles of points."""
+        camera = self._camera
+        numbers = {"half_width": 0.5 * camera.width, "half_height": 0.5 * camera.height, "pixel_slope": camera.pixel_slope}
+        numbers |= {"tile_size": self._size, "across": self._across, "down": self._down}
+        return {"axes": camera.axes, "position": camera.position}, numbers
 
     def _make_tables(self) -> ClusterTables:
         """Tables of the present probabilities."""

@@ -8,6 +8,7 @@ its surface, and a glass ball at its focus. The distance of the image determines
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.lights.base import DirectLight
-from bokehguide.render.observer import PathObserver
+from bokehguide.render.observer import CoreObserver, CoreReport, PathObserver
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import cross, divisor, dot, length, luminance, normalize
@@ -143,8 +144,13 @@ class ImageRecorder(PathObserver):
         return ImageDistances(self, samples.radiance, samples.distance, bright)
 
 
-class HighlightImages(ImageRecorder):
-    """Records virtual images for the rays of a trace whose luminance is above `bright`."""
+class HighlightImages(ImageRecorder, CoreObserver):
+    """Records virtual images for the rays of a trace whose luminance is above `bright`.
+
+    distances: function that returns the apparent distances `[N]` of the light along the rays (see `ImageDistances`).
+    """
+
+    distances: Callable[[], Tensor]
 
     def __init__(self, geometry: Geometry, count: int, bright: float):
         super().__init__(geometry, count)
@@ -152,11 +158,16 @@ class HighlightImages(ImageRecorder):
 
     def finished(self, radiance: Tensor, distance: Tensor) -> None:
         """See `PathObserver`."""
-        self._found = ImageDistances(self, radiance, distance, self._bright)
+        self.distances = ImageDistances(self, radiance, distance, self._bright).distances
 
-    def distances(self) -> Tensor:
-        """Apparent distances `[N]` of the light along the rays (see `ImageDistances`)."""
-        return self._found.distances()
+    def reported(self, report: CoreReport) -> None:
+        """See `CoreObserver`."""
+        light, image, continues = report.images
+        luminances = luminance(report.radiance)
+        bright = luminances > self._bright
+        own = torch.where((continues > 0.0) & (luminances <= self._bright), MISS_DISTANCE, report.distance)
+        found = torch.where(bright & (light > 0.5 * luminances), image, own)
+        self.distances = lambda: found
 
 
 class ImageDistances:

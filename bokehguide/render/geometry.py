@@ -96,7 +96,7 @@ class Geometry:
         log.info("preparing %s triangles and %s materials", f"{count:,}", f"{len(scene.materials):,}")
         vertices, corners = triangles.joined(meshes)
         self.tracer = Tracer(vertices, corners)
-        self._vertices, self._corners = self._rows(vertices), self._rows(corners)
+        self.vertices, self.vertex_numbers = self._rows(vertices), self._rows(corners)
         self.materials = Materials(scene.materials, meshes, self.device)
         counts = torch.tensor([len(mesh.triangles) for mesh in meshes])
         numbers = torch.tensor([mesh.material for mesh in meshes], dtype=torch.int32)
@@ -120,8 +120,8 @@ class Geometry:
 
     def corners(self, triangle: Tensor) -> Tensor:
         """Vertex positions `[corner, component, N]` of triangles `[N]`."""
-        corners = self._corners.index_select(0, triangle)
-        return self._vertices.index_select(0, corners.flatten()).view(-1, 3, 3).permute(1, 2, 0).contiguous()
+        corners = self.vertex_numbers.index_select(0, triangle)
+        return self.vertices.index_select(0, corners.flatten()).view(-1, 3, 3).permute(1, 2, 0).contiguous()
 
     def corner_normals(self, triangle: Tensor) -> Tensor:
         """Shading normals `[corner, component, N]` at the corners of triangles `[N]`."""

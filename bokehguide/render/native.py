@@ -1,22 +1,30 @@
 """Whole paths in the native core: the tables of a scene for it, and its results as those of the path tracer.
 
-`native/trace.h` does what `path_tracer.py` does with `PowerLightSampler`, without splits and observers.
+`native/trace.h` does what `path_tracer.py` does. Observers that need the events of a trace are left to PyTorch.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.render.geometry import Geometry
+from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.lights.base import CoreLightSampler
+from bokehguide.render.lights.light_clusters import LightClusters
 from bokehguide.render.lights.scene_lights import Lights
 from bokehguide.render.materials import NORMAL_MAPS, SLOTS, Materials
+from bokehguide.render.observer import CoreReport
+from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.textures import TextureAtlas
+from bokehguide.render.tracer import Hit
 from bokehguide.render.visibility import Visibility
 from bokehguide.runtime import native
 from bokehguide.runtime.timer import PhaseTimer
@@ -25,35 +33,158 @@ ROWS = 14
 """Rows of the results of `trace`: radiance, normal, albedo and emission, three each, distance, and alpha."""
 
 
+class CoreRays(NamedTuple):
+    """N camera rays to trace in the native core; for the fields, see `PathTracer.trace`."""
+
+    origin: Tensor
+    direction: Tensor
+    alive: Tensor | None
+    random: PixelRandom
+    max_depth: int
+
+
 class NativeTracer:
     """Traces whole paths through one scene on the CPU. Threads may call it side by side.
 
     `make` returns None where the native core is missing, or the scene is on another device.
     """
 
-    def __init__(self, scene: Any):
-        self._scene = scene
+    def __init__(self, scene: Any, geometry: Geometry):
+        self._scene, self._geometry = scene, geometry
 
     @staticmethod
     def make(geometry: Geometry, lights: Lights, visibility: Visibility) -> NativeTracer | None:
         core = native.core()
         if core is None or geometry.device.type != "cpu":
             return None
-        return NativeTracer(native_scene(core, geometry, lights, visibility))
+        return NativeTracer(native_scene(core, geometry, lights, visibility), geometry)
 
-    def trace(
-        self, origin: Tensor, direction: Tensor, alive: Tensor | None, random: PixelRandom, max_depth: int, timer: PhaseTimer
-    ) -> tuple[dict[str, Tensor], int]:
+    def trace(self, given: CoreRays, timer: PhaseTimer) -> tuple[dict[str, Tensor], int]:
         """Fields of `PathSamples`, and the number of rays traced (see `PathTracer.trace`)."""
-        core, count = native.core(), origin.shape[1]
+        fields, rays, _ = self._trace(given, timer)
+        return fields, rays
+
+    def trace_split(
+        self, given: CoreRays, counts: Tensor, sampler: CoreLightSampler | None, timer: PhaseTimer
+    ) -> tuple[dict[str, Tensor], int, PrimaryHits | None, CoreReport]:
+        """As `trace`, with paths that split; also returns the primary hits, None without hits, and the report for observers.
+
+        counts: number of paths of each ray, `[N]`. sampler: light sampler of primary hits, None for that by power.
+        """
+        alive = given.alive
+        paths = int((counts if alive is None else counts * (alive > 0.0)).sum(dtype=torch.float64))
+        arrays = {"counts": counts.float().contiguous(), **_hit_arrays(len(counts)), **_path_arrays(paths, sampler is not None)}
+        core, images = native.core(), torch.empty(3, len(counts))
+        assert core is not None
+        lights = None if sampler is None else sampler.core_lights(core)
+        fields, rays, (hits, paths) = self._trace(given, timer, arrays, lights, images)
+        samples = None
+        if sampler is not None and paths > 0:
+            row, cluster, rms, visibility = (arrays[name][:paths] for name in LIGHT_ROWS)
+            samples = (row, cluster, rms, visibility)
+        recorded = _recorded(self._scene, self._geometry, arrays, hits, paths) if hits > 0 else None
+        return fields, rays, recorded, CoreReport(fields["radiance"], fields["distance"], images, samples)
+
+    def _trace(self, given: CoreRays, timer: PhaseTimer, *split: object) -> tuple[dict[str, Tensor], int, tuple[int, int]]:
+        """As `trace`; also returns the numbers of recorded hits and paths. split: last arguments of the core's `trace`."""
+        core, count, random = native.core(), given.origin.shape[1], given.random
         assert core is not None
         rows, triangle = torch.empty(ROWS, count), torch.empty(count, dtype=torch.int32)
-        given = origin.contiguous(), direction.contiguous(), None if alive is None else alive.contiguous()
-        keys = core.Random(random.step_key, random.seed_key, random.index)
-        rays, seconds = self._scene.trace(*given, random.pixel_keys, keys, max_depth, 1, rows, triangle)
+        alive = None if given.alive is None else given.alive.contiguous()
+        keys = random.pixel_keys.contiguous(), core.Random(random.step_key, random.seed_key, random.index)
+        rays, seconds, *recorded = self._scene.trace(
+            given.origin.contiguous(), given.direction.contiguous(), alive, *keys, given.max_depth, rows, triangle, *split
+        )
         timer.add("tracing rays", seconds)
         fields = dict(zip(("radiance", "normal", "albedo", "emission"), rows[:12].split(3)))
-        return {**fields, "distance": rows[12], "alpha": rows[13], "triangle": triangle}, rays
+        fields |= {"distance": rows[12], "alpha": rows[13], "triangle": triangle}
+        return fields, rays, (recorded[0], recorded[1])
+
+
+LIGHT_ROWS = ("light_row", "light_cluster", "light_rms", "light_visibility")
+"""Arrays of the light samples of a trace: see `CoreReport.light_samples`."""
+SURFACE_ROWS = (3, 3, 3, 3, 1, 1, 1, 3, 1, 1, 1, 1, 1, 1, 3, 1, 1, 3)
+"""Rows of the fields of `Surface` in the native core."""
+
+
+def _hit_arrays(count: int) -> dict[str, Tensor]:
+    """Arrays for at most `count` primary hits, by the names of `SplitRecord` in `native/tables.h`."""
+    arrays = {name: torch.empty(count, dtype=torch.int32) for name in ("ray", "triangle", "paths")}
+    arrays |= {name: torch.empty(count) for name in ("distance", "u", "v")}
+    return {**arrays, "surface": torch.empty(sum(SURFACE_ROWS), count), "emission": torch.empty(3, count)}
+
+
+def _path_arrays(count: int, with_lights: bool) -> dict[str, Tensor]:
+    """Arrays for at most `count` paths that leave primary hits."""
+    arrays = {name: torch.empty(3, count) for name in ("light_direction", "direct", "scattered_direction", "indirect")}
+    arrays["owner"] = torch.empty(count, dtype=torch.int64)
+    if with_lights:
+        arrays |= {name: torch.empty(count, dtype=torch.int32) for name in LIGHT_ROWS[:2]}
+        arrays |= {name: torch.empty(count) for name in LIGHT_ROWS[2:]}
+    return arrays
+
+
+def _recorded(scene: Any, geometry: Geometry, arrays: dict[str, Tensor], hits: int, paths: int) -> PrimaryHits:
+    """The primary hits that the native core has recorded; their tensors share the memory of the record."""
+    of_hits = {
+        name: arrays[name][..., :hits] for name in ("ray", "triangle", "paths", "distance", "u", "v", "surface", "emission")
+    }
+    hit = Hit(of_hits["triangle"], of_hits["distance"], of_hits["u"], of_hits["v"])
+    surface = surface_of(geometry.materials, of_hits["surface"])
+    fields = (of_hits["ray"].long(), hit, surface, of_hits["emission"], of_hits["paths"].long(), arrays["owner"][:paths])
+    return NativeHits(geometry, *fields, arrays["indirect"][:, :paths], scene, arrays)
+
+
+def surface_of(materials: Materials, rows: Tensor) -> Surface:
+    """Surfaces from the rows `[32, K]` of the native core, without the fields that no material needs."""
+    parts = [part if len(part) > 1 else part[0] for part in rows.split(SURFACE_ROWS)]
+    values: dict[str, Any] = {field.name: part for field, part in zip(dataclasses.fields(Surface), parts)}
+    if materials.specular_color is None:
+        values["specular_color"] = None
+    if materials.clearcoat is None:
+        values |= {"clearcoat": None, "clearcoat_alpha": None}
+    if not materials.tilts_coats:
+        values["clearcoat_normal"] = None
+    return Surface(**values)
+
+
+@dataclass
+class NativeHits(PrimaryHits):
+    """`PrimaryHits` that the native core has recorded and shades. record: arrays of the core."""
+
+    scene: Any
+    record: dict[str, Tensor]
+
+    def __post_init__(self) -> None:
+        rows = (self.record[name][:, : len(self.owner)] for name in ("light_direction", "direct", "scattered_direction"))
+        self.light_direction, self.direct, self.scattered_direction = rows
+        self._normals: list[Tensor] | None = None
+        self._light: tuple[Tensor, Tensor] | None = None
+
+    def radiance(self, chosen: Tensor, outgoing: Tensor, count: int) -> Tensor:
+        """See `PrimaryHits`."""
+        if self._light is None:
+            incident = torch.empty(6, self.record["indirect"].shape[1])
+            self.scene.incident(self.record, len(self.owner), incident)
+            self._light = incident, (self.counts.cumsum(0) - self.counts).int()
+        reflected = torch.empty(3, len(chosen))
+        views = chosen.contiguous(), outgoing.contiguous()
+        self.scene.reflected(self.record, len(self.owner), *self._light, *views, reflected)
+        return self._emitted(chosen, outgoing).add_(reflected)
+
+
+def cluster_lights(core: ModuleType, clusters: LightClusters, arrays: dict[str, Tensor], numbers: dict[str, float]) -> object:
+    """The `LearnedLights` of the extension; arrays, numbers: tiles and tables, by the names of `ClusterLights` in `tables.h`."""
+    numbers = {**numbers, "clusters": clusters.count, "first_texels": clusters.triangles, "first_distant": clusters.first_distant}
+    numbers["map_clusters"] = 0
+    if clusters.map is not None:
+        numbers["map_clusters"] = clusters.map.count
+        within = clusters.map.within
+        arrays = {**arrays, "texel_keep": within.keep, "texel_alias": within.alias, "texel_start": within.start}
+        arrays |= {"texel_order": clusters.map.order, "texel_cluster": clusters.map.clusters}
+        arrays["texel_density"] = clusters.map.densities
+    tables = {name: table.contiguous() for name, table in arrays.items()}
+    return core.LearnedLights(tables, {name: float(value) for name, value in numbers.items()})
 
 
 def native_scene(core: Any, geometry: Geometry, lights: Lights, visibility: Visibility) -> Any:
@@ -79,6 +210,7 @@ Tables = tuple[Mapping[str, Tensor | None], Mapping[str, float]]
 def _geometry_tables(geometry: Geometry, lights: Lights, visibility: Visibility) -> Tables:
     tables = {f"tangents{SLOTS.index(slot)}": rows for slot, rows in geometry.tangents.items()}
     tables |= {"normals": geometry.normals, "material": geometry.material, "emitter": lights.emitter.int()}
+    tables |= {"vertices": geometry.vertices, "corners": geometry.vertex_numbers}
     tables |= {"uvs": geometry.uvs, "colors": geometry.colors, "translucent_numbers": visibility.numbers}
     return tables, {}
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -45,6 +47,29 @@ class PathObserver:
 
     def finished(self, radiance: Tensor, distance: Tensor) -> None:
         """The trace has ended, with the radiance `[3, N]` along the rays and the distances `[N]` of the primary hits."""
+
+
+class CoreReport(NamedTuple):
+    """Report of the native core on a trace of N rays that split into P paths.
+
+    radiance: along the rays, `[3, N]`. distance: of the primary hits, `[N]`. images: virtual images, `[3, N]`. The first row is
+    the luminance that arrives by way of mirrors and glass, and the second row is the distance of the brightest image. The third
+    row is 1 if a path leaves the primary hit as in a mirror or glass, else 0. light_samples: light samples at primary hits, None
+    if no table chose their clusters. The tensors `[P]` are row, cluster, contribution_rms times visibility, and visibility.
+    """
+
+    radiance: Tensor
+    distance: Tensor
+    images: Tensor
+    light_samples: tuple[Tensor, Tensor, Tensor, Tensor] | None
+
+
+class CoreObserver(PathObserver):
+    """An observer that takes the report of the native core in place of the events of a trace."""
+
+    def reported(self, report: CoreReport) -> None:
+        """The native core has traced all paths."""
+        raise NotImplementedError
 
 
 class PrimaryHitAOVs(PathObserver):

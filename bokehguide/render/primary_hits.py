@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -23,10 +24,9 @@ class PrimaryHits:
     """Primary hits of K rays that split into P paths, and the incident light of each path.
 
     rays: int64 `[K]`, ascending. hit, surface: `[K]`. emission: towards the origins of the rays, `[3, K]`. counts: number of
-    paths of each ray, int64 `[K]`. owner: primary hit of each path, int64 `[P]`, ascending. path_surface: surface of each path's
-    hit, `[P]`. light_direction: unit direction of the light sample, `[3, P]`. direct: radiance that the light sample adds along
-    the ray, `[3, P]`. scattered_direction: unit direction of the BSDF sample, `[3, P]`. indirect: radiance that the BSDF sample
-    adds along the ray, `[3, P]`.
+    paths of each ray, int64 `[K]`. owner: primary hit of each path, int64 `[P]`, ascending. light_direction: unit direction of
+    the light sample, `[3, P]`. direct: radiance that the light sample adds along the ray, `[3, P]`. scattered_direction: unit
+    direction of the BSDF sample, `[3, P]`. indirect: radiance that the BSDF sample adds along the ray, `[3, P]`.
     """
 
     geometry: Geometry
@@ -36,16 +36,23 @@ class PrimaryHits:
     emission: Tensor
     counts: Tensor
     owner: Tensor
-    path_surface: Surface
     indirect: Tensor
 
     def __post_init__(self) -> None:
-        self.path_rays = self.rays.index_select(0, self.owner)
-        """Ray of each path, int64 `[P]`."""
         self.direct, self.light_direction = torch.zeros_like(self.indirect), self.path_surface.normal
         self.scattered_direction = self.path_surface.normal
         self._incident: Pair | None = None
         self._normals: list[Tensor] | None = None
+
+    @cached_property
+    def path_surface(self) -> Surface:
+        """Surface of each path's hit, `[P]`."""
+        return self.surface.select(self.owner)
+
+    @cached_property
+    def path_rays(self) -> Tensor:
+        """Ray of each path, int64 `[P]`."""
+        return self.rays.index_select(0, self.owner)
 
     def same_normals(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
         """Whether the surfaces `chosen`, int64 `[J]`, have the same shading normals from unit directions `[3, J]`; bool `[J]`.

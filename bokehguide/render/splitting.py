@@ -49,8 +49,10 @@ class SplitPaths(Splitting):
     counts: whole numbers of at least 1, float32 `[N]`.
     """
 
+    counts: Tensor
+
     def __init__(self, counts: Tensor):
-        self.counts = self._counts = counts
+        self.counts = counts
 
     @property
     def _hits(self) -> PrimaryHits:
@@ -62,13 +64,12 @@ class SplitPaths(Splitting):
     ) -> tuple[Paths, Surface, Tensor | None]:
         """See `Splitting`."""
         rays, emission = paths.index, paths.radiance
-        counts = self._counts.index_select(0, rays).long()
+        counts = self.counts.index_select(0, rays).long()
         paths, owner = paths.split(counts, found.path_count)
-        split = surface.select(owner)
-        self.primary_hits = PrimaryHits(geometry, rays, found.hit, surface, emission, counts, owner, split, paths.collected)
+        self.primary_hits = PrimaryHits(geometry, rays, found.hit, surface, emission, counts, owner, paths.collected)
         for observer in observers:
             observer.split(self.primary_hits.path_rays)
-        return paths, split, owner
+        return paths, self.primary_hits.path_surface, owner
 
     def add_direct(self, paths: Paths, direction: Tensor, contribution: Tensor) -> None:
         """See `Splitting`."""

@@ -1,39 +1,90 @@
-"""What is installed works on its own, away from the checkout."""
+"""Wheels and source distributions work on their own, away from the checkout."""
 
 import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
+
+import pytest
 
 from bokehguide.scene import BUILTIN
 from tests.support.paths import REPOSITORY
 
-SOURCES = ("pyproject.toml", "README.md", "LICENSE")
+FILES = ("pyproject.toml", "README.md", "LICENSE")
+BUILT = ("*.so", "*.pyd", "*.a", "*.cmake", "*.ninja", ".ninja*", ".skbuild*", "CMakeFiles", "CMakeCache.txt", "CMakeInit.txt")
+"""Files that builds of the native core leave in a checkout."""
+HAS_CORE = "from bokehguide.runtime.native import core; print(core() is not None)"
+needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("c++", "g++", "clang++"))), reason="there is no C++ compiler")
 
 
-def test_the_wheel_lists_the_scenes(tmp_path):
-    source, target = tmp_path / "source", tmp_path / "target"
-    shutil.copytree(REPOSITORY / "bokehguide", source / "bokehguide", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in SOURCES:
-        shutil.copy(REPOSITORY / name, source)
-    run("-m", "build", "--wheel", "--no-isolation", "--outdir", tmp_path, source, folder=tmp_path)
-    (wheel,) = tmp_path.glob("*.whl")
-    files = {str(path.relative_to(source)) for path in (source / "bokehguide").rglob("*") if path.is_file()}
+def copied_source(folder: Path) -> Path:
+    """The sources of the package in a new folder, without anything that was built."""
+    folder.mkdir()
+    for name in ("bokehguide", "native"):
+        shutil.copytree(REPOSITORY / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", *BUILT))
+    for name in FILES:
+        shutil.copy(REPOSITORY / name, folder)
+    return folder
+
+
+def built(kind: str, source: Path, folder: Path, **environment: str) -> Path:
+    """The one distribution of a kind, wheel or sdist, that is made of the source."""
+    run("-m", "build", f"--{kind}", "--no-isolation", "--outdir", folder, source, folder=folder, **environment)
+    (made,) = folder.glob("*.whl" if kind == "wheel" else "*.tar.gz")
+    return made
+
+
+def packaged(wheel: Path) -> set[str]:
+    """The files of a wheel, without its metadata."""
     with zipfile.ZipFile(wheel) as archive:
-        assert {name for name in archive.namelist() if not name.split("/")[0].endswith(".dist-info")} == files
-    run("-m", "pip", "install", "--no-deps", "--no-index", "--target", target, wheel, folder=tmp_path)
-    listed = run("-m", "bokehguide", "scenes", folder=tmp_path, PYTHONPATH=str(target))
+        return {name for name in archive.namelist() if not name.split("/")[0].endswith(".dist-info")}
+
+
+def package_files(source: Path) -> set[str]:
+    return {path.relative_to(source).as_posix() for path in (source / "bokehguide").rglob("*") if path.is_file()}
+
+
+def install(wheel: Path, target: Path) -> Path:
+    run("-m", "pip", "install", "--no-deps", "--no-index", "--target", target, wheel, folder=wheel.parent)
+    return target
+
+
+def test_without_a_compiler_the_wheel_renders_with_pytorch(tmp_path):
+    source = copied_source(tmp_path / "source")
+    wheel = built("wheel", source, tmp_path, PATH=str(Path(sys.executable).parent), CXX="", CC="")
+    assert wheel.name.endswith("-py3-none-any.whl")
+    assert packaged(wheel) == package_files(source)
+    paths = {"PYTHONPATH": str(install(wheel, tmp_path / "target"))}
+    assert run("-c", HAS_CORE, folder=tmp_path, **paths).strip() == "False"
+    listed = run("-m", "bokehguide", "scenes", folder=tmp_path, **paths)
     assert [line.split()[0] for line in listed.splitlines()] == list(BUILTIN)
-    where = run("-c", "import bokehguide; print(bokehguide.__file__)", folder=tmp_path, PYTHONPATH=str(target))
-    assert Path(where.strip()).is_relative_to(target)
+    where = run("-c", "import bokehguide; print(bokehguide.__file__)", folder=tmp_path, **paths)
+    assert Path(where.strip()).is_relative_to(tmp_path)
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_with_a_compiler_the_source_distribution_makes_a_wheel_with_the_native_core(tmp_path):
+    source = copied_source(tmp_path / "source")
+    (source / "bokehguide" / "_native.stale.so").touch()
+    with tarfile.open(built("sdist", source, tmp_path)) as archive:
+        archive.extractall(tmp_path, filter="data")
+        assert not any(name.endswith(".so") for name in archive.getnames())
+    (unpacked,) = tmp_path.glob("bokehguide-*/")
+    wheel = built("wheel", unpacked, tmp_path)
+    (extension,) = packaged(wheel) - package_files(unpacked)
+    assert extension.startswith("bokehguide/_native.")
+    paths = {"PYTHONPATH": str(install(wheel, tmp_path / "target"))}
+    assert run("-c", HAS_CORE, folder=tmp_path, **paths).strip() == "True"
 
 
 def run(*arguments, folder, **environment) -> str:
-    """What Python prints, away from this checkout."""
-    kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    """Output of Python, away from this checkout."""
+    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "BOKEHGUIDE_NATIVE")}
     command = [sys.executable, *map(str, arguments)]
-    finished = subprocess.run(command, cwd=folder, env=kept | environment, capture_output=True, text=True, timeout=120)
+    finished = subprocess.run(command, cwd=folder, env=kept | environment, capture_output=True, text=True, timeout=600)
     assert finished.returncode == 0, finished.stdout + finished.stderr
     return finished.stdout

@@ -12,6 +12,7 @@ from bokehguide.guiding.cluster_lights import ClusterSample, MixtureLights
 from bokehguide.render.lights.distant import DistantLight
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
+from bokehguide.runtime import native
 from bokehguide.scene.types import Environment, Material, Scene, Sun, Texture
 from bokehguide.train import RenderLoop, RenderSettings
 from tests.support.choice_cases import OneTable, traced, under
@@ -103,7 +104,8 @@ def everything() -> Scene:
 
 @pytest.mark.parametrize("mode", ["uniform", "lis-b", "guided"])
 def test_no_random_dimension_of_a_path_is_used_twice(mode, monkeypatch):
-    """Of one step of one batch."""
+    """Of one step of one batch, in PyTorch: the native core has the same dimensions, as its agreement shows."""
+    monkeypatch.setenv(native.SWITCH, "0")
     used: list[tuple[str, int]] = []
 
     def noted(name, draw):

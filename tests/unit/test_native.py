@@ -159,7 +159,7 @@ def test_both_instruction_sets_give_the_same_bits(name):
         torch.testing.assert_close(getattr(found, field), getattr(expected, field), rtol=0.0, atol=0.0, equal_nan=True)
 
 
-@pytest.mark.parametrize("mode", ("uniform", pytest.param("lis-o", marks=pytest.mark.slow)))
+@pytest.mark.parametrize("mode", ("uniform", "guided", pytest.param("lis-o", marks=pytest.mark.slow)))
 def test_threads_change_no_bit(mode):
     core()
     scene = load_scene("fairy-lights", Overrides(width=320, height=180))
@@ -217,9 +217,9 @@ def test_the_core_rejects_arrays_of_wrong_sizes():
     found, scene = core(), tables("dark")
     origin, direction, random = rays("dark", 10)
     keys = found.Random(random.step_key, random.seed_key, random.index)
-    good = [origin, direction, None, random.pixel_keys, keys, 2, 1, torch.empty(14, 10), torch.empty(10, dtype=torch.int32)]
+    good = [origin, direction, None, random.pixel_keys, keys, 2, torch.empty(14, 10), torch.empty(10, dtype=torch.int32)]
     scene.trace(*good)
-    for place, wrong in ((0, origin[:, :9].contiguous()), (2, torch.ones(11)), (7, torch.empty(13, 10))):
+    for place, wrong in ((0, origin[:, :9].contiguous()), (2, torch.ones(11)), (6, torch.empty(13, 10))):
         given = list(good)
         given[place] = wrong
         with pytest.raises(ValueError, match="entries"):

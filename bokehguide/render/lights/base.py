@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import NamedTuple, Protocol, Self
 
 from torch import Tensor
@@ -81,6 +82,14 @@ class LightDistribution(Protocol):
     def environment_pdf(self, points: Tensor, directions: Tensor) -> Tensor:
         """Density `[N]` with which points `[3, N]` sample directions `[3, N]` of the environment."""
         ...
+
+
+class CoreLightSampler:
+    """A light sampler that the native core knows beside the `PowerLightSampler`."""
+
+    def core_lights(self, core: ModuleType) -> object:
+        """The distribution of the present epoch, a `LearnedLights` of the native core."""
+        raise NotImplementedError
 
 
 class LightSampler(Protocol):

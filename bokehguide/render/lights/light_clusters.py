@@ -21,34 +21,35 @@ class LightClusters:
     """Clusters of emissive triangles by position and normal, then clusters of texels by direction, then one cluster for each
     distant light.
 
-    count: number of all clusters. triangles: number of clusters of triangles. For elements, see `EnvironmentLight`.
+    count: number of all clusters. triangles: number of clusters of triangles. map: clusters of texels, None where the map is not
+    sampled. first_distant: number of the first distant light's cluster. For elements, see `EnvironmentLight`.
     """
 
     def __init__(self, grid: LightVoxelGrid | None, environment: EnvironmentLight | None):
         self.triangles = grid.clusters if grid else 0
-        self._map = _MapClusters(environment.map) if environment and environment.map and environment.map.power > 0.0 else None
+        self.map = MapClusters(environment.map) if environment and environment.map and environment.map.power > 0.0 else None
         self._distant = environment.distant if environment else []
-        self._first_distant = self.triangles + (self._map.count if self._map else 0)
-        self.count = self._first_distant + len(self._distant)
+        self.first_distant = self.triangles + (self.map.count if self.map else 0)
+        self.count = self.first_distant + len(self._distant)
 
     def sample_element(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Elements `[N]` from clusters `[N]` of the environment, drawn by power from uniform numbers `[2, N]`."""
-        distant = self._first_distant - 1 - cluster
-        if self._map is None:
+        distant = self.first_distant - 1 - cluster
+        if self.map is None:
             return distant
-        texel = self._map.sample_element((cluster - self.triangles).clamp(0, self._map.count - 1), uniforms)
+        texel = self.map.sample_element((cluster - self.triangles).clamp(0, self.map.count - 1), uniforms)
         return torch.where(distant < 0, distant, texel) if self._distant else texel
 
     def cluster(self, element: Tensor) -> Tensor:
         """Cluster `[N]` of each element of the environment."""
-        distant = self._first_distant - 1 - element
-        if self._map is None:
+        distant = self.first_distant - 1 - element
+        if self.map is None:
             return distant
-        return torch.where(element < 0, distant, self.triangles + self._map.cluster(element.clamp(min=0)))
+        return torch.where(element < 0, distant, self.triangles + self.map.cluster(element.clamp(min=0)))
 
     def pdf_within(self, element: Tensor) -> Tensor:
         """Solid-angle density `[N]` of each element of the environment within its cluster."""
-        density = torch.zeros(element.shape, device=element.device) if self._map is None else self._map.pdf(element.clamp(min=0))
+        density = torch.zeros(element.shape, device=element.device) if self.map is None else self.map.pdf(element.clamp(min=0))
         for number, light in enumerate(self._distant, start=1):
             density = torch.where(element == -number, light.density, density)
         return density
@@ -56,16 +57,20 @@ class LightClusters:
     def environment_pdf(self, probability: Callable[[Tensor], Tensor], directions: Tensor, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of unit directions `[3, N]` in the given texels; probability: of clusters `[N]`."""
         density = torch.zeros_like(directions[0])
-        if self._map is not None:
-            density = probability(self.triangles + self._map.cluster(texel)) * self._map.pdf(texel)
+        if self.map is not None:
+            density = probability(self.triangles + self.map.cluster(texel)) * self.map.pdf(texel)
         for number, light in enumerate(self._distant):
-            share = probability(torch.full_like(texel, self._first_distant + number))
+            share = probability(torch.full_like(texel, self.first_distant + number))
             density = density + share * light.density * light.contains(directions)
         return density
 
 
-class _MapClusters:
-    """Clusters of the texels of a map."""
+class MapClusters:
+    """Clusters of the texels of a map.
+
+    count: number of clusters. within: choice among the texels of each cluster. order: texels sorted by cluster, int32 `[H W]`.
+    clusters: cluster of each texel, uint8 `[H W]`. densities: solid-angle density of each texel within its cluster, `[H W]`.
+    """
 
     def __init__(self, light: EnvironmentMap):
         shares, device = light.shares(), light.texels.device
@@ -80,22 +85,22 @@ class _MapClusters:
         cluster = of_block.reshape(down, across).repeat(tall, 0)[: light.height].repeat(wide, 1)[:, : light.width].reshape(-1)
         order = np.argsort(cluster, kind="stable").astype(np.int32)
         starts = np.searchsorted(cluster[order], np.arange(self.count + 1))
-        self._within = AliasTable(shares.reshape(-1)[order], device, starts)
-        self._order, self._cluster = (torch.from_numpy(values).to(device) for values in (order, cluster))
-        self._density = light.uniform_density()
-        self._density[self._order.long()] *= self._within.probability
+        self.within = AliasTable(shares.reshape(-1)[order], device, starts)
+        self.order, self.clusters = (torch.from_numpy(values).to(device) for values in (order, cluster))
+        self.densities = light.uniform_density()
+        self.densities[self.order.long()] *= self.within.probability
 
     def sample_element(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Texels `[N]` of clusters `[N]` from uniform numbers `[2, N]`."""
-        return self._order.index_select(0, self._within.sample(uniforms, cluster))
+        return self.order.index_select(0, self.within.sample(uniforms, cluster))
 
     def cluster(self, texel: Tensor) -> Tensor:
         """Cluster `[N]` of each texel."""
-        return self._cluster.index_select(0, texel).int()
+        return self.clusters.index_select(0, texel).int()
 
     def pdf(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of each texel within its cluster."""
-        return self._density.index_select(0, texel)
+        return self.densities.index_select(0, texel)
 
 
 def _block_directions(row: np.ndarray, column: np.ndarray, rows: int, columns: int) -> np.ndarray:

@@ -1,0 +1,199 @@
+// Learned light sampling at primary hits: guiding/cluster_lights.py, light_sampler.py and render/lights/light_clusters.py.
+
+#pragma once
+
+#include "lights.h"
+
+namespace BOKEHGUIDE_ISA {
+
+using bokehguide::ClusterLights;
+
+constexpr float VOXEL_SHARE = 0.125f;
+constexpr uint32_t FIRST_CANDIDATE = 1u << 16, PER_CANDIDATE = 8;  // random dimensions
+
+// `LearnedLightSampler.tiles`.
+inline Int tile_of(const ClusterLights& c, Vec3 point) {
+    const Vec3 offset = point - Vec3{all(c.position[0]), all(c.position[1]), all(c.position[2])};
+    const auto local = [&](int axis) { return c.axes[axis] * offset.x + c.axes[3 + axis] * offset.y + c.axes[6 + axis] * offset.z; };
+    const auto place = [&](Float x, float last) {
+        x = x / c.tile_size;
+        const Int finite = (bits<Int>(x) & 0x7f800000) != 0x7f800000;
+        return to_int(clamp(finite ? x : all(0.0f), 0.0f, last));
+    };
+    const Float scale = 1.0f / (local(2) * c.pixel_slope);
+    const Int column = place(c.half_width + local(0) * scale, c.last_column), row = place(c.half_height - local(1) * scale, c.last_row);
+    return row * c.across + column;
+}
+
+inline Int bytes_at(const uint8_t* table, Int index) {
+    Int found;
+    for (int lane = 0; lane < LANES; ++lane) found[lane] = table[index[lane]];
+    return found;
+}
+
+// `ClusterSample`.
+struct ClusterSample {
+    LightSample light;
+    Int cluster;
+    Float share;
+};
+
+struct DirectLight {
+    Vec3 direction;
+    Float distance;
+    Vec3 value;
+    Float bsdf_pdf;
+    Int row, cluster;
+    Float contribution_rms;
+};
+
+// Light samples at eight surfaces; active: lanes that count.
+class ClusterSampler {
+  public:
+    ClusterSampler(const Tables& tables, const ClusterLights& lights, Vec3 point, Int active)
+        : t(tables), c(lights), query(tables, point), row(tile_of(lights, point)), active(active) {}
+
+    // `resampled`.
+    DirectLight sample(const Scattering& scattering, const Float (&u)[6], const Random& random, Bits key) const {
+        ClusterSample kept = draw(u);
+        Scattered scattered = scattering.evaluate(kept.light.direction);
+        Vec3 value = contribution(kept.light, scattered);
+        Float bsdf_pdf = scattered.pdf, target = luminance(value) * visibility(kept.cluster), total = target;
+        for (int number = 1; number < c.candidates; ++number) {
+            const uint32_t dimension = FIRST_CANDIDATE + PER_CANDIDATE * uint32_t(number);
+            Float others[7];
+            for (int i = 1; i < 7; ++i) others[i] = uniform(random, key, dimension + uint32_t(i));
+            const Float shifted = u[0] + float(double(number) / c.candidates);
+            others[0] = clamp(shifted - floor(shifted), 0x1p-24f, 1.0f - 0x1p-24f);
+            const ClusterSample other = draw({others[0], others[1], others[2], others[3], others[4], others[5]});
+            scattered = scattering.evaluate(other.light.direction);
+            const Vec3 new_value = contribution(other.light, scattered);
+            const Float new_target = luminance(new_value) * visibility(other.cluster);
+            total = total + new_target;
+            const Int changes = others[6] * total < new_target;
+            kept.light.direction = choose(changes, other.light.direction, kept.light.direction);
+            kept.light.distance = changes ? other.light.distance : kept.light.distance;
+            kept.cluster = changes ? other.cluster : kept.cluster, kept.share = changes ? other.share : kept.share;
+            value = choose(changes, new_value, value), target = changes ? new_target : target;
+            bsdf_pdf = changes ? scattered.pdf : bsdf_pdf;
+        }
+        const Float scale = total / (float(c.candidates) * divisor(target));
+        const Float contribution_rms = luminance(value) * sqrt(kept.share * scale);
+        return {kept.light.direction, kept.light.distance, value * scale, bsdf_pdf, row, kept.cluster, contribution_rms};
+    }
+
+    // Densities of light samples, for MIS: `environment_pdf` and `triangle_pdf` of `MixtureLights`.
+    Float environment_pdf(Vec3 direction) const {
+        if (!t.has_far_power) return all(0.0f);
+        return density(direction, t.map_density == nullptr ? all(0) : texel_at(t, direction));
+    }
+    Float triangle_pdf(Int triangle, Float distance, Float cosine) const {
+        if (t.emitters == 0) return all(0.0f);
+        const Int emitter = emitter_of(t, triangle), known = emitter < 0 ? all(0) : emitter;
+        const Float chosen = share(gather(&t.emitter_rows[0].cluster, known * 16)) * one_if(emitter >= 0);
+        return chosen * emitter_field(t, known, 13) * distance * distance / divisor(abs(cosine), LEAST_COSINE);
+    }
+
+  private:
+    const Tables& t;
+    const ClusterLights& c;
+    PointQuery query;
+    Int row, active;
+
+    // `mis.light_contribution`.
+    static Vec3 contribution(const LightSample& light, const Scattered& scattered) {
+        return scattered.value * light.radiance * (power_heuristic(light.pdf, scattered.pdf) / divisor(light.pdf));
+    }
+    Float visibility(Int cluster) const {
+        return c.cumulative == nullptr ? all(1.0f) : gather(c.visibility, row * c.clusters + cluster);
+    }
+    Float probability(Int cluster) const { return cluster_pdf(c.cumulative, c.levels, row, cluster); }
+
+    // `ClusterTable.sample`.
+    Int table_cluster(Float u) const {
+        const Int before = (row << c.levels) - 1;
+        Int place = before;
+        for (int level = c.levels - 1; level >= 0; --level) {
+            const Int further = place + (1 << level);
+            place = gather(c.cumulative, further) <= u ? further : place;
+        }
+        return place - before;
+    }
+
+    // Probability of clusters of triangles, and density of directions in texels.
+    Float share(Int cluster) const {
+        const Float by_voxel = query.share(t, cluster);
+        return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * probability(cluster);
+    }
+    Float density(Vec3 direction, Int texel) const {
+        const Float by_voxel = query.environment_share * environment_density(t, direction, texel);
+        return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * table_density(direction, texel);
+    }
+
+    ClusterSample draw(const Float (&u)[6]) const {
+        Int cluster = all(0), by_voxel = all(-1), far = u[0] < query.environment_share;
+        if (c.cumulative != nullptr) {
+            by_voxel = u[0] < all(VOXEL_SHARE);
+            cluster = table_cluster((u[0] - VOXEL_SHARE) / (1.0f - VOXEL_SHARE));
+            far = by_voxel ? u[0] < VOXEL_SHARE * query.environment_share : cluster >= c.first_texels;
+        }
+        const Float rest[5] = {u[1], u[2], u[3], u[4], u[5]};
+        if (!t.has_far_power) return draw_triangle(cluster, by_voxel, rest, active);
+        if (t.emitters == 0) return draw_environment(cluster, by_voxel, rest);
+        const ClusterSample sky = draw_environment(cluster, by_voxel, rest), near = draw_triangle(cluster, by_voxel, rest, active & ~far);
+        const LightSample light = {choose(far, sky.light.direction, near.light.direction), far ? sky.light.distance : near.light.distance,
+                                   choose(far, sky.light.radiance, near.light.radiance), far ? sky.light.pdf : near.light.pdf};
+        return {light, far ? sky.cluster : near.cluster, far ? sky.share : near.share};
+    }
+
+    ClusterSample draw_triangle(Int cluster, Int by_voxel, const Float (&u)[5], Int drawn) const {
+        cluster = cluster < c.first_texels ? cluster : all(c.first_texels - 1);
+        if (any(by_voxel)) cluster = by_voxel ? sample_cluster(t, query.cell, u[0]) : cluster;
+        const Float chosen = share(cluster);
+        return {sample_triangle(t, query.point, cluster, chosen, u, drawn), cluster, chosen};
+    }
+
+    ClusterSample draw_environment(Int cluster, Int by_voxel, const Float (&u)[5]) const {
+        Int element = environment_element(t, u);
+        if (c.cumulative != nullptr) element = by_voxel ? element : cluster_element(within(cluster, c.first_texels, c.clusters - 1), u[0], u[1]);
+        const Vec3 direction = environment_direction(t, element, u[2], u[3]);
+        const Int texel = element_texel(t, element, direction);
+        const Float pdf = density(direction, texel);
+        const LightSample light = {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf};
+        return {light, cluster_of(element), pdf / density_within(element)};
+    }
+
+    // `LightClusters.sample_element`, `cluster`, `pdf_within` and `environment_pdf`.
+    Int cluster_element(Int cluster, Float u0, Float u1) const {
+        const Int distant = c.first_distant - 1 - cluster;
+        if (c.texel_table == nullptr) return distant;
+        const Int number = within(cluster - c.first_texels, 0, c.map_clusters - 1), start = gather(c.texel_start, number);
+        const Int texel = gather(c.texel_order, alias_sample(c.texel_table, start, gather(c.texel_start, number + 1) - start, u0, u1));
+        return distant < 0 ? distant : texel;
+    }
+    Int cluster_of(Int element) const {
+        const Int distant = c.first_distant - 1 - element;
+        if (c.texel_table == nullptr) return distant;
+        return element < 0 ? distant : c.first_texels + bytes_at(c.texel_cluster, element > 0 ? element : all(0));
+    }
+    Float density_within(Int element) const {
+        Float density = c.texel_table == nullptr ? all(0.0f) : gather(c.texel_density, element > 0 ? element : all(0));
+        for (int number = 1; number <= t.distant_count; ++number) {
+            density = element == -number ? all(t.distant[number - 1].density) : density;
+        }
+        return density;
+    }
+    Float table_density(Vec3 direction, Int texel) const {
+        Float density = all(0.0f);
+        if (c.texel_table != nullptr) {
+            density = probability(c.first_texels + bytes_at(c.texel_cluster, texel)) * gather(c.texel_density, texel);
+        }
+        for (int number = 0; number < t.distant_count; ++number) {
+            const DistantTable& light = t.distant[number];
+            density = density + probability(all(c.first_distant + number)) * light.density * contains(light, direction);
+        }
+        return density;
+    }
+};
+
+}  // namespace BOKEHGUIDE_ISA

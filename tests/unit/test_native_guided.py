@@ -1,0 +1,192 @@
+"""Agreement of the native core and PyTorch on the traces of the mode `guided`: splits, learned lights, virtual images."""
+
+from functools import cache
+
+import pytest
+import torch
+from torch import Tensor
+
+from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSampleRecorder
+from bokehguide.guiding.virtual_images import HighlightImages
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.native import NativeHits
+from bokehguide.render.path_tracer import PathSamples, PathTracer
+from bokehguide.render.primary_hits import PrimaryHits
+from bokehguide.render.random import PixelRandom
+from bokehguide.render.splitting import SplitPaths
+from bokehguide.render.vector import normalize
+from bokehguide.runtime.timer import PhaseTimer
+from tests.support.native_cases import FEATURES, both_tracers, core, feature_scene, rays
+
+COUNT = 3000
+FLIPS = 0.004
+"""Largest share of paths that rounding may send elsewhere."""
+LIT = tuple(name for name in FEATURES if name != "dark")
+BUILT_IN = ("fairy-lights", "chrome", "daylight", "cutout")
+PIXELS = (96, 54)
+
+
+def differing(found: Tensor, expected: Tensor, tolerance: float = 1e-3) -> float:
+    """Share of columns that differ by more than rounding."""
+    found, expected = found.reshape(-1, found.shape[-1]).double(), expected.reshape(-1, expected.shape[-1]).double()
+    scale = expected.abs().amax(0) + 1e-3
+    return float((((found - expected).abs().amax(0) / scale) > tolerance).double().mean())
+
+
+@cache
+def sampler(name: str, learned: bool) -> LearnedLightSampler:
+    """A light sampler in its first epoch, or after random samples that leave some clusters without any."""
+    _, reference = both_tracers(name)
+    lights = LearnedLightSampler(ThinLensCamera(feature_scene(name).camera, *PIXELS), reference.light_sampler)
+    if learned:
+        generator = torch.Generator().manual_seed(8)
+        tiles, clusters = lights.probability.shape
+        row, cluster = (torch.randint(size, (4000,), generator=generator, dtype=torch.int32) for size in (tiles, clusters))
+        rms, visibility = torch.rand(2, 4000, generator=generator)
+        lights.add(row, cluster, (rms * 4.0).exp(), (visibility > 0.5).float())
+        lights.update(2)
+    return lights
+
+
+class Traced:
+    """A trace of the mode `guided`, and what its observers have."""
+
+    def __init__(self, tracer: PathTracer, name: str, given: tuple[Tensor, Tensor, PixelRandom], learned: bool = True, **options):
+        origin, direction, random = given
+        counts = torch.randint(1, 5, (origin.shape[1],), generator=torch.Generator().manual_seed(4)).float()
+        self.lights, self.images = LightSampleRecorder(), HighlightImages(tracer.geometry, origin.shape[1], 0.2)
+        lit = not tracer.lights.empty
+        self.samples: PathSamples = tracer.trace(
+            origin,
+            direction,
+            random,
+            PhaseTimer(),
+            light_sampler=sampler(name, learned) if lit else None,
+            splitting=SplitPaths(options.pop("counts", counts)),
+            observers=(self.lights, self.images),
+            **options,
+        )
+
+    @property
+    def hits(self) -> PrimaryHits:
+        assert self.samples.primary_hits is not None
+        return self.samples.primary_hits
+
+
+def both(name: str, count: int = COUNT, **options) -> tuple[Traced, Traced]:
+    """The trace in the native core and in PyTorch."""
+    native, reference = (Traced(tracer, name, rays(name, count), **options) for tracer in both_tracers(name))
+    assert isinstance(native.hits, NativeHits) and not isinstance(reference.hits, NativeHits)
+    return native, reference
+
+
+@pytest.mark.parametrize("learned", (False, True))
+@pytest.mark.parametrize("name", (*LIT, "fairy-lights", "daylight"))
+def test_split_paths_agree(name, learned):
+    """Rows of the record agree but for a few paths that rounding sends elsewhere."""
+    alive = torch.rand(COUNT, generator=torch.Generator().manual_seed(3)) - 0.1
+    found, expected = both(name, learned=learned, alive=alive)
+    assert differing(found.samples.radiance, expected.samples.radiance) <= 4.0 * FLIPS
+    for field in ("distance", "normal", "albedo", "emission", "alpha"):
+        assert differing(getattr(found.samples, field), getattr(expected.samples, field)) <= FLIPS, field
+    assert abs(found.samples.rays - expected.samples.rays) <= 2.0 * FLIPS * expected.samples.rays
+    assert torch.equal(found.hits.rays, expected.hits.rays)
+    assert torch.equal(found.hits.counts, expected.hits.counts) and torch.equal(found.hits.owner, expected.hits.owner)
+    for field in ("light_direction", "direct", "scattered_direction", "indirect"):
+        assert differing(getattr(found.hits, field), getattr(expected.hits, field)) <= 3.0 * FLIPS, field
+    for field, values in vars(expected.hits.surface).items():
+        if values is None:
+            assert getattr(found.hits.surface, field) is None
+        else:
+            assert differing(getattr(found.hits.surface, field), values) <= FLIPS, field
+
+
+@pytest.mark.parametrize("learned", (False, True))
+@pytest.mark.parametrize("name", (*LIT, *BUILT_IN))
+def test_records_of_light_samples_agree(name, learned):
+    found, expected = (traced.lights.samples[0] for traced in both(name, learned=learned))
+    assert torch.equal(found.row, expected.row)
+    assert (found.cluster != expected.cluster).float().mean() <= 2.0 * FLIPS
+    assert differing(found.visibility, expected.visibility) <= 2.0 * FLIPS
+    assert differing(found.contribution_rms, expected.contribution_rms) <= 2.0 * FLIPS
+    assert len(expected.cluster.unique()) > 1 or name in ("spot in the dark", "coats", "sheets")
+
+
+@pytest.mark.parametrize("name", ("textures", "coats", "glass", "lamps", "chrome", "fairy-lights"))
+def test_distances_of_virtual_images_agree(name):
+    found, expected = both(name)
+    distances = expected.images.distances()
+    own = expected.samples.distance
+    images = (distances != own) & (distances < 1e30)
+    assert differing(found.images.distances(), distances) <= 4.0 * FLIPS
+    assert differing(found.images.distances()[images], distances[images]) <= 0.05
+    if name in ("glass", "chrome"):
+        assert int(images.sum()) > 20
+
+
+@pytest.mark.parametrize("name", (*LIT, *BUILT_IN))
+def test_primary_hits_are_shaded_as_by_pytorch(name):
+    """Radiance of the hits of one record towards nearby points, by both forms."""
+    native, _ = both_tracers(name)
+    found = Traced(native, name, rays(name, COUNT)).hits
+    expected = PrimaryHits(
+        found.geometry, found.rays, found.hit, found.surface, found.emission, found.counts, found.owner, found.indirect
+    )
+    expected.light_direction, expected.direct = found.light_direction, found.direct
+    expected.scattered_direction = found.scattered_direction
+    generator = torch.Generator().manual_seed(5)
+    chosen = torch.randint(len(found.rays), (2 * COUNT,), generator=generator)
+    outgoing = normalize(found.surface.outgoing[:, chosen] + 0.1 * torch.randn(3, 2 * COUNT, generator=generator))
+    count = int(found.counts[chosen].sum())
+    assert differing(found.radiance(chosen, outgoing, count), expected.radiance(chosen, outgoing, count)) <= 2.0 * FLIPS
+
+
+def test_nan_and_infinite_rays_split_as_in_pytorch():
+    given = rays("lamps", 16)
+    given[1][0, 3], given[1][:, 4], given[0][1, 5] = torch.nan, 0.0, torch.inf
+    found, expected = (Traced(tracer, "lamps", given, max_depth=2) for tracer in both_tracers("lamps"))
+    assert torch.equal(found.hits.rays, expected.hits.rays)
+    whole = torch.tensor([0, 1, 2, *range(6, 16)])
+    assert differing(found.samples.radiance[:, whole], expected.samples.radiance[:, whole]) == 0.0
+
+
+def test_rays_that_all_miss_or_are_dead_have_no_hits():
+    origin, direction, random = rays("spot in the dark", 20)
+    for given in ({"alive": torch.zeros(20)}, {"max_depth": 1}):
+        found, expected = (
+            Traced(tracer, "spot in the dark", (origin, direction, random), **given)
+            for tracer in both_tracers("spot in the dark")
+        )
+        assert found.samples.primary_hits is None and expected.samples.primary_hits is None
+        assert torch.equal(found.images.distances(), expected.images.distances())
+        assert found.lights.samples == expected.lights.samples == []
+
+
+@pytest.mark.parametrize("name", ("textures", "sheets", "lamps", "fairy-lights"))
+def test_a_split_path_does_not_depend_on_its_batch(name):
+    tracer, _ = both_tracers(name)
+    origin, direction, random = rays(name, 2500)
+    counts = torch.randint(1, 17, (2500,), generator=torch.Generator().manual_seed(4)).float()
+    whole = Traced(tracer, name, (origin, direction, random), counts=counts)
+    part = torch.arange(3, 2500, 3)
+    alone = Traced(tracer, name, (origin[:, part], direction[:, part], random.select(part)), counts=counts[part])
+    assert torch.equal(alone.samples.radiance, whole.samples.radiance[:, part])
+    assert torch.equal(alone.images.distances(), whole.images.distances()[part])
+    every = torch.isin(whole.hits.path_rays, part)
+    assert torch.equal(alone.hits.indirect, whole.hits.indirect[:, every])
+    assert torch.equal(alone.lights.samples[0].contribution_rms, whole.lights.samples[0].contribution_rms[every])
+
+
+def test_both_instruction_sets_give_the_same_bits_of_guided():
+    tracer, _ = both_tracers("lamps")
+    if not core().use_avx2(True):
+        pytest.skip("the processor has one instruction set")
+    given = rays("lamps", 1001)
+    found = Traced(tracer, "lamps", given)
+    try:
+        core().use_avx2(False)
+        expected = Traced(tracer, "lamps", given)
+    finally:
+        core().use_avx2(True)
+    torch.testing.assert_close(found.samples.radiance, expected.samples.radiance, rtol=0.0, atol=0.0, equal_nan=True)
+    assert torch.equal(found.images.distances(), expected.images.distances())
