@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import site
 import subprocess
 import sys
 import tarfile
@@ -57,11 +58,11 @@ def test_without_a_compiler_the_wheel_renders_with_pytorch(tmp_path):
     wheel = built("wheel", source, tmp_path, PATH=str(Path(sys.executable).parent), CXX="", CC="")
     assert wheel.name.endswith("-py3-none-any.whl")
     assert packaged(wheel) == package_files(source)
-    paths = {"PYTHONPATH": str(install(wheel, tmp_path / "target"))}
-    assert run("-c", HAS_CORE, folder=tmp_path, **paths).strip() == "False"
-    listed = run("-m", "bokehguide", "scenes", folder=tmp_path, **paths)
+    target = install(wheel, tmp_path / "target")
+    assert run_installed("-c", HAS_CORE, target=target).strip() == "False"
+    listed = run_installed("-m", "bokehguide", "scenes", target=target)
     assert [line.split()[0] for line in listed.splitlines()] == list(BUILTIN)
-    where = run("-c", "import bokehguide; print(bokehguide.__file__)", folder=tmp_path, **paths)
+    where = run_installed("-c", "import bokehguide; print(bokehguide.__file__)", target=target)
     assert Path(where.strip()).is_relative_to(tmp_path)
 
 
@@ -77,8 +78,16 @@ def test_with_a_compiler_the_source_distribution_makes_a_wheel_with_the_native_c
     wheel = built("wheel", unpacked, tmp_path)
     (extension,) = packaged(wheel) - package_files(unpacked)
     assert extension.startswith("bokehguide/_native.")
-    paths = {"PYTHONPATH": str(install(wheel, tmp_path / "target"))}
-    assert run("-c", HAS_CORE, folder=tmp_path, **paths).strip() == "True"
+    assert run_installed("-c", HAS_CORE, target=install(wheel, tmp_path / "target")).strip() == "True"
+
+
+def run_installed(*arguments, target: Path) -> str:
+    """Output of Python with the package in `target`.
+
+    Python's option -S ignores the .pth files of site-packages, one of which may lead to this checkout.
+    """
+    paths = os.pathsep.join([str(target), *site.getsitepackages()])
+    return run("-S", *arguments, folder=target.parent, PYTHONPATH=paths)
 
 
 def run(*arguments, folder, **environment) -> str:

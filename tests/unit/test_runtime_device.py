@@ -12,6 +12,7 @@ import torch
 
 from bokehguide.render.film import Film, FilmSamples
 from bokehguide.runtime.indexing import ActiveEntries, PendingIndices, indices, indices_of_each
+from bokehguide.runtime.native import SWITCH
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.types import Material, Scene, Texture
 from bokehguide.train import RenderLoop, RenderSettings, settings
@@ -63,8 +64,9 @@ MODES = [("fairy-lights", mode) for mode in ("uniform", "lis-o", "guided", "area
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene, mode", [*MODES, ("cutout", "guided"), ("night-street", "guided"), ("painted", "guided")])
-def test_pictures_are_those_of_a_cpu_to_the_bit(scene, mode, device):
-    """Operations that mix devices raise an error."""
+def test_pictures_are_those_of_a_cpu_to_the_bit(scene, mode, device, monkeypatch):
+    """Operations that mix devices raise an error. Both renders use PyTorch: the native core rounds otherwise."""
+    monkeypatch.setenv(SWITCH, "0")
     found = picture(loop_of(scene, mode, device))
     assert found.isfinite().all() and found.max() > 0.0
     assert torch.equal(found, picture(loop_of(scene, mode, "cpu")))
