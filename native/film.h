@@ -50,7 +50,7 @@ inline Int expose(const FilmSums& film, const FilmSamples& s, const PixelLanes& 
     const Float scale = s.radiance_weight == nullptr ? weight : sample(s.radiance_weight), depth = sample(s.depth);
     Float value[3], emission[3], feature[FEATURES];
     for (int i = 0; i < 3; ++i) value[i] = sample(s.radiance + i * s.count) * scale;
-    const Int good = finite((value[0] + value[1]) + value[2]);
+    const Int good = finite((value[0] + value[1]) + value[2]) & finite(weight);
     const Float hit = one_if(depth < all(NO_DEPTH)), kept = one_if(good);
     feature[0] = sample(s.alpha), feature[1] = hit, feature[2] = depth * hit;
     for (int i = 0; i < 3; ++i) {

@@ -225,6 +225,7 @@ def test_a_given_reference_and_insets_of_the_command_line(emitters):
         assert picture.width > 4 * picture.height / 2 > 500
 
 
+@pytest.mark.slow
 def test_a_reference_that_was_made_can_be_given(emitters):
     emitters("--modes", "uniform", against=("--cache", "cache", "--reference-spp", "7"))
     header = read_metadata("out/reference.exr")

@@ -231,6 +231,7 @@ def test_killed_at_random_moments_it_loses_no_more_than_the_last_interval(render
     assert not list(tmp_path.glob(".*")), "what was half written has been cleared away"
 
 
+@pytest.mark.slow
 def test_there_is_a_picture_after_the_first_step_and_with_each_checkpoint(lamps_file, tmp_path):
     shown = []
     for every in ("0", "1e-6"):
@@ -287,6 +288,7 @@ def test_a_picture_that_cannot_be_written_at_the_end_loses_no_sample(render, tmp
     assert read_metadata("a.exr")["spp"] == 3 and not (tmp_path / "a.ckpt").exists()
 
 
+@pytest.mark.slow
 def test_the_log_goes_on_where_the_checkpoint_was(render, tmp_path):
     """Steps that were logged, but lost, are logged once."""
     for spp, options in ((3, ()), (6, ("--resume",))):

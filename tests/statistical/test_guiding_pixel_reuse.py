@@ -221,6 +221,7 @@ def lists_of_pixels(width: int, height: int, seed: int = 0) -> dict[str, torch.T
     return {"whole": slice(0, width * height), "bands": bands, "sparse": few.nonzero()[:, 0]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["whole", "bands", "sparse"])
 @pytest.mark.parametrize("width, height", [(21, 19), (3, 25), (1, 9), (2, 17), (16, 24), (70, 25)])
 def test_groups_are_tiles_within_bands(width, height, kind):
@@ -301,7 +302,10 @@ def no_bias(found: np.ndarray) -> float:
     return same_means(found, np.zeros_like(found))
 
 
-@pytest.mark.parametrize("sheet, sky, learns", [(False, True, 0), (False, True, 2), (True, False, 2)])
+@pytest.mark.parametrize(
+    "sheet, sky, learns",
+    [*(pytest.param(False, True, learns, marks=pytest.mark.slow) for learns in (0, 2)), (True, False, 2)],
+)
 def test_reuse_keeps_the_mean(sheet, sky, learns):
     """Of diffuse, glossy and emitting surfaces before and behind the focal plane, seen past a card, and of the sky."""
     light, weight = pictures(terrace(WIDTH, HEIGHT, sheet, sky), 80, learns)

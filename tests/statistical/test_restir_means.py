@@ -83,6 +83,7 @@ def test_means_are_right_through_a_shaped_aperture():
     assert same_means(rendered("area-restir", shaped()), rendered("uniform", shaped())) > SIGNIFICANCE
 
 
+@pytest.mark.slow
 def test_means_are_right_with_neighbours_on_one_side_and_reconnection_only(monkeypatch):
     look_to_one_side(monkeypatch)
     reconnect_all(monkeypatch)

@@ -74,6 +74,7 @@ def changes(scene):
     yield "the reference", {"grey": 0.2}
 
 
+@pytest.mark.slow
 def test_what_a_run_depends_on_decides_whether_it_is_kept(emitters):
     for what, changed in changes(emitters.scene):
         emitters("uniform")

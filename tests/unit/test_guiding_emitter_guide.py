@@ -179,6 +179,7 @@ def test_long_and_thin_emitters_are_drawn_by_their_outlines(shape, size, least):
     assert shaped > least and shaped > 3.0 * round_
 
 
+@pytest.mark.slow
 def test_the_smallest_parallelograms_have_their_radiance():
     """Half a millimetre at 6 m, seen in all pixels: the mean is its share of the lens, and no pixel is bright."""
     scene = scenes.emitters(32, 18)

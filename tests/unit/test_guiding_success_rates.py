@@ -129,6 +129,7 @@ def test_the_rate_of_a_visible_emitter_is_near_one():
     assert len(rates) > 400 and float(rates.median()) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_mean_is_that_of_the_uniform_lens():
     scene = half_hidden()
     many, few = 1024, 64

@@ -132,6 +132,7 @@ class SlowReuse:
         return chosen * total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["area-restir", "area-restir+lis"])
 def test_the_batched_pass_agrees(mode, monkeypatch):
     monkeypatch.setattr(spatial_reuse, "NEIGHBOURS", NEIGHBOURS)

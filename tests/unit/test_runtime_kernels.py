@@ -20,6 +20,7 @@ from scipy.stats import chisquare
 from bokehguide.image.exr import read_rgb
 from bokehguide.render.lights.alias_table import AliasTable
 from bokehguide.runtime.compile import compiling, kernels
+from bokehguide.runtime.native import SWITCH
 from bokehguide.scene.shapes import transform, transformed, unit_rectangle
 from bokehguide.scene.types import Environment, Material
 from bokehguide.train import RenderLoop, RenderSettings
@@ -33,10 +34,11 @@ needs_a_compiler = pytest.mark.skipif(not any(map(shutil.which, ("g++", "clang++
 
 @pytest.fixture(autouse=True, scope="module")
 def own_cache(tmp_path_factory):
-    """Kernels are kept in a folder that the tests of this file share."""
+    """Kernels are kept in a folder that the tests of this file share. The native core, which needs no kernels, is off."""
     with pytest.MonkeyPatch.context() as patch:
         cache = tmp_path_factory.mktemp("cache")
         patch.setenv("XDG_CACHE_HOME", str(cache))
+        patch.setenv(SWITCH, "0")
         yield cache / "bokehguide" / "kernels"
 
 
@@ -178,6 +180,7 @@ import os, sys
 from pathlib import Path
 import torch
 from bokehguide.runtime.compile import compiling, kernels
+from bokehguide.runtime.native import SWITCH
 
 @kernels.kernel
 def difference(one, other):

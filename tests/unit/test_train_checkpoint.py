@@ -98,6 +98,7 @@ def test_where_batches_were_cut_leaves_no_trace(mode, tmp_path, monkeypatch):
     assert_same_bits(onwards(loop, 18), onwards(again, 18))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["area-restir", "area-restir+lis"])
 def test_so_are_those_of_area_restir(mode, tmp_path):
     loop = rendered(mode, 2)

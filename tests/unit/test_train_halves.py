@@ -117,6 +117,7 @@ def resumed(checkpoint: Path, settings: RenderSettings, ranks: Ranks) -> dict[st
     return state_of(loop)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode, target, block", [("uniform", 0.2, 8), ("guided", 0.03, 32), ("guided", 1e-6, 32)])
 def test_a_render_goes_on_from_its_checkpoint_on_any_number_of_ranks(mode, target, block, tmp_path, monkeypatch):
     """Blocks end as on one rank; pictures and the learned state agree but for the order of sums."""
