@@ -153,6 +153,7 @@ def test_the_tables_say_what_the_json_says(folder, metrics):
         assert float(costs[5].split()[0]) == pytest.approx(facts["at_equal_rays"]["mape"]["insets"], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_figures(folder):
     with Image.open(folder / "out/convergence.png") as picture:
         assert picture.size == (2160, 1470)

@@ -72,6 +72,7 @@ def test_the_scene_file_sets_the_exposure_and_the_option_wins(tmp_path, monkeypa
     assert "film.exposure: 'bright' is not a number; give EV from -100 to 100, or \"auto\"" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_denoised_render_has_both_pictures(tmp_path, monkeypatch, capsys):
     pytest.importorskip("mitsuba_oidn")
     monkeypatch.chdir(tmp_path)
@@ -96,6 +97,7 @@ def test_a_denoised_render_has_both_pictures(tmp_path, monkeypatch, capsys):
     assert (png("c.png") != png("a.png")).any()
 
 
+@pytest.mark.slow
 def test_a_resumed_denoised_render_has_the_same_bits(tmp_path, monkeypatch, capsys):
     pytest.importorskip("mitsuba_oidn")
     monkeypatch.chdir(tmp_path)

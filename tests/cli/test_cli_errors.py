@@ -110,6 +110,7 @@ def test_other_mistakes(arguments, words, tmp_path, monkeypatch, capfd):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_cuda_is_asked_for_where_there_is_none(lamps_file, tmp_path, monkeypatch, bokehguide):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
     finished = bokehguide("render", lamps_file, "--device", "cuda", "--spp", 1)

@@ -36,6 +36,7 @@ def test_the_result_of_the_options_is_told(bokehguide, tmp_path):
         assert len(view.convert("RGB").getcolors(1 << 24)) > 100
 
 
+@pytest.mark.slow
 def test_an_unknown_name_is_one_line(bokehguide):
     finished = bokehguide("info", "cutout", "--focus-on", "glase")
     assert finished.returncode == 2
@@ -43,6 +44,7 @@ def test_an_unknown_name_is_one_line(bokehguide):
     assert error.startswith("bokehguide: error: --focus-on: 'glase' is no object") and "did you mean" in error
 
 
+@pytest.mark.slow
 def test_a_folder_is_created_in_an_existing_one_alone(bokehguide, lamps_file, tmp_path):
     refused = bokehguide("info", lamps_file, "--json", "new/deep/facts.json")
     assert refused.returncode == 2 and "the folder new does not exist" in refused.stderr and not (tmp_path / "new").exists()

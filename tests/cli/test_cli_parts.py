@@ -42,6 +42,7 @@ def test_a_crop_has_the_bits_of_the_frame(crop, box, bokehguide, lamps_file, tmp
     np.testing.assert_array_equal(read_exr(tmp_path / "again.exr")["R"], part["R"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("crop", [(0, 0, 1, 1), (7, 5, 61, 3), (90, 50, 6, 4), (1, 1, 94, 52)])
 def test_no_bit_depends_on_the_batch(crop):
     """A scene with an environment map, emitters, glass and paths of six segments."""

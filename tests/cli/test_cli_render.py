@@ -93,6 +93,7 @@ def test_exposure_is_of_the_png_only(lamps_file, tmp_path, monkeypatch):
     assert 0.0 < mean_level("b.png") < 0.6 * mean_level("a.png")
 
 
+@pytest.mark.slow
 def test_an_interrupted_render_writes_what_is_there(lamps_file, tmp_path):
     command = [sys.executable, "-m", "bokehguide", "render", str(lamps_file), "--spp", "1000000", "--mode", "uniform"]
     command += ["--out", "a.exr", "--json", "a.json"]

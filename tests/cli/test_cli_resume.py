@@ -99,6 +99,7 @@ def test_without_a_checkpoint_it_starts_anew_and_says_so(render, capsys):
     assert read_metadata("a.exr")["spp"] == 2
 
 
+@pytest.mark.slow
 def test_starting_anew_by_mistake_loses_nothing(render, capsys):
     """Of the same render; the checkpoint of another one is replaced."""
     assert render("--spp", 5, "--mode", "uniform", *KEEP) == 0
@@ -124,6 +125,7 @@ def test_a_finished_render_leaves_no_checkpoint(render, tmp_path, capsys, monkey
     assert "ckpt" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_checkpoint_that_was_asked_for_stays(render, tmp_path, monkeypatch):
     """Also when a later command, without the option, adds samples."""
     monkeypatch.setattr("bokehguide.cli.checkpoints.INTERVAL", 1e-6)
@@ -161,6 +163,7 @@ def test_no_checkpoint_where_none_is_wanted(render, tmp_path, capsys):
     assert not (tmp_path / "a.ckpt").exists() and "ckpt" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_what_cannot_be_resumed_is_one_line_and_changes_nothing(render, tmp_path, capsys):
     assert render("--spp", 3, "--mode", "lis", *KEEP) == 0
     written = {path.name: path.read_bytes() for path in tmp_path.iterdir()}

@@ -27,6 +27,7 @@ def test_help_names_every_mode_and_imports_nothing_heavy(bokehguide):
     assert finished.stdout == "set()\n"
 
 
+@pytest.mark.slow
 def test_mistakes_in_options_wait_for_nothing_that_only_scenes_need():
     code = "import sys, bokehguide.train; print({'trimesh', 'scipy', 'kornia', 'matplotlib', 'OpenImageIO'} & set(sys.modules))"
     finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -53,6 +54,7 @@ def test_scenes_are_listed_without_building_them(monkeypatch, capsys):
     assert all(description in out for description in DESCRIPTIONS.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", ["scenes", "info emitters.toml", "--help"])
 def test_a_reader_who_leaves_is_no_error(arguments, lamps_file, monkeypatch):
     monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)  # argparse keeps quiet about what is not buffered
@@ -63,6 +65,7 @@ def test_a_reader_who_leaves_is_no_error(arguments, lamps_file, monkeypatch):
     assert (process.returncode, stderr) == (141, b"")
 
 
+@pytest.mark.slow
 def test_info_tells_what_was_loaded(bokehguide, lamps_file):
     finished = bokehguide("info", lamps_file)
     assert finished.returncode == 0, finished.stderr
@@ -70,6 +73,7 @@ def test_info_tells_what_was_loaded(bokehguide, lamps_file):
     assert "wall" in finished.stdout
 
 
+@pytest.mark.slow
 def test_info_of_nothing(bokehguide):
     finished = bokehguide("info", "fairy-light")
     assert finished.returncode == 2

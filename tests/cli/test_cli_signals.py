@@ -103,6 +103,7 @@ def test_an_interrupt_that_python_would_lose(tmp_path):
     assert code == 130 and "went on" not in stderr
 
 
+@pytest.mark.slow
 def test_temporary_files_go(tmp_path):
     program = f"""if True:
         import sys, time

@@ -58,6 +58,7 @@ def test_damage_is_one_line(text, tmp_path):
         ablations.read_kept(path)
 
 
+@pytest.mark.slow
 def test_a_mistake_is_one_line(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out/ablations.json").write_text("{")

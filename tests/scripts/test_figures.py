@@ -71,6 +71,7 @@ def test_alpha_is_exact_over_an_opaque_background_only_with_the_control_variate(
     assert max(errors["uniform"], errors["lis-o"], errors["guided"]) < 1e-5 < min(errors["counted"], errors["weighted"])
 
 
+@pytest.mark.slow
 def test_a_mistake_is_one_line(tmp_path):
     finished = draw(tmp_path, "fig6", "ocluded")
     assert (finished.returncode, finished.stdout) == (2, "")

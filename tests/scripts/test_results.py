@@ -39,6 +39,7 @@ def test_an_item_is_rendered_stamped_and_then_kept(tmp_path):
     assert (tmp_path / "docs/figures-fig7.md").read_text() == text
 
 
+@pytest.mark.slow
 def test_a_failure_leaves_no_stamp(tmp_path, capfd):
     broken = result_items.Item("broken", "Broken", "", "bench.py", smoke="--size 0x0", output=False, cache=False)
     assert not results.finish(broken, "smoke", tmp_path, tmp_path / "docs")

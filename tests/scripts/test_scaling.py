@@ -34,6 +34,7 @@ def test_costs_are_those_of_the_render(mode):
     assert (costs["guide_mb"] > costs["record_mb"]) == (mode != "uniform")
 
 
+@pytest.mark.slow
 def test_table_and_plot(tmp_path):
     times = {"pixels": {1000: 1.0, 4000: 4.0}, "emitters": {10: 1.0, 1000: 10.0}}
     base = {"first": 1.0, "memory_mb": 100.0, "guide_mb": 1.0, "record_mb": 0.5}

@@ -269,6 +269,7 @@ def test_the_controlled_picture_has_the_mean_of_the_uncontrolled():
     assert agree(controlled, plain) > SIGNIFICANCE
 
 
+@pytest.mark.slow
 def test_even_radiance_keeps_its_mean():
     """Where the emitter is out of sight. The standard error is below 0.1 %."""
     difference = renders(CONTROLLED)[:, :, :, :8].mean((2, 3)) - np.array([1.0, 0.8, 0.6])

@@ -182,6 +182,7 @@ def unlike(loop: RenderLoop, step: Step) -> tuple[int, int]:
     return int(differs.sum()), seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [0, 2])
 @pytest.mark.parametrize("sheet, sky", [(False, True), (True, False), (True, True)])
 def test_reused_samples_are_those_of_plain_loops(sheet, sky, steps):
@@ -205,6 +206,7 @@ def test_plain_loops_agree_where_shading_normals_are_replaced(material):
     assert different == 0 and 30 < seen < 0.8 * sum(step.reused.weight > 0.0) * (LONG * SHORT - 1)
 
 
+@pytest.mark.slow
 def test_plain_loops_agree_through_an_aperture_of_any_shape():
     scene = terrace(12, 10)
     aperture = Aperture(blades=5, rotation=10.0, edge=0.6, cat_eye=0.8)
@@ -319,6 +321,7 @@ def test_reuse_keeps_the_mean_where_shading_normals_are_replaced():
     assert no_bias(light) > SIGNIFICANCE
 
 
+@pytest.mark.slow
 def test_reuse_keeps_the_mean_of_the_sky_at_the_edge_of_a_translucent_sheet():
     """The sheet is in focus: half of the columns see the sky past the sheet, and half through it."""
     across, down = 8, 256
@@ -449,6 +452,7 @@ def test_a_sample_that_is_not_finite_stays_in_its_own_pixel():
         assert torch.equal(step.reused.radiance[:, apart], usual.reused.radiance[:, apart])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("crop", [None, (2, 0, 21, 37)], ids=["frame", "crop"])
 def test_where_batches_are_cut_changes_no_bit(crop, monkeypatch):
     monkeypatch.setattr("bokehguide.train.scheduler.SMALL_BATCH", 40)

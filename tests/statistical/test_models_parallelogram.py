@@ -130,6 +130,7 @@ def test_the_density_integrates_to_one(case):
     assert probabilities(case).sum() == pytest.approx(1.0, abs=2e-3)
 
 
+@pytest.mark.slow
 @BY_NAME
 def test_draws_lie_on_the_parallelogram(case):
     """Evenly along it and, at each place, across what the lens sees there, but for a rim against rounding; none that meets it
@@ -213,6 +214,7 @@ def test_a_ray_along_a_parallelogram_does_not_meet_it():
     assert (density[:2] == 0.0).all() and 0.0 < float(density[2]) < 1e6
 
 
+@pytest.mark.slow
 def test_a_wrong_density_fails(monkeypatch):
     right = ParallelogramEmitters.pdf
     monkeypatch.setattr(ParallelogramEmitters, "pdf", lambda self, *arguments: 1.02 * right(self, *arguments))

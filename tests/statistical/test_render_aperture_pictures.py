@@ -168,6 +168,7 @@ def means_check(found: Estimate) -> float:
     return found.p_value(reference().mean, reference().variance, (8,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["lis", "lis-o"])
 def test_means_while_learning_are_those_of_the_uniform_lens(mode):
     found = emitters(mode, 64, 1)
@@ -208,6 +209,7 @@ def test_a_wrong_transmission_fails_the_means(mutate, spp, monkeypatch):
     assert means_check(emitters("lis", spp, 1)) < SIGNIFICANCE
 
 
+@pytest.mark.slow
 def test_alpha_is_what_is_met_by_the_light_that_passes():
     """Guided or not: a cat's eye darkens the picture and makes nothing transparent."""
     scene = seen_through(Aperture(cat_eye=1.0), scenes.emitters(48, 27))

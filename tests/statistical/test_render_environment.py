@@ -149,6 +149,7 @@ def test_radiance_is_bilinear_and_wraps_around():
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_the_weighted_mean_of_draws_is_the_light_of_where_they_fall():
     light = EnvironmentMap(Environment(peaked_map(), 5.625))
     directions, pdf = light.sample(uniforms(200_000, seed=4))

@@ -98,6 +98,7 @@ def test_guided_depth_is_that_of_the_uniform_lens(files, mode):
     assert t_test(plain - guided, np.sqrt(plain_variance + variance) + 0.02 * plain) > SIGNIFICANCE
 
 
+@pytest.mark.slow
 def test_guided_alpha_is_nearly_as_smooth_as_that_of_the_uniform_lens(files):
     noise = {mode: np.std([render["A"] for render in renders], axis=0).mean() for mode, renders in files.items()}
     assert noise["uniform"] > 0.01 and max(noise["lis-o"], noise["guided"]) < 1.5 * noise["uniform"]

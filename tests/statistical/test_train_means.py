@@ -62,6 +62,7 @@ def test_means_after_learning_are_those_of_the_uniform_lens(mode):
     assert means_check(found, reference_spp(mode)) > SIGNIFICANCE
 
 
+@pytest.mark.slow
 def test_the_reference_sees_the_emitters():
     mean = uniform_reference().mean
     assert mean.max() > 1.0 and np.median(mean) == pytest.approx(0.1, rel=1e-3)

@@ -111,6 +111,7 @@ def another_picture(path):
     write_exr(path, {"beauty": np.ones((20, 32, 3), np.float32)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [os.unlink, lambda path: os.truncate(path, 900), another_picture])
 def test_a_mode_without_its_picture_is_rendered_again(damage, emitters):
     emitters("uniform", "lis")

@@ -18,6 +18,7 @@ def scene() -> Scene:
     return load_scene("cutout", Overrides(width=32, height=18))
 
 
+@pytest.mark.slow
 def test_the_same_scene_has_the_same_fingerprint_whatever_the_spp():
     assert fingerprint(scene(), SETTINGS) == fingerprint(scene(), replace(SETTINGS, spp=8))
 

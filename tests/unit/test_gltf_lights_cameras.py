@@ -178,6 +178,7 @@ def test_the_framing_camera_is_still_there(tmp_path, overrides):
     assert cosine > math.cos(math.radians(camera.fov / 2)), "the model is in the frame"
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_not_there(tmp_path, bokehguide):
     path = photographed().save(tmp_path / "set.glb")
     finished = bokehguide("render", path, "--camera", "back")

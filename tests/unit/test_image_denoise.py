@@ -72,6 +72,7 @@ def test_error_terms_are_unbiased():
     assert (np.abs(np.mean(found, axis=0) - expected) < 4.0 * error).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.4, 0.1, 0.02])
 def test_the_error_ratio_is_that_of_many_pictures(noise):
     """The mean absolute error of the mixture by that of the noisy picture, which the ratio estimates within a fifth."""

@@ -159,6 +159,7 @@ def test_candidates_are_strongest_first_and_within_their_discs():
     assert bool((away <= radius[candidates.gaussian.long()] + 0.71).all())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows, pixels", [(90, 5000), (7, 1 << 21), (7, 300), (1, 1)])
 def test_rasterising_discs_in_chunks_changes_nothing(rows, pixels, monkeypatch):
     """More overlapping discs than a pixel keeps: rasterised all at once, and in strips of rows and chunks of discs."""

@@ -144,6 +144,7 @@ def test_transmittance_is_the_product_over_all_crossings():
     assert (np.abs(found.numpy() - expected) < 1e-5).mean() > 0.997  # an edge may fall to either side
 
 
+@pytest.mark.slow
 def test_nearest_stops_at_each_surface_as_often_as_it_is_opaque():
     meshes, materials = soup()
     origins, directions = rays(40_000)

@@ -118,6 +118,7 @@ def test_places_that_depend_on_sizes_are_not_fixed():
         torch.testing.assert_close(program(*given(count)), function(*given(count)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", [frames, parts])
 def test_nothing_but_results_is_made_of_several_rows(function):
     """Or their loops would not be one."""

@@ -113,6 +113,7 @@ def test_instances_together_are_the_instances_one_by_one():
     np.testing.assert_array_equal(mirrored.triangles, joined([transformed(unit_box(), m) for m in matrices]).triangles)
 
 
+@pytest.mark.slow
 def test_many_spheres_have_fewer_triangles_each(tmp_path, monkeypatch):
     monkeypatch.setattr("bokehguide.scene.shapes.MOST_SPHERES", (2, 4))
     for count, triangles in ((2, 1280), (3, 320), (5, 80)):

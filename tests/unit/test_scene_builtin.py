@@ -203,6 +203,7 @@ def test_a_smooth_sky_has_no_spots():
     assert lens_coverage(scene_with([], sky)) is None
 
 
+@pytest.mark.slow
 def test_info_says_what_was_loaded():
     scene = load_scene("fairy-lights", Overrides(width=320, height=180))
     text = summarize(scene)

@@ -133,6 +133,7 @@ def obj(folder, library: str, image: str):
     return folder / "m.obj"
 
 
+@pytest.mark.slow
 def test_an_objs_materials_and_images_stay_in_its_folder(folder):
     for name in ("{}", "./{}", "/home/someone/{}", "..\\else\\{}"):  # of another disk: looked for beside the model
         scene = load_scene(str(obj(folder, name.format("m.mtl"), name.format("wood.png"))))
@@ -145,6 +146,7 @@ def test_an_objs_materials_and_images_stay_in_its_folder(folder):
         load_scene(str(path), allow_outside=True)
 
 
+@pytest.mark.slow
 def test_a_ply_without_its_image(folder, bokehguide):
     """trimesh would log a traceback, and make an image of its own."""
     header = "ply\nformat ascii 1.0\ncomment TextureFile gone.png\nelement vertex 3\n"

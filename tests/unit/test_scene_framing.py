@@ -68,6 +68,7 @@ def test_the_lamp_of_the_map_is_in_the_frame(folder):
     assert depth[0] > 0.0 and abs(x[0]) < 1.0 and abs(y[0]) < scene.film.height / scene.film.width
 
 
+@pytest.mark.slow
 def test_the_same_files_give_the_same_view(folder):
     overrides = Overrides(environment=str(folder / "lamp.exr"))
     first, second = (load_scene(str(folder / "statue.ply"), overrides).camera for _ in range(2))

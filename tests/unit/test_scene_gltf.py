@@ -38,6 +38,7 @@ def test_factors_and_extensions_come_unquantised(tmp_path):
     assert scene.environment is None, "a model that emits brings its own light"
 
 
+@pytest.mark.slow
 def test_thickness_makes_a_solid_that_absorbs(tmp_path):
     volume = {"thicknessFactor": 0.5, "attenuationColor": [1, 0, 0], "attenuationDistance": 2.5}
     extensions = {"KHR_materials_transmission": {"transmissionFactor": 1.0}, "KHR_materials_volume": volume}

@@ -13,6 +13,7 @@ from tests.support.paths import ASSETS
 needs_assets = pytest.mark.skipif(not ASSETS.is_dir(), reason="no shared assets here")
 
 
+@pytest.mark.slow
 def test_obj_materials(tmp_path):
     Image.new("RGB", (1, 1), (188, 188, 188)).save(tmp_path / "wood.png")
     (tmp_path / "m.mtl").write_text("newmtl emitter\nKd 0.001 0 0\nKe 5 4 3\nnewmtl wood\nKd 0.5 0.5 0.5\nmap_Kd wood.png\n")

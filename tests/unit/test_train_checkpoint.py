@@ -63,6 +63,7 @@ def assert_same_state(one: RenderLoop, other: RenderLoop) -> None:
         assert same, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", GUIDED)
 def test_the_bits_are_those_of_an_uninterrupted_render(mode, tmp_path):
     """Stopped before the first step, within blocks of steps, at their ends, and before and after offsets begin to learn."""
@@ -108,6 +109,7 @@ def test_so_are_those_of_area_restir(mode, tmp_path):
     assert_same_state(loop, again)
 
 
+@pytest.mark.slow
 def test_stopping_after_every_step_changes_nothing(tmp_path):
     loop = RenderLoop(scene(), settings())
     for step in range(1, 13):

@@ -42,6 +42,7 @@ def test_any_number_of_threads_gives_the_same_bits(mode, monkeypatch):
         assert_same_bits(one, rendered(mode, threads))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["lis-o", "guided"])
 def test_so_it_does_where_few_batches_are_guided(mode, monkeypatch):
     """Emitters in some of them, seen through a lens of which 1 / (A / A) is not 1 in single precision."""
