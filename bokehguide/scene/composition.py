@@ -65,7 +65,7 @@ def compose(points: np.ndarray, sight: Sight, emitters: Emitters, film: FilmSett
     sight: of the model. emitters: of the model and its environment. fov: horizontal, degrees. The environment turns only where
     the best view without a turn has no emitter in the frame.
     """
-    points, bright = _thinned(points), _bright_emitters(emitters)
+    points, bright = _thinned(points), _bright_emitters(emitters, float(np.ptp(points, axis=0).max()))
     views = [view for view in _views(points, film, fov) if view.elevation >= _by_shape(points, LOWEST)]
     costs = np.array([_cost(view, _by_shape(points, (HIGH, LOW))) for view in views])
 
@@ -213,12 +213,16 @@ class _BrightEmitters:
         return float((wanted - 12.0 - behind + 180.0) % 360.0 - 180.0)
 
 
-def _bright_emitters(emitters: Emitters) -> _BrightEmitters:
-    """The emitters that are bright enough to count, among the ones that may be in a frame: no sun overhead."""
+def _bright_emitters(emitters: Emitters, size: float) -> _BrightEmitters:
+    """The emitters that are bright enough to count, among the ones that may be in a frame: no sun overhead.
+
+    size: of the model. The irradiance at this distance compares near emitters with emitters at infinity.
+    """
     high = emitters.infinite & (np.abs(emitters.centres[:, 1]) > np.sin(np.radians(OVERHEAD)))
     flux = np.where(high, 0.0, emitters.luminance * np.pi * emitters.radii**2)
-    bright = np.argsort(-flux, kind="stable")[:MOST_EMITTERS]
-    bright = bright[flux[bright] > FAINT * flux.sum()]
+    irradiance = np.where(emitters.infinite, flux, flux / size**2)
+    bright = np.argsort(-irradiance, kind="stable")[:MOST_EMITTERS]
+    bright = bright[irradiance[bright] > FAINT * irradiance.sum()]
     return _BrightEmitters(emitters.centres[bright], flux[bright], emitters.infinite[bright])
 
 

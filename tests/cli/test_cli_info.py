@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 
+@pytest.mark.slow
 def test_the_result_of_the_options_is_told(bokehguide, tmp_path):
     options = (
         "cutout",

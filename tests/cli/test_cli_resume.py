@@ -199,7 +199,10 @@ def test_a_checkpoint_that_cannot_be_written_ends_no_render(render, tmp_path, ca
     assert read_metadata("a.exr")["spp"] == 3 and not (tmp_path / "a.ckpt").exists()
 
 
-@pytest.mark.parametrize(("number", "code", "mode"), [(signal.SIGINT, 130, "guided"), (signal.SIGTERM, 143, "lis-o")])
+@pytest.mark.parametrize(
+    ("number", "code", "mode"),
+    [(signal.SIGINT, 130, "guided"), pytest.param(signal.SIGTERM, 143, "lis-o", marks=pytest.mark.slow)],
+)
 def test_a_signal_finishes_the_step_and_saves(number, code, mode, render, tmp_path):
     with started(tmp_path, "--mode", mode) as process:
         wait_for(process, (tmp_path / "a.ckpt").exists)

@@ -75,11 +75,12 @@ def test_names_that_are_not_utf8(option, lamps_file, tmp_path):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "environment",
     [
         {"PYTHONIOENCODING": "ascii"},
-        pytest.param({"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, marks=pytest.mark.slow),
+        {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
     ],
 )
 def test_encodings_without_the_characters_of_messages(environment, lamps_file, tmp_path):

@@ -49,7 +49,7 @@ def sampler(name: str, learned: bool) -> LearnedLightSampler:
 
 
 class Traced:
-    """A trace of the mode `guided`, and what its observers have."""
+    """A trace of the mode `guided`, and the records of its observers."""
 
     def __init__(self, tracer: PathTracer, name: str, given: tuple[Tensor, Tensor, PixelRandom], learned: bool = True, **options):
         origin, direction, random = given

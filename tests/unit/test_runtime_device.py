@@ -154,7 +154,7 @@ OF_GUIDED = {
 OF_LEARNING = {"indexing.get": 1, "film.light": 1, "step_stats.step_stats": 1}
 """Waits in a step in which the paper's guide learns with a fixed set of Gaussians."""
 WAITS = [
-    pytest.param(scene, *each, marks=[] if scene == "fairy-lights" else [pytest.mark.slow])
+    pytest.param(scene, *each, marks=pytest.mark.slow)
     for scene in ("fairy-lights", "night-street", "painted")
     for each in (("uniform", OF_UNIFORM), ("guided", OF_GUIDED))
 ]

@@ -80,3 +80,22 @@ def test_an_emitter_without_area_does_not_count(tmp_path):
     corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 3 0 0\nv 4 0 0\nv 5 0 0\n"
     (tmp_path / "m.obj").write_text(f"mtllib m.mtl\n{corners}usemtl lamp\nf 1 2 3\nf 4 5 6\n")
     assert np.isfinite(load_scene(str(tmp_path / "m.obj")).camera.position).all()
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_the_view_does_not_depend_on_the_unit_of_a_model_that_shines(folder, scale):
+    """The emitters of the model and of the map keep their proportion: a big model hides no emitter of the map."""
+    cameras = []
+    for unit in (1.0, scale):
+        statue = trimesh.load(folder / "statue.ply")
+        panel = np.array([(-0.1, 0.2, 0.6), (0.1, 0.2, 0.6), (0.1, 0.4, 0.6), (-0.1, 0.4, 0.6)]) * unit
+        lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in (*(statue.vertices * unit), *panel)]
+        lines += ["usemtl grey", *("f {} {} {}".format(*(face + 1)) for face in statue.faces)]
+        first = len(statue.vertices) + 1
+        lines += ["usemtl lit", f"f {first} {first + 1} {first + 2}", f"f {first} {first + 2} {first + 3}"]
+        (folder / "lit.mtl").write_text("newmtl grey\nKd 0.5 0.5 0.5\nnewmtl lit\nKd 0 0 0\nKe 5 5 5\n")
+        (folder / "lit.obj").write_text("\n".join(["mtllib lit.mtl", *lines]) + "\n")
+        scene = load_scene(str(folder / "lit.obj"), Overrides(environment=str(folder / "lamp.exr")))
+        cameras.append((np.array(scene.camera.position) / unit, scene.environment.rotation))
+    np.testing.assert_allclose(cameras[1][0], cameras[0][0], rtol=1e-3)
+    assert cameras[1][1] == cameras[0][1]
