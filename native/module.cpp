@@ -292,10 +292,10 @@ class Scene : Named {
     std::vector<float> cluster_lines_;
 };
 
-// The learned choice among clusters of lights, by the names of `ClusterLights`.
-class LearnedLights : Named {
+// The choice among clusters of lights, by the names of `ClusterLights`.
+class NamedClusterLights : Named {
   public:
-    LearnedLights(nb::dict arrays, nb::dict numbers) : Named(arrays, numbers) {
+    NamedClusterLights(nb::dict arrays, nb::dict numbers) : Named(arrays, numbers) {
         std::memcpy(c.axes, array<float>("axes"), sizeof c.axes), std::memcpy(c.position, array<float>("position"), sizeof c.position);
         const auto real = [&](const char* name) { return float(number(name)); };
         const auto whole = [&](const char* name) { return int32_t(number(name)); };
@@ -365,13 +365,13 @@ SplitRecord split_record(const nb::dict& arrays, size_t rays, bool with_lights) 
 // Returns the number of rays, seconds in Embree, and the numbers of recorded hits and paths.
 nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& direction, const std::optional<Floats>& alive,
                 const Ints& pixel_keys, const Random& random, int max_depth, FloatsOut rows, IntsOut triangle,
-                const std::optional<nb::dict>& split, const LearnedLights* lights, const std::optional<FloatsOut>& images) {
+                const std::optional<nb::dict>& split, const NamedClusterLights* lights, const std::optional<FloatsOut>& images) {
     const size_t count = pixel_keys.size();
     check(origin, 3 * count, "origin"), check(direction, 3 * count, "direction"), check(rows, 14 * count, "rows");
     check(triangle, count, "triangle");
     if (alive) check(*alive, count, "alive");
     if (images) check(*images, 3 * count, "images");
-    if (!split && (lights != nullptr || images)) throw std::invalid_argument("learned lights and images need a record of splits");
+    if (!split && (lights != nullptr || images)) throw std::invalid_argument("cluster lights and images need a record of splits");
     Trace arguments{};
     SplitRecord record{};
     if (split) record = split_record(*split, count, lights != nullptr), arguments.split = &record;
@@ -479,7 +479,7 @@ NB_MODULE(_native, m) {
              nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none())
         .def("incident", &incident)
         .def("reflected", &reflected);
-    nb::class_<LearnedLights>(m, "LearnedLights").def(nb::init<nb::dict, nb::dict>());
+    nb::class_<NamedClusterLights>(m, "ClusterLights").def(nb::init<nb::dict, nb::dict>());
     m.def("expose", &expose, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg());
     m.def("camera_rays", [](const Floats& axes, const Floats& position, const Floats& focus, const Floats& points, FloatsOut rows) {
         const size_t count = rows.size() / 6;

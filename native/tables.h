@@ -95,7 +95,7 @@ struct Random {
     const int32_t (*directions)[30];  // of Sobol' sequences, eight dimensions
 };
 
-// A learned choice among clusters of lights at primary hits (guiding/light_sampler.py and render/lights/light_clusters.py).
+// A choice among clusters of lights at primary hits, by tables of the tiles of a frame (render/lights/light_clusters.py).
 struct ClusterLights {
     // Tiles of the frame, which are the rows of the table
     float axes[9], position[3], pixel_slope, half_width, half_height, tile_size, last_column, last_row;

@@ -16,11 +16,11 @@ from torch import Tensor
 from bokehguide.guiding.cluster_lights import ClusterTables, MixtureLights, VoxelLights
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.lights.base import CoreLightSampler, DirectLight, LightDistribution
+from bokehguide.render.lights.base import DirectLight, LightDistribution, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.power_sampler import PowerLightSampler
 from bokehguide.render.native import cluster_lights
-from bokehguide.render.observer import CoreObserver, CoreReport
+from bokehguide.render.observer import CoreReport, PathObserver
 from bokehguide.render.vector import divisor
 from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.distributed import Ranks, RankSums
@@ -52,8 +52,10 @@ class LightSamples(NamedTuple):
     visibility: Tensor
 
 
-class LightSampleRecorder(CoreObserver):
+class LightSampleRecorder(PathObserver):
     """Records the light samples of one trace whose cluster a table chose. samples: list of at most one batch."""
+
+    in_core = True
 
     def __init__(self) -> None:
         self.samples: list[LightSamples] = []
@@ -65,12 +67,12 @@ class LightSampleRecorder(CoreObserver):
             self.samples.append(LightSamples(row, cluster, contribution_rms * visibility, visibility))
 
     def reported(self, report: CoreReport) -> None:
-        """See `CoreObserver`."""
+        """See `PathObserver`."""
         if report.light_samples is not None:
             self.samples.append(LightSamples(*report.light_samples))
 
 
-class LearnedLightSampler(RankSums, CoreLightSampler):
+class LearnedLightSampler(RankSums, LightSampler):
     """Learns the probabilities with which primary hits sample clusters of lights.
 
     `add` takes the light samples of a step; `update` ends an epoch.
@@ -80,6 +82,7 @@ class LearnedLightSampler(RankSums, CoreLightSampler):
     probability, visibility: probability and expected visibility in the present epoch, `[tiles, clusters]`, 0 in the first epoch.
     """
 
+    in_core = True
     sums: Tensor
     probability: Tensor
     visibility: Tensor
@@ -126,7 +129,7 @@ class LearnedLightSampler(RankSums, CoreLightSampler):
         return MixtureLights(self._power, tiles, tables, self._candidates)
 
     def core_lights(self, core: ModuleType) -> object:
-        """See `CoreLightSampler`."""
+        """See `LightSampler`."""
         made, tables = self._core_lights, self._tables
         if made is None or made[0] is not tables:
             arrays, numbers = self._tile_numbers()

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.lights.base import DirectLight
-from bokehguide.render.observer import CoreObserver, CoreReport, PathObserver
+from bokehguide.render.observer import CoreReport, PathObserver
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import cross, divisor, dot, length, luminance, normalize
@@ -144,12 +144,13 @@ class ImageRecorder(PathObserver):
         return ImageDistances(self, samples.radiance, samples.distance, bright)
 
 
-class HighlightImages(ImageRecorder, CoreObserver):
+class HighlightImages(ImageRecorder):
     """Records virtual images for the rays of a trace whose luminance is above `bright`.
 
     distances: function that returns the apparent distances `[N]` of the light along the rays (see `ImageDistances`).
     """
 
+    in_core = True
     distances: Callable[[], Tensor]
 
     def __init__(self, geometry: Geometry, count: int, bright: float):
@@ -161,7 +162,7 @@ class HighlightImages(ImageRecorder, CoreObserver):
         self.distances = ImageDistances(self, radiance, distance, self._bright).distances
 
     def reported(self, report: CoreReport) -> None:
-        """See `CoreObserver`."""
+        """See `PathObserver`."""
         light, image, continues = report.images
         luminances = luminance(report.radiance)
         bright = luminances > self._bright

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -16,13 +16,14 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.geometry import Geometry, Surface
-from bokehguide.render.lights.base import CoreLightSampler
+from bokehguide.render.lights.base import LightSampler
 from bokehguide.render.lights.light_clusters import LightClusters
 from bokehguide.render.lights.scene_lights import Lights
 from bokehguide.render.materials import NORMAL_MAPS, SLOTS, Materials
-from bokehguide.render.observer import CoreReport
+from bokehguide.render.observer import CoreReport, PathObserver
 from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.splitting import Splitting
 from bokehguide.render.textures import TextureAtlas
 from bokehguide.render.tracer import Hit
 from bokehguide.render.visibility import Visibility
@@ -59,34 +60,52 @@ class NativeTracer:
             return None
         return NativeTracer(native_scene(core, geometry, lights, visibility), geometry)
 
-    def trace(self, given: CoreRays, timer: PhaseTimer) -> tuple[dict[str, Tensor], int]:
-        """Fields of `PathSamples`, and the number of rays traced (see `PathTracer.trace`)."""
-        fields, rays, _ = self._trace(given, timer)
-        return fields, rays
+    def knows(self, *strategies: LightSampler | Splitting | PathObserver) -> bool:
+        """Whether the core is switched on, and knows all strategies of a trace."""
+        return native.core() is not None and all(strategy.in_core for strategy in strategies)
 
-    def trace_split(
-        self, given: CoreRays, counts: Tensor, sampler: CoreLightSampler | None, timer: PhaseTimer
-    ) -> tuple[dict[str, Tensor], int, PrimaryHits | None, CoreReport]:
-        """As `trace`, with paths that split; also returns the primary hits, None without hits, and the report for observers.
-
-        counts: number of paths of each ray, `[N]`. sampler: light sampler of primary hits, None for that by power.
-        """
-        alive = given.alive
-        paths = int((counts if alive is None else counts * (alive > 0.0)).sum(dtype=torch.float64))
-        arrays = {"counts": counts.float().contiguous(), **_hit_arrays(len(counts)), **_path_arrays(paths, sampler is not None)}
-        core, images = native.core(), torch.empty(3, len(counts))
+    def trace(
+        self,
+        given: CoreRays,
+        sampler: LightSampler,
+        splitting: Splitting,
+        observers: Sequence[PathObserver],
+        timer: PhaseTimer,
+    ) -> dict[str, Any]:
+        """Fields of `PathSamples` except the primary hits, which `splitting` gets (see `PathTracer.trace`)."""
+        core = native.core()
         assert core is not None
-        lights = None if sampler is None else sampler.core_lights(core)
-        fields, rays, (hits, paths) = self._trace(given, timer, arrays, lights, images)
+        lights = sampler.core_lights(core)
+        if splitting.counts is None and lights is None and not observers:
+            return self._trace(given, timer)[0]
+        fields, hits, report = self._trace_split(given, splitting.counts, lights, timer)
+        splitting.recorded(hits)
+        for observer in observers:
+            observer.reported(report)
+        return fields
+
+    def _trace_split(
+        self, given: CoreRays, counts: Tensor | None, lights: object | None, timer: PhaseTimer
+    ) -> tuple[dict[str, Any], PrimaryHits | None, CoreReport]:
+        """Fields of `PathSamples`, the primary hits, None without hits, and the report for observers.
+
+        counts: number of paths of each ray, `[N]`, None for one. lights: see `LightSampler.core_lights`.
+        """
+        alive, count = given.alive, given.origin.shape[1]
+        counts = torch.ones(count) if counts is None else counts
+        paths = int((counts if alive is None else counts * (alive > 0.0)).sum(dtype=torch.float64))
+        arrays = {"counts": counts.float().contiguous(), **_hit_arrays(count), **_path_arrays(paths, lights is not None)}
+        images = torch.empty(3, count)
+        fields, (hits, paths) = self._trace(given, timer, arrays, lights, images)
         samples = None
-        if sampler is not None and paths > 0:
+        if lights is not None and paths > 0:
             row, cluster, rms, visibility = (arrays[name][:paths] for name in LIGHT_ROWS)
             samples = (row, cluster, rms, visibility)
         recorded = _recorded(self._scene, self._geometry, arrays, hits, paths) if hits > 0 else None
-        return fields, rays, recorded, CoreReport(fields["radiance"], fields["distance"], images, samples)
+        return fields, recorded, CoreReport(fields["radiance"], fields["distance"], images, samples)
 
-    def _trace(self, given: CoreRays, timer: PhaseTimer, *split: object) -> tuple[dict[str, Tensor], int, tuple[int, int]]:
-        """As `trace`; also returns the numbers of recorded hits and paths. split: last arguments of the core's `trace`."""
+    def _trace(self, given: CoreRays, timer: PhaseTimer, *split: object) -> tuple[dict[str, Any], tuple[int, int]]:
+        """Fields of `PathSamples`, and the numbers of recorded hits and paths. split: last arguments of the core's `trace`."""
         core, count, random = native.core(), given.origin.shape[1], given.random
         assert core is not None
         rows, triangle = torch.empty(ROWS, count), torch.empty(count, dtype=torch.int32)
@@ -96,9 +115,9 @@ class NativeTracer:
             given.origin.contiguous(), given.direction.contiguous(), alive, *keys, given.max_depth, rows, triangle, *split
         )
         timer.add("tracing rays", seconds)
-        fields = dict(zip(("radiance", "normal", "albedo", "emission"), rows[:12].split(3)))
-        fields |= {"distance": rows[12], "alpha": rows[13], "triangle": triangle}
-        return fields, rays, (recorded[0], recorded[1])
+        fields: dict[str, Any] = dict(zip(("radiance", "normal", "albedo", "emission"), rows[:12].split(3)))
+        fields |= {"distance": rows[12], "alpha": rows[13], "triangle": triangle, "rays": rays}
+        return fields, (recorded[0], recorded[1])
 
 
 LIGHT_ROWS = ("light_row", "light_cluster", "light_rms", "light_visibility")
@@ -174,7 +193,7 @@ class NativeHits(PrimaryHits):
 
 
 def cluster_lights(core: ModuleType, clusters: LightClusters, arrays: dict[str, Tensor], numbers: dict[str, float]) -> object:
-    """The `LearnedLights` of the extension; arrays, numbers: tiles and tables, by the names of `ClusterLights` in `tables.h`."""
+    """The `ClusterLights` of the extension; arrays, numbers: tiles and tables, by the names of `ClusterLights` in `tables.h`."""
     numbers = {**numbers, "clusters": clusters.count, "first_texels": clusters.triangles, "first_distant": clusters.first_distant}
     numbers["map_clusters"] = 0
     if clusters.map is not None:
@@ -184,7 +203,7 @@ def cluster_lights(core: ModuleType, clusters: LightClusters, arrays: dict[str, 
         arrays |= {"texel_order": clusters.map.order, "texel_cluster": clusters.map.clusters}
         arrays["texel_density"] = clusters.map.densities
     tables = {name: table.contiguous() for name, table in arrays.items()}
-    return core.LearnedLights(tables, {name: float(value) for name, value in numbers.items()})
+    return core.ClusterLights(tables, {name: float(value) for name, value in numbers.items()})
 
 
 def native_scene(core: Any, geometry: Geometry, lights: Lights, visibility: Visibility) -> Any:

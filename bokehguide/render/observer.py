@@ -19,7 +19,11 @@ class PathObserver:
     The path tracer calls `primary_hit` and `primary_escape` at most once each, with rays, int64 `[K]`. For each later segment,
     the path tracer calls `arrival`. If paths continue after a segment, it calls `vertex`, `light_sample` and `scattered`. The
     arguments are paths, int64 `[K]`. The number of a path is the number of its ray. After `split`, paths have new numbers.
+
+    in_core: whether `reported` replaces all other hooks where the native core traces the paths.
     """
+
+    in_core = False
 
     def primary_hit(self, rays: Tensor, hit: Hit, surface: Surface, emission: Tensor) -> None:
         """Rays have primary hits on surfaces that emit the radiance `emission` `[3, K]` along the rays."""
@@ -48,6 +52,9 @@ class PathObserver:
     def finished(self, radiance: Tensor, distance: Tensor) -> None:
         """The trace has ended, with the radiance `[3, N]` along the rays and the distances `[N]` of the primary hits."""
 
+    def reported(self, report: CoreReport) -> None:
+        """The native core has traced all paths."""
+
 
 class CoreReport(NamedTuple):
     """Report of the native core on a trace of N rays that split into P paths.
@@ -62,14 +69,6 @@ class CoreReport(NamedTuple):
     distance: Tensor
     images: Tensor
     light_samples: tuple[Tensor, Tensor, Tensor, Tensor] | None
-
-
-class CoreObserver(PathObserver):
-    """An observer that takes the report of the native core in place of the events of a trace."""
-
-    def reported(self, report: CoreReport) -> None:
-        """The native core has traced all paths."""
-        raise NotImplementedError
 
 
 class PrimaryHitAOVs(PathObserver):

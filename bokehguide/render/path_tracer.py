@@ -13,19 +13,18 @@ from bokehguide.render import dimensions, mis
 from bokehguide.render.bsdf.dielectric import DELTA_PDF
 from bokehguide.render.bsdf.mixture import Scattering
 from bokehguide.render.geometry import Geometry, Surface
-from bokehguide.render.lights.base import CoreLightSampler, LightSampler
+from bokehguide.render.lights.base import LightSampler
 from bokehguide.render.lights.power_sampler import PowerLightSampler
 from bokehguide.render.lights.scene_lights import Lights
 from bokehguide.render.native import CoreRays, NativeTracer
-from bokehguide.render.observer import CoreObserver, PathObserver, PrimaryHitAOVs
+from bokehguide.render.observer import PathObserver, PrimaryHitAOVs
 from bokehguide.render.paths import Paths, Rays
 from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import PixelRandom
-from bokehguide.render.splitting import UNSPLIT, SplitPaths, Splitting
+from bokehguide.render.splitting import UNSPLIT, Splitting
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import divisor, dot, length
 from bokehguide.render.visibility import Arrivals, Visibility
-from bokehguide.runtime import native
 from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Scene
@@ -96,10 +95,10 @@ class PathTracer:
         observers: the trace calls their methods.
         """
         sampler, max_depth = light_sampler or self.light_sampler, max_depth or self.max_depth
-        given = CoreRays(origin, direction, alive, random, max_depth)
-        found = self._native_samples(given, sampler, splitting, observers, timer)
-        if found is not None:
-            return found
+        if self.native is not None and self.native.knows(sampler, splitting, *observers):
+            given = CoreRays(origin, direction, alive, random, max_depth)
+            fields = self.native.trace(given, sampler, splitting, observers, timer)
+            return PathSamples(**fields, primary_hits=splitting.primary_hits)
         aovs = PrimaryHitAOVs(origin.shape[1], origin.device)
         trace = _Trace(self, sampler, splitting, (aovs, *observers), timer)
         radiance = trace.run(origin, direction, alive, random, max_depth)
@@ -107,31 +106,6 @@ class PathTracer:
         for observer in observers:
             observer.finished(radiance, samples.distance)
         return samples
-
-    def _native_samples(
-        self,
-        given: CoreRays,
-        sampler: LightSampler,
-        splitting: Splitting,
-        observers: Sequence[PathObserver],
-        timer: PhaseTimer,
-    ) -> PathSamples | None:
-        """Samples by the native core; None where the core is missing or does not know a part of the trace."""
-        if self.native is None or native.core() is None:
-            return None
-        by_power = sampler is self.light_sampler
-        if splitting is UNSPLIT and by_power and not observers:
-            fields, rays = self.native.trace(given, timer)
-            return PathSamples(**fields, rays=rays, primary_hits=None)
-        reported = [observer for observer in observers if isinstance(observer, CoreObserver)]
-        known = by_power or (isinstance(sampler, CoreLightSampler) and not self.lights.empty)
-        if not isinstance(splitting, SplitPaths) or not known or len(reported) < len(observers):
-            return None
-        own = sampler if isinstance(sampler, CoreLightSampler) else None
-        fields, rays, splitting.primary_hits, report = self.native.trace_split(given, splitting.counts, own, timer)
-        for observer in reported:
-            observer.reported(report)
-        return PathSamples(**fields, rays=rays, primary_hits=splitting.primary_hits)
 
 
 @dataclass

@@ -18,8 +18,10 @@ class Splitting:
     """Base class: each ray continues as one path from its primary hit, and there is no record of primary hits.
 
     counts: number of paths of each ray, float32 `[N]`, None for one path. primary_hits: record of the trace, None without splits.
+    in_core: whether the native core can replace `split`, `add_direct`, `scattered` and `collect`.
     """
 
+    in_core = False
     counts: Tensor | None = None
     primary_hits: PrimaryHits | None = None
 
@@ -39,8 +41,15 @@ class Splitting:
     def collect(self, radiance: Tensor) -> None:
         """Add the radiance of the paths to the radiance of their rays, `[3, N]`, if the paths have their own array."""
 
+    def recorded(self, hits: PrimaryHits | None) -> None:
+        """The native core has traced all paths, and recorded the primary hits, None without hits."""
 
-UNSPLIT = Splitting()
+
+class _OnePath(Splitting):
+    in_core = True
+
+
+UNSPLIT = _OnePath()
 
 
 class SplitPaths(Splitting):
@@ -49,6 +58,7 @@ class SplitPaths(Splitting):
     counts: whole numbers of at least 1, float32 `[N]`.
     """
 
+    in_core = True
     counts: Tensor
 
     def __init__(self, counts: Tensor):
@@ -83,3 +93,7 @@ class SplitPaths(Splitting):
         """See `Splitting`."""
         if self.primary_hits is not None:
             scatter_add(radiance, self._hits.path_rays, self._hits.direct + self._hits.indirect)
+
+    def recorded(self, hits: PrimaryHits | None) -> None:
+        """See `Splitting`."""
+        self.primary_hits = hits

@@ -48,14 +48,12 @@ class Tracer:
         if not np.isfinite(vertices).all():
             raise ValueError("vertices must be finite")
         log.info("building the tracing structure of %s triangles", f"{len(triangles):,}")
-        with default_signals():  # the builders hold the interpreter's lock
-            core = native.core()
-            self.native = (
-                None if core is None else core.Triangles(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles))
-            )
-            if self.native is None:
+        vertices, triangles, core = np.ascontiguousarray(vertices), np.ascontiguousarray(triangles), native.core()
+        self.native = None if core is None else core.Triangles(vertices, triangles)
+        if self.native is None:
+            with default_signals():  # embreex holds the interpreter's lock
                 self._scene = EmbreeScene(robust=True)
-                self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(vertices), np.ascontiguousarray(triangles))
+                self._mesh = TriangleMesh(self._scene, vertices, triangles)
                 far = np.full((1, 3), 1e30, np.float32)
                 self._scene.run(far, np.ones((1, 3), np.float32))  # commits, before any thread does
 

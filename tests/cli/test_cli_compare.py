@@ -257,7 +257,7 @@ def test_an_interrupted_comparison_keeps_what_is_finished(lamps_file, tmp_path):
     heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     with subprocess.Popen(command, cwd=tmp_path, preexec_fn=heeds, **pipes) as process:
         stderr = ""
-        while "emitters lis:" not in stderr and process.poll() is None:
+        while "/s, MAPE" not in stderr.partition("emitters lis:")[2] and process.poll() is None:
             stderr += process.stderr.read(1)
         process.send_signal(signal.SIGINT)
         stderr += process.communicate(timeout=60)[1]

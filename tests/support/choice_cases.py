@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bokehguide.guiding.cluster_lights import ClusterTables, MixtureLights
 from bokehguide.guiding.light_sampler import LightSampleRecorder
-from bokehguide.render.lights.base import LightDistribution
+from bokehguide.render.lights.base import LightDistribution, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.power_sampler import PowerLightSampler
 from bokehguide.render.path_tracer import PathSamples, PathTracer
@@ -26,11 +26,14 @@ ROOM_RAY: Ray = ((0.1, 1.3, 1.5), (-0.1, -0.8, -1.5))
 """Origin and direction of a ray to the floor of `rooms.room`."""
 
 
-class Everywhere:
+class Everywhere(LightSampler):
     """A light sampler of the distributions that a function makes for points."""
 
     def __init__(self, distribution_of: Callable[[torch.Tensor], LightDistribution]):
-        self.at = distribution_of
+        self._distribution_of = distribution_of
+
+    def at(self, points: Tensor) -> LightDistribution:
+        return self._distribution_of(points)
 
 
 def learned_choice(power: PowerLightSampler, count: int, spread: float = 2.0) -> MixtureLights:
@@ -45,7 +48,7 @@ def learned_choice(power: PowerLightSampler, count: int, spread: float = 2.0) ->
 
 
 @dataclass
-class OneTable:
+class OneTable(LightSampler):
     """A light sampler with one row of a table for all points, in proportion to weights, uniform without any.
 
     epoch: first step of the table; candidates: light samples of which resampling keeps one.

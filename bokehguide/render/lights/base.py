@@ -84,17 +84,18 @@ class LightDistribution(Protocol):
         ...
 
 
-class CoreLightSampler:
-    """A light sampler that the native core knows beside the `PowerLightSampler`."""
+class LightSampler:
+    """Base class: selects a distribution of light samples for each surface by its position.
 
-    def core_lights(self, core: ModuleType) -> object:
-        """The distribution of the present epoch, a `LearnedLights` of the native core."""
-        raise NotImplementedError
+    in_core: whether the native core can draw from the distributions.
+    """
 
-
-class LightSampler(Protocol):
-    """Selects a distribution of light samples for each surface by its position."""
+    in_core = False
 
     def at(self, points: Tensor) -> LightDistribution:
         """Distribution at points `[3, N]` in world space."""
-        ...
+        raise NotImplementedError
+
+    def core_lights(self, core: ModuleType) -> object | None:
+        """The present distributions, as `ClusterLights` of the native core; None for those of the `PowerLightSampler`."""
+        return None

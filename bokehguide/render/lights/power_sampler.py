@@ -10,20 +10,21 @@ from torch import Tensor
 from bokehguide.render import mis
 from bokehguide.render.bsdf.mixture import Scattering
 from bokehguide.render.geometry import Surface
-from bokehguide.render.lights.base import DirectLight, LightSample
+from bokehguide.render.lights.base import DirectLight, LightSample, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.scene_lights import Lights, PointQuery
 from bokehguide.render.random import PixelRandom
 from bokehguide.runtime.compile.kernels import kernel
 
 
-class PowerLightSampler:
+class PowerLightSampler(LightSampler):
     """Samples lights by the unshadowed light that they may send into a cell of the voxel grid: the path tracer's default.
 
     The sampler is also the distribution that `at` returns. The distribution depends on the cell of a point, and never changes.
     """
 
     first_step = 1
+    in_core = True
 
     def __init__(self, lights: Lights):
         self.lights = lights
