@@ -56,6 +56,14 @@ def most_triangles(stored: int) -> int:
     return min(MAX_TRIANGLES, FREE_TRIANGLES + stored)
 
 
+MAX_DECODED, DECODED_PER_BYTE = 2**27, 64
+
+
+def most_decoded(stored: int) -> int:
+    """Largest number of bytes to which compressed buffers of `stored` bytes may decode. Real meshes reach a factor of 20."""
+    return MAX_DECODED + DECODED_PER_BYTE * stored
+
+
 MAX_INT = 2**31 - 1
 """Largest whole number in the header of an EXR file."""
 

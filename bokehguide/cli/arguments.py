@@ -168,6 +168,8 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     focus.add_argument("--focus-at", type=point, metavar="X,Y", help=at)
     focus.add_argument("--focus-on", metavar="NAME", help="focus on the visible part of an object, a glTF node or a material")
     add("--camera", metavar="NAME", help="a camera of the model by name or number, or `frame`: one that frames the model")
+    add("--variant", metavar="NAME", help="a material variant of a glTF model (default: its own materials)")
+    add("--time", type=float, metavar="SECONDS", help="draw a glTF model's animations at this time (default: the pose at rest)")
     add("--camera-position", type=vector, metavar="X,Y,Z", help="metres")
     add("--camera-target", type=vector, metavar="X,Y,Z", help="metres")
     add("--fov", type=float, metavar="DEG", help="horizontal field of view in degrees")

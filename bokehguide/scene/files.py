@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.limits import FREE_INSTANCES, FREE_MESHES, MESH_BYTES, most_triangles, most_values
+from bokehguide.limits import FREE_INSTANCES, FREE_MESHES, MESH_BYTES, most_decoded, most_triangles, most_values
 from bokehguide.scene.tables import Table, shown
 
 KINDS = {"file": "model", "image": "image"}
@@ -28,6 +28,8 @@ class SceneFiles:
     def __init__(self, folder: Path, allow_outside: bool = False):
         self.folder, self.allow_outside = folder.resolve(), allow_outside
         self._values = self._stored = 0
+        self._decoded = self._compressed = 0
+        """Bytes of buffers after and before their decompression."""
         self._geometry = 0
         """Bytes of the files with geometry that were read."""
         self._images: dict[tuple[bytes, bool, bool], np.ndarray] = {}
@@ -107,6 +109,18 @@ class SceneFiles:
             raise BokehguideError(
                 f"{place}: the scene's images would decode from {self._stored:,} bytes to {self._values:,} values, "
                 "more than any picture needs; give smaller images"
+            )
+
+    def reserve_decoded(self, decoded: int, stored: int, place: str) -> None:
+        """Add a buffer of `decoded` bytes, compressed to `stored` bytes, to the budget.
+
+        Raises BokehguideError, naming `place`, if the scene's buffers exceed the budget.
+        """
+        self._decoded, self._compressed = self._decoded + decoded, self._compressed + stored
+        if self._decoded > most_decoded(self._compressed):
+            raise BokehguideError(
+                f"{place}: the scene's buffers would decode from {self._compressed:,} to {self._decoded:,} bytes, "
+                "more than any mesh needs; save the file uncompressed"
             )
 
 

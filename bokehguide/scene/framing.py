@@ -35,7 +35,7 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
     infinity have a diameter of HIGHLIGHT of its width. A model without emitters gets a soft sky, unless `overrides` set the
     environment. Raises BokehguideError as `load_model` does.
     """
-    model = load_model(path, files)
+    model = load_model(path, files, state=overrides.state)
     meshes = model.meshes + model.emitters
     lit = model.suns or any(model.materials[mesh.material].emits for mesh in meshes)
     scene = Scene(

@@ -17,12 +17,13 @@ import numpy as np
 from bokehguide.color import srgb_to_linear
 from bokehguide.errors import BokehguideError, reason
 from bokehguide.scene.files import SceneFiles, require_file
+from bokehguide.scene.ktx2 import Ktx2, is_ktx2
 
 if TYPE_CHECKING:
     from PIL import Image
 
-FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
-"""File formats of textures. Pillow decodes more formats, some of them with external programs."""
+FORMATS = ("PNG", "JPEG", "WEBP", "AVIF", "BMP", "TGA", "TIFF")
+"""File formats of textures that Pillow decodes, beside KTX 2. Pillow knows more, some of them with external programs."""
 
 
 def load_texture(path: Path, files: SceneFiles, srgb: bool, alpha: bool = False) -> np.ndarray:
@@ -44,6 +45,12 @@ def _decode(data: bytes, place: str, files: SceneFiles, srgb: bool, alpha: bool)
     """`decode_texture` of a new image."""
     from PIL import Image
 
+    if is_ktx2(data):
+        with _decoding(place):
+            packed = Ktx2(data)
+        files.reserve(4 * packed.width * packed.height, len(data), place)
+        with _decoding(place):
+            return _linear(packed.pixels(alpha), srgb, alpha)
     with _decoding(place):
         image = Image.open(BytesIO(data), formats=FORMATS)
     files.reserve(4 * image.width * image.height, len(data), place)

@@ -31,6 +31,8 @@ from bokehguide.scene.validation import checked
 log = logging.getLogger(__name__)
 
 MODEL_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+MODEL_OVERRIDES = ("camera", "variant", "time")
+"""Overrides that make sense for a model alone."""
 
 
 def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> Scene:
@@ -45,8 +47,10 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
     """
     name = spec.name if isinstance(spec, Scene) else os.fspath(spec)
     suffix = "" if isinstance(spec, Scene) else Path(spec).suffix.lower()
-    if overrides.camera is not None and suffix not in MODEL_SUFFIXES:
-        raise BokehguideError(f"--camera: {overrides.camera!r}: selects a camera of a model, but {name} is none; leave it out")
+    for key in MODEL_OVERRIDES:
+        value = getattr(overrides, key)
+        if value is not None and suffix not in MODEL_SUFFIXES:
+            raise BokehguideError(f"--{key}: {value!r}: selects a {key} of a model, but {name} is none; leave it out")
     log.info("loading %s", printable(name, 120))
     files = SceneFiles(Path() if isinstance(spec, Scene) else Path(spec).parent, allow_outside)
     with located(name):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.types import LightSizes, Model
+from bokehguide.scene.types import LightSizes, Model, ModelState
 
 FOREIGN = {
     ".blend": "export it from Blender as glTF (File > Export > glTF 2.0) and give the .glb",
@@ -28,12 +28,14 @@ def refuse_format(path: Path, place: str) -> None:
         raise BokehguideError(f"{place}: a {path.suffix.lower()} file; {remedy}")
 
 
-def load_model(path: Path, files: SceneFiles | None = None, sizes: LightSizes | None = None) -> Model:
+def load_model(
+    path: Path, files: SceneFiles | None = None, sizes: LightSizes = LightSizes(), state: ModelState = ModelState()
+) -> Model:
     """Read a model file. Instances become triangles; the file's normals are kept.
 
     files: the files that the model may name, by default those in its folder. sizes: of a glTF
-    file's lights. Raises BokehguideError for a missing, damaged or empty file, values that are not
-    finite and indices out of range.
+    file's lights. state: variant and time of a glTF file. Raises BokehguideError for a missing, damaged or empty file, values
+    that are not finite, indices out of range, and a state that the file does not have.
     """
     refuse_format(path, str(path))
     require_file(path, "model")
@@ -41,8 +43,10 @@ def load_model(path: Path, files: SceneFiles | None = None, sizes: LightSizes | 
     if path.suffix.lower() in (".glb", ".gltf"):
         from bokehguide.scene.gltf import load_gltf
 
-        model = load_gltf(path, files, sizes or LightSizes())
+        model = load_gltf(path, files, sizes, state)
     else:
+        if state != ModelState():
+            raise BokehguideError(f"{path}: has neither variants nor animations, as glTF files may have; leave variant and time out")
         from bokehguide.scene.mesh_files import load_mesh_file
 
         model = load_mesh_file(path, files)

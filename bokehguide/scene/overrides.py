@@ -14,7 +14,7 @@ from bokehguide.scene.cameras import FOCUS_KEYS, Focus, read_camera, read_focus
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
-from bokehguide.scene.types import Camera, Environment, FilmSettings, Scene, Vector
+from bokehguide.scene.types import Camera, Environment, FilmSettings, ModelState, Scene, Vector
 
 NUMBERS = {"f_number": POSITIVE, "aperture_radius": NOT_NEGATIVE, "focus_distance": IN_FRONT, "fov": ANGLE_OF_VIEW}
 APERTURE = {key: f"aperture_{key}" for key in APERTURE_KEYS}
@@ -32,7 +32,7 @@ class Overrides:
     corner, or in fractions of the frame if both are at most 1. focus_on: focuses on the visible part
     of an object, glTF node or material of this name. fov: horizontal, degrees; a scene with an
     f-number keeps it. camera: name or number of a model's camera, or "frame" for a camera that frames
-    the model. aperture_blades, aperture_rotation, aperture_curvature, aperture_ratio, aperture_cat_eye,
+    the model. variant: name of a material variant of a glTF model. time: of the animations of a glTF model, in seconds. aperture_blades, aperture_rotation, aperture_curvature, aperture_ratio, aperture_cat_eye,
     aperture_edge, aperture_image: single fields of `Aperture`; the image is a path.
 
     Raises BokehguideError, naming the command-line option, for a value out of range.
@@ -50,6 +50,8 @@ class Overrides:
     camera_target: Vector | None = None
     fov: float | None = None
     camera: str | None = None
+    variant: str | None = None
+    time: float | None = None
     aperture_blades: int | None = None
     aperture_rotation: float | None = None
     aperture_curvature: float | None = None
@@ -68,6 +70,8 @@ class Overrides:
         options.count("height", 1)
         options.text("environment")
         options.text("camera")
+        options.text("variant")
+        options.number("time", 0.0)
         for key, limits in NUMBERS.items():
             options.number(key, 1.0, limits)
         for key in ("camera_position", "camera_target"):
@@ -78,6 +82,11 @@ class Overrides:
     def given(self) -> dict[str, Any]:
         """The values that are not None, by name."""
         return {key: value for key, value in asdict(self).items() if value is not None}
+
+    @property
+    def state(self) -> ModelState:
+        """The state of a model that `variant` and `time` ask for."""
+        return ModelState(self.variant, self.time)
 
     @property
     def focus(self) -> Focus | None:

@@ -440,6 +440,18 @@ class LightSizes:
 
 
 @dataclass(frozen=True)
+class ModelState:
+    """The state in which a model is drawn.
+
+    variant: name of one of its material variants; None draws its own materials. time: of its animations, in seconds; None draws
+    the pose at rest.
+    """
+
+    variant: str | None = None
+    time: float | None = None
+
+
+@dataclass(frozen=True)
 class ModelCamera:
     """A camera of a model file; `forward` and `up` are unit vectors, `vertical_fov` is in degrees."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pygltflib
+from fuzzing.gltf_samples import packed_glb
 
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
@@ -19,6 +20,8 @@ class Builder:
     def __init__(self) -> None:
         self.gltf = pygltflib.GLTF2(scene=0, scenes=[pygltflib.Scene(nodes=[])])
         self.data = bytearray()
+        self.placeholder = 0
+        """Bytes of a second buffer without data, to which compressed views refer."""
 
     def view(self, data: bytes, stride: int | None = None) -> int:
         self.data += b"\0" * (-len(self.data) % 4)
@@ -26,6 +29,16 @@ class Builder:
         self.gltf.bufferViews.append(view)
         self.data += data
         return len(self.gltf.bufferViews) - 1
+
+    def packed(self, data: bytes, count: int, stride: int, name: str = "EXT_meshopt_compression", /, **values: object) -> int:
+        """A view of `count` elements of `stride` bytes, compressed to `data`; values: of the extension."""
+        number = self.view(data)
+        view = self.gltf.bufferViews[number]
+        extension = {"buffer": 0, "byteOffset": view.byteOffset, "byteLength": len(data), "byteStride": stride, "count": count}
+        view.buffer, view.byteOffset, view.byteLength = 1, self.placeholder, count * stride
+        view.extensions = {name: extension | values}
+        self.placeholder += count * stride
+        return number
 
     def accessor(self, array: np.ndarray, normalized: bool = False, **changes: object) -> int:
         """`[N]` or `[N, width]`, tightly packed."""
@@ -77,6 +90,10 @@ class Builder:
     def save(self, path) -> str:
         """Write `path`, a `.glb` or a `.gltf` with a data URI."""
         self.gltf.buffers = [pygltflib.Buffer(byteLength=len(self.data))]
+        if self.placeholder:  # pygltflib would fill the second buffer
+            self.gltf.buffers.append(pygltflib.Buffer(byteLength=self.placeholder))
+            path.write_bytes(packed_glb(self.gltf.to_json().encode(), bytes(self.data)))
+            return str(path)
         self.gltf.set_binary_blob(bytes(self.data))
         if path.suffix == ".gltf":
             self.gltf.convert_buffers(pygltflib.BufferFormat.DATAURI)

@@ -8,9 +8,12 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from bokehguide.errors import BokehguideError
 from bokehguide.scene import load_scene
+from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.gltf.accessors import read_raw
+from bokehguide.scene.gltf.document import read_document
 from bokehguide.scene.model_files import load_model
+from bokehguide.scene.types import ModelState
 from tests.support.paths import ASSETS
 
 MODELS = ASSETS / "models"
@@ -98,10 +101,38 @@ def test_instances_as_blender_makes_them():
     assert any("EXT_mesh_gpu_instancing" in line for line in model.supported)
 
 
-def test_an_unsupported_required_extension():
-    path = MODELS / "conformance" / "14_emission_strength" / "14_emission_strength.gltf"
-    with pytest.raises(BokehguideError, match="extensionsRequired: KHR_materials_pbrSpecularGlossiness: not supported"):
-        load_model(path)
+def test_specular_glossiness_of_the_conformance_file():
+    model = load_model(MODELS / "conformance" / "14_emission_strength" / "14_emission_strength.gltf")
+    assert model.warnings == () and any("pbrSpecularGlossiness (9)" in line for line in model.supported)
+    assert sum(material.metallic == 0.0 and material.specular_color != (1.0, 1.0, 1.0) for material in model.materials) == 9
+
+
+@pytest.mark.parametrize("name", ["Ingenuity.glb", "japanese-bridge-garden.glb"])
+def test_meshopt(name):
+    """As many triangles as the accessors say, within their bounds, and unit normals."""
+    data = (MODELS / name).read_bytes()
+    document = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+    assert document["extensionsRequired"][0] == "EXT_meshopt_compression"
+    model = load_model(MODELS / name)
+    accessors, meshes = document["accessors"], document["meshes"]
+    drawn = [mesh for node in document["nodes"] if "mesh" in node for mesh in meshes[node["mesh"]]["primitives"]]
+    assert sum(len(mesh.triangles) for mesh in model.meshes) == sum(accessors[p["indices"]]["count"] for p in drawn) // 3
+    assert model.warnings == () and any("compressed by meshoptimizer" in line for line in model.supported)
+    decoded = read_document(MODELS / name, SceneFiles(MODELS))
+    bounded = [number for number, accessor in enumerate(accessors) if "max" in accessor]
+    for number in bounded:
+        values = read_raw(decoded, number, accessors[number]["type"])
+        np.testing.assert_allclose(values.min(axis=0), accessors[number]["min"], rtol=1e-6)
+        np.testing.assert_allclose(values.max(axis=0), accessors[number]["max"], rtol=1e-6)
+    assert len(bounded) >= len(drawn)
+
+
+def test_a_truck_that_drives():
+    """The wheels turn by the animation; the body stays."""
+    path = MODELS / "CesiumMilkTruck.glb"
+    rest, moved = load_model(path), load_model(path, state=ModelState(time=0.3))
+    changed = {a.name: not np.allclose(a.vertices, b.vertices, atol=1e-4) for a, b in zip(rest.meshes, moved.meshes)}
+    assert any(changed.values()) and not all(changed.values()) and moved.warnings == ()
 
 
 def test_draco():

@@ -177,12 +177,12 @@ def test_a_compression_that_is_not_read(tmp_path):
     """With a fallback, as the extension allows, the file is readable; without one its buffer is empty."""
     path = tmp_path / "packed.gltf"
     document = rich(tmp_path)
-    document["bufferViews"][1]["extensions"] = {"EXT_meshopt_compression": {}}
-    path.write_text(json.dumps(document | {"extensionsUsed": ["EXT_meshopt_compression"]}))
-    assert "packed.gltf: EXT_meshopt_compression: has no effect" in load_scene(str(path)).warnings
+    document["bufferViews"][1]["extensions"] = {"X_packing": {}}
+    path.write_text(json.dumps(document | {"extensionsUsed": ["X_packing"]}))
+    assert "packed.gltf: X_packing: has no effect" in load_scene(str(path)).warnings
     document["buffers"].append({"byteLength": 48})
     path.write_text(json.dumps(replaced(document, "bufferViews/1/buffer", 1)))
-    assert "buffers[1]: has no data, and EXT_meshopt_compression is not read; save" in message(path)
+    assert "buffers[1]: has no data, and X_packing is not read; save" in message(path)
 
 
 def test_a_glb_that_is_cut_or_of_another_version(tmp_path):

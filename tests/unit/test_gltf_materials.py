@@ -7,6 +7,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pygltflib
 import pytest
+from fuzzing.ktx2_samples import ETC1S, UASTC
 from PIL import Image
 
 from bokehguide.errors import BokehguideError
@@ -148,14 +149,15 @@ def test_texture_coordinates_that_are_not_there(tmp_path):
     assert scene.warnings == ("lost.glb: textures without their TEXCOORD_1: their first texel is used (meshes[0])",)
 
 
-@pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP"])
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "AVIF"])
 def test_kinds_of_images(tmp_path, kind):
     builder = Builder()
     data = picture(Image.new("RGB", (8, 8), (188, 188, 188)), kind)
     number = builder.texture(data)
-    if kind == "WEBP":
-        builder.gltf.textures[number] = pygltflib.Texture(extensions={"EXT_texture_webp": {"source": 0}})
-        builder.gltf.extensionsRequired.append("EXT_texture_webp")
+    if kind in ("WEBP", "AVIF"):
+        name = f"EXT_texture_{kind.lower()}"
+        builder.gltf.textures[number] = pygltflib.Texture(extensions={name: {"source": 0}})
+        builder.gltf.extensionsRequired.append(name)
     builder.material({"baseColorTexture": pygltflib.TextureInfo(index=number)})
     material = only_material(builder, tmp_path / "image.glb")
     np.testing.assert_allclose(material.base_color_texture.image, GREY, atol=1e-2)
@@ -183,13 +185,47 @@ def test_eight_bits_of_palettes_and_greys(tmp_path):
     assert load_texture(tmp_path / "palette.png", SceneFiles(tmp_path), srgb=True, alpha=True).shape == (2, 2, 4)
 
 
-def test_a_ktx2_texture_with_another_form_takes_that(tmp_path):
+@pytest.mark.parametrize(("data", "near"), [(ETC1S, 3), (UASTC, 1)])
+def test_ktx2(tmp_path, data, near):
+    """The extension's image replaces the other one. Alpha stays where the material needs it, without sRGB."""
     builder = Builder()
     number = builder.texture(picture(Image.new("RGB", (1, 1), (188, 188, 188))))
+    builder.gltf.images.append(pygltflib.Image(bufferView=builder.view(data), mimeType="image/ktx2"))
     builder.gltf.textures[number].extensions = {"KHR_texture_basisu": {"source": 1}}
-    builder.gltf.images.append(pygltflib.Image(mimeType="image/ktx2", uri="none.ktx2"))
-    builder.material({"baseColorTexture": pygltflib.TextureInfo(index=number)})
-    np.testing.assert_allclose(only_material(builder, tmp_path / "k.glb").base_color_texture.image, GREY, atol=1e-4)
+    builder.gltf.extensionsRequired.append("KHR_texture_basisu")
+    builder.material({"baseColorTexture": pygltflib.TextureInfo(index=number)}, alphaMode="MASK")
+    material = only_material(builder, tmp_path / "k.glb")
+    corners = material.base_color_texture.image[[1, 1, 6, 6], [1, 6, 1, 6]]
+    wanted = [[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 1, 128 / 255]]
+    np.testing.assert_allclose(corners, wanted, atol=near * 2.3 / 255)
+    assert load_texture(_file(tmp_path, data), SceneFiles(tmp_path), srgb=False).shape == (8, 8, 3)
+
+
+def _file(folder, data: bytes):
+    (folder / "texture.ktx2").write_bytes(data)
+    return folder / "texture.ktx2"
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda data: data[:60], "cut short"),
+        (lambda data: data[:200], "not a valid|corrupt|could not"),
+        (lambda data: data[:20] + b"\0\0\0\1" + data[24:], "not a valid|size|level"),
+        (lambda data: data[:36] + b"\6" + data[37:], "no single two-dimensional image"),
+        (lambda data: data[:98] + b"\xff" + data[99:], "a level is larger than the image"),
+    ],
+)
+def test_damaged_ktx2(tmp_path, change, reason):
+    with pytest.raises(BokehguideError, match=rf"texture\.ktx2: unreadable texture \(.*({reason})"):
+        load_texture(_file(tmp_path, change(UASTC)), SceneFiles(tmp_path), srgb=False)
+
+
+def test_a_huge_ktx2_is_refused_before_it_is_decoded(tmp_path):
+    data = bytearray(UASTC)
+    data[20:28] = np.array([2**15, 2**15], np.uint32).tobytes()
+    with pytest.raises(BokehguideError, match="more than any picture needs|unreadable texture"):
+        load_texture(_file(tmp_path, bytes(data)), SceneFiles(tmp_path), srgb=False)
 
 
 @pytest.mark.parametrize(

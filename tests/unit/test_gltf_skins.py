@@ -1,38 +1,13 @@
 """glTF skins: vertices go where the joints are, and nowhere else."""
 
 import numpy as np
-import pygltflib
 import pytest
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import load_scene
 from bokehguide.scene.summary import summarize
 from tests.support.gltf_builder import SQUARE, Builder
-
-NORMALS = np.array([[0, 0, 1]] * 4, np.float32)
-JOINTS = np.array([[0, 1, 0, 0]] * 4, np.uint8)
-LEFT_AND_RIGHT = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0], [1, 0, 0, 0]], np.float32)
-"""The square's left vertices follow joint 0, the right ones joint 1."""
-TURNED = [0.0, 0.7071068, 0.0, 0.7071068]
-"""A quarter about +y: z becomes x, and x becomes -z."""
-
-
-def skinned(weights=LEFT_AND_RIGHT, joints=JOINTS, bind=None, first=None, second=None, **node) -> Builder:
-    """A square on two joints, whose own node is far away; bind: inverse bind matrices `[2, 4, 4]`."""
-    builder = Builder()
-    mesh = builder.mesh(NORMAL=NORMALS, JOINTS_0=joints, WEIGHTS_0=weights)
-    builder.node(mesh=mesh, **({"skin": 0, "translation": [100.0, 0.0, 0.0]} | node))
-    inner = builder.node(root=False, **(second or {}))
-    outer = builder.node(children=[inner], **(first or {}))
-    skin = pygltflib.Skin(joints=[outer, inner])
-    if bind is not None:
-        columns = np.ascontiguousarray(np.asarray(bind, np.float32).transpose(0, 2, 1)).reshape(-1, 16)
-        view = builder.view(columns.tobytes())
-        builder.gltf.accessors.append(pygltflib.Accessor(bufferView=view, componentType=5126, count=len(columns), type="MAT4"))
-        skin.inverseBindMatrices = len(builder.gltf.accessors) - 1
-    builder.gltf.skins.append(skin)
-    return builder
-
+from tests.support.gltf_skin import JOINTS, TURNED, skinned
 
 def mesh_of(builder: Builder, folder):
     (mesh,) = load_scene(builder.save(folder / "skin.glb")).meshes
@@ -42,7 +17,7 @@ def mesh_of(builder: Builder, folder):
 def test_the_node_of_a_skinned_mesh_does_not_move_it(tmp_path):
     scene = load_scene(skinned().save(tmp_path / "skin.glb"))
     np.testing.assert_allclose(scene.meshes[0].vertices, SQUARE)
-    assert scene.warnings == () and "skins: 1, in the pose of the file" in summarize(scene)
+    assert scene.warnings == () and "skins: 1, at rest" in summarize(scene)
 
 
 def test_vertices_follow_their_joints(tmp_path):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -20,10 +20,14 @@ import numpy as np
 from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.limits import MAX_INT
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.gltf.meshopt_views import compression, decode_view
 from bokehguide.scene.tables import ANY, Limits, Table, is_number, shown
+from bokehguide.scene.vectors import Vector, as_vector
 from bokehguide.stopping import default_signals
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+ROUNDING = 1e-6
+"""Relative error of numbers in files: a white of 1.00000012 is 1 plus one digit of single precision."""
 Default = TypeVar("Default", int, None)
 
 
@@ -59,16 +63,24 @@ class Part(Table):
             self.fail(key, f"is not a whole number from 0 to {most}; repair the file")
         return int(value)
 
+    def number(self, key: str, default: float | None, limits: Limits = ANY) -> float:
+        """A number within `limits`, as exporters round it."""
+        return _rounded(super().number(key, default, _tolerant(limits)), limits)
+
+    def vector(self, key: str, default: Vector | None, limits: Limits = ANY) -> Vector:
+        """Three numbers, each within `limits`, as exporters round them."""
+        return as_vector(_rounded(value, limits) for value in super().vector(key, default, _tolerant(limits)))
+
     def numbers(self, key: str, count: int, default: tuple[float, ...], limits: Limits = ANY) -> tuple[float, ...]:
-        """`count` numbers, each within `limits`."""
+        """`count` numbers, each within `limits`, as exporters round them."""
         if key not in self:
             return default
         values = self.values[key]
         if not (isinstance(values, list) and len(values) == count and all(map(is_number, values))):
             self.fail(key, f"is not a list of {count} numbers; repair the file")
-        if not all(map(limits.contains, values)):
+        if not all(map(_tolerant(limits).contains, values)):
             self.fail(key, f"is out of range; give {count} values, each {limits.remedy}")
-        return tuple(map(float, values))
+        return tuple(_rounded(float(value), limits) for value in values)
 
     def part(self, key: str) -> Part:
         """The object `key`, empty if absent."""
@@ -98,6 +110,16 @@ class Part(Table):
         return printable(name) if isinstance(name, str) and name.strip() else self.path
 
 
+def _tolerant(limits: Limits) -> Limits:
+    """`limits` that also contain a value above the largest by an error of rounding."""
+    return replace(limits, high=limits.high * (1.0 + ROUNDING))
+
+
+def _rounded(value: float, limits: Limits) -> float:
+    """`value`, or the largest value of `limits` if it is just above."""
+    return limits.high if limits.high < value <= _tolerant(limits).high else value
+
+
 def _named(value: Any) -> str:
     """The suffix of an object's path: its name in parentheses, or nothing."""
     name = value.get("name") if isinstance(value, dict) else None
@@ -121,6 +143,7 @@ class Document:
     unstored: dict[int, int] = field(default_factory=dict)
     _items: dict[str, list[Part]] = field(default_factory=dict)
     _buffers: dict[int, bytes] = field(default_factory=dict)
+    _decoded: dict[int, bytes] = field(default_factory=dict)
     _read: dict[Path, bytes] = field(default_factory=dict)
 
     @property
@@ -169,12 +192,21 @@ class Document:
         return values
 
     def view(self, index: int) -> memoryview:
-        """The bytes of a buffer view."""
+        """The bytes of a buffer view, decoded if it is compressed."""
         view = self.items("bufferViews")[index]
-        data = self._buffer(self.required(view, "buffer", "buffers"), view)
-        start, length = view.whole("byteOffset", 0), view.whole("byteLength", 0)
+        packed = compression(view)
+        if packed is None:
+            return self._stored(view)
+        if index not in self._decoded:
+            self._decoded[index] = decode_view(self, view, packed, self._stored(packed))
+        return memoryview(self._decoded[index])
+
+    def _stored(self, part: Part) -> memoryview:
+        """The bytes in a buffer that `part` refers to, a buffer view or an extension of one."""
+        data = self._buffer(self.required(part, "buffer", "buffers"), part)
+        start, length = part.whole("byteOffset", 0), part.whole("byteLength", 0)
         if start + length > len(data):
-            view.fail("byteLength", f"from byte {start} on is beyond its buffer's {len(data)} bytes; repair the file")
+            part.fail("byteLength", f"from byte {start} on is beyond its buffer's {len(data)} bytes; repair the file")
         return memoryview(data)[start : start + length]
 
     def _buffer(self, index: int, view: Part) -> bytes:

@@ -5,43 +5,43 @@ from __future__ import annotations
 from itertools import islice
 
 from bokehguide.errors import BokehguideError, printable
+from bokehguide.scene.gltf.animations import POINTER
 from bokehguide.scene.gltf.document import Document
 from bokehguide.scene.gltf.draco import DRACO
 from bokehguide.scene.gltf.lights import EXTENSION as LIGHTS
+from bokehguide.scene.gltf.meshopt_views import EXTENSIONS as MESHOPT
 from bokehguide.scene.gltf.nodes import INSTANCING
-from bokehguide.scene.gltf.textures import TRANSFORM, WEBP
+from bokehguide.scene.gltf.specular_glossiness import EXTENSION as GLOSSINESS
+from bokehguide.scene.gltf.textures import FORMATS, TRANSFORM
+from bokehguide.scene.gltf.variants import EXTENSION as VARIANTS
 
 MATERIAL_EXTENSIONS = (
     *("KHR_materials_emissive_strength", "KHR_materials_transmission", "KHR_materials_ior"),
-    *("KHR_materials_volume", "KHR_materials_clearcoat", "KHR_materials_specular", "KHR_materials_unlit"),
+    *("KHR_materials_volume", "KHR_materials_clearcoat", "KHR_materials_specular", "KHR_materials_unlit", GLOSSINESS),
 )
-SUPPORTED = {*MATERIAL_EXTENSIONS, DRACO, LIGHTS, INSTANCING, TRANSFORM, WEBP, "KHR_mesh_quantization"}
-
-EXPLAINED = {
-    "KHR_materials_pbrSpecularGlossiness": "the metallic-roughness values are used",
-    "KHR_materials_variants": "the default variant is drawn",
-    "KHR_texture_basisu": "the fallback image is used, if there is one",
-}
+SUPPORTED = {*MATERIAL_EXTENSIONS, *MESHOPT, *FORMATS, DRACO, LIGHTS, INSTANCING, TRANSFORM, VARIANTS, "KHR_mesh_quantization"}
+HARMLESS = {POINTER}
+"""Unsupported extensions without which a model at rest is complete, even if the file requires them."""
 
 
 def check_required(document: Document) -> None:
     """Raise BokehguideError if the file requires unsupported extensions."""
-    unknown = [name for name in document.names("extensionsRequired") if name not in SUPPORTED]
+    unknown = [name for name in document.names("extensionsRequired") if name not in SUPPORTED | HARMLESS]
     if unknown:
         raise BokehguideError(
             f"{document.file}: extensionsRequired: {printable(', '.join(unknown), 200)}: not supported; save the file without"
         )
 
 
-def note_ignored(document: Document) -> None:
-    """Note features of the file that no other part of the loader reads."""
+def note_ignored(document: Document, at_rest: bool) -> None:
+    """Note features of the file that no other part of the loader reads. at_rest: whether no animation is drawn."""
     used = {*document.names("extensionsUsed")}
     for material in document.items("materials"):
         used |= {*material.extensions}
     for name in sorted(used - SUPPORTED):
-        document.note(f"{name}: {EXPLAINED.get(name, 'has no effect')}")
-    if document.items("animations"):
-        document.note("animations: the model is drawn in its rest pose")
+        document.note(f"{name}: has no effect")
+    if at_rest and document.items("animations"):
+        document.note("animations: the model is drawn in its rest pose; give a time to draw another")
 
 
 def warnings(document: Document) -> list[str]:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
+from bokehguide.scene.gltf.animations import duration
 from bokehguide.scene.gltf.document import Document
 from bokehguide.scene.gltf.extensions import MATERIAL_EXTENSIONS
+from bokehguide.scene.gltf.meshopt_views import compression
 from bokehguide.scene.gltf.nodes import INSTANCING
 from bokehguide.scene.gltf.textures import Textures, textures_of
-from bokehguide.scene.types import Material, Mesh, ModelCamera, Sun
+from bokehguide.scene.gltf.variants import variant_names
+from bokehguide.scene.types import Material, Mesh, ModelCamera, ModelState, Sun
 
 
 def supported(
@@ -21,8 +24,12 @@ def supported(
     suns: Sequence[Sun],
     cameras: Sequence[ModelCamera],
     radius: float,
+    state: ModelState,
 ) -> Iterator[str]:
-    """Lines on material extensions, textures, vertex colours, instances, skins, lights and cameras."""
+    """Lines on compression, materials and variants, textures, vertex colours, instances, poses, lights and cameras."""
+    packed = sum(compression(view) is not None for view in document.items("bufferViews"))
+    if packed:
+        yield f"buffer views compressed by meshoptimizer: {packed}"
     extensions = Counter(
         name.removeprefix("KHR_materials_")
         for material in document.items("materials")
@@ -31,6 +38,9 @@ def supported(
     )
     if extensions:
         yield f"materials with {_counted(extensions)}"
+    variants = variant_names(document)
+    if variants:
+        yield f"variants: {', '.join(variants)}; drawn: {state.variant or 'the materials without a variant'}"
     modes = Counter(material.alpha_mode for material in materials if material.alpha_mode != "opaque")
     if modes:
         yield f"alpha modes: {_counted(modes)}"
@@ -44,7 +54,13 @@ def supported(
         yield f"instances of {INSTANCING}, as separate triangles"
     skins = sum("skin" in node for node in document.items("nodes"))
     if skins:
-        yield f"skins: {skins}, in the pose of the file"
+        yield f"skins: {skins}, {'at rest' if state.time is None else f'at {state.time:g} s'}"
+    morphed = sum(any("targets" in each for each in mesh.parts("primitives")) for mesh in document.items("meshes"))
+    if morphed:
+        yield f"meshes with morph targets: {morphed}"
+    animations = [f"{each.label}{_until(duration(document, each))}" for each in document.items("animations")]
+    if animations:
+        yield f"animations: {', '.join(animations)}; drawn: {'none' if state.time is None else f'{state.time:g} s'}"
     spots = sum(emitter.emission_cone is not None for emitter in emitters)
     lights = {"point": len(emitters) - spots, "spot": spots, "sun": len(suns)}
     if emitters or suns:
@@ -52,6 +68,11 @@ def supported(
         yield f"lights: {_counted({kind: count for kind, count in lights.items() if count})}{size}"
     if cameras:
         yield "cameras: " + ", ".join(f"{number} {camera.name}" for number, camera in enumerate(cameras))
+
+
+def _until(seconds: float | None) -> str:
+    """The end of an animation in parentheses."""
+    return "" if seconds is None else f" (to {seconds:.3g} s)"
 
 
 def _counted(counts: dict[str, int]) -> str:

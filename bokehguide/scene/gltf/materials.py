@@ -6,6 +6,8 @@ import math
 from typing import Any
 
 from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.specular_glossiness import EXTENSION as GLOSSINESS
+from bokehguide.scene.gltf.specular_glossiness import specular_glossiness
 from bokehguide.scene.gltf.textures import Textures
 from bokehguide.scene.tables import ANY, FRACTION, IOR, NOT_NEGATIVE, POSITIVE
 from bokehguide.scene.types import Material, Vector, as_vector
@@ -26,33 +28,43 @@ def read_materials(document: Document, textures: Textures) -> list[Material]:
 
 def _material(part: Part, textures: Textures) -> Material:
     """One material of the file."""
-    pbr = part.part("pbrMetallicRoughness")
-    red, green, blue, opacity = pbr.numbers("baseColorFactor", 4, (*WHITE, 1.0), FRACTION)
     mode = part.text("alphaMode") or "OPAQUE"
     if mode not in ALPHA_MODES:
         part.fail("alphaMode", f"is none of {', '.join(ALPHA_MODES)}; repair the file")
-    normal = part.part("normalTexture")
+    normal, model = part.part("normalTexture"), specular_glossiness if GLOSSINESS in part.extensions else _metallic_roughness
     material = Material(
         name=part.label,
-        base_color=(red, green, blue),
-        metallic=pbr.number("metallicFactor", 1.0, FRACTION),
-        roughness=pbr.number("roughnessFactor", 1.0, FRACTION),
-        ior=_ior(part, textures.document),
         emission=_emission(part),
         double_sided=part.flag("doubleSided"),
-        opacity=opacity,
         alpha_mode=ALPHA_MODES[mode],
         alpha_cutoff=part.number("alphaCutoff", Material.alpha_cutoff, NOT_NEGATIVE),
         normal_scale=normal.number("scale", 1.0, ANY),
-        base_color_texture=textures.read(pbr, "baseColorTexture", srgb=True, alpha=mode != "OPAQUE"),
-        metallic_roughness_texture=textures.read(pbr, "metallicRoughnessTexture"),
         emission_texture=textures.read(part, "emissiveTexture", srgb=True),
         normal_texture=textures.read(part, "normalTexture"),
-        **_specular(part, textures),
+        **model(part, textures, alpha=mode != "OPAQUE"),
         **_clearcoat(part, textures),
         **_transmission(part, textures),
     )
     return _unlit(material) if "KHR_materials_unlit" in part.extensions else material
+
+
+def _metallic_roughness(part: Part, textures: Textures, alpha: bool) -> dict[str, Any]:
+    """The fields of `Material` from the core's model, KHR_materials_ior and KHR_materials_specular.
+
+    alpha: the opacity has an effect.
+    """
+    pbr = part.part("pbrMetallicRoughness")
+    red, green, blue, opacity = pbr.numbers("baseColorFactor", 4, (*WHITE, 1.0), FRACTION)
+    return {
+        "base_color": (red, green, blue),
+        "opacity": opacity,
+        "base_color_texture": textures.read(pbr, "baseColorTexture", srgb=True, alpha=alpha),
+        "metallic": pbr.number("metallicFactor", 1.0, FRACTION),
+        "roughness": pbr.number("roughnessFactor", 1.0, FRACTION),
+        "metallic_roughness_texture": textures.read(pbr, "metallicRoughnessTexture"),
+        "ior": _ior(part, textures.document),
+        **_specular(part, textures),
+    }
 
 
 def _ior(part: Part, document: Document) -> float:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.gltf.accessors import read_floats
+from bokehguide.scene.gltf.animations import Pose
 from bokehguide.scene.gltf.document import Document, Part
 
 INSTANCING = "EXT_mesh_gpu_instancing"
@@ -25,10 +27,10 @@ class Placed:
     groups: tuple[str, ...] = ()
 
 
-def place_nodes(document: Document) -> list[Placed]:
+def place_nodes(document: Document, pose: Pose) -> list[Placed]:
     """All nodes of the default scene in the file's order, parents first.
 
-    Raises BokehguideError for a node with two parents and for a cycle.
+    pose: replaces translations, rotations and scales. Raises BokehguideError for a node with two parents and for a cycle.
     """
     nodes = document.items("nodes")
     placed, seen = [], set()
@@ -40,10 +42,10 @@ def place_nodes(document: Document) -> list[Placed]:
             problem = "has two parents or is its own ancestor; repair the file"
             raise BokehguideError(f"{document.file}: {node.path}: {problem}")
         seen.add(index)
-        matrix = parent.matrix
-        if any(key in node for key in TRANSFORM):
+        matrix, posed = parent.matrix, pose.of(node)
+        if posed or any(key in node for key in TRANSFORM):
             with np.errstate(over="ignore", invalid="ignore"):
-                matrix = parent.matrix @ local_matrix(node)
+                matrix = parent.matrix @ local_matrix(node, posed)
         placed.append(Placed(node, matrix, _names_above(parent)))
         if "children" in node:
             waiting += [(child, placed[-1]) for child in reversed(document.links(node, "children", "nodes"))]
@@ -68,8 +70,11 @@ def _roots(document: Document) -> list[int]:
     return [index for index in range(len(document.items("nodes"))) if index not in children]
 
 
-def local_matrix(node: Part) -> np.ndarray:
-    """The matrix `[4, 4]` of a node relative to its parent, from `matrix` or translation, rotation and scale."""
+def local_matrix(node: Part, posed: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The matrix `[4, 4]` of a node relative to its parent, from `matrix` or translation, rotation and scale.
+
+    posed: the values that replace those of the node, by key.
+    """
     if "matrix" in node:
         return np.reshape(node.numbers("matrix", 16, ()), (4, 4)).T
     rotation = np.array(node.numbers("rotation", 4, (0.0, 0.0, 0.0, 1.0)))
@@ -77,7 +82,8 @@ def local_matrix(node: Part) -> np.ndarray:
         node.fail("rotation", "is not a rotation; give a quaternion of length 1")
     translation = np.array(node.numbers("translation", 3, (0.0, 0.0, 0.0)))
     scale = np.array(node.numbers("scale", 3, (1.0, 1.0, 1.0)))
-    return _matrices(translation[None], rotation[None], scale[None])[0]
+    at_rest = {"translation": translation, "rotation": rotation, "scale": scale}
+    return _matrices(*(posed.get(key, value)[None] for key, value in at_rest.items()))[0]
 
 
 def instance_matrices(document: Document, placed: Placed, most: int) -> np.ndarray:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.gltf.accessors import as_floats, read_indices, read_raw
 from bokehguide.scene.gltf.document import Document, Part
 from bokehguide.scene.gltf.draco import DRACO, read_draco
+from bokehguide.scene.gltf.morphs import morph
 from bokehguide.scene.gltf.skins import SKINNING, blended, skinned
 from bokehguide.scene.gltf.textures import uv_sets
 from bokehguide.scene.shapes import unit_normals
@@ -19,24 +22,30 @@ SILENT = ("_", "TEXCOORD_", "TANGENT", "JOINTS_", "WEIGHTS_")
 """Prefixes of attributes that cause no note if they are not read. Notes name the features that use them."""
 
 
-def read_primitive(
-    document: Document, primitive: Part, name: str, number: int, material: Material, joints: np.ndarray | None = None
-) -> Mesh | None:
-    """One primitive in its mesh's space, None without triangles.
+@dataclass(frozen=True)
+class Deformation:
+    """How a node deforms its mesh. weights: of the morph targets. joints: matrices `[J, 4, 4]` of a skin, which transform the
+    mesh to world space; None without a skin."""
 
-    name: the mesh's, for notes. number, material: index and contents of the material, which selects
-    the attributes. joints: matrices `[J, 4, 4]` of a skin, which transform it to world space. Raises
+    weights: tuple[float, ...] = ()
+    joints: np.ndarray | None = None
+
+
+def read_primitive(
+    document: Document, primitive: Part, name: str, number: int, material: Material, deformation: Deformation
+) -> Mesh | None:
+    """One primitive in its mesh's space, in world space with a skin; None without triangles.
+
+    name: the mesh's, for notes. number, material: index and contents of the material, which selects the attributes. Raises
     BokehguideError naming file, primitive and remedy for invalid data.
     """
     if primitive.whole("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
         document.note("points and lines: left out", name)
         return None
-    if primitive.values.get("targets"):
-        document.note("morph targets: the model is drawn in its rest pose", name)
     wanted = KINDS | {f"TEXCOORD_{set_}": ("VEC2",) for set_ in range(max(uv_sets(material), 1))}
     if material.normal_texture is not None or material.clearcoat_normal_texture is not None:
         wanted |= {"TANGENT": ("VEC4",)}
-    if joints is not None:
+    if deformation.joints is not None:
         wanted |= SKINNING
     stored, indices = _arrays(document, primitive, wanted)
     if "POSITION" not in stored:
@@ -49,11 +58,12 @@ def read_primitive(
     if any(len(array) != count for array in stored.values()):
         counts = ", ".join(f"{len(array)} of {key}" for key, array in stored.items())
         raise BokehguideError(f"{document.file}: {primitive.path}: attributes differ in their counts ({counts}); repair the file")
-    stored, triangles = _compact(stored, triangles)
+    used, triangles = _compact(count, triangles)
     attributes = primitive.part("attributes")
-    arrays = {key: as_floats(values, _is_normalized(document, attributes, key)) for key, values in stored.items()}
-    if joints is not None:
-        arrays, triangles = _posed(document, primitive, arrays, triangles, joints, name)
+    arrays = {key: as_floats(values[used], _is_normalized(document, attributes, key)) for key, values in stored.items()}
+    morph(document, primitive, arrays, deformation.weights, used, name)
+    if deformation.joints is not None:
+        arrays, triangles = _posed(document, primitive, arrays, triangles, deformation.joints, name)
     vertices = arrays["POSITION"]
     normals = _normals(document, arrays.get("NORMAL"), vertices, triangles, name)
     tangents = arrays.get("TANGENT") if normals is not None else None
@@ -171,14 +181,13 @@ def _colors(colors: np.ndarray | None) -> np.ndarray | None:
     return np.concatenate([colors, opaque], axis=1).clip(0.0, 1.0)
 
 
-def _compact(arrays: dict[str, np.ndarray], triangles: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Attributes and triangles without unused vertices, if there are more vertices than triangle corners.
+def _compact(count: int, triangles: np.ndarray) -> tuple[np.ndarray | slice, np.ndarray]:
+    """The used ones of `count` vertices, and triangles without the others, if there are more vertices than triangle corners.
 
     Primitives often share one large vertex buffer: the time for each must not grow with the buffer. Indices out of range stay,
     for the check of `Mesh`.
     """
-    count = len(arrays["POSITION"])
     if count <= triangles.size or triangles.max() >= count:
-        return arrays, triangles
+        return slice(None), triangles
     used, triangles = np.unique(triangles, return_inverse=True)
-    return {name: values[used] for name, values in arrays.items()}, triangles.reshape(-1, 3).astype(np.int32)
+    return used, triangles.reshape(-1, 3).astype(np.int32)

@@ -16,7 +16,9 @@ REPEAT = 10497
 WRAPS = {REPEAT: "repeat", 33071: "clamp", 33648: "mirror"}
 NEAREST = 9728
 MAX_UV_SET = 15
-WEBP, BASISU, TRANSFORM = "EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_transform"
+TRANSFORM = "KHR_texture_transform"
+FORMATS = ("EXT_texture_webp", "EXT_texture_avif", "KHR_texture_basisu")
+"""Extensions with an image in another format than PNG and JPEG, which replaces the texture's own."""
 
 
 class Textures:
@@ -55,9 +57,9 @@ class Textures:
 
     def _source(self, texture: Part) -> int | None:
         """The index of a texture's image; None, with a note, if its format is unsupported."""
-        for part in (texture.extension(WEBP), texture):
+        for part in (*map(texture.extension, FORMATS), texture):
             source = self.document.link(part, "source", "images")
-            if source is not None and self.document.items("images")[source].values.get("mimeType") != "image/ktx2":
+            if source is not None:
                 return source
         packed = ", ".join(texture.extensions) or "no image"
         self.document.note(f"textures in an unsupported format ({packed}): only the factors are used", texture.label)

@@ -22,12 +22,12 @@ from bokehguide.scene.tables import ANY, EMITTER_RADIUS, EXPOSURE, NOT_NEGATIVE,
 from bokehguide.scene.toml.lights import read_light_tables
 from bokehguide.scene.toml.materials import read_materials
 from bokehguide.scene.toml.placing import place_emitters, place_suns
-from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Model, Scene, Sun
+from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Model, ModelState, Scene, Sun
 from bokehguide.scene.validation import check_meshes, check_triangles
 
 SCENE_KEYS = ("camera", "film", "environment", "sun", "light", "lights", "materials", "object")
 DEEP_KEY = re.compile(rf"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_KEY_DEPTH}}}""")
-OBJECT_KEYS = ("name", "shape", "file", "material", "translate", "rotate", "scale")
+OBJECT_KEYS = ("name", "shape", "file", "variant", "time", "material", "translate", "rotate", "scale")
 
 
 def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
@@ -125,7 +125,7 @@ def _read_suns(root: Table) -> list[Sun]:
 class _Objects:
     """Meshes, suns and materials of the objects of a scene file. Each model is loaded once.
 
-    subdivisions: of spheres. models: by path, each with the index of its first material in `materials`.
+    subdivisions: of spheres. models: by path and state, each with the index of its first material in `materials`.
     """
 
     materials: list[Material]
@@ -134,20 +134,21 @@ class _Objects:
     subdivisions: int
     meshes: list[Mesh] = field(default_factory=list)
     suns: list[Sun] = field(default_factory=list)
-    models: dict[Path, tuple[Model, int]] = field(default_factory=dict)
+    models: dict[tuple[Path, ModelState], tuple[Model, int]] = field(default_factory=dict)
 
     def load(self, table: Table) -> tuple[Model, int]:
         """The model of an object's `file`, and the index of its first material."""
         refuse_format(Path(table.text("file")), table.place("file"))
         path = self.files.named(table, "file")
-        if path not in self.models:
-            self.models[path] = load_model(path, self.files, self.sizes), len(self.materials)
-            self.materials.extend(self.models[path][0].materials)
-        return self.models[path]
+        state = ModelState(table.text("variant") or None, table.number("time", 0.0) if "time" in table else None)
+        if (path, state) not in self.models:
+            self.models[path, state] = load_model(path, self.files, self.sizes, state), len(self.materials)
+            self.materials.extend(self.models[path, state][0].materials)
+        return self.models[path, state]
 
     def lines(self, kind: str) -> list[str]:
-        """The lines of the models under `kind`, "warnings" or "supported"."""
-        return [line for model, _ in self.models.values() for line in getattr(model, kind)]
+        """The lines of the models under `kind`, "warnings" or "supported", each once."""
+        return list(dict.fromkeys(line for model, _ in self.models.values() for line in getattr(model, kind)))
 
 
 def _read_lights(root: Table) -> LightSizes:
@@ -218,6 +219,9 @@ def _read_surface(table: Table, objects: _Objects) -> list[Mesh]:
     if "file" in table:
         model, first = objects.load(table)
         return [replace(mesh, material=mesh.material + first) for mesh in model.meshes]
+    for key in ("variant", "time"):
+        if key in table:
+            table.fail(key, "has no effect without a file; leave it out")
     shape = table.text("shape")
     if not shape:
         table.missing("shape", "give a shape or a file")
