@@ -23,7 +23,7 @@ import traceback
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-FORMATS = ("glb", "gltf", "toml", "hdr", "exr", "images", "obj", "ply", "stl", "ckpt")
+FORMATS = ("glb", "gltf", "meshopt", "glossy", "toml", "hdr", "exr", "images", "obj", "ply", "stl", "ckpt")
 BATCH = 500
 """Cases in one process."""
 KEPT = 20

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.types import LightSizes, Model, ModelState
+from bokehguide.scene.types import AT_REST, LightSizes, Model, ModelState
 
 FOREIGN = {
     ".blend": "export it from Blender as glTF (File > Export > glTF 2.0) and give the .glb",
@@ -29,7 +29,7 @@ def refuse_format(path: Path, place: str) -> None:
 
 
 def load_model(
-    path: Path, files: SceneFiles | None = None, sizes: LightSizes = LightSizes(), state: ModelState = ModelState()
+    path: Path, files: SceneFiles | None = None, sizes: LightSizes | None = None, state: ModelState = AT_REST
 ) -> Model:
     """Read a model file. Instances become triangles; the file's normals are kept.
 
@@ -43,10 +43,10 @@ def load_model(
     if path.suffix.lower() in (".glb", ".gltf"):
         from bokehguide.scene.gltf import load_gltf
 
-        model = load_gltf(path, files, sizes, state)
+        model = load_gltf(path, files, sizes or LightSizes(), state)
     else:
-        if state != ModelState():
-            raise BokehguideError(f"{path}: has neither variants nor animations, as glTF files may have; leave variant and time out")
+        if state != AT_REST:
+            raise BokehguideError(f"{path}: has neither variants nor animations; leave variant and time out, or give a glTF file")
         from bokehguide.scene.mesh_files import load_mesh_file
 
         model = load_mesh_file(path, files)

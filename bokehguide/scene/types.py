@@ -451,6 +451,10 @@ class ModelState:
     time: float | None = None
 
 
+AT_REST = ModelState()
+"""The state of a model without a variant and a time."""
+
+
 @dataclass(frozen=True)
 class ModelCamera:
     """A camera of a model file; `forward` and `up` are unit vectors, `vertical_fov` is in degrees."""

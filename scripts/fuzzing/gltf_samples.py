@@ -6,6 +6,7 @@ import json
 import struct
 
 import DracoPy
+import meshopt
 import numpy as np
 
 SQUARE = np.float32([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
@@ -112,6 +113,69 @@ def draco_glb() -> bytes:
         "buffers": [{"byteLength": len(data)}],
     }
     return packed_glb(json.dumps(document).encode(), data)
+
+
+def meshopt_glb() -> bytes:
+    """A square whose buffer views are compressed by meshoptimizer, with each mode and filter, a morph target and an animation."""
+    turn = np.float32([[0, 0, 0, 1], [0, 0.6, 0, 0.8]])
+    padded = np.pad(np.tile(np.float32([0, 0, 1]), (4, 1)), ((0, 0), (0, 1)))
+    rows = {
+        "POSITION": (SQUARE, 12, 5126, "VEC3", {}),
+        "NORMAL": (meshopt.encode_filter_oct(padded, 4, 8), 4, 5120, "VEC3", {"filter": "OCTAHEDRAL"}),
+        "COLOR_0": (meshopt.encode_filter_color(np.full((4, 4), 0.5), 4, 8), 4, 5121, "VEC4", {"filter": "COLOR"}),
+        "indices": (np.uint16([0, 1, 2, 0, 2, 3]), 2, 5123, "SCALAR", {"mode": "TRIANGLES"}),
+        "strip": (np.uint32([0, 1, 3, 2]), 4, 5125, "SCALAR", {"mode": "INDICES"}),
+        "turn": (meshopt.encode_filter_quat(turn, 8, 12), 8, 5122, "VEC4", {"filter": "QUATERNION"}),
+        "delta": (meshopt.encode_filter_exp(0.1 * SQUARE, 16), 12, 5126, "VEC3", {"filter": "EXPONENTIAL"}),
+        "times": (np.float32([0, 2]), 4, 5126, "SCALAR", {}),
+    }
+    data, views, accessors, plain = bytearray(), [], [], 0
+    for number, (array, stride, kind, form, values) in enumerate(rows.values()):
+        packed = {"buffer": 0, "byteOffset": len(data), "byteStride": stride, "count": len(array), "mode": "ATTRIBUTES", **values}
+        encoded = meshopt.encode_gltf_buffer(array, packed["mode"])
+        packed["byteLength"] = len(encoded)
+        view = {"buffer": 1, "byteOffset": plain, "byteLength": stride * len(array)}
+        views.append({**view, "extensions": {"KHR_meshopt_compression": packed}})
+        accessors.append({"bufferView": number, "componentType": kind, "count": len(array), "type": form})
+        accessors[-1]["normalized"] = kind in (5120, 5121, 5122)
+        plain += stride * len(array)
+        data += encoded + b"\0" * (-len(encoded) % 4)
+    for view in views[1:3]:
+        view["byteStride"] = 4
+    attributes = {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}
+    moved = {"attributes": attributes, "indices": 3, "targets": [{"POSITION": 6}]}
+    channel = {"sampler": 0, "target": {"node": 0, "path": "rotation"}}
+    document = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0, "weights": [0.5]}],
+        "extensionsRequired": ["KHR_meshopt_compression"],
+        "accessors": accessors,
+        "meshes": [{"primitives": [moved, {"attributes": {"POSITION": 0}, "indices": 4, "mode": 5}]}],
+        "animations": [{"samplers": [{"input": 7, "output": 5}], "channels": [channel]}],
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(data)}, {"byteLength": plain}],
+    }
+    return packed_glb(json.dumps(document).encode(), bytes(data))
+
+
+def glossy_gltf() -> dict:
+    """The JSON of a file with specular-glossiness and variants; it needs square.bin, wood.png, wood.ktx2 and wood.avif."""
+    document, data = gltf_parts()
+    gloss = {
+        "diffuseFactor": [1, 1, 1, 0.5],
+        "diffuseTexture": {"index": 1},
+        "specularFactor": [0.2, 0.3, 1],
+        "glossinessFactor": 0.6,
+        "specularGlossinessTexture": {"index": 2},
+    }
+    document["materials"][0]["extensions"] = {"KHR_materials_pbrSpecularGlossiness": gloss}
+    mappings = [{"material": 1, "variants": [0]}, {"material": 0, "variants": [1]}]
+    document["meshes"][0]["primitives"][0]["extensions"] = {"KHR_materials_variants": {"mappings": mappings}}
+    document["extensions"]["KHR_materials_variants"] = {"variants": [{"name": "night"}, {"name": "day"}]}
+    named = {"KHR_texture_basisu": {"source": 1}}, {"EXT_texture_avif": {"source": 2}}
+    document["textures"] += [{"source": 0, "extensions": extension} for extension in named]
+    images = [{"uri": f"wood.{suffix}"} for suffix in ("png", "ktx2", "avif")]
+    return document | {"images": images, "buffers": [{"uri": "square.bin", "byteLength": len(data)}]}
 
 
 def packed_glb(text: bytes, data: bytes) -> bytes:

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
-from fuzzing.gltf_samples import SQUARE, draco_glb, glb, gltf_parts
+from fuzzing.gltf_samples import SQUARE, draco_glb, glb, glossy_gltf, gltf_parts, meshopt_glb
+from fuzzing.ktx2_samples import ETC1S, UASTC
 from PIL import Image
 
 from bokehguide.scene import load_scene
@@ -181,6 +182,14 @@ def gltf() -> Sample:
     return Sample(files, tuple(files), "square.gltf")
 
 
+def glossy(ktx2: bytes) -> Sample:
+    """A model with specular-glossiness, variants, and images in the formats of extensions; `ktx2` is one of them."""
+    images = {"wood.png": image("PNG"), "wood.ktx2": ktx2, "wood.avif": image("AVIF", "RGBA")}
+    files = {"square.gltf": json.dumps(glossy_gltf()).encode(), "square.bin": gltf_parts()[1], **images}
+    night = MOVED.replace("glb", "gltf") + 'variant = "night"\n'
+    return Sample(files | {"scene.toml": night.encode()}, ("square.gltf", "wood.ktx2", "wood.avif", "scene.toml"), "scene.toml")
+
+
 def scene_with(sky: str, data: bytes) -> Sample:
     """A scene file whose sky is to be damaged."""
     files = {"scene.toml": LIT.replace("NAME", sky).encode(), "wood.png": image("PNG"), "square.stl": binary_stl()}
@@ -214,6 +223,8 @@ SAMPLES: dict[str, Callable[[Path], list[Sample]]] = {
         Sample({"square.glb": data}, ("square.glb",), "square.glb") for data in (glb(image("PNG", "RGBA")), draco_glb())
     ],
     "gltf": lambda folder: [gltf()],
+    "meshopt": lambda folder: [Sample(MESHOPT_FILES, ("square.glb",), name) for name in ("square.glb", "scene.toml")],
+    "glossy": lambda folder: [glossy(ETC1S), glossy(UASTC)],
     "toml": lambda folder: [Sample(scene_with("hdr", hdr()).files, ("scene.toml",), "scene.toml")],
     "hdr": lambda folder: [scene_with("hdr", hdr())],
     "exr": lambda folder: [scene_with("exr", exr(folder, kind)) for kind in EXR_KINDS],
@@ -227,4 +238,6 @@ SAMPLES: dict[str, Callable[[Path], list[Sample]]] = {
 }
 """Samples of each format, made in a folder of their own."""
 EXR_KINDS = (OpenEXR.ZIP_COMPRESSION, OpenEXR.PIZ_COMPRESSION, OpenEXR.NO_COMPRESSION, OpenEXR.DWAA_COMPRESSION)
+MOVED = '[camera]\nposition = [0, 0, 4]\ntarget = [0, 0, 0]\n[[object]]\nfile = "square.glb"\ntime = 0.5\n'
+MESHOPT_FILES = {"square.glb": meshopt_glb(), "scene.toml": MOVED.encode()}
 OBJ_FILES = {"square.obj": OBJ.encode(), "square.mtl": MTL.encode(), "wood.png": image("PNG")}

@@ -42,7 +42,15 @@ def posed(builder: Builder, folder: Path, time: float | None) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("mode", "time", "x"),
-    [(None, 0.0, 2.0), (None, 1.0, 2.0), (None, 1.5, 3.0), (None, 3.0, 6.0), (None, 9.0, 6.0), ("STEP", 2.9, 2.0), ("STEP", 3.0, 6.0)],
+    [
+        (None, 0.0, 2.0),
+        (None, 1.0, 2.0),
+        (None, 1.5, 3.0),
+        (None, 3.0, 6.0),
+        (None, 9.0, 6.0),
+        ("STEP", 2.9, 2.0),
+        ("STEP", 3.0, 6.0),
+    ],
 )
 def test_translations(tmp_path, mode, time, x):
     builder = animated("translation", [[2, 0, 0], [6, 0, 0]], mode=mode)
@@ -224,5 +232,5 @@ def test_a_time_for_a_file_that_cannot_move(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(BokehguideError, match=r"a\.obj: has neither variants nor animations"):
         load_scene(str(tmp_path / "a.obj"), Overrides(time=1.0))
-    with pytest.raises(BokehguideError, match="--time: 1.0: selects a time of a model, but daylight is none"):
+    with pytest.raises(BokehguideError, match=r"--time: 1\.0: selects a time of a model, but daylight is none"):
         load_scene("daylight", Overrides(time=1.0))

@@ -224,7 +224,7 @@ def test_damaged_ktx2(tmp_path, change, reason):
 def test_a_huge_ktx2_is_refused_before_it_is_decoded(tmp_path):
     data = bytearray(UASTC)
     data[20:28] = np.array([2**15, 2**15], np.uint32).tobytes()
-    with pytest.raises(BokehguideError, match="more than any picture needs|unreadable texture"):
+    with pytest.raises(BokehguideError, match=r"more than any picture needs|unreadable texture"):
         load_texture(_file(tmp_path, bytes(data)), SceneFiles(tmp_path), srgb=False)
 
 

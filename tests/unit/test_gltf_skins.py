@@ -7,7 +7,8 @@ from bokehguide.errors import BokehguideError
 from bokehguide.scene import load_scene
 from bokehguide.scene.summary import summarize
 from tests.support.gltf_builder import SQUARE, Builder
-from tests.support.gltf_skin import JOINTS, TURNED, skinned
+from tests.support.gltf_skin import TURNED, skinned
+
 
 def mesh_of(builder: Builder, folder):
     (mesh,) = load_scene(builder.save(folder / "skin.glb")).meshes

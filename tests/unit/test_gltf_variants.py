@@ -1,11 +1,9 @@
 """KHR_materials_variants, and KHR_materials_pbrSpecularGlossiness in the terms of the renderer."""
 
-import json
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-import pygltflib
 import pytest
 from PIL import Image
 
@@ -66,13 +64,13 @@ def test_damaged_mappings(tmp_path, mapping, named):
 def test_variants_and_times_in_a_scene_file(tmp_path):
     """Two objects of one file in two variants; the file's lines are told once."""
     shoe(tmp_path)
+    camera = "[camera]\nposition = [0, 0, 4]\ntarget = [0, 0, 0]\n"
     objects = '[[object]]\nfile = "shoe.glb"\nvariant = "night"\n[[object]]\nfile = "shoe.glb"\ntime = 2.0\n'
-    (tmp_path / "s.toml").write_text(f"[camera]\nposition = [0, 0, 4]\ntarget = [0, 0, 0]\n{objects}")
+    (tmp_path / "s.toml").write_text(camera + objects)
     scene = load_scene(str(tmp_path / "s.toml"))
     assert [scene.materials[mesh.material].name for mesh in scene.meshes] == ["night", "day"]
-    (tmp_path / "s.toml").write_text(
-        f'[camera]\nposition = [0, 0, 4]\ntarget = [0, 0, 0]\n{objects}[materials.a]\n[[object]]\nshape = "box"\nmaterial = "a"\ntime = 1\n'
-    )
+    box = '[materials.a]\n[[object]]\nshape = "box"\nmaterial = "a"\ntime = 1\n'
+    (tmp_path / "s.toml").write_text(camera + objects + box)
     with pytest.raises(BokehguideError, match=r"s\.toml: object\[2\]\.time: 1 has no effect without a file"):
         load_scene(str(tmp_path / "s.toml"))
 
@@ -95,7 +93,11 @@ def test_specular_glossiness_factors(tmp_path):
     assert material.roughness == pytest.approx(0.1)
     assert material.specular_color == pytest.approx((5.0, 1.0, 25.0)) and material.specular == 1.0
     defaults = glossy(tmp_path)
-    assert (defaults.base_color, defaults.roughness, defaults.specular_color) == ((1.0, 1.0, 1.0), 0.0, pytest.approx((25.0,) * 3))
+    assert (defaults.base_color, defaults.roughness, defaults.specular_color) == (
+        (1.0, 1.0, 1.0),
+        0.0,
+        pytest.approx((25.0,) * 3),
+    )
 
 
 def test_specular_glossiness_textures(tmp_path):
@@ -120,7 +122,5 @@ def test_specular_glossiness_without_alpha_is_glossy(tmp_path):
 def test_values_that_are_white_up_to_rounding(tmp_path):
     """Exporters round in single precision: 1.00000012 is 1, and 1.1 is a mistake."""
     assert glossy(tmp_path, diffuseFactor=[1.00000012, 1, 1, 1]).base_color == (1.0, 1.0, 1.0)
-    with pytest.raises(BokehguideError, match="diffuseFactor: .* is out of range"):
+    with pytest.raises(BokehguideError, match=r"diffuseFactor: .* is out of range"):
         glossy(tmp_path, diffuseFactor=[1.1, 1, 1, 1])
-
-

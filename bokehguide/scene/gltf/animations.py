@@ -45,7 +45,8 @@ def read_pose(document: Document, time: float | None) -> Pose:
             node = document.link(target, "node", "nodes")
             kind = target.text("path")
             if node is None or kind not in KINDS:
-                document.note(f"animations of {POINTER if kind == 'pointer' else 'an unknown property'}: left out", animation.label)
+                what = POINTER if kind == "pointer" else "an unknown property"
+                document.note(f"animations of {what}: left out", animation.label)
                 continue
             part = document.items("nodes")[node]
             if "matrix" in part and kind != "weights":
@@ -108,7 +109,10 @@ def _sample(document: Document, sampler: Part, kind: str, time: float) -> np.nda
 
 
 def _hermite(at: float, step: float, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The cubic spline between two keys, at a fraction of the `step` in seconds. A key has its in-tangent, value and out-tangent."""
+    """The cubic spline between two keys, at a fraction of the `step` in seconds.
+
+    Each key has its in-tangent, value and out-tangent.
+    """
     square, cube = at * at, at * at * at
     rise = 3.0 * square - 2.0 * cube
     tangents = (cube - 2.0 * square + at) * start[2] + (cube - square) * end[0]

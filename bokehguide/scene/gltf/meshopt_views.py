@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import TYPE_CHECKING
 
 import meshopt
-import numpy as np
 
 from bokehguide.errors import BokehguideError, reason
 from bokehguide.limits import MAX_INT
@@ -16,8 +16,14 @@ if TYPE_CHECKING:
 
 EXTENSIONS = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 """The second is the older one: its bitstream is a subset, and it has no filter COLOR."""
-MODES = ("ATTRIBUTES", "TRIANGLES", "INDICES")
-STRIDES = {"NONE": range(4, 257, 4), "OCTAHEDRAL": (4, 8), "QUATERNION": (8,), "EXPONENTIAL": range(4, 257, 4), "COLOR": (4, 8)}
+MODES: tuple[meshopt.Mode, ...] = ("ATTRIBUTES", "TRIANGLES", "INDICES")
+STRIDES: dict[meshopt.Filter, Container[int]] = {
+    "NONE": range(4, 257, 4),
+    "OCTAHEDRAL": (4, 8),
+    "QUATERNION": (8,),
+    "EXPONENTIAL": range(4, 257, 4),
+    "COLOR": (4, 8),
+}
 """Permitted strides of the mode ATTRIBUTES by filter, in bytes."""
 INDEX_STRIDES = (2, 4)
 MAX_RATIO = {"ATTRIBUTES": 1024, "TRIANGLES": 12, "INDICES": 4}
@@ -38,7 +44,8 @@ def decode_view(document: Document, view: Part, packed: Part, data: memoryview) 
     the scene may have.
     """
     count, stride = packed.whole("count", None), packed.whole("byteStride", None)
-    mode, compressor = _mode(packed), _filter(packed)
+    mode = _mode(packed)
+    compressor = _filter(packed, mode)
     if count is None or stride is None:
         packed.missing("count" if count is None else "byteStride", "repair the file")
     strides = STRIDES[compressor] if mode == "ATTRIBUTES" else INDEX_STRIDES
@@ -56,25 +63,26 @@ def decode_view(document: Document, view: Part, packed: Part, data: memoryview) 
         return b""
     try:
         with default_signals():
-            return meshopt.decode_gltf_buffer(np.frombuffer(data, np.uint8), count, stride, mode, compressor).tobytes()
+            return meshopt.decode_gltf_buffer(bytes(data), count, stride, mode, compressor).tobytes()
     except (ValueError, RuntimeError) as error:
         raise BokehguideError(f"{place}: damaged data ({reason(error)}); fetch the file again") from None
 
 
-def _mode(packed: Part) -> str:
+def _mode(packed: Part) -> meshopt.Mode:
     """The compression mode."""
-    mode = packed.text("mode")
-    if mode not in MODES:
-        packed.fail("mode", f"is none of {', '.join(MODES)}; repair the file")
-    return mode
+    for mode in MODES:
+        if mode == packed.text("mode"):
+            return mode
+    return packed.fail("mode", f"is none of {', '.join(MODES)}; repair the file")
 
 
-def _filter(packed: Part) -> str:
+def _filter(packed: Part, mode: meshopt.Mode) -> meshopt.Filter:
     """The filter after the decompression, "NONE" by default."""
-    known = [name for name in STRIDES if name != "COLOR" or packed.path.endswith(EXTENSIONS[0])]
-    name = packed.text("filter") or "NONE"
-    if name not in known:
-        packed.fail("filter", f"is none of {', '.join(known)}; repair the file")
-    if name != "NONE" and packed.text("mode") != "ATTRIBUTES":
-        packed.fail("filter", "needs the mode ATTRIBUTES; repair the file")
-    return name
+    older = not packed.path.endswith(EXTENSIONS[0])
+    known: list[meshopt.Filter] = [name for name in STRIDES if not (older and name == "COLOR")]
+    for name in known:
+        if name == (packed.text("filter") or "NONE"):
+            if name != "NONE" and mode != "ATTRIBUTES":
+                packed.fail("filter", "needs the mode ATTRIBUTES; repair the file")
+            return name
+    return packed.fail("filter", f"is none of {', '.join(known)}; repair the file")

@@ -29,7 +29,12 @@ def morph_weights(node: Part, mesh: Part, pose: Pose) -> tuple[float, ...]:
 
 
 def morph(
-    document: Document, primitive: Part, arrays: dict[str, np.ndarray], weights: Sequence[float], used: np.ndarray | slice, name: str
+    document: Document,
+    primitive: Part,
+    arrays: dict[str, np.ndarray],
+    weights: Sequence[float],
+    used: np.ndarray | slice,
+    name: str,
 ) -> None:
     """Add the weighted differences of the targets to `arrays`, float32 `[V, width]` by attribute.
 
@@ -51,7 +56,13 @@ def morph(
 
 
 def _moved(
-    document: Document, primitive: Part, array: np.ndarray, stored: np.ndarray, accessor: int, weight: float, used: np.ndarray | slice
+    document: Document,
+    primitive: Part,
+    array: np.ndarray,
+    stored: np.ndarray,
+    accessor: int,
+    weight: float,
+    used: np.ndarray | slice,
 ) -> np.ndarray:
     """`array` `[V, width]` with the differences of one accessor, which may have fewer columns."""
     part = document.items("accessors")[accessor]
