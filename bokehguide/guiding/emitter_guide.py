@@ -89,7 +89,7 @@ class EmitterGuide(Guide):
         self.register_buffer("unit", torch.tensor(1.0))
         """Unit of luminance for the success rates: the approximate mean luminance of the frame."""
         self.paths_per_sample = config.split_count
-        self._geometry = context.tracer.geometry
+        self._tracer = context.tracer
         self.refit(1.0)
 
     @torch.no_grad()
@@ -133,7 +133,7 @@ class EmitterGuide(Guide):
             return ()
         # The frame's mean luminance is unknown in the first step, so that all light may come from highlights.
         threshold = 0.5 * self.config.highlights.radiance_threshold * batch.mean_luminance * (batch.step > 1)
-        return (HighlightImages(self._geometry, batch.focus.shape[1], threshold),)
+        return (HighlightImages(self._tracer.geometry, batch.focus.shape[1], threshold),)
 
     def recorded_distance(self, samples: BatchSamples) -> Tensor:
         """Distance of the virtual image, `[N]`, if the mode observes virtual images; else of the primary hit."""

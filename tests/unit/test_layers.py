@@ -20,6 +20,7 @@ LAYERS = (
     ("guiding",),
     ("baselines",),
     ("train",),
+    ("mitsuba",),
     ("evaluation",),
     ("picture",),
     ("cli",),
