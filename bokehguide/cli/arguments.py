@@ -52,6 +52,7 @@ def make_parser() -> Parser:
     _add_develop(commands)
     _add_metrics(commands)
     _add_info(commands)
+    _add_export(commands)
     commands.add_parser("scenes", help="list the built-in scenes")
     return parser
 
@@ -180,6 +181,17 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     add("--aperture-cat-eye", type=float, metavar="X", help="vignetting towards the corners, 0 to 1.5")
     add("--aperture-edge", type=float, metavar="X", help="bright rim, up to 1, or bright centre, down to -1")
     add("--aperture-image", metavar="PATH", help="a grey mask in place of blades")
+
+
+def _add_export(commands: argparse._SubParsersAction) -> None:
+    export = commands.add_parser("export", help="write a scene for another renderer")
+    add = export.add_argument
+    add("scene", metavar="SCENE", help=SCENE_HELP)
+    add("--to", choices=("mitsuba",), required=True, help="the renderer: Mitsuba 3, as XML with PLY and EXR files")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder for scene.xml, meshes and textures")
+    add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
+    _add_allow_outside(export)
+    _add_overrides(export)
 
 
 def _add_metrics(commands: argparse._SubParsersAction) -> None:

@@ -57,12 +57,13 @@ class LensSamples:
     """Samples of S steps for each of P pixels, N = S P in all, ordered by step.
 
     raster: positions in the frame, `[2, N]`. points: on the unit disc of the lens, x right and y up seen from behind the camera,
-    `[2, N]`. weight: factor of the radiance, `[N]`, 0 outside the lens.
+    `[2, N]`. weight: factor of the radiance, `[N]`, 0 outside the lens. learned: whether `learn` expects a report.
     """
 
     raster: np.ndarray
     points: np.ndarray
     weight: np.ndarray
+    learned: bool
 
 
 @dataclass(frozen=True)
@@ -113,9 +114,11 @@ class GuidedLens:
         self._workers.close()
 
     def draw(self, most: int) -> LensSamples:
-        """The samples of the next steps, as many as have one distribution, at most `most`."""
-        steps = min(most, MOST_STEPS, max(MOST_SAMPLES // self._size, 1)) if self._by_epoch else 1
-        steps = next(count for count in range(1, steps + 1) if count == steps or starts_epoch(self._step + count + 1))
+        """The samples of the next steps, at most `most`: as many as have one distribution, and are alike in being learned."""
+        learned, steps = self._is_learned(self._step + 1), 1
+        limit = min(most, MOST_STEPS, max(MOST_SAMPLES // self._size, 1)) if self._by_epoch else 1
+        while steps < limit and not starts_epoch(self._step + steps + 1) and self._is_learned(self._step + steps + 1) == learned:
+            steps += 1
         self._drawn = []
         with self._workers.serial():
             for _ in range(steps):
@@ -125,10 +128,10 @@ class GuidedLens:
         raster = torch.cat([drawn.batch.raster for drawn in batches], dim=1).numpy()
         points = torch.cat([drawn.points.points for drawn in batches], dim=1).numpy()
         weight = torch.cat([drawn.points.weight for drawn in batches]).numpy()
-        return LensSamples(raster, points / np.float32(self._camera.lens.radius), weight)
+        return LensSamples(raster, points / np.float32(self._camera.lens.radius), weight, learned)
 
     def learn(self, seen: SeenLight) -> None:
-        """Learn from the paths of the samples that were drawn last."""
+        """Learn from the paths of the samples that were drawn last, which `learned` has asked for."""
         finite = np.nan_to_num(seen.radiance, nan=0.0, posinf=0.0, neginf=0.0)
         weight = np.concatenate([drawn.points.weight.numpy() for step in self._drawn for drawn in step])
         self._light += float(np.dot(finite.astype(np.float64), weight))
@@ -136,13 +139,13 @@ class GuidedLens:
         self._mean = self._light / self._count
         first = self._step - len(self._drawn) + 1
         for number, step in enumerate(self._drawn):
-            if self._sampler.learns and self._is_learned(first + number):
-                part = slice(number * self._size, (number + 1) * self._size)
-                self._learn_step(first + number, step, SeenLight(finite[part], seen.distance[part], seen.triangle[part]))
+            part = slice(number * self._size, (number + 1) * self._size)
+            self._learn_step(first + number, step, SeenLight(finite[part], seen.distance[part], seen.triangle[part]))
 
     def _is_learned(self, step: int) -> bool:
         """Whether the lens learns from a step: from the last steps of each epoch."""
-        return not self._by_epoch or any(starts_epoch(step + 1 + later) for later in range(LEARNED))
+        last = not self._by_epoch or any(starts_epoch(step + 1 + later) for later in range(LEARNED))
+        return self._sampler.learns and last
 
     def _learn_step(self, step: int, drawn: list[_Drawn], seen: SeenLight) -> None:
         """Learn from one step."""

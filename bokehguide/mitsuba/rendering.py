@@ -40,13 +40,15 @@ class Rendering:
             drawn = self._lens.draw(spp - step)
             sampler.seed(dr.opaque(mi.UInt32, hash_int(self._seed ^ hash_int(step))), len(drawn.weight))
             block = self._film.create_block()
-            self._lens.learn(self._trace(drawn, sampler, block, spp))
+            seen = self._trace(drawn, sampler, block, spp)
+            if seen is not None:
+                self._lens.learn(seen)
             self._film.put_block(block)
             step += len(drawn.weight) // len(self._frame.pixels)
         return self._film.develop() if develop else mi.TensorXf()
 
-    def _trace(self, drawn: LensSamples, sampler: Any, block: Any, spp: int) -> SeenLight:
-        """Trace one path for each sample and put it on the block."""
+    def _trace(self, drawn: LensSamples, sampler: Any, block: Any, spp: int) -> SeenLight | None:
+        """Trace one path for each sample and put it on the block. Returns the report, None if the lens does not learn."""
         active = mi.Bool(drawn.weight > 0.0)
         ray, ray_weight, position = self._rays(drawn, sampler, active)
         ray.scale_differential(spp**-0.5)
@@ -56,7 +58,7 @@ class Rendering:
         value, weight = dr.select(finite, value, 0.0), mi.Float(drawn.weight)
         channels = [each * weight for each in aovs]
         self._splat(block, position, value * weight, dr.select(valid & active, weight, 0.0), channels, ray.wavelengths)
-        return self._seen(drawn, ray, value, active)
+        return self._seen(drawn, ray, value, active) if drawn.learned else None
 
     def _rays(self, drawn: LensSamples, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
         """Rays through the lens points, their weights, and positions on the film."""

@@ -22,9 +22,10 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from bokehguide.errors import BokehguideError
-from bokehguide.limits import FARTHEST_FOCUS
+from bokehguide.export.mitsuba_materials import Bitmap, bitmap, color
+from bokehguide.export.mitsuba_tree import environment_emitter, integrator, scene_tree
 from bokehguide.render.vector import luminance
-from bokehguide.scene.types import Camera, Environment, Material, Mesh, Scene, Texture
+from bokehguide.scene.types import Environment, Material, Scene, Texture
 
 LEAST_LLVM = 17
 """First version of LLVM with x86 code for `fminimum`. Dr.Jit emits it; an older LLVM ends the process."""
@@ -45,12 +46,8 @@ GLASS_ROUGHNESS = (0.1, 0.2)
 SMOOTH_GLASS = 0.063
 FINE_MASK = 32
 """Texels of a cut-out's mask per texel of the texture, across and down."""
-NEAR, FAR = 1e-4, 1e5
-"""Clipping planes of Mitsuba's camera, metres."""
 CHUNK_SAMPLES = 1 << 22
 """Largest number of samples of one render, which Mitsuba keeps in memory."""
-APART = 1e-5
-"""Distance of the back of a two-sided emitter behind its front, in scene sizes."""
 
 
 def comparable(scene: Scene) -> Scene:
@@ -121,8 +118,10 @@ class MitsubaRenderer:
     """A comparable scene in Mitsuba."""
 
     def __init__(self, scene: Scene):
-        path = _path(scene)
-        self._scene = mi.load_dict(_scene_dictionary(scene) | {"integrator": {"type": "moment", "path": path}})
+        if scene.environment is not None:
+            load_environment(scene.environment)  # raises for one that is invisible
+        path = integrator(scene)
+        self._scene = load(scene_tree(scene, _bsdf) | {"integrator": {"type": "moment", "path": path}})
         self._path = mi.load_dict(path)
 
     def look_at(self, column: int, row: int) -> None:
@@ -146,52 +145,34 @@ class MitsubaRenderer:
         return MitsubaFilm(torch.from_numpy(image[..., :3].copy()), torch.from_numpy(image[..., 7].copy()), spp)
 
 
-def _path(scene: Scene) -> dict[str, Any]:
-    """The integrator, without Russian roulette: paths end at the last segment."""
-    return {"type": "path", "max_depth": scene.film.max_depth, "rr_depth": 100}
+def load(value: Any) -> Any:
+    """The object of a dictionary of `bokehguide.export`, whose arrays become objects of Mitsuba."""
+    materials = {name: mi.load_dict(_plain(part)) for name, part in value.items() if name.startswith("material")}
+    parts = {name: part for name, part in value.items() if name not in materials}
+    return mi.load_dict({name: _shape(part, materials) if _is_shape(part) else _plain(part) for name, part in parts.items()})
 
 
-def _scene_dictionary(scene: Scene) -> dict[str, Any]:
-    parts: dict[str, Any] = {"type": "scene", "sensor": _sensor(scene)}
-    materials = [mi.load_dict(_bsdf(material)) for material in scene.materials]
-    size = max(float(np.ptp(mesh.vertices, axis=0).max()) for mesh in scene.meshes)
-    for number, mesh in enumerate(scene.meshes):
-        material = scene.materials[mesh.material]
-        parts[f"mesh{number}"] = _shape(mesh, material, materials[mesh.material])
-        if material.emits and material.double_sided:
-            parts[f"mesh{number}back"] = _shape(_back(mesh, APART * size), material, materials[mesh.material])
-    if scene.environment is not None:
-        parts["environment"] = environment_emitter(scene.environment)
-    return parts
+def _is_shape(value: Any) -> bool:
+    return isinstance(value, dict) and "geometry" in value
 
 
-def _sensor(scene: Scene) -> dict[str, Any]:
-    camera: Camera = scene.camera
-    lens = {"type": "perspective"}  # thinlens refuses a radius of 0
-    if camera.aperture_radius > 0.0:
-        lens = {
-            "type": "thinlens",
-            "aperture_radius": camera.aperture_radius,
-            "focus_distance": min(camera.focus_distance, FARTHEST_FOCUS),
-        }
-    film = {"type": "hdrfilm", "width": scene.film.width, "height": scene.film.height, "rfilter": {"type": "box"}}
-    place = mi.ScalarTransform4f().look_at(list(camera.position), list(camera.target), list(camera.up))
-    return lens | {
-        "to_world": place,
-        "fov": camera.fov,
-        "fov_axis": "x",
-        "near_clip": NEAR,
-        "far_clip": FAR,
-        "film": film | {"pixel_format": "rgb", "component_format": "float32"},
-        "sampler": {"type": "independent"},
-    }
+def _plain(value: Any) -> Any:
+    """A value of a dictionary in the types that `mi.load_dict` takes."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, Bitmap):
+        return mi.Bitmap(value.pixels)
+    return mi.ScalarTransform4f(value) if isinstance(value, np.ndarray) else value
 
 
 def _bsdf(material: Material) -> dict[str, Any]:
-    color = _color(material.base_color, material.base_color_texture)
+    for texture in (material.base_color_texture, material.emission_texture):
+        if texture is not None and len(set(texture.wrap)) > 1:
+            raise BokehguideError(f"texture: Mitsuba wraps u and v alike, not {' and '.join(texture.wrap)}")
+    base = color(material.base_color, material.base_color_texture)
     alpha = material.roughness**2
     if material.transmission > 0.0:
-        index = {"int_ior": material.ior, "ext_ior": 1.0, "specular_transmittance": color}
+        index = {"int_ior": material.ior, "ext_ior": 1.0, "specular_transmittance": base}
         if material.thin:
             bsdf = {"type": "thindielectric"} | index
         elif alpha == 0.0:
@@ -199,18 +180,11 @@ def _bsdf(material: Material) -> dict[str, Any]:
         else:
             bsdf = {"type": "roughdielectric", "distribution": "ggx", "alpha": alpha} | index
     elif material.metallic > 0.0:  # Schlick's Fresnel term, as in glTF
-        metal = {"type": "principled", "base_color": color, "metallic": 1.0, "roughness": material.roughness}
+        metal = {"type": "principled", "base_color": base, "metallic": 1.0, "roughness": material.roughness}
         bsdf = {"type": "twosided", "bsdf": metal}
     else:
-        bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": color}}
+        bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": base}}
     return bsdf if material.alpha_mode == "opaque" else {"type": "mask", "bsdf": bsdf, "opacity": _opacity(material)}
-
-
-def _color(factor: tuple[float, float, float], texture: Texture | None) -> dict[str, Any]:
-    """A colour, or an image multiplied by it."""
-    if texture is None:
-        return {"type": "rgb", "value": list(factor)}
-    return _bitmap(texture.image[..., :3] * np.asarray(factor, np.float32), texture)
 
 
 def _opacity(material: Material) -> dict[str, Any] | float:
@@ -220,80 +194,43 @@ def _opacity(material: Material) -> dict[str, Any] | float:
         return float(material.opacity >= material.alpha_cutoff) if cuts else material.opacity
     image = material.opacity * texture.image[..., 3]
     if not cuts:
-        return _bitmap(image, texture)
+        return bitmap(image, texture)
     axes = ((np.arange(FINE_MASK * size) + 0.5) / FINE_MASK - 0.5 for size in image.shape)
     places = np.meshgrid(*axes, indexing="ij")
     beyond = {"repeat": "grid-wrap", "clamp": "nearest", "mirror": "reflect"}[texture.wrap[0]]
     cut = map_coordinates(image, places, order=1, mode=beyond) >= material.alpha_cutoff
-    return _bitmap(cut, texture) | {"filter_type": "nearest"}
+    return bitmap(cut, texture) | {"filter_type": "nearest"}
 
 
-def _bitmap(image: np.ndarray, texture: Texture) -> dict[str, Any]:
-    a, b, c, d, e, f = texture.transform
-    if len(set(texture.wrap)) > 1:
-        raise BokehguideError(f"texture: Mitsuba wraps u and v alike, not {' and '.join(texture.wrap)}")
-    return {
-        "type": "bitmap",
-        "bitmap": mi.Bitmap(np.ascontiguousarray(image, np.float32)),
-        "raw": True,
-        "filter_type": "bilinear",
-        "wrap_mode": texture.wrap[0],
-        "to_uv": mi.ScalarTransform4f([[a, b, 0.0, c], [d, e, 0.0, f], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),
-    }
-
-
-def _shape(mesh: Mesh, material: Material, bsdf: mi.BSDF) -> mi.Mesh:
-    parts = mi.Properties()
-    parts["bsdf"] = bsdf
-    if material.emits:
-        radiance = _color(material.emission, material.emission_texture)
-        parts["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
-    uv_set = next((t.uv_set for t in (material.base_color_texture, material.emission_texture) if t is not None), 0)
-    arrays = {"vertex_positions": mesh.vertices, "faces": mesh.triangles.astype(np.uint32)}
-    if mesh.normals is not None:
-        arrays["vertex_normals"] = mesh.normals
-    if mesh.uvs is not None:
-        arrays["vertex_texcoords"] = mesh.uvs[:, uv_set]
-    shape = mi.Mesh(
-        material.name,
-        *(len(mesh.vertices), len(mesh.triangles)),
-        has_vertex_normals=mesh.normals is not None,
-        has_vertex_texcoords=mesh.uvs is not None,
+def _shape(shape: dict[str, Any], materials: dict[str, mi.BSDF]) -> mi.Mesh:
+    """A mesh of Mitsuba with its BSDF and emitter."""
+    geometry, parts = shape["geometry"], mi.Properties()
+    parts["bsdf"] = materials[shape["bsdf"]["id"]]
+    if "emitter" in shape:
+        parts["emitter"] = mi.load_dict(_plain(shape["emitter"]))
+    arrays = {"vertex_positions": geometry.vertices, "faces": geometry.triangles.astype(np.uint32)}
+    if geometry.normals is not None:
+        arrays["vertex_normals"] = geometry.normals
+    if geometry.uvs is not None:
+        arrays["vertex_texcoords"] = geometry.uvs
+    mesh = mi.Mesh(
+        "mesh",
+        *(len(geometry.vertices), len(geometry.triangles)),
+        has_vertex_normals=geometry.normals is not None,
+        has_vertex_texcoords=geometry.uvs is not None,
         props=parts,
     )
-    parameters = mi.traverse(shape)
+    parameters = mi.traverse(mesh)
     for name, array in arrays.items():
         parameters[name] = np.ascontiguousarray(array).ravel()
     parameters.update()
-    return shape
+    return mesh
 
 
-def _back(mesh: Mesh, distance: float) -> Mesh:
-    """The other face of every triangle of a flat mesh, `distance` behind it."""
-    corners = mesh.vertices[mesh.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-30)
-    vertices = (corners - distance * normals[:, None])[:, ::-1].reshape(-1, 3)
-    triangles = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
-    uvs = None if mesh.uvs is None else mesh.uvs[mesh.triangles][:, ::-1].reshape(len(vertices), -1, 2)
-    return Mesh(vertices, triangles, mesh.material, uvs=uvs)
-
-
-def environment_emitter(environment: Environment) -> dict[str, Any]:
-    """The map with Mitsuba's rows, rotated: its centre lies at +z in Mitsuba and at -z in bokehguide.
-
-    Mitsuba's first and last rows are the poles and its columns are texels; with twice as
-    many rows plus one, both bilinear interpolants agree.
-    """
+def load_environment(environment: Environment) -> mi.Emitter:
+    """The emitter of an environment. Raises BokehguideError for one that the camera does not see."""
     if not environment.visible:
         raise BokehguideError(
             "environment: Mitsuba has no environment that is invisible to the camera; set visible = true to compare"
         )
-    radiance = np.asarray(environment.radiance, np.float32)
-    if radiance.shape[:2] == (1, 1):
-        return {"type": "constant", "radiance": {"type": "rgb", "value": radiance[0, 0].tolist()}}
-    padded = np.pad(radiance, ((1, 1), (0, 0), (0, 0)), mode="edge")
-    rows = np.empty((2 * len(radiance) + 1, *radiance.shape[1:]), np.float32)
-    rows[1::2], rows[0::2] = radiance, 0.5 * (padded[1:] + padded[:-1])
-    turn = mi.ScalarTransform4f().rotate([0, 1, 0], 180.0 + environment.rotation)
-    return {"type": "envmap", "bitmap": mi.Bitmap(rows), "to_world": turn}
+    return mi.load_dict(_plain(environment_emitter(environment)))

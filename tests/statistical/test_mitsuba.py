@@ -21,7 +21,7 @@ mi = pytest.importorskip("mitsuba")
 from compare_mitsuba import Comparison, compare, mitsuba_reference, our_runs
 from experiments.material_scenes import MATERIAL_SCENES
 from experiments.mean_tests import PIXELS_WITHIN, Runs, judge
-from experiments.mitsuba_scene import METAL_ROUGHNESS, MitsubaRenderer, comparable, environment_emitter, left_out
+from experiments.mitsuba_scene import METAL_ROUGHNESS, MitsubaRenderer, comparable, left_out, load_environment
 from experiments.retest_pixels import PixelRetest
 
 from bokehguide.errors import BokehguideError
@@ -165,7 +165,7 @@ def test_environment_by_direction(rotation):
     directions = random.normal(size=(3, 200))
     directions[:, :2] = [[1e-3, -1e-3], [1.0, -1.0], [1e-3, 1e-3]]
     directions /= np.linalg.norm(directions, axis=0)
-    emitter = mi.load_dict(environment_emitter(environment))
+    emitter = load_environment(environment)
     theirs = []
     for direction in directions.T:
         interaction = mi.SurfaceInteraction3f()

@@ -1,5 +1,7 @@
 """The integrator `guided_thinlens`: Mitsuba's pictures with less noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import t
@@ -12,9 +14,14 @@ mi.set_variant("llvm_ad_rgb", "scalar_rgb")
 if mi.variant() == "scalar_rgb" or dr.detail.llvm_version()[0] < 17:
     pytest.skip("no LLVM that Mitsuba can use", allow_module_level=True)
 
+from experiments.material_scenes import MATERIAL_SCENES
+from experiments.mitsuba_scene import MitsubaRenderer, comparable
+
 import bokehguide.mitsuba  # noqa: F401 - registers the integrator
+from bokehguide.export import export_mitsuba
 from bokehguide.mitsuba.emitters import read_emitters
 from bokehguide.mitsuba.frame import read_frame
+from bokehguide.scene.types import FilmSettings
 from tests.support.mitsuba_scenes import blocks, lamps
 from tests.support.statistical import SIGNIFICANCE, sidak
 
@@ -151,3 +158,15 @@ def test_a_pinhole_is_no_thin_lens():
     with pytest.raises(Exception) as caught:
         mi.render(scene, integrator=guided(), spp=1)
     assert "the sensor is a PerspectiveCamera; give a sensor of the type thinlens" in str(caught.value.__cause__)
+
+
+@pytest.mark.parametrize("name", ["metal", "smooth-glass", "textured-emitter", "environment-emitters"])
+def test_exported_scenes_are_those_in_memory(name, tmp_path):
+    """The XML file and the dictionary that `test_mitsuba.py` compares with this renderer have the same means."""
+    scene = comparable(replace(MATERIAL_SCENES[name](), film=FilmSettings(48, 27, 4)))
+    export_mitsuba(scene, tmp_path)
+    loaded, renderer = mi.load_file(str(tmp_path / "scene.xml")), MitsubaRenderer(scene)
+    ours = np.stack([blocks(mi.render(loaded, spp=128, seed=seed), 3) for seed in range(8)])
+    theirs = np.stack([blocks(renderer.picture(128, seed + 20).numpy(), 3) for seed in range(8)])
+    assert agree(ours, theirs)
+    assert not agree(0.97 * ours, theirs), "three per cent show"

@@ -14,6 +14,7 @@ LAYERS = (
     ("image",),
     ("metrics",),
     ("scene",),
+    ("export",),
     ("runtime",),
     ("render",),
     ("models",),
