@@ -21,9 +21,11 @@ import tempfile
 import time
 import traceback
 from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 FORMATS = ("glb", "gltf", "meshopt", "glossy", "toml", "hdr", "exr", "images", "obj", "ply", "stl", "ckpt")
+FORMATS += ("xml",) if find_spec("mitsuba") else ()
 BATCH = 500
 """Cases in one process."""
 KEPT = 20

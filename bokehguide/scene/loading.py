@@ -38,7 +38,8 @@ MODEL_OVERRIDES = ("camera", "variant", "time")
 def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> Scene:
     """The scene that `spec` names, ready to render.
 
-    spec: the name of a built-in scene, the path of a `.toml` scene file, the path of a model, or a scene itself. A
+    spec: the name of a built-in scene, the path of a `.toml` scene file or of a Mitsuba `.xml` file, the path of a model, or a
+    scene itself. A
     model without a camera gets one that frames it; a model without lights gets a sky.
     overrides: replace the scene's own values. allow_outside: permits paths that leave the file's folder.
     The scene's `likely_mistakes` say what the user may not have meant.
@@ -84,6 +85,11 @@ def _read(spec: str, suffix: str, overrides: Overrides, files: SceneFiles) -> tu
 
         scene, chosen = read_scene_file(Path(spec), overrides, files)
         return override_environment(scene, overrides), chosen
+    if suffix == ".xml":
+        from bokehguide.scene.mitsuba_xml import read_mitsuba
+
+        scene, chosen = read_mitsuba(Path(spec), overrides, files)
+        return override_environment(scene, overrides), chosen
     if suffix in MODEL_SUFFIXES:
         from bokehguide.scene.framing import model_scene
 
@@ -92,6 +98,6 @@ def _read(spec: str, suffix: str, overrides: Overrides, files: SceneFiles) -> tu
     near = difflib.get_close_matches(spec, BUILTIN, n=1)
     raise BokehguideError(
         f"{spec}: no such scene" + (f"; did you mean {near[0]!r}?" if near else "") + "\n"
-        f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, "
+        f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, a Mitsuba .xml file, "
         f"or a model ({' '.join(MODEL_SUFFIXES)})"
     )

@@ -11,7 +11,6 @@ from bokehguide.scene.types import AT_REST, LightSizes, Model, ModelState
 
 FOREIGN = {
     ".blend": "export it from Blender as glTF (File > Export > glTF 2.0) and give the .glb",
-    ".xml": "a Mitsuba scene is not read; write a .toml scene file with its meshes as .obj or .ply",
     ".fbx": "convert it to glTF, with Blender for example, and give the .glb",
     ".dae": "convert it to glTF, with Blender for example, and give the .glb",
     ".pbrt": "a pbrt scene is not read; write a .toml scene file with its meshes as .ply",

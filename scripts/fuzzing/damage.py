@@ -237,12 +237,23 @@ def stored_record(data: bytes, where: int, what: int) -> bytes:
     return stream.getvalue()
 
 
+def attribute(data: bytes, where: int, what: int) -> bytes:
+    """Another value of one attribute of an XML file."""
+    found = list(re.finditer(rb'(?<==")[^"]*(?=")', data))
+    if not found:
+        return flip(data, where, what)
+    start, end = found[where % len(found)].span()
+    values = (*(word.encode("utf-8", "surrogatepass") for word in TOKENS), *(each.group() for each in found))
+    return data[:start] + values[what % len(values)].replace(b'"', b"") + data[end:]
+
+
 BYTES = (flip, cut, leave_out, insert, repeat, word)
 TEXT = (token, token, line)
 KINDS: dict[str, tuple[Callable[[bytes, int, int], bytes], ...]] = {
     ".glb": (*BYTES, *[json_value] * 6),
     ".gltf": (*BYTES, *TEXT, *[json_value] * 6),
     ".toml": (*BYTES, *TEXT * 4),
+    ".xml": (*BYTES, *TEXT * 2, *[attribute] * 6),
     ".hdr": (*BYTES, *TEXT),
     ".exr": (*BYTES, word, word),
     ".png": (*BYTES, *[png_checksums] * 4),

@@ -112,6 +112,29 @@ end_header
 """
 
 
+XML = """<scene version="3.0.0">
+<default name="spp" value="4"/>
+<integrator type="path"><integer name="max_depth" value="3"/></integrator>
+<sensor type="thinlens"><float name="fov" value="40"/><float name="aperture_radius" value="0.05"/>
+<float name="focus_distance" value="3"/><string name="fov_axis" value="smaller"/>
+<transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+<film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="9"/></film></sensor>
+<bsdf type="twosided" id="wood"><bsdf type="roughplastic"><texture type="bitmap" name="diffuse_reflectance">
+<string name="filename" value="wood.png"/></texture><float name="alpha" value="0.2"/></bsdf></bsdf>
+<bsdf type="roughconductor" id="gold"><string name="material" value="Au"/></bsdf>
+<bsdf type="dielectric" id="glass"><string name="int_ior" value="bk7"/></bsdf>
+<shape type="ply"><string name="filename" value="square.ply"/><ref id="wood"/></shape>
+<shape type="sphere"><point name="center" x="1" y="0" z="0"/><float name="radius" value="0.3"/><ref id="gold"/></shape>
+<shape type="cube"><transform name="to_world"><scale value="0.2"/><translate x="-1"/></transform><ref id="glass"/></shape>
+<shape type="rectangle"><transform name="to_world"><scale value="0.1"/><translate z="-2"/></transform>
+<emitter type="area"><rgb name="radiance" value="9 8 7"/></emitter></shape>
+<emitter type="envmap"><string name="filename" value="sky.hdr"/><float name="scale" value="0.5"/></emitter>
+<emitter type="point"><point name="position" x="0" y="2" z="0"/><rgb name="intensity" value="3 3 3"/></emitter>
+<emitter type="directional"><vector name="direction" x="0" y="-1" z="0.2"/></emitter>
+</scene>
+"""
+
+
 @dataclass(frozen=True)
 class Sample:
     """Files by name, those of them that are to be damaged, and the one that is loaded."""
@@ -190,6 +213,12 @@ def glossy(ktx2: bytes) -> Sample:
     return Sample(files | {"scene.toml": night.encode()}, ("square.gltf", "wood.ktx2", "wood.avif", "scene.toml"), "scene.toml")
 
 
+def mitsuba_scene() -> Sample:
+    """A Mitsuba scene with a kind of each thing that is read."""
+    files = {"scene.xml": XML.encode(), "square.ply": binary_ply(), "wood.png": image("PNG"), "sky.hdr": hdr()}
+    return Sample(files, ("scene.xml", "scene.xml", "square.ply"), "scene.xml")
+
+
 def scene_with(sky: str, data: bytes) -> Sample:
     """A scene file whose sky is to be damaged."""
     files = {"scene.toml": LIT.replace("NAME", sky).encode(), "wood.png": image("PNG"), "square.stl": binary_stl()}
@@ -225,6 +254,7 @@ SAMPLES: dict[str, Callable[[Path], list[Sample]]] = {
     "gltf": lambda folder: [gltf()],
     "meshopt": lambda folder: [Sample(MESHOPT_FILES, ("square.glb",), name) for name in ("square.glb", "scene.toml")],
     "glossy": lambda folder: [glossy(ETC1S), glossy(UASTC)],
+    "xml": lambda folder: [mitsuba_scene()],
     "toml": lambda folder: [Sample(scene_with("hdr", hdr()).files, ("scene.toml",), "scene.toml")],
     "hdr": lambda folder: [scene_with("hdr", hdr())],
     "exr": lambda folder: [scene_with("exr", exr(folder, kind)) for kind in EXR_KINDS],

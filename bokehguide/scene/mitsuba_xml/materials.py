@@ -1,0 +1,226 @@
+"""BSDFs of Mitsuba in the terms of `Material`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bokehguide.scene.files import SceneFiles, require_file
+from bokehguide.scene.images import load_texture
+from bokehguide.scene.mitsuba_xml.tree import Plugin, mitsuba
+from bokehguide.scene.types import Material, Texture, Vector, as_vector
+
+GREY = (0.5, 0.5, 0.5)
+REFRACTIVE_INDICES = {
+    "vacuum": 1.0,
+    "air": 1.000277,
+    "water ice": 1.31,
+    "water": 1.333,
+    "acetone": 1.36,
+    "ethanol": 1.361,
+    "fused quartz": 1.458,
+    "pyrex": 1.47,
+    "acrylic glass": 1.49,
+    "polypropylene": 1.49,
+    "bk7": 1.5046,
+    "diamond": 2.419,
+}
+"""Media that Mitsuba knows by name."""
+WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp"}
+
+
+class Materials:
+    """The materials of a file, each converted once. lost: what they lose, in words, with the names of the BSDFs."""
+
+    def __init__(self, file: Path, files: SceneFiles):
+        self._file, self._files = file, files
+        self._known: dict[int, int] = {}
+        self.all: list[Material] = []
+        self.lost: dict[str, dict[str, None]] = {}
+
+    def lose(self, what: str, name: str) -> None:
+        """Note a loss of an object."""
+        self.lost.setdefault(what, {})[name] = None
+
+    def index(self, bsdf: Plugin | None, emission: dict[str, Any]) -> int:
+        """The index of the material of a BSDF that has the given fields of emission."""
+        key = id(bsdf) if not emission else -1
+        if key not in self._known:
+            material = Material("default", GREY, specular=0.0) if bsdf is None else self.convert(bsdf)
+            self.all.append(replace(material, **emission))
+            if emission:
+                return len(self.all) - 1
+            self._known[key] = len(self.all) - 1
+        return self._known[key]
+
+    def convert(self, bsdf: Plugin) -> Material:
+        """The closest material to a BSDF."""
+        name, inner = bsdf.name or bsdf.type, bsdf.inner("bsdf")
+        if bsdf.type in ("twosided", "normalmap", "bumpmap", "mask") and len(inner) == 1:
+            return self._wrapped(bsdf, replace(self.convert(inner[0]), name=name))
+        convert = getattr(self, f"_{bsdf.type}", None)
+        if convert is None or bsdf.type not in KNOWN:
+            self.lose(f"BSDF {bsdf.type}: grey in its place", name)
+            return Material(name, GREY, specular=0.0)
+        return convert(bsdf, name)
+
+    def _wrapped(self, bsdf: Plugin, material: Material) -> Material:
+        """`material` within an adapter."""
+        if bsdf.type == "normalmap":
+            textures = bsdf.inner("texture")
+            return replace(material, normal_texture=self.texture(textures[0], srgb=False) if textures else None)
+        if bsdf.type == "bumpmap":
+            self.lose("bump maps: left out", material.name)
+        if bsdf.type == "mask":
+            opacity = bsdf.values.get("opacity", 0.5)
+            if isinstance(opacity, Plugin):
+                self.lose("opacity textures: left out", material.name)
+            else:
+                return replace(material, alpha_mode="blend", opacity=min(max(_mean(opacity), 0.0), 1.0))
+        return material
+
+    def _diffuse(self, bsdf: Plugin, name: str) -> Material:
+        return Material(name, specular=0.0, **self._color(bsdf, "reflectance"))
+
+    def _plastic(self, bsdf: Plugin, name: str) -> Material:
+        rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughplastic" else 0.0
+        return Material(name, roughness=rough, ior=self._ior(bsdf, 1.49), **self._color(bsdf, "diffuse_reflectance"))
+
+    _roughplastic = _plastic
+
+    def _conductor(self, bsdf: Plugin, name: str) -> Material:
+        rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughconductor" else 0.0
+        color = as_vector(min(max(float(each), 0.0), 1.0) for each in _metal(bsdf))
+        return Material(name, color, metallic=1.0, roughness=rough)
+
+    _roughconductor = _conductor
+
+    def _dielectric(self, bsdf: Plugin, name: str) -> Material:
+        rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughdielectric" else 0.0
+        color = self._color(bsdf, "specular_transmittance", (1.0, 1.0, 1.0))
+        thin = bsdf.type == "thindielectric"
+        return Material(name, transmission=1.0, roughness=rough, thin=thin, ior=self._ior(bsdf, 1.5046), **color)
+
+    _roughdielectric = _thindielectric = _dielectric
+
+    def _principled(self, bsdf: Plugin, name: str) -> Material:
+        def scalar(key: str, default: float) -> float:
+            if isinstance(bsdf.values.get(key), Plugin):
+                self.lose(f"textures of {key}: {default} in their place", name)
+                return default
+            return min(max(_mean(bsdf.values.get(key, default)), 0.0), 1.0)
+
+        for key in ("anisotropic", "sheen", "spec_tint", "flatness"):
+            if isinstance(bsdf.values.get(key), Plugin) or _mean(bsdf.values.get(key, 0.0)) > 0.0:
+                self.lose(f"{key} of principled BSDFs: left out", name)
+        return Material(
+            name,
+            metallic=scalar("metallic", 0.0),
+            roughness=scalar("roughness", 0.5),
+            specular=min(2.0 * scalar("specular", 0.5), 1.0),
+            transmission=scalar("spec_trans", 0.0),
+            clearcoat=scalar("clearcoat", 0.0),
+            clearcoat_roughness=1.0 - scalar("clearcoat_gloss", 0.0),
+            **self._color(bsdf, "base_color"),
+        )
+
+    def _roughness(self, bsdf: Plugin, default: float) -> float:
+        """The roughness whose square is Mitsuba's α."""
+        value = bsdf.values.get("alpha", bsdf.values.get("alpha_u", default))
+        if isinstance(value, Plugin):
+            self.lose("textures of roughness: left out", bsdf.name or bsdf.type)
+            value = default
+        if "alpha_u" in bsdf.values and bsdf.values["alpha_u"] != bsdf.values.get("alpha_v"):
+            self.lose("anisotropic roughness: that along u counts", bsdf.name or bsdf.type)
+        return math.sqrt(min(max(_mean(value), 0.0), 1.0))
+
+    def _ior(self, bsdf: Plugin, default: float) -> float:
+        """The ratio of the refractive indices inside and outside, at least 1."""
+        inside, outside = (self._index(bsdf, key, value) for key, value in (("int_ior", default), ("ext_ior", 1.000277)))
+        return max(inside / outside, 1.0)
+
+    def _index(self, bsdf: Plugin, key: str, default: float) -> float:
+        value = bsdf.values.get(key, default)
+        if isinstance(value, str):
+            if value not in REFRACTIVE_INDICES:
+                bsdf.fail(key, "is no medium that is known; give a number")
+            return REFRACTIVE_INDICES[value]
+        return max(bsdf.number(key, default), 1e-3)
+
+    def _color(self, bsdf: Plugin, key: str, default: Vector = GREY) -> dict[str, Any]:
+        """Base colour and its texture from a colour or a bitmap."""
+        value = bsdf.values.get(key, default)
+        if not isinstance(value, Plugin):
+            return {"base_color": as_vector(min(max(channel, 0.0), 1.0) for channel in color_of(value))}
+        if value.type == "bitmap" and isinstance(value.values.get("filename"), str):
+            return {"base_color": (1.0, 1.0, 1.0), "base_color_texture": self.texture(value, srgb=True)}
+        self.lose(f"texture {value.type}: grey in its place", bsdf.name or bsdf.type)
+        return {"base_color": GREY}
+
+    def texture(self, texture: Plugin, srgb: bool = True) -> Texture | None:
+        """A bitmap; None for another texture."""
+        if texture.type != "bitmap" or not isinstance(texture.values.get("filename"), str):
+            self.lose(f"texture {texture.type}: left out", texture.name or texture.type)
+            return None
+        path = self._files.find(self._file.parent, texture.text("filename"), f"{texture.place}.filename")
+        raw = not srgb or texture.flag("raw")
+        image = self._floats(path) if path.suffix.lower() in (".exr", ".hdr") else load_texture(path, self._files, not raw)
+        wrap, matrix = WRAPS.get(texture.text("wrap_mode", "repeat"), "repeat"), texture.matrix("to_uv")
+        return Texture(image, wrap=(wrap, wrap), transform=tuple(matrix[[0, 0, 0, 1, 1, 1], [0, 1, 3, 0, 1, 3]].tolist()))
+
+    def _floats(self, path: Path) -> np.ndarray:
+        """An image of linear floats, `[H, W, 3]`."""
+        from bokehguide.image.reading import read_channels  # imports torch
+
+        require_file(path, "texture")
+        read = read_channels(path, path.suffix.upper().removeprefix("."))
+        names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3
+        image = np.stack([read.pixels[..., read.names.index(name)] for name in names], axis=-1)
+        self._files.reserve(image.size, path.stat().st_size, str(path))
+        return np.nan_to_num(image, posinf=0.0, neginf=0.0).astype(np.float32)
+
+
+KNOWN = {
+    *("diffuse", "plastic", "roughplastic", "conductor", "roughconductor", "principled"),
+    *("dielectric", "roughdielectric", "thindielectric"),
+}
+"""BSDFs that have a counterpart."""
+
+
+def color_of(value: Any) -> Vector:
+    """A colour as linear RGB: a number and a spectrum are grey."""
+    if isinstance(value, tuple) and len(value) == 3:
+        return as_vector(value)
+    mean = _mean(value)
+    return mean, mean, mean
+
+
+def _mean(value: Any) -> float:
+    """The mean of a colour or of a spectrum, 0.5 for anything else."""
+    values = getattr(value, "values", value)
+    values = values() if callable(values) else values
+    try:
+        mean = float(np.mean(np.asarray(values, np.float64)))
+    except (TypeError, ValueError):
+        return 0.5
+    return mean if math.isfinite(mean) else 0.5
+
+
+def _metal(bsdf: Plugin) -> Any:
+    """The reflectance of a conductor at normal incidence, by Mitsuba itself."""
+    keys = ("material", "eta", "k", "specular_reflectance")
+    plain = {key: value for key, value in bsdf.values.items() if key in keys and isinstance(value, (str, float, int, tuple))}
+    plain = {key: {"type": "rgb", "value": list(value)} if isinstance(value, tuple) else value for key, value in plain.items()}
+    with mitsuba(bsdf.place) as mi:
+        try:
+            metal = mi.load_dict({"type": "conductor"} | plain)
+        except RuntimeError:
+            bsdf.fail("material", "is no conductor that Mitsuba knows; give another one")
+        at = mi.SurfaceInteraction3f()
+        at.wi = mi.Vector3f(0.0, 0.0, 1.0)
+        _, weight = metal.sample(mi.BSDFContext(), at, 0.5, mi.Point2f(0.5, 0.5))
+        return np.array(weight, np.float64).ravel()[:3]

@@ -1,0 +1,209 @@
+"""Mitsuba XML files as scenes: what the exporter writes comes back, and shapes and fields of view are Mitsuba's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+mi = pytest.importorskip("mitsuba")
+
+from bokehguide.cli import main
+from bokehguide.errors import BokehguideError
+from bokehguide.export import export_mitsuba
+from bokehguide.scene import Overrides, load_scene
+from bokehguide.scene.shapes import spheres, transform, transformed, unit_sphere
+from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Scene, Texture
+
+SENSOR = (
+    '<sensor type="thinlens"><float name="aperture_radius" value="0.1"/><float name="focus_distance" value="3"/>'
+    '<float name="fov" value="40"/><transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>'
+    '<film type="hdrfilm"><integer name="width" value="32"/><integer name="height" value="18"/></film></sensor>'
+)
+
+BALL = '<shape type="sphere"><bsdf type="{}"><string name="{}" value="{}"/></bsdf></shape>'
+
+
+def written(folder, body: str, sensor: str = SENSOR):
+    path = folder / "scene.xml"
+    path.write_text(f'<scene version="3.0.0">{sensor}{body}</scene>')
+    return path
+
+
+def read(folder, body: str, sensor: str = SENSOR) -> Scene:
+    return load_scene(str(written(folder, body, sensor)))
+
+
+def test_exported_scenes_come_back(tmp_path):
+    image = np.random.default_rng(0).random((4, 6, 3), np.float32)
+    texture = Texture(image, wrap=("mirror", "mirror"), transform=(2.0, 0.0, 0.5, 0.0, 1.0, 0.0))
+    materials = (
+        Material("matte", (1.0, 1.0, 1.0), specular=0.0, base_color_texture=texture),
+        Material("gold", (1.0, 0.8, 0.3), metallic=1.0, roughness=0.3),
+        Material("glass", (0.9, 1.0, 0.9), transmission=1.0, roughness=0.0, ior=1.4),
+        Material("lamp", (0.0, 0.0, 0.0), specular=0.0, emission=(3.0, 2.0, 1.0)),
+    )
+    meshes = tuple(spheres(np.array([[number, 0.0, 0.0]]), np.array([0.4]), number, 1) for number in range(4))
+    meshes = (transformed(unit_sphere(1), transform(scale=0.4)), *meshes[1:])
+    radiance = np.random.default_rng(1).random((4, 8, 3)).astype(np.float32)
+    camera = Camera((1.0, 2.0, 5.0), (1.5, 0.0, 0.0), fov=35.0, aperture_radius=0.05, focus_distance=4.0)
+    scene = Scene("there", camera, meshes, materials, FilmSettings(32, 18, 5), Environment(radiance, 30.0))
+    assert export_mitsuba(scene, tmp_path) == []
+    back = load_scene(str(tmp_path / "scene.xml"))
+    assert back.camera.position == pytest.approx(camera.position) and back.camera.fov == pytest.approx(35.0)
+    assert (back.camera.aperture_radius, back.camera.focus_distance) == pytest.approx((0.05, 4.0))
+    direction, wanted = (np.subtract(each.target, each.position) for each in (back.camera, camera))
+    np.testing.assert_allclose(direction / np.linalg.norm(direction), wanted / np.linalg.norm(wanted), atol=1e-6)
+    assert (back.film.width, back.film.height, back.film.max_depth) == (32, 18, 5)
+    for mesh, ours in zip(back.meshes, meshes):
+        np.testing.assert_allclose(mesh.vertices, ours.vertices, atol=1e-6)
+        np.testing.assert_array_equal(mesh.triangles, ours.triangles)
+        found, material = back.materials[mesh.material], materials[ours.material]
+        assert found.base_color == pytest.approx(material.base_color)
+        terms = ("metallic", "roughness", "transmission", "ior", "emission")
+        assert all(getattr(found, term) == pytest.approx(getattr(material, term), abs=1e-3) for term in terms)
+    np.testing.assert_allclose(back.meshes[0].uvs, meshes[0].uvs, atol=1e-6)
+    again = back.materials[back.meshes[0].material].base_color_texture
+    np.testing.assert_allclose(again.image, texture.image, atol=1e-6)
+    assert (again.wrap, again.transform) == (texture.wrap, texture.transform)
+    assert back.environment.rotation % 360.0 == pytest.approx(30.0)
+    np.testing.assert_allclose(back.environment.radiance[1::2], radiance, atol=1e-6)
+    assert back.warnings == ()
+
+
+@pytest.mark.parametrize("kind", ["sphere", "rectangle", "disk", "cube"])
+def test_shapes_are_mitsubas(tmp_path, kind):
+    """Bounds and area, under a transform."""
+    steps = '<scale x="2" y="1" z="0.5"/><rotate y="1" angle="30"/><translate x="1" y="2" z="-3"/>'
+    move = f'<transform name="to_world">{steps}</transform>'
+    if kind == "sphere":
+        move = '<point name="center" x="1" y="2" z="-3"/><float name="radius" value="0.7"/>'
+    (mesh,) = read(tmp_path, f'<shape type="{kind}">{move}</shape>').meshes
+    mi.set_variant("scalar_rgb")
+    shape = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0]
+    corners = mesh.vertices[mesh.triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    assert area == pytest.approx(shape.surface_area(), rel=3e-3)
+    close = 0.01 * np.ptp(mesh.vertices)
+    np.testing.assert_allclose(mesh.vertices.min(axis=0), np.array(shape.bbox().min), atol=close)
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), np.array(shape.bbox().max), atol=close)
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "smaller", "larger", "diagonal"])
+def test_fields_of_view_are_mitsubas(tmp_path, axis):
+    sensor = SENSOR.replace("<film", f'<string name="fov_axis" value="{axis}"/><film')
+    scene = read(tmp_path, '<shape type="sphere"/>', sensor)
+    mi.set_variant("scalar_rgb")
+    theirs = mi.traverse(mi.load_file(str(tmp_path / "scene.xml")).sensors()[0])["x_fov"]
+    assert scene.camera.fov == pytest.approx(float(np.ravel(np.array(theirs))[0]), rel=1e-4)
+
+
+def test_materials(tmp_path):
+    body = (
+        '<bsdf type="twosided" id="gold"><bsdf type="roughconductor"><string name="material" value="Au"/>'
+        '<float name="alpha" value="0.09"/></bsdf></bsdf>'
+        '<bsdf type="roughplastic" id="red"><rgb name="diffuse_reflectance" value="0.5 0 0"/>'
+        '<float name="alpha" value="0.25"/></bsdf>'
+        '<bsdf type="dielectric" id="water"><string name="int_ior" value="water"/></bsdf>'
+        '<bsdf type="principled" id="car"><rgb name="base_color" value="0 0 0.5"/><float name="clearcoat" value="0.7"/>'
+        '<float name="clearcoat_gloss" value="0.9"/><float name="sheen" value="1"/></bsdf>'
+        '<bsdf type="mask" id="veil"><float name="opacity" value="0.25"/><bsdf type="diffuse"/></bsdf>'
+        '<bsdf type="hair" id="wig"/>'
+    )
+    names = ("gold", "red", "water", "car", "veil", "wig")
+    shapes = "".join(f'<shape type="sphere" id="s{name}"><ref id="{name}"/></shape>' for name in names)
+    scene = read(tmp_path, body + shapes)
+    found = dict(zip(names, (scene.materials[mesh.material] for mesh in scene.meshes)))
+    assert found["gold"].metallic == 1.0 and found["gold"].roughness == pytest.approx(0.3)
+    red, green, blue = found["gold"].base_color
+    assert red > 0.9 and 0.6 < green < 0.85 and 0.2 < blue < 0.5
+    assert found["red"].base_color == (0.5, 0.0, 0.0) and found["red"].roughness == pytest.approx(0.5)
+    assert found["water"].transmission == 1.0 and found["water"].ior == pytest.approx(1.333, rel=1e-3)
+    assert found["car"].clearcoat == pytest.approx(0.7) and found["car"].clearcoat_roughness == pytest.approx(0.1)
+    assert (found["veil"].alpha_mode, found["veil"].opacity) == ("blend", 0.25)
+    assert scene.warnings[0] == "scene.xml: sheen of principled BSDFs: left out (car)"
+    assert scene.warnings[1] == "scene.xml: BSDF hair: grey in its place (wig)"
+
+
+def test_emitters(tmp_path):
+    body = (
+        '<shape type="rectangle"><emitter type="area"><rgb name="radiance" value="3 2 1"/></emitter></shape>'
+        '<emitter type="point" id="bulb"><point name="position" x="1" y="2" z="3"/>'
+        '<rgb name="intensity" value="5 5 5"/></emitter>'
+        '<emitter type="directional" id="sun"><vector name="direction" x="0" y="-2" z="0"/>'
+        '<rgb name="irradiance" value="4 4 4"/></emitter>'
+        '<emitter type="constant"><rgb name="radiance" value="0.5 0.5 0.5"/></emitter><emitter type="spot" id="stage"/>'
+    )
+    scene = read(tmp_path, body)
+    assert scene.materials[scene.meshes[0].material].emission == (3.0, 2.0, 1.0)
+    bulb = scene.materials[scene.meshes[1].material]
+    assert bulb.emission[0] * np.pi * 0.01**2 == pytest.approx(5.0)
+    np.testing.assert_allclose(scene.meshes[1].vertices.mean(axis=0), (1, 2, 3), atol=2e-3)
+    assert scene.suns[0].direction == pytest.approx((0.0, 1.0, 0.0)) and scene.suns[0].irradiance == (4.0, 4.0, 4.0)
+    assert scene.environment.radiance.ravel().tolist() == [0.5, 0.5, 0.5]
+    assert [line.removeprefix("scene.xml: ") for line in scene.warnings] == [
+        "point lights: spheres of radius 0.01 m (bulb)",
+        "directional lights: discs of 0.53° (sun)",
+        "emitters of the type spot: left out (stage)",
+    ]
+
+
+def test_old_files_and_overrides(tmp_path):
+    """Versions before 2.0 have other names; the command line's camera counts."""
+    sensor = SENSOR.replace("aperture_radius", "apertureRadius").replace("focus_distance", "focusDistance")
+    sensor = sensor.replace("to_world", "toWorld")
+    path = written(tmp_path, '<shape type="sphere"/>', sensor)
+    path.write_text(path.read_text().replace("3.0.0", "0.6.0"))
+    scene = load_scene(str(path), Overrides(focus_distance=2.5, width=8, height=8))
+    assert (scene.camera.aperture_radius, scene.camera.focus_distance, scene.film.width) == (0.1, 2.5, 8)
+
+
+def test_the_variant_of_the_process_stays(tmp_path):
+    mi.set_variant("scalar_rgb")
+    read(tmp_path, '<shape type="sphere"/>')
+    assert mi.variant() == "scalar_rgb"
+
+
+@pytest.mark.parametrize(
+    ("body", "named"),
+    [
+        ("<shape", "not a readable Mitsuba scene"),
+        ("<shape/>", "not a readable Mitsuba scene"),
+        ("", "holds no shapes that can be drawn"),
+        ('<shape type="obj"><string name="filename" value="none.obj"/></shape>', r"filename: .*none\.obj: no such file"),
+        ('<shape type="ply"><string name="filename" value="../a.ply"/></shape>', r"filename: '\.\./a\.ply' lies outside"),
+        ('<shape type="sphere"><float name="radius" value="1e30"/></shape>', "radius: 1e.30 is not a number in range"),
+        (BALL.format("dielectric", "int_ior", "tar"), "int_ior: tar is no medium"),
+        (BALL.format("conductor", "material", "Xx"), "material: Xx is no conductor"),
+        ('<include filename="../outside.xml"/><shape type="sphere"/>', "<include>: .* lies outside the scene's folder"),
+        ('<path value="/tmp"/><shape type="sphere"/>', "<path>: '/tmp' lies outside the scene's folder"),
+    ],
+)
+def test_mistakes(tmp_path, body, named):
+    folder = tmp_path / "inside"
+    folder.mkdir()
+    (tmp_path / "outside.xml").write_text('<scene version="3.0.0"></scene>')
+    with pytest.raises(BokehguideError, match=named) as caught:
+        read(folder, body)
+    assert "scene.xml" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_scene_without_a_sensor(tmp_path):
+    with pytest.raises(BokehguideError, match="has no sensor of the type thinlens or perspective"):
+        read(tmp_path, '<shape type="sphere"/>', "")
+
+
+def test_textures_stay_in_the_folder_and_are_srgb(tmp_path):
+    Image.new("RGB", (2, 2), (188, 188, 188)).save(tmp_path / "grey.png")
+    texture = '<texture type="bitmap" name="reflectance"><string name="filename" value="grey.png"/></texture>'
+    scene = read(tmp_path, f'<shape type="sphere"><bsdf type="diffuse">{texture}</bsdf></shape>')
+    np.testing.assert_allclose(scene.materials[0].base_color_texture.image, 0.5029, atol=1e-3)
+    with pytest.raises(BokehguideError, match="lies outside the scene's folder"):
+        read(tmp_path, f'<shape type="sphere"><bsdf type="diffuse">{texture.replace("grey", "../grey")}</bsdf></shape>')
+
+
+def test_the_command(tmp_path, capsys):
+    path = written(tmp_path, '<shape type="sphere"/><emitter type="constant"/>')
+    out = tmp_path / "a.exr"
+    assert main(["render", str(path), "--spp", "1", "--threads", "1", "--mode", "uniform", "--out", str(out)]) == 0
+    assert out.exists() and replace(load_scene(str(path)), warnings=()).film.width == 32
