@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from bokehguide.mitsuba.frame import matrix
+from bokehguide.mitsuba.variants import is_scalar
 from bokehguide.scene.shapes import transformed, unit_disc, unit_rectangle, unit_sphere
 from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Mesh, Scene
 
@@ -87,9 +88,13 @@ def _mean_luminance(shape: Any) -> float:
     """The mean luminance that the emitter of a shape sends along the normals."""
     points = np.random.default_rng(0).random((2, SAMPLES)).astype(np.float32)
     wavelengths: Any = mi.Spectrum(*WAVELENGTHS) if mi.is_spectral else mi.Color0f()
-    at = mi.SurfaceInteraction3f(shape.sample_position(0.0, mi.Point2f(*points)), wavelengths)
-    at.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    return float(np.mean(np.array(luminance(shape.emitter().eval(at), wavelengths))))
+
+    def emitted(point: Any) -> Any:
+        at = mi.SurfaceInteraction3f(shape.sample_position(0.0, mi.Point2f(*point)), wavelengths)
+        at.wi = mi.Vector3f(0.0, 0.0, 1.0)
+        return luminance(shape.emitter().eval(at), wavelengths)
+
+    return float(np.mean([emitted(point) for point in points.T.tolist()] if is_scalar() else np.array(emitted(points))))
 
 
 def _environment(scene: Any, to_sensor: np.ndarray) -> Environment | None:
@@ -112,7 +117,13 @@ def _environment(scene: Any, to_sensor: np.ndarray) -> Environment | None:
 def _evaluate_environment(emitter: Any, directions: np.ndarray) -> np.ndarray:
     """Luminance `[N]` of an environment emitter for directions of propagation `[3, N]`."""
     at: Any = mi.SurfaceInteraction3f()
-    at.wi = mi.Vector3f(*directions)
     if mi.is_spectral:
         at.wavelengths = mi.Spectrum(*WAVELENGTHS)
-    return np.broadcast_to(np.array(luminance(emitter.eval(at), at.wavelengths)), directions.shape[1:])
+
+    def emitted(direction: Any) -> Any:
+        at.wi = mi.Vector3f(*direction)
+        return luminance(emitter.eval(at), at.wavelengths)
+
+    if is_scalar():
+        return np.array([emitted(direction) for direction in directions.T.tolist()])
+    return np.broadcast_to(np.array(emitted(directions)), directions.shape[1:])

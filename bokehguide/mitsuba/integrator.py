@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import drjit as dr
 import mitsuba as mi
 
@@ -9,6 +11,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.mitsuba.frame import first_number
 from bokehguide.mitsuba.lens import MODES
 from bokehguide.mitsuba.rendering import Rendering
+from bokehguide.mitsuba.variants import is_scalar
 
 
 def integrator_class() -> type:
@@ -24,10 +27,6 @@ def integrator_class() -> type:
 
         def __init__(self, props: mi.Properties):
             super().__init__(props)
-            if str(mi.variant()).startswith("scalar"):
-                raise BokehguideError(
-                    f"guided_thinlens: the variant {mi.variant()} is scalar; set another one, such as llvm_ad_rgb"
-                )
             self._mode = str(props.get("mode", "guided"))
             if self._mode not in MODES:
                 raise BokehguideError(f"guided_thinlens: mode: {self._mode!r} is none of {', '.join(MODES)}; give one of them")
@@ -51,7 +50,10 @@ def integrator_class() -> type:
         def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
             """The picture, as `mi.render` asks for it. Raises BokehguideError for a sensor that is no thin lens."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-            with dr.suspend_grad(), Rendering(self._nested, self._mode, scene, sensor, int(first_number(seed))) as rendering:
+            with (
+                nullcontext() if is_scalar() else dr.suspend_grad(),
+                Rendering(self._nested, self._mode, scene, sensor, int(first_number(seed))) as rendering,
+            ):
                 return rendering.picture(spp, develop)
 
     return GuidedThinLens

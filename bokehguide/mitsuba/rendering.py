@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Any, Self
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from bokehguide.mitsuba.emitters import luminance, read_emitters
+from bokehguide.mitsuba.emitters import read_emitters
 from bokehguide.mitsuba.frame import read_frame
-from bokehguide.mitsuba.lens import GuidedLens, LensSamples, SeenLight
+from bokehguide.mitsuba.lens import GuidedLens
+from bokehguide.mitsuba.one_by_one import OneByOne
+from bokehguide.mitsuba.variants import is_scalar
+from bokehguide.mitsuba.wavefront import Wavefront
 from bokehguide.render.random import hash_int
 
 
@@ -18,11 +20,10 @@ class Rendering:
     """A render of a scene with a nested integrator. The object is a context manager. Raises BokehguideError as `read_frame`."""
 
     def __init__(self, nested: Any, mode: str, scene: Any, sensor: Any, seed: int):
-        self._nested, self._scene, self._sensor, self._film, self._seed = nested, scene, sensor, sensor.film(), seed
+        self._names, self._sensor, self._film, self._seed = nested.aov_names(), sensor, sensor.film(), seed
         self._frame = frame = read_frame(sensor)
-        self._to_sensor = np.linalg.inv(frame.to_world)
-        emitters = read_emitters(scene, frame.camera, frame.width, frame.height, self._to_sensor)
-        self._triangles = _TriangleNumbers(scene, emitters.first_triangles, emitters.per_triangle)
+        emitters = read_emitters(scene, frame.camera, frame.width, frame.height, np.linalg.inv(frame.to_world))
+        self._paths = (OneByOne if is_scalar() else Wavefront)(nested, scene, sensor, frame, emitters)
         self._lens = GuidedLens(emitters.scene, frame.pixels, mode, seed)
 
     def __enter__(self) -> Self:
@@ -33,91 +34,13 @@ class Rendering:
 
     def picture(self, spp: int, develop: bool) -> Any:
         """The film after `spp` samples per pixel, 0 for those of the sensor; an empty tensor without `develop`."""
-        sampler = self._sensor.sampler().clone()
-        self._film.prepare(self._nested.aov_names())
-        spp, step = spp or sampler.sample_count(), 0
+        self._film.prepare(self._names)
+        spp, step = spp or self._sensor.sampler().sample_count(), 0
         while step < spp:
-            drawn = self._lens.draw(spp - step)
-            sampler.seed(dr.opaque(mi.UInt32, hash_int(self._seed ^ hash_int(step))), len(drawn.weight))
-            block = self._film.create_block()
-            seen = self._trace(drawn, sampler, block, spp)
+            drawn, block = self._lens.draw(spp - step), self._film.create_block()
+            seen = self._paths.trace(drawn, hash_int(self._seed ^ hash_int(step)), spp, block)
             if seen is not None:
                 self._lens.learn(seen)
             self._film.put_block(block)
             step += len(drawn.weight) // len(self._frame.pixels)
         return self._film.develop() if develop else mi.TensorXf()
-
-    def _trace(self, drawn: LensSamples, sampler: Any, block: Any, spp: int) -> SeenLight | None:
-        """Trace one path for each sample and put it on the block. Returns the report, None if the lens does not learn."""
-        active = mi.Bool(drawn.weight > 0.0)
-        ray, ray_weight, position = self._rays(drawn, sampler, active)
-        ray.scale_differential(spp**-0.5)
-        value, valid, aovs = self._nested.sample(self._scene, sampler, ray, self._sensor.get_medium(), active)
-        value = mi.unpolarized_spectrum(value) * ray_weight
-        finite = active & dr.all(dr.isfinite(value))
-        value, weight = dr.select(finite, value, 0.0), mi.Float(drawn.weight)
-        channels = [each * weight for each in aovs]
-        self._splat(block, position, value * weight, dr.select(valid & active, weight, 0.0), channels, ray.wavelengths)
-        return self._seen(drawn, ray, value, active) if drawn.learned else None
-
-    def _rays(self, drawn: LensSamples, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Rays through the lens points, their weights, and positions on the film."""
-        frame, film = self._frame, self._film
-        raster = drawn.raster - np.float32(frame.border)
-        sensor, x, y = self._sensor, mi.Float(raster[0]), mi.Float(raster[1])
-        (left, top), (across, down) = frame.corner, frame.size
-        # The x axis of the sensor points to the left.
-        disc = mi.Point2f(mi.Float(-drawn.points[0]), mi.Float(drawn.points[1]))
-        aperture = mi.warp.uniform_disk_to_square_concentric(dr.select(active, disc, 0.0))
-        time = sensor.shutter_open()
-        if sensor.shutter_open_time() > 0.0:
-            time += sampler.next_1d() * sensor.shutter_open_time()
-        wavelength = sampler.next_1d() if mi.is_spectral else 0.0
-        place = mi.Point2f((x - left) / across, (y - top) / down)
-        ray, weight = sensor.sample_ray_differential(time, wavelength, place, aperture, active)
-        position = mi.Vector2f(x, y)
-        return ray, weight, dr.floor(position) if film.rfilter().is_box_filter() else position
-
-    def _splat(self, block: Any, position: Any, value: Any, alpha: Any, channels: list[Any], wavelengths: Any) -> None:
-        """Put samples on a block in the form of the film."""
-        flags = self._film.flags()
-        if mi.has_flag(flags, mi.FilmFlags.Special):
-            block.put(position, self._film.prepare_sample(value, wavelengths, block.channel_count(), weight=1.0, alpha=alpha))
-            return
-        if mi.is_spectral:
-            color = mi.spectrum_to_srgb(value, wavelengths)
-        else:
-            color = mi.Color3f(value[0]) if mi.is_monochromatic else value
-        opaque = [alpha] if mi.has_flag(flags, mi.FilmFlags.Alpha) else []
-        block.put(position, [color[0], color[1], color[2], *opaque, mi.Float(1.0), *channels])
-
-    def _seen(self, drawn: LensSamples, ray: Any, value: Any, active: Any) -> SeenLight:
-        """The report of the paths: their luminance, and their first surfaces."""
-        surface = self._scene.ray_intersect_preliminary(ray, True, active)
-        light, number = luminance(value, ray.wavelengths), self._triangles.of(surface)
-        place, hit = ray(dr.select(surface.is_valid(), surface.t, 0.0)), dr.select(surface.is_valid(), 1.0, 0.0)
-        dr.eval(light, place, number, hit)
-        local = self._to_sensor[:3, :3] @ np.array(place) + self._to_sensor[:3, 3:]
-        points = self._frame.camera.aperture_radius * drawn.points.astype(np.float64)
-        away = local - np.stack((-points[0], points[1], np.zeros(points.shape[1])))
-        distance = np.where(np.array(hit) > 0.0, np.linalg.norm(away, axis=0), np.inf).astype(np.float32)
-        return SeenLight(np.broadcast_to(np.array(light), distance.shape), distance, np.array(number, np.int64))
-
-
-class _TriangleNumbers:
-    """The numbers of emitting triangles in the scene of emitters, for surfaces that rays hit."""
-
-    def __init__(self, scene: Any, first_triangles: np.ndarray, per_triangle: np.ndarray):
-        keys = np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr()), np.int64)
-        first, each = np.full(keys.max(initial=0) + 1, -1, np.int64), np.zeros(keys.max(initial=0) + 1, np.int64)
-        first[keys], each[keys] = first_triangles, per_triangle
-        self._first, self._each = mi.Int32(first.astype(np.int32)), mi.Int32(each.astype(np.int32))
-        self._count = len(first)
-
-    def of(self, surface: Any) -> Any:
-        """The numbers, -1 for surfaces that do not emit."""
-        key: Any = dr.reinterpret_array(mi.UInt32, surface.shape)
-        known = surface.is_valid() & (key < self._count)
-        first = dr.gather(mi.Int32, self._first, key, known)
-        number = first + dr.gather(mi.Int32, self._each, key, known) * mi.Int32(surface.prim_index)
-        return dr.select(known & (first >= 0), number, -1)

@@ -64,6 +64,21 @@ def test_a_wrong_lens_shows(expected):
     assert not agree(found, expected)
 
 
+@pytest.fixture
+def scalar():
+    """The scalar variant, for one test."""
+    before = mi.variant()
+    mi.set_variant("scalar_rgb")
+    yield
+    mi.set_variant(before)
+
+
+@pytest.mark.slow
+def test_the_scalar_variant(expected, scalar):
+    found = runs(mi.load_dict(lamps()), guided(), 12, count=6)
+    assert agree(found, expected)
+
+
 def test_noise_of_highlights_falls():
     """At 16 samples per pixel the variance of the pixels is a fifth or less."""
     scene = mi.load_dict(lamps(64, 36))
@@ -160,6 +175,7 @@ def test_a_pinhole_is_no_thin_lens():
     assert "the sensor is a PerspectiveCamera; give a sensor of the type thinlens" in str(caught.value.__cause__)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["metal", "smooth-glass", "textured-emitter", "environment-emitters"])
 def test_exported_scenes_are_those_in_memory(name, tmp_path):
     """The XML file and the dictionary that `test_mitsuba.py` compares with this renderer have the same means."""
