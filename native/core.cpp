@@ -5,7 +5,7 @@
 
 #include "kernels.h"
 #include "film.h"
-#include "primary_hits.h"
+#include "pixel_reuse.h"
 #include "trace.h"
 
 namespace BOKEHGUIDE_ISA {
@@ -157,6 +157,7 @@ namespace bokehguide {
 namespace BOKEHGUIDE_TARGET {
 namespace isa = ::BOKEHGUIDE_ISA;
 extern const Kernels kernels = {isa::trace, isa::nearest_of, isa::visible_of, isa::expose_all, isa::camera_rays, isa::random, isa::incident_light, isa::reflected_light,
+                                isa::find_views, isa::trace_views, isa::add_views,
                                 isa::surfaces, isa::evaluate, isa::sample, isa::lights, isa::environment, isa::emitters};
 }  // namespace BOKEHGUIDE_TARGET
 }  // namespace bokehguide

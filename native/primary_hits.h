@@ -13,17 +13,19 @@ constexpr float FAINTEST = 1e-20f;
 // The BSDF of the opaque part of surfaces, seen from some directions (`opaque_values`).
 inline Scattering opaque_part(const Tables& t, const Surface& s) { return Scattering(t, s, all(2.0f)); }
 
+// Rows of recorded hits, as fields of surfaces from some field on.
+inline void fill(const PathLight& of, Int hit, Surface& s, Float* field, int count = 1) {
+    const int first = int(field - reinterpret_cast<Float*>(&s));
+    for (int row = 0; row < count; ++row) field[row] = gather(of.surface + (first + row) * of.hit_columns, hit);
+}
+
 // Surfaces of recorded hits, with the fields that the opaque part needs; the others are 0.
 inline Surface recorded_surface(const Tables& t, const PathLight& of, Int hit) {
     Surface s = {};
-    const auto fill = [&](Float* field, int count = 1) {
-        const int first = int(field - reinterpret_cast<Float*>(&s));
-        for (int row = 0; row < count; ++row) field[row] = gather(of.surface + (first + row) * of.hit_columns, hit);
-    };
-    fill(&s.outgoing.x, 9);  // with both normals
-    fill(&s.base_color.x, 6), fill(&s.ior);
-    if (t.specular_color != nullptr) fill(&s.specular_color.x, 3);
-    if (t.clearcoat != nullptr) fill(&s.clearcoat, 5);
+    fill(of, hit, s, &s.outgoing.x, 9);  // with both normals
+    fill(of, hit, s, &s.base_color.x, 6), fill(of, hit, s, &s.ior);
+    if (t.specular_color != nullptr) fill(of, hit, s, &s.specular_color.x, 3);
+    if (t.clearcoat != nullptr) fill(of, hit, s, &s.clearcoat, 5);
     return s;
 }
 
@@ -51,9 +53,28 @@ inline void incident_light(const Tables& t, const PathLight& of, const int64_t* 
     }
 }
 
-// `_reflected`: radiance `[3, views]` of hits towards unit directions `[3, views]`, added up over the paths of each hit.
-inline void reflected_light(const Tables& t, const PathLight& of, int64_t views, const int64_t* chosen, const float* outgoing, float* radiance) {
+// `_reflected`: radiance of eight hits towards unit directions, added up over the paths of each hit. Hits without paths are black.
+inline Vec3 reflected(const Tables& t, const PathLight& of, Int hit, Int paths, Vec3 outgoing) {
     const float* directions[2] = {of.light_direction, of.scattered_direction};
+    const Int begin = gather(of.first_path, hit);
+    Surface s = recorded_surface(t, of, hit);
+    s.outgoing = outgoing;
+    const Scattering scattering = opaque_part(t, s);
+    Vec3 sum = grey(all(0.0f));
+    for (int32_t number = 0; any(number < paths); ++number) {
+        const Int going = number < paths, path = going ? begin + number : begin;
+        Vec3 light = grey(all(0.0f));
+        for (int kind = 0; kind < 2; ++kind) {
+            const Vec3 arriving = gather3(of.incident + 3 * kind * of.path_columns, of.path_columns, path);
+            light = light + scattering.evaluate(gather3(directions[kind], of.path_columns, path)).value * arriving;
+        }
+        sum = choose(going, sum + light, sum);
+    }
+    return sum;
+}
+
+// Radiance `[3, views]` of hits towards unit directions `[3, views]`.
+inline void reflected_light(const Tables& t, const PathLight& of, int64_t views, const int64_t* chosen, const float* outgoing, float* radiance) {
     for (int64_t first = 0; first < views; first += LANES) {
         const int count = views - first < LANES ? int(views - first) : LANES;
         Int hit, viewer;
@@ -61,20 +82,7 @@ inline void reflected_light(const Tables& t, const PathLight& of, int64_t views,
             const int64_t view = first + (lane < count ? lane : count - 1);
             hit[lane] = int32_t(chosen[view]), viewer[lane] = int32_t(view);
         }
-        const Int begin = gather(of.first_path, hit), paths = gather(of.paths, hit);
-        Surface s = recorded_surface(t, of, hit);
-        s.outgoing = gather3(outgoing, views, viewer);
-        const Scattering scattering = opaque_part(t, s);
-        Vec3 sum = grey(all(0.0f));
-        for (int32_t number = 0; any(number < paths); ++number) {
-            const Int going = number < paths, path = going ? begin + number : begin;
-            Vec3 light = grey(all(0.0f));
-            for (int kind = 0; kind < 2; ++kind) {
-                const Vec3 arriving = gather3(of.incident + 3 * kind * of.path_columns, of.path_columns, path);
-                light = light + scattering.evaluate(gather3(directions[kind], of.path_columns, path)).value * arriving;
-            }
-            sum = choose(going, sum + light, sum);
-        }
+        const Vec3 sum = reflected(t, of, hit, gather(of.paths, hit), gather3(outgoing, views, viewer));
         for (int lane = 0; lane < count; ++lane) {
             float* const column = radiance + first + lane;
             column[0] = sum.x[lane], column[views] = sum.y[lane], column[2 * views] = sum.z[lane];

@@ -166,5 +166,54 @@ struct FilmSums {
 struct Camera {
     float axes[9], position[3];  // camera to world, row by row
 };
+struct LensCamera {
+    Camera camera;
+    float radius, squared_radius, passing, focus_distance, pixel_slope;  // passing: 1 / A of a round aperture
+};
+
+// Groups of pixels of a film that reuse each other's primary hits (guiding/pixel_reuse.py): the number of the first pixel of a
+// batch and of all pixels, null for consecutive ones; the width of the film, and the size and shift of groups.
+struct PixelGroups {
+    int64_t first;
+    const int64_t* pixels;
+    int32_t width, across, down, right, below;
+};
+
+// One sample for each of some pixels; rows as in `Tables`.
+struct LensSamples {
+    int64_t count;
+    const float *points, *focus, *depth, *weight, *radiance;
+    const int32_t* triangle;
+};
+
+// Recorded hits and their light; rows as in `SplitRecord`.
+struct HitRecord {
+    int64_t count;
+    const int32_t *ray, *triangle;
+    const float *u, *v, *distance, *emission;
+    PathLight light;
+};
+
+// Views of primary hits by other pixels of a group: rows of `columns` entries, of which `count` are in use. Views are in the order
+// of the members of groups, and then of their sources.
+struct ViewRows {
+    int64_t columns, count;
+    int32_t members;
+    int64_t* ends;  // of the views of each member, from 0 on
+    int32_t *source, *viewer, *hit;  // hit: -1 for the environment
+    float *x, *y, *jacobian, *passing, *outgoing;
+    // Of the pixels of a batch, filled up to whole vectors: the number of the primary hit, -1 for none; column and row in the band,
+    // number after the first; whether others may use the hit, its depth and plane; scale of the weights.
+    int64_t pixels;
+    int32_t *place, *column, *line, *number;
+    float *reusable, *depth, *plane, *scale;
+    int32_t* among;  // index of each number in the batch, -1 for none; null for consecutive pixels
+    int32_t numbers;  // in `among`, or of the batch
+};
+
+// The weights of reuse, for each pixel: density and W / A at the pixel's own lens point, transmittance there, null for 1.
+struct OwnSamples {
+    const float *density, *passing, *transmittance;
+};
 
 }  // namespace bokehguide

@@ -28,6 +28,11 @@ class Lens:
     focus_distance: float
 
     @property
+    def is_disc(self) -> bool:
+        """Whether W is 1 within `radius`, for all focus points."""
+        return True
+
+    @property
     def vignettes(self) -> bool:
         """Whether the aperture shrinks towards the edge of the frame."""
         return False
@@ -56,6 +61,10 @@ class Lens:
         """Share of W that vignetting leaves for rays from lens points `[2, N]` to focus points `[3, N]`, `[N]`."""
         return torch.ones_like(points[0])
 
+    def passing(self, points: Tensor, focus: Tensor) -> Tensor:
+        """W / A, 1/m², at lens points `[2, N]` towards focus points `[3, N]`, `[N]`."""
+        return self.transmission(points) * self.unblocked(points, focus) / self.area
+
 
 @dataclass(frozen=True, eq=False)
 class ShapedLens(Lens):
@@ -73,6 +82,10 @@ class ShapedLens(Lens):
     ratio: float
     cat_eye: float
     corner: float
+
+    @property
+    def is_disc(self) -> bool:
+        return False
 
     @property
     def vignettes(self) -> bool:

@@ -21,7 +21,7 @@ from bokehguide.render.lights.light_clusters import LightClusters
 from bokehguide.render.lights.scene_lights import Lights
 from bokehguide.render.materials import NORMAL_MAPS, SLOTS, Materials
 from bokehguide.render.observer import CoreReport, PathObserver
-from bokehguide.render.primary_hits import PrimaryHits
+from bokehguide.render.primary_hits import CoreRecord, PrimaryHits
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.splitting import Splitting
 from bokehguide.render.textures import TextureAtlas
@@ -83,6 +83,19 @@ class NativeTracer:
         for observer in observers:
             observer.reported(report)
         return fields
+
+    def record(self, hits: PrimaryHits | None) -> CoreRecord | None:
+        """The record of a trace's primary hits in the core, None if PyTorch has recorded them."""
+        return CoreRecord({}, 0, 0) if hits is None else hits.core_record()
+
+    def views(self, arrays: dict[str, Any], numbers: dict[str, float], record: CoreRecord, first: int, pixels: Tensor | None) -> Any:
+        """The `Views` of the extension, which `native/reuse.cpp` describes."""
+        core = native.core()
+        assert core is not None
+        if record.hits > 0:
+            arrays = {**arrays, "record": record.arrays}
+        counts = {"hits": float(record.hits), "paths": float(record.paths), "first": float(first)}
+        return core.Views(self._scene, arrays, numbers | counts, pixels)
 
     def _trace_split(
         self, given: CoreRays, counts: Tensor | None, lights: object | None, timer: PhaseTimer
@@ -182,14 +195,24 @@ class NativeHits(PrimaryHits):
 
     def radiance(self, chosen: Tensor, outgoing: Tensor, count: int) -> Tensor:
         """See `PrimaryHits`."""
+        reflected = torch.empty(3, len(chosen))
+        views = chosen.contiguous(), outgoing.contiguous()
+        self.scene.reflected(self.record, len(self.owner), *self.light(), *views, reflected)
+        return self._emitted(chosen, outgoing).add_(reflected)
+
+    def core_record(self) -> CoreRecord:
+        """See `PrimaryHits`."""
+        incident, first_path = self.light()
+        arrays = self.record | {"incident": incident, "first_path": first_path}
+        return CoreRecord(arrays, len(self.rays), len(self.owner))
+
+    def light(self) -> tuple[Tensor, Tensor]:
+        """Incident light of the paths, by columns of the record, `[6, paths]`; and the first path of each hit, int32 `[K]`."""
         if self._light is None:
             incident = torch.empty(6, self.record["indirect"].shape[1])
             self.scene.incident(self.record, len(self.owner), incident)
             self._light = incident, (self.counts.cumsum(0) - self.counts).int()
-        reflected = torch.empty(3, len(chosen))
-        views = chosen.contiguous(), outgoing.contiguous()
-        self.scene.reflected(self.record, len(self.owner), *self._light, *views, reflected)
-        return self._emitted(chosen, outgoing).add_(reflected)
+        return self._light
 
 
 def cluster_lights(core: ModuleType, clusters: LightClusters, arrays: dict[str, Tensor], numbers: dict[str, float]) -> object:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,6 +18,15 @@ from bokehguide.runtime.compile.kernels import kernel
 FAINTEST = 1e-20
 """Least BSDF value as a divisor. Smaller values are treated as 0, because the quotient of radiance and BSDF would overflow."""
 Pair = tuple[Tensor, Tensor]
+
+
+class CoreRecord(NamedTuple):
+    """Primary hits in the native core. arrays: by the names of `SplitRecord` and `PathLight` in `native/tables.h`. hits, paths:
+    how many are in use."""
+
+    arrays: dict[str, Tensor]
+    hits: int
+    paths: int
 
 
 @dataclass
@@ -53,6 +63,10 @@ class PrimaryHits:
     def path_rays(self) -> Tensor:
         """Ray of each path, int64 `[P]`."""
         return self.rays.index_select(0, self.owner)
+
+    def core_record(self) -> CoreRecord | None:
+        """The record in the native core, None if PyTorch has recorded the hits."""
+        return None
 
     def same_normals(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
         """Whether the surfaces `chosen`, int64 `[J]`, have the same shading normals from unit directions `[3, J]`; bool `[J]`.

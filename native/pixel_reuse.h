@@ -1,0 +1,304 @@
+// Reuse of primary hits among neighbouring pixels: guiding/pixel_reuse.py, for eight views at a time.
+
+#pragma once
+
+#include <new>
+
+#include "primary_hits.h"
+#include "shadow_rays.h"
+
+namespace BOKEHGUIDE_ISA {
+
+using bokehguide::HitRecord;
+using bokehguide::LensCamera;
+using bokehguide::LensSamples;
+using bokehguide::OwnSamples;
+using bokehguide::PixelGroups;
+using bokehguide::ViewRows;
+
+// Groups end with bands of ROWS_PER_BAND rows and with bands of 2^COLUMN_BITS columns.
+constexpr int ROWS_PER_BAND = 8, COLUMN_BITS = 5;
+constexpr float GROUP_SPACING = 3.0f, INFINITELY_DEEP = 1e30f, SHORTENED = 1.0f - 1e-4f;
+
+inline Vec3 camera_to_world(const bokehguide::Camera& c, Vec3 v) {
+    const float* m = c.axes;
+    return {m[0] * v.x + m[1] * v.y + m[2] * v.z, m[3] * v.x + m[4] * v.y + m[5] * v.z, m[6] * v.x + m[7] * v.y + m[8] * v.z};
+}
+inline Vec3 world_to_camera(const bokehguide::Camera& c, Vec3 v) {
+    const float* m = c.axes;
+    return {m[0] * v.x + m[3] * v.y + m[6] * v.z, m[1] * v.x + m[4] * v.y + m[7] * v.z, m[2] * v.x + m[5] * v.y + m[8] * v.z};
+}
+inline Vec3 camera_position(const bokehguide::Camera& c) { return {all(c.position[0]), all(c.position[1]), all(c.position[2])}; }
+
+// Surfaces of recorded hits, with their places, normals, and the fields by which pixels see them alike; the others are 0.
+inline Surface placed_surface(const Tables& t, const PathLight& of, Int hit) {
+    Surface s = {};
+    fill(of, hit, s, &s.position.x, 15), fill(of, hit, s, &s.metallic, 2), fill(of, hit, s, &s.transmission);
+    if (t.clearcoat != nullptr) fill(of, hit, s, &s.clearcoat, 5);
+    return s;
+}
+
+// The primary hits of a batch by pixel (`_hits`), and the places of pixels in their bands.
+class PixelHits {
+  public:
+    PixelHits(const Tables& t, const LensCamera& lens, const HitRecord& record, float min_spread, ViewRows& views)
+        : t_(t), lens_(lens), record_(record), views_(views), min_spread_(min_spread) {}
+
+    void fill(const PixelGroups& groups, const LensSamples& samples) {
+        ViewRows& v = views_;
+        for (int64_t i = 0; i < v.pixels; ++i) {
+            const int64_t place = i < samples.count ? i : samples.count - 1;
+            const int64_t pixel = groups.pixels == nullptr ? groups.first + place : groups.pixels[place];
+            v.column[i] = int32_t(pixel % groups.width), v.line[i] = int32_t(pixel / groups.width % ROWS_PER_BAND);
+            v.number[i] = int32_t(pixel - groups.first);
+            const bool infinite = samples.triangle[place] < 0 && samples.weight[place] > 0.0f;
+            v.reusable[i] = infinite && t_.has_environment && t_.visible_environment && i < samples.count;
+            v.depth[i] = infinite ? INFINITELY_DEEP : samples.depth[place];
+            v.place[i] = -1, v.plane[i] = v.plane[v.pixels + i] = 0.0f, v.plane[2 * v.pixels + i] = 1.0f;
+        }
+        for (int64_t first = 0; first < record_.count; first += LANES) add(first);
+        for (int32_t i = 0; v.among != nullptr && i < v.numbers; ++i) v.among[i] = -1;
+        for (int64_t i = 0; v.among != nullptr && i < samples.count; ++i) v.among[v.number[i]] = int32_t(i);
+    }
+
+  private:
+    const Tables& t_;
+    const LensCamera& lens_;
+    const HitRecord& record_;
+    ViewRows& views_;
+    float min_spread_;
+
+    void add(int64_t first) {
+        const int count = record_.count - first < LANES ? int(record_.count - first) : LANES;
+        Int hit;
+        for (int lane = 0; lane < LANES; ++lane) hit[lane] = int32_t(first + (lane < count ? lane : count - 1));
+        const Surface s = placed_surface(t_, record_.light, hit);
+        const Vec3 normal = world_to_camera(lens_.camera, s.geometric_normal);
+        const Vec3 position = world_to_camera(lens_.camera, s.position - camera_position(lens_.camera));
+        const Float offset = dot(position, normal), alike = one_if(looks_alike(s, min_spread_ * view_angle(at_least(position.z, 1e-9f))));
+        for (int lane = 0; lane < count; ++lane) {
+            const int32_t pixel = record_.ray[first + lane];
+            float* const plane = views_.plane + pixel;
+            views_.place[pixel] = int32_t(first + lane), views_.reusable[pixel] = alike[lane];
+            plane[0] = normal.x[lane], plane[views_.pixels] = normal.y[lane], plane[2 * views_.pixels] = offset[lane];
+        }
+    }
+    // `_view_angle`.
+    Float view_angle(Float depth) const {
+        const float focus = lens_.focus_distance;
+        const Float spacing = (GROUP_SPACING * lens_.pixel_slope * focus) * depth / at_least(abs(depth - focus), 1e-9f);
+        return at_most(spacing, 2.0f * lens_.radius) / depth;
+    }
+    // `_looks_alike`.
+    Int looks_alike(const Surface& s, Float least) const {
+        Int alike = (s.alpha >= least) & (s.facing > all(0.0f));
+        if (t_.clearcoat != nullptr) alike &= (s.clearcoat <= all(0.0f)) | (s.clearcoat_alpha >= least);
+        if (t_.has_transmission) alike &= s.transmission * (1.0f - s.metallic) <= all(0.0f);
+        if (t_.absorption != nullptr) alike &= s.front > all(0.0f);
+        return alike;
+    }
+};
+
+// A member of eight pixels' groups (`_members`), as indices into the batch; -1 for none.
+inline Int member_of(const PixelGroups& groups, const ViewRows& v, int member, int64_t i) {
+    const Int x = load<Int>(v.column + i), line = load<Int>(v.line + i);
+    const Int column = ((x + groups.right) ^ (member % groups.across)) - groups.right;
+    const Int row = ((line + groups.below) ^ (member / groups.across)) - groups.below;
+    const Int there = load<Int>(v.number + i) + (row - line) * groups.width + column - x;
+    const Int inside = (column < groups.width) & ((column >> COLUMN_BITS) == (x >> COLUMN_BITS)) & (row >= 0) & (row < ROWS_PER_BAND) &
+                       (there >= 0) & (there < v.numbers);
+    if (v.among == nullptr) return inside ? there : all(-1);
+    return inside ? gather(v.among, inside ? there : all(0)) : all(-1);
+}
+
+inline Float plane_distance(Vec3 plane, Float x, Float y) { return abs(plane.z - plane.x * x - plane.y * y); }
+
+// The views of eight pixels' hits by a member of their groups, where the lens contains their lens points.
+inline void find_views_of(const LensCamera& lens, const PixelGroups& groups, const LensSamples& samples, int member, int64_t i, ViewRows& views) {
+    const int64_t count = samples.count;
+    Int viewer = member_of(groups, views, member, i);
+    const Int seen = (viewer >= 0) & (load<Float>(views.reusable + i) > all(0.0f));
+    if (!any(seen)) return;
+    viewer = seen ? viewer : all(0);
+    Int pixel = Int{0, 1, 2, 3, 4, 5, 6, 7} + int32_t(i);
+    pixel = seen ? pixel : all(0);
+    const Float depth = load<Float>(views.depth + i), own_x = gather(samples.points, pixel), own_y = gather(samples.points + count, pixel);
+    const Float scale = depth / (depth - gather(samples.focus + 2 * count, pixel));
+    const auto moved = [&](const float* row, Float own) { return own + (gather(row, viewer) - gather(row, pixel)) * scale; };
+    const Float x = moved(samples.focus, own_x), y = moved(samples.focus + count, own_y);
+    const unsigned inside = lanes(seen & (x * x + y * y <= all(lens.squared_radius)));
+    if (inside == 0) return;
+    const auto row = [&](int axis) { return load<Float>(views.plane + axis * views.pixels + i); };
+    const Vec3 plane = {row(0), row(1), row(2)};
+    const Float jacobian = plane_distance(plane, x, y) / at_least(plane_distance(plane, own_x, own_y), 1e-20f);
+    for (int lane = 0; lane < LANES; ++lane) {
+        if (!(inside >> lane & 1)) continue;
+        const int64_t view = views.count++;
+        views.source[view] = int32_t(i + lane), views.viewer[view] = viewer[lane], views.hit[view] = views.place[i + lane];
+        views.x[view] = x[lane], views.y[view] = y[lane], views.jacobian[view] = jacobian[lane], views.passing[view] = lens.passing;
+    }
+}
+
+inline void find_views(const Tables& t, const LensCamera& lens, const PixelGroups& groups, const LensSamples& samples, const HitRecord& record,
+                       float min_spread, ViewRows& views) {
+    PixelHits(t, lens, record, min_spread, views).fill(groups, samples);
+    views.count = 0, views.ends[0] = 0;
+    for (int member = 1; member < views.members; ++member) {
+        for (int64_t i = 0; i < samples.count; i += LANES) find_views_of(lens, groups, samples, member, i, views);
+        views.ends[member] = views.count;
+    }
+}
+
+// Whether surfaces have the same shading normals from unit directions (`PrimaryHits.same_normals`).
+inline Int same_normals(const Tables& t, const HitRecord& record, Int hit, const Surface& s, Vec3 outgoing) {
+    const auto faces = [&](Vec3 normal) { return dot(normal, outgoing) > all(MIN_FACING); };
+    Int same = faces(s.normal);
+    if (t.clearcoat != nullptr && t.tilts_coats) same &= faces(s.clearcoat_normal);
+    const bool mapped = t.normal_scales[bokehguide::NORMAL] != nullptr || t.normal_scales[bokehguide::CLEARCOAT_NORMAL] != nullptr;
+    if (mapped) {
+        const Vec3 own = corner_normal(t, {gather(record.triangle, hit), all(0.0f), gather(record.u, hit), gather(record.v, hit)});
+        same &= faces(normalize(own * copysign(all(1.0f), dot(own, s.geometric_normal))));
+    }
+    return same;
+}
+
+// Shadow rays of the views of a block from hits to lens points (`_lens_rays`).
+class alignas(64) ViewTracing {
+  public:
+    ViewTracing(const Tables& t, const LensCamera& lens, const LensSamples& samples, const HitRecord& record, ViewRows& views)
+        : t_(t), lens_(lens), samples_(samples), record_(record), views_(views) {
+        rays_.rays = 0, rays_.embree_seconds = 0.0;
+    }
+
+    // Keep the views that nothing blocks, in their order.
+    void run() {
+        const int64_t count = views_.count;
+        views_.count = 0;
+        int member = 1;
+        for (int64_t first = 0; first < count; first += BLOCK) {
+            const int size = count - first < BLOCK ? int(count - first) : BLOCK;
+            int traced = 0;
+            for (int i = 0; i < size; i += LANES) traced = aim(first, i, size, traced);
+            rays_.trace(t_, traced);
+            for (int i = 0; i < traced; ++i) {
+                const int64_t view = first + chosen_[i];
+                for (; views_.ends[member] <= view; ++member) views_.ends[member] = views_.count;
+                if (rays_.passes[i] > 0.0f) keep(view, i);
+            }
+        }
+        for (; member < views_.members; ++member) views_.ends[member] = views_.count;
+    }
+    int64_t rays() const { return rays_.rays; }
+    double embree_seconds() const { return rays_.embree_seconds; }
+
+  private:
+    const Tables& t_;
+    const LensCamera& lens_;
+    const LensSamples& samples_;
+    const HitRecord& record_;
+    ViewRows& views_;
+    ShadowRays rays_;
+    IntRow chosen_;
+    Row outgoing_[3];
+
+    void keep(int64_t view, int ray) {
+        const int64_t to = views_.count++;
+        views_.source[to] = views_.source[view], views_.viewer[to] = views_.viewer[view], views_.hit[to] = views_.hit[view];
+        views_.x[to] = views_.x[view], views_.y[to] = views_.y[view], views_.passing[to] = views_.passing[view];
+        views_.jacobian[to] = views_.jacobian[view] * rays_.passes[ray];
+        for (int axis = 0; axis < 3; ++axis) views_.outgoing[axis * views_.columns + to] = outgoing_[axis][ray];
+    }
+
+    // Aim the rays of up to eight views; returns the number of rays so far.
+    int aim(int64_t first, int i, int size, int traced) {
+        const int64_t view = first + i;  // rows have entries for whole vectors
+        const Int active = first_lanes(size - i) & (load<Float>(views_.passing + view) > all(0.0f)), hit = active ? load<Int>(views_.hit + view) : all(-1);
+        const Int viewer = active ? load<Int>(views_.viewer + view) : all(0), far = hit < 0;
+        const Vec3 point = {load<Float>(views_.x + view), load<Float>(views_.y + view), all(0.0f)};
+        const Vec3 on_lens = camera_to_world(lens_.camera, point) + camera_position(lens_.camera);
+        Vec3 origin = on_lens, direction = {}, outgoing = {};
+        Float distance = all(MISS_DISTANCE);
+        Int leaves = active;
+        if (any(far & active)) {
+            direction = camera_to_world(lens_.camera, normalize(gather3(samples_.focus, samples_.count, viewer) - point));
+        }
+        if (any(~far)) {
+            const Int place = far ? all(0) : hit;
+            const Surface s = placed_surface(t_, record_.light, place);
+            const Vec3 offset_to = on_lens - s.position, start = s.position + s.geometric_normal * s.offset, ray = on_lens - start;
+            outgoing = offset_to / length(offset_to);
+            const Float reach = length(ray);
+            leaves &= far | ((dot(s.geometric_normal, outgoing) > all(0.0f)) & same_normals(t_, record_, place, s, outgoing));
+            origin = choose(far, origin, start), direction = choose(far, direction, ray / reach);
+            distance = far ? distance : reach * SHORTENED;
+        }
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (!leaves[lane]) continue;
+            const Vec3* const from[3] = {&origin, &direction, &outgoing};
+            Row* const rows[3] = {rays_.origin, rays_.direction, outgoing_};
+            for (int row = 0; row < 3; ++row) {
+                rows[row][0][traced] = from[row]->x[lane], rows[row][1][traced] = from[row]->y[lane], rows[row][2][traced] = from[row]->z[lane];
+            }
+            rays_.length[traced] = distance[lane], chosen_[traced++] = i + lane;
+        }
+        return traced;
+    }
+};
+
+inline int64_t trace_views(const Tables& t, const LensCamera& lens, const LensSamples& samples, const HitRecord& record, ViewRows& views,
+                           double* seconds) {
+    ViewTracing* const tracing = new (std::align_val_t(64)) ViewTracing(t, lens, samples, record, views);
+    tracing->run();
+    const int64_t rays = tracing->rays();
+    *seconds = tracing->embree_seconds();
+    operator delete(tracing, std::align_val_t(64));
+    return rays;
+}
+
+// Radiance of the samples as the viewers of eight views see them (`_radiance`).
+inline Vec3 seen_radiance(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views, int64_t first, Int active) {
+    const Int source = active ? load<Int>(views.source + first) : all(0), hit = active ? load<Int>(views.hit + first) : all(-1);
+    const Int on_surface = hit >= 0;
+    const Vec3 radiance = gather3(samples.radiance, samples.count, source);
+    if (!any(on_surface)) return radiance;
+    const Int place = on_surface ? hit : all(0);
+    const auto towards = [&](int axis) { return load<Float>(views.outgoing + axis * views.columns + first); };
+    const Vec3 outgoing = {towards(0), towards(1), towards(2)};
+    Vec3 light = gather3(record.emission, record.light.hit_columns, place);
+    if (!t.plain_emission) {
+        const Hits at = {gather(record.triangle, place), gather(record.distance, place), gather(record.u, place), gather(record.v, place)};
+        const Float front = gather(record.light.surface + 12 * record.light.hit_columns, place);
+        light = emission(t, at, front, outgoing, on_surface);
+    }
+    const Int paths = on_surface ? gather(record.light.paths, place) : all(0);
+    return choose(on_surface, light + reflected(t, record.light, place, paths, outgoing), radiance);
+}
+
+inline void add_views(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views, const OwnSamples& own,
+                      const float* density, float* radiance, float* weight) {
+    const int64_t count = samples.count;
+    float* const scale = views.scale;
+    for (int64_t i = 0; i < count; ++i) scale[i] = own.density[i] * (own.transmittance ? own.transmittance[i] : 1.0f);
+    for (int64_t view = 0; view < views.count; ++view) scale[views.source[view]] += density[view] * views.jacobian[view];
+    for (int64_t i = 0; i < count; ++i) {
+        scale[i] = scale[i] > 0.0f ? 1.0f / scale[i] : 0.0f;
+        const float passing = own.passing[i] * (own.transmittance ? own.transmittance[i] : 1.0f);
+        weight[i] = samples.weight[i] > 0.0f ? passing * scale[i] : 0.0f;
+        for (int channel = 0; channel < 3; ++channel) radiance[channel * count + i] = samples.radiance[channel * count + i] * weight[i];
+    }
+    for (int64_t first = 0; first < views.count; first += LANES) {
+        const int size = views.count - first < LANES ? int(views.count - first) : LANES;
+        const Int active = first_lanes(size);
+        const Int source = active ? load<Int>(views.source + first) : all(0);
+        const Float share = or_zero(load<Float>(views.passing + first) * load<Float>(views.jacobian + first) * gather(scale, source));
+        const Vec3 light = seen_radiance(t, samples, record, views, first, active) * share;
+        const Float channels[3] = {or_zero(light.x), or_zero(light.y), or_zero(light.z)};
+        for (int lane = 0; lane < size; ++lane) {
+            const int32_t viewer = views.viewer[first + lane];
+            weight[viewer] += share[lane];
+            for (int channel = 0; channel < 3; ++channel) radiance[channel * count + viewer] += channels[channel][lane];
+        }
+    }
+}
+
+}  // namespace BOKEHGUIDE_ISA
