@@ -156,7 +156,7 @@ void emitters(const Tables& t, int64_t count, const float* points, const float* 
 namespace bokehguide {
 namespace BOKEHGUIDE_TARGET {
 namespace isa = ::BOKEHGUIDE_ISA;
-extern const Kernels kernels = {isa::trace, isa::nearest_of, isa::visible_of, isa::expose_all, isa::camera_rays, isa::random, isa::incident_light, isa::reflected_light,
+extern const Kernels kernels = {isa::trace, isa::nearest_of, isa::visible_of, isa::expose_all, isa::camera_rays, isa::random, isa::incident_light,
                                 isa::find_views, isa::trace_views, isa::add_views,
                                 isa::surfaces, isa::evaluate, isa::sample, isa::lights, isa::environment, isa::emitters};
 }  // namespace BOKEHGUIDE_TARGET

@@ -78,6 +78,7 @@ long load_embree(const std::string& path) {
     bind(library, "rtcReleaseGeometry", embree.release_geometry), bind(library, "rtcCommitScene", embree.commit_scene);
     bind(library, "rtcReleaseScene", embree.release_scene);
     bind(library, "rtcIntersect1", embree.intersect1), bind(library, "rtcOccluded1", embree.occluded1);
+    bind(library, "rtcOccluded8", embree.occluded8);
     if (device == nullptr) device = embree.new_device(nullptr);
     if (device == nullptr) throw std::runtime_error("Embree has no device");
     return embree.device_property(device, 0);
@@ -159,20 +160,6 @@ void incident(const Scene& scene, const nb::dict& arrays, int64_t paths, FloatsO
     kernels().incident(scene.t, of, owner, direct, indirect, found.data());
 }
 
-void reflected(const Scene& scene, const nb::dict& arrays, int64_t paths, const Floats& incident, const Ints& first_path,
-               const Out<const int64_t>& chosen, const Floats& outgoing, FloatsOut radiance) {
-    PathLight of = path_light(arrays, paths);
-    const size_t views = chosen.size();
-    check(incident, 6 * size_t(of.path_columns), "incident"), check(outgoing, 3 * views, "outgoing"), check(radiance, 3 * views, "radiance");
-    of.incident = incident.data(), of.first_path = first_path.data();
-    for (size_t view = 0; view < views; ++view) {
-        const int64_t hit = chosen.data()[view];
-        if (hit < 0 || size_t(hit) >= first_path.size()) throw std::invalid_argument("a primary hit beyond the record");
-    }
-    nb::gil_scoped_release released;
-    kernels().reflected(scene.t, of, int64_t(views), chosen.data(), outgoing.data(), radiance.data());
-}
-
 using Doubles = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 
 // Adds samples to the sums of a film, both as dictionaries by the names of render/film.py. Returns whether all are finite.
@@ -220,8 +207,7 @@ NB_MODULE(_native, m) {
              nb::arg().none(), nb::arg().none())
         .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
              nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none())
-        .def("incident", &incident)
-        .def("reflected", &reflected);
+        .def("incident", &incident);
     bind_reuse(m);
     nb::class_<NamedClusterLights>(m, "ClusterLights").def(nb::init<nb::dict, nb::dict>());
     m.def("expose", &expose, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg());

@@ -17,7 +17,7 @@ using bokehguide::PixelGroups;
 using bokehguide::ViewRows;
 
 // Groups end with bands of ROWS_PER_BAND rows and with bands of 2^COLUMN_BITS columns.
-constexpr int ROWS_PER_BAND = 8, COLUMN_BITS = 5;
+constexpr int ROWS_PER_BAND = 8, COLUMN_BITS = 5, FRONT_ROW = 12;
 constexpr float GROUP_SPACING = 3.0f, INFINITELY_DEEP = 1e30f, SHORTENED = 1.0f - 1e-4f;
 
 inline Vec3 camera_to_world(const bokehguide::Camera& c, Vec3 v) {
@@ -179,7 +179,7 @@ class alignas(64) ViewTracing {
             const int size = count - first < BLOCK ? int(count - first) : BLOCK;
             int traced = 0;
             for (int i = 0; i < size; i += LANES) traced = aim(first, i, size, traced);
-            rays_.trace(t_, traced);
+            rays_.trace(t_, traced, true);
             for (int i = 0; i < traced; ++i) {
                 const int64_t view = first + chosen_[i];
                 for (; views_.ends[member] <= view; ++member) views_.ends[member] = views_.count;
@@ -255,24 +255,68 @@ inline int64_t trace_views(const Tables& t, const LensCamera& lens, const LensSa
     return rays;
 }
 
-// Radiance of the samples as the viewers of eight views see them (`_radiance`).
-inline Vec3 seen_radiance(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views, int64_t first, Int active) {
-    const Int source = active ? load<Int>(views.source + first) : all(0), hit = active ? load<Int>(views.hit + first) : all(-1);
-    const Int on_surface = hit >= 0;
-    const Vec3 radiance = gather3(samples.radiance, samples.count, source);
-    if (!any(on_surface)) return radiance;
-    const Int place = on_surface ? hit : all(0);
-    const auto towards = [&](int axis) { return load<Float>(views.outgoing + axis * views.columns + first); };
-    const Vec3 outgoing = {towards(0), towards(1), towards(2)};
-    Vec3 light = gather3(record.emission, record.light.hit_columns, place);
-    if (!t.plain_emission) {
-        const Hits at = {gather(record.triangle, place), gather(record.distance, place), gather(record.u, place), gather(record.v, place)};
-        const Float front = gather(record.light.surface + 12 * record.light.hit_columns, place);
-        light = emission(t, at, front, outgoing, on_surface);
+// Radiance of the samples as their viewers see them (`_radiance`), in place of the directions of the views.
+class SeenRadiance {
+  public:
+    SeenRadiance(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views)
+        : t_(t), samples_(samples), record_(record), views_(views) {}
+
+    void run() {
+        sort_by_source();
+        for (int64_t source = 0; source < samples_.count; ++source) {
+            const int32_t begin = source == 0 ? 0 : views_.last[source - 1], end = views_.last[source];
+            for (int32_t first = begin; first < end; first += LANES) shade(int32_t(source), first, end - first < LANES ? end - first : LANES);
+        }
     }
-    const Int paths = on_surface ? gather(record.light.paths, place) : all(0);
-    return choose(on_surface, light + reflected(t, record.light, place, paths, outgoing), radiance);
-}
+
+  private:
+    const Tables& t_;
+    const LensSamples& samples_;
+    const HitRecord& record_;
+    const ViewRows& views_;
+
+    // The views of each source, in their order: `order`, and in `last` the end of each.
+    void sort_by_source() {
+        for (int64_t i = 0; i < samples_.count; ++i) views_.last[i] = 0;
+        for (int64_t view = 0; view < views_.count; ++view) ++views_.last[views_.source[view]];
+        int32_t before = 0;
+        for (int64_t i = 0; i < samples_.count; ++i) {
+            const int32_t size = views_.last[i];
+            views_.last[i] = before, before += size;
+        }
+        for (int64_t view = 0; view < views_.count; ++view) views_.order[views_.last[views_.source[view]]++] = int32_t(view);
+    }
+
+    // Up to eight views of one hit.
+    void shade(int32_t source, int32_t first, int count) {
+        const int32_t hit = views_.place[source];
+        const float* const own = samples_.radiance + source;
+        Vec3 light = {all(own[0]), all(own[samples_.count]), all(own[2 * samples_.count])};
+        if (hit >= 0) light = radiance(hit, outgoing(first, count));
+        for (int lane = 0; lane < count; ++lane) {
+            float* const to = views_.outgoing + views_.order[first + lane];
+            to[0] = light.x[lane], to[views_.columns] = light.y[lane], to[2 * views_.columns] = light.z[lane];
+        }
+    }
+    Vec3 outgoing(int32_t first, int count) const {
+        Vec3 found;
+        for (int lane = 0; lane < LANES; ++lane) {
+            const float* const from = views_.outgoing + views_.order[first + (lane < count ? lane : count - 1)];
+            found.x[lane] = from[0], found.y[lane] = from[views_.columns], found.z[lane] = from[2 * views_.columns];
+        }
+        return found;
+    }
+    Vec3 radiance(int32_t hit, Vec3 outgoing) const {
+        const int64_t columns = record_.light.hit_columns;
+        const float* const emitted = record_.emission + hit;
+        Vec3 light = {all(emitted[0]), all(emitted[columns]), all(emitted[2 * columns])};
+        if (!t_.plain_emission) {
+            const Hits at = {all(record_.triangle[hit]), all(record_.distance[hit]), all(record_.u[hit]), all(record_.v[hit])};
+            light = emission(t_, at, all(record_.light.surface[FRONT_ROW * columns + hit]), outgoing, all(-1));
+        }
+        return light + reflected(t_, record_.light, hit, outgoing);
+    }
+};
 
 inline void add_views(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views, const OwnSamples& own,
                       const float* density, float* radiance, float* weight) {
@@ -286,13 +330,13 @@ inline void add_views(const Tables& t, const LensSamples& samples, const HitReco
         weight[i] = samples.weight[i] > 0.0f ? passing * scale[i] : 0.0f;
         for (int channel = 0; channel < 3; ++channel) radiance[channel * count + i] = samples.radiance[channel * count + i] * weight[i];
     }
+    SeenRadiance(t, samples, record, views).run();
     for (int64_t first = 0; first < views.count; first += LANES) {
         const int size = views.count - first < LANES ? int(views.count - first) : LANES;
-        const Int active = first_lanes(size);
-        const Int source = active ? load<Int>(views.source + first) : all(0);
+        const Int source = first_lanes(size) ? load<Int>(views.source + first) : all(0);
         const Float share = or_zero(load<Float>(views.passing + first) * load<Float>(views.jacobian + first) * gather(scale, source));
-        const Vec3 light = seen_radiance(t, samples, record, views, first, active) * share;
-        const Float channels[3] = {or_zero(light.x), or_zero(light.y), or_zero(light.z)};
+        const auto seen = [&](int channel) { return or_zero(load<Float>(views.outgoing + channel * views.columns + first) * share); };
+        const Float channels[3] = {seen(0), seen(1), seen(2)};
         for (int lane = 0; lane < size; ++lane) {
             const int32_t viewer = views.viewer[first + lane];
             weight[viewer] += share[lane];

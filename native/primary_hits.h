@@ -53,41 +53,26 @@ inline void incident_light(const Tables& t, const PathLight& of, const int64_t* 
     }
 }
 
-// `_reflected`: radiance of eight hits towards unit directions, added up over the paths of each hit. Hits without paths are black.
-inline Vec3 reflected(const Tables& t, const PathLight& of, Int hit, Int paths, Vec3 outgoing) {
+// Radiance of one hit towards eight unit directions, added up over the paths of the hit (`PrimaryHits.radiance` without emission).
+inline Vec3 reflected(const Tables& t, const PathLight& of, int32_t hit, Vec3 outgoing) {
     const float* directions[2] = {of.light_direction, of.scattered_direction};
-    const Int begin = gather(of.first_path, hit);
-    Surface s = recorded_surface(t, of, hit);
+    Surface s = recorded_surface(t, of, all(hit));
     s.outgoing = outgoing;
     const Scattering scattering = opaque_part(t, s);
+    const auto column = [&](const float* rows, int32_t path) {
+        return Vec3{all(rows[path]), all(rows[of.path_columns + path]), all(rows[2 * of.path_columns + path])};
+    };
     Vec3 sum = grey(all(0.0f));
-    for (int32_t number = 0; any(number < paths); ++number) {
-        const Int going = number < paths, path = going ? begin + number : begin;
+    for (int32_t path = of.first_path[hit]; path < of.first_path[hit] + of.paths[hit]; ++path) {
         Vec3 light = grey(all(0.0f));
         for (int kind = 0; kind < 2; ++kind) {
-            const Vec3 arriving = gather3(of.incident + 3 * kind * of.path_columns, of.path_columns, path);
-            light = light + scattering.evaluate(gather3(directions[kind], of.path_columns, path)).value * arriving;
+            const float* const incident = of.incident + 3 * kind * of.path_columns;
+            if (incident[path] == 0.0f && incident[of.path_columns + path] == 0.0f && incident[2 * of.path_columns + path] == 0.0f) continue;
+            light = light + scattering.evaluate(column(directions[kind], path)).value * column(incident, path);
         }
-        sum = choose(going, sum + light, sum);
+        sum = sum + light;
     }
     return sum;
-}
-
-// Radiance `[3, views]` of hits towards unit directions `[3, views]`.
-inline void reflected_light(const Tables& t, const PathLight& of, int64_t views, const int64_t* chosen, const float* outgoing, float* radiance) {
-    for (int64_t first = 0; first < views; first += LANES) {
-        const int count = views - first < LANES ? int(views - first) : LANES;
-        Int hit, viewer;
-        for (int lane = 0; lane < LANES; ++lane) {
-            const int64_t view = first + (lane < count ? lane : count - 1);
-            hit[lane] = int32_t(chosen[view]), viewer[lane] = int32_t(view);
-        }
-        const Vec3 sum = reflected(t, of, hit, gather(of.paths, hit), gather3(outgoing, views, viewer));
-        for (int lane = 0; lane < count; ++lane) {
-            float* const column = radiance + first + lane;
-            column[0] = sum.x[lane], column[views] = sum.y[lane], column[2 * views] = sum.z[lane];
-        }
-    }
 }
 
 }  // namespace BOKEHGUIDE_ISA

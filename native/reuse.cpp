@@ -138,7 +138,7 @@ class Views {
         v.members = groups_.across * groups_.down;
         v.pixels = (samples_.count + 7) / 8 * 8, v.columns = samples_.count * (v.members - 1) + 8;
         v.numbers = int32_t(span);
-        const size_t needed = 10 * size_t(v.columns) + 11 * size_t(v.pixels) + (groups_.pixels ? size_t(span) : 0);
+        const size_t needed = 11 * size_t(v.columns) + 12 * size_t(v.pixels) + (groups_.pixels ? size_t(span) : 0);
         memory_.swap(pool());
         if (memory_.size() < needed) memory_.resize(needed);
         ends_.assign(size_t(v.members), 0), v.ends = ends_.data();
@@ -150,6 +150,7 @@ class Views {
         v.outgoing = floats(3 * v.columns);
         v.place = whole(v.pixels), v.column = whole(v.pixels), v.line = whole(v.pixels), v.number = whole(v.pixels);
         v.reusable = floats(v.pixels), v.depth = floats(v.pixels), v.plane = floats(3 * v.pixels), v.scale = floats(v.pixels);
+        v.order = whole(v.columns), v.last = whole(v.pixels);
         v.among = groups_.pixels ? whole(span) : nullptr;
     }
 };

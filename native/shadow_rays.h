@@ -51,12 +51,14 @@ struct ShadowRays {
         store3(origin, i, from), store3(direction, i, towards), store(length + i, distance);
     }
 
-    // Transmittances of the first `count` rays; adds to `rays` and `embree_seconds`.
-    void trace(const Tables& t, int count) {
+    // Transmittances of the first `count` rays; adds to `rays` and `embree_seconds`. coherent: whether neighbours have much of their
+    // way in common.
+    void trace(const Tables& t, int count, bool coherent) {
         for (int i = 0; i < count; ++i) passes[i] = 1.0f;
         rays += count;
         if (t.opaque != nullptr) {
-            in_embree([&] { visible(t.opaque, RayRows(origin[0], direction[0], ROW, length), passes, count); });
+            const RayRows rows(origin[0], direction[0], ROW, length);
+            in_embree([&] { coherent ? visible_coherent(t.opaque, rows, passes, count) : visible(t.opaque, rows, passes, count); });
         }
         if (t.translucent != nullptr) dim(t, count);
     }

@@ -207,6 +207,7 @@ struct ViewRows {
     int64_t pixels;
     int32_t *place, *column, *line, *number;
     float *reusable, *depth, *plane, *scale;
+    int32_t *last, *order;  // views by source: the end of those of each pixel in `order`
     int32_t* among;  // index of each number in the batch, -1 for none; null for consecutive pixels
     int32_t numbers;  // in `among`, or of the batch
 };

@@ -578,7 +578,7 @@ class Tracing {
         const int traced = sort([&](int i) { return b.weight[i] > 0.0f; });
         for (int i = 0; i < paths; i += LANES) store(b.visibility + i, all(0.0f));
         if (traced < paths) compact(b.shadow.origin, traced), compact(b.shadow.direction, traced), compact(b.shadow.length, traced);
-        b.shadow.trace(t, traced);
+        b.shadow.trace(t, traced, false);
         for (int i = 0; i < traced; ++i) b.visibility[b.kept[i]] = b.shadow.passes[i];
         if (trace.images != nullptr) add_sampled_images();
         if (depth == 1 && trace.split != nullptr) return record_direct();

@@ -182,7 +182,7 @@ def surface_of(materials: Materials, rows: Tensor) -> Surface:
 
 @dataclass
 class NativeHits(PrimaryHits):
-    """`PrimaryHits` that the native core has recorded and shades. record: arrays of the core."""
+    """`PrimaryHits` that the native core has recorded. record: arrays of the core."""
 
     scene: Any
     record: dict[str, Tensor]
@@ -191,14 +191,8 @@ class NativeHits(PrimaryHits):
         rows = (self.record[name][:, : len(self.owner)] for name in ("light_direction", "direct", "scattered_direction"))
         self.light_direction, self.direct, self.scattered_direction = rows
         self._normals: list[Tensor] | None = None
+        self._incident = None
         self._light: tuple[Tensor, Tensor] | None = None
-
-    def radiance(self, chosen: Tensor, outgoing: Tensor, count: int) -> Tensor:
-        """See `PrimaryHits`."""
-        reflected = torch.empty(3, len(chosen))
-        views = chosen.contiguous(), outgoing.contiguous()
-        self.scene.reflected(self.record, len(self.owner), *self.light(), *views, reflected)
-        return self._emitted(chosen, outgoing).add_(reflected)
 
     def core_record(self) -> CoreRecord:
         """See `PrimaryHits`."""
