@@ -113,40 +113,68 @@ inline Int member_of(const PixelGroups& groups, const ViewRows& v, int member, i
 
 inline Float plane_distance(Vec3 plane, Float x, Float y) { return abs(plane.z - plane.x * x - plane.y * y); }
 
-// The views of eight pixels' hits by a member of their groups, where the lens contains their lens points.
-inline void find_views_of(const LensCamera& lens, const PixelGroups& groups, const LensSamples& samples, int member, int64_t i, ViewRows& views) {
-    const int64_t count = samples.count;
-    Int viewer = member_of(groups, views, member, i);
-    const Int seen = (viewer >= 0) & (load<Float>(views.reusable + i) > all(0.0f));
-    if (!any(seen)) return;
-    viewer = seen ? viewer : all(0);
-    Int pixel = Int{0, 1, 2, 3, 4, 5, 6, 7} + int32_t(i);
-    pixel = seen ? pixel : all(0);
-    const Float depth = load<Float>(views.depth + i), own_x = gather(samples.points, pixel), own_y = gather(samples.points + count, pixel);
-    const Float scale = depth / (depth - gather(samples.focus + 2 * count, pixel));
-    const auto moved = [&](const float* row, Float own) { return own + (gather(row, viewer) - gather(row, pixel)) * scale; };
-    const Float x = moved(samples.focus, own_x), y = moved(samples.focus + count, own_y);
-    const unsigned inside = lanes(seen & (x * x + y * y <= all(lens.squared_radius)));
-    if (inside == 0) return;
-    const auto row = [&](int axis) { return load<Float>(views.plane + axis * views.pixels + i); };
-    const Vec3 plane = {row(0), row(1), row(2)};
-    const Float jacobian = plane_distance(plane, x, y) / at_least(plane_distance(plane, own_x, own_y), 1e-20f);
-    for (int lane = 0; lane < LANES; ++lane) {
-        if (!(inside >> lane & 1)) continue;
-        const int64_t view = views.count++;
-        views.source[view] = int32_t(i + lane), views.viewer[view] = viewer[lane], views.hit[view] = views.place[i + lane];
-        views.x[view] = x[lane], views.y[view] = y[lane], views.jacobian[view] = jacobian[lane], views.passing[view] = lens.passing;
+// The views of eight pixels' hits, where the lens contains their lens points.
+class ViewFinder {
+  public:
+    ViewFinder(const LensCamera& lens, const PixelGroups& groups, const LensSamples& samples, ViewRows& views)
+        : lens_(lens), groups_(groups), samples_(samples), views_(views) {}
+
+    void find(int64_t first) {
+        first_ = first;
+        for (int member = 1; member < views_.members; ++member) reconnect(member);
+        for (int lane = 0; lane < LANES; ++lane) {
+            for (int member = 1; member < views_.members; ++member) {
+                if (inside_[member] >> lane & 1) add(member, lane);
+            }
+        }
     }
-}
+
+  private:
+    static constexpr int MOST = 64;  // members of a group
+    const LensCamera& lens_;
+    const PixelGroups& groups_;
+    const LensSamples& samples_;
+    ViewRows& views_;
+    int64_t first_ = 0;
+    unsigned inside_[MOST];
+    Int viewer_[MOST];
+    Float x_[MOST], y_[MOST], jacobian_[MOST];
+
+    // `_reconnected`.
+    void reconnect(int member) {
+        const int64_t count = samples_.count;
+        Int viewer = member_of(groups_, views_, member, first_);
+        const Int seen = (viewer >= 0) & (load<Float>(views_.reusable + first_) > all(0.0f));
+        inside_[member] = 0;
+        if (!any(seen)) return;
+        viewer = seen ? viewer : all(0);
+        Int pixel = Int{0, 1, 2, 3, 4, 5, 6, 7} + int32_t(first_);
+        pixel = seen ? pixel : all(0);
+        const Float depth = load<Float>(views_.depth + first_);
+        const Float own_x = gather(samples_.points, pixel), own_y = gather(samples_.points + count, pixel);
+        const Float scale = depth / (depth - gather(samples_.focus + 2 * count, pixel));
+        const auto moved = [&](const float* row, Float own) { return own + (gather(row, viewer) - gather(row, pixel)) * scale; };
+        const Float x = moved(samples_.focus, own_x), y = moved(samples_.focus + count, own_y);
+        const auto row = [&](int axis) { return load<Float>(views_.plane + axis * views_.pixels + first_); };
+        const Vec3 plane = {row(0), row(1), row(2)};
+        inside_[member] = lanes(seen & (x * x + y * y <= all(lens_.squared_radius)));
+        viewer_[member] = viewer, x_[member] = x, y_[member] = y;
+        jacobian_[member] = plane_distance(plane, x, y) / at_least(plane_distance(plane, own_x, own_y), 1e-20f);
+    }
+    void add(int member, int lane) {
+        const int64_t view = views_.count++;
+        views_.source[view] = int32_t(first_ + lane), views_.viewer[view] = viewer_[member][lane], views_.member[view] = member;
+        views_.x[view] = x_[member][lane], views_.y[view] = y_[member][lane];
+        views_.jacobian[view] = jacobian_[member][lane], views_.passing[view] = lens_.passing;
+    }
+};
 
 inline void find_views(const Tables& t, const LensCamera& lens, const PixelGroups& groups, const LensSamples& samples, const HitRecord& record,
                        float min_spread, ViewRows& views) {
     PixelHits(t, lens, record, min_spread, views).fill(groups, samples);
-    views.count = 0, views.ends[0] = 0;
-    for (int member = 1; member < views.members; ++member) {
-        for (int64_t i = 0; i < samples.count; i += LANES) find_views_of(lens, groups, samples, member, i, views);
-        views.ends[member] = views.count;
-    }
+    views.count = 0;
+    ViewFinder finder(lens, groups, samples, views);
+    for (int64_t first = 0; first < samples.count; first += LANES) finder.find(first);
 }
 
 // Whether surfaces have the same shading normals from unit directions (`PrimaryHits.same_normals`).
@@ -174,19 +202,15 @@ class alignas(64) ViewTracing {
     void run() {
         const int64_t count = views_.count;
         views_.count = 0;
-        int member = 1;
         for (int64_t first = 0; first < count; first += BLOCK) {
             const int size = count - first < BLOCK ? int(count - first) : BLOCK;
             int traced = 0;
             for (int i = 0; i < size; i += LANES) traced = aim(first, i, size, traced);
             rays_.trace(t_, traced, true);
             for (int i = 0; i < traced; ++i) {
-                const int64_t view = first + chosen_[i];
-                for (; views_.ends[member] <= view; ++member) views_.ends[member] = views_.count;
-                if (rays_.passes[i] > 0.0f) keep(view, i);
+                if (rays_.passes[i] > 0.0f) keep(first + chosen_[i], i);
             }
         }
-        for (; member < views_.members; ++member) views_.ends[member] = views_.count;
     }
     int64_t rays() const { return rays_.rays; }
     double embree_seconds() const { return rays_.embree_seconds; }
@@ -203,7 +227,7 @@ class alignas(64) ViewTracing {
 
     void keep(int64_t view, int ray) {
         const int64_t to = views_.count++;
-        views_.source[to] = views_.source[view], views_.viewer[to] = views_.viewer[view], views_.hit[to] = views_.hit[view];
+        views_.source[to] = views_.source[view], views_.viewer[to] = views_.viewer[view], views_.member[to] = views_.member[view];
         views_.x[to] = views_.x[view], views_.y[to] = views_.y[view], views_.passing[to] = views_.passing[view];
         views_.jacobian[to] = views_.jacobian[view] * rays_.passes[ray];
         for (int axis = 0; axis < 3; ++axis) views_.outgoing[axis * views_.columns + to] = outgoing_[axis][ray];
@@ -212,7 +236,8 @@ class alignas(64) ViewTracing {
     // Aim the rays of up to eight views; returns the number of rays so far.
     int aim(int64_t first, int i, int size, int traced) {
         const int64_t view = first + i;  // rows have entries for whole vectors
-        const Int active = first_lanes(size - i) & (load<Float>(views_.passing + view) > all(0.0f)), hit = active ? load<Int>(views_.hit + view) : all(-1);
+        const Int active = first_lanes(size - i) & (load<Float>(views_.passing + view) > all(0.0f));
+        const Int hit = active ? gather(views_.place, active ? load<Int>(views_.source + view) : all(0)) : all(-1);
         const Int viewer = active ? load<Int>(views_.viewer + view) : all(0), far = hit < 0;
         const Vec3 point = {load<Float>(views_.x + view), load<Float>(views_.y + view), all(0.0f)};
         const Vec3 on_lens = camera_to_world(lens_.camera, point) + camera_position(lens_.camera);
@@ -262,10 +287,9 @@ class SeenRadiance {
         : t_(t), samples_(samples), record_(record), views_(views) {}
 
     void run() {
-        sort_by_source();
-        for (int64_t source = 0; source < samples_.count; ++source) {
-            const int32_t begin = source == 0 ? 0 : views_.last[source - 1], end = views_.last[source];
-            for (int32_t first = begin; first < end; first += LANES) shade(int32_t(source), first, end - first < LANES ? end - first : LANES);
+        for (int64_t first = 0, end; first < views_.count; first = end) {
+            for (end = first; end < views_.count && end < first + LANES && views_.source[end] == views_.source[first];) ++end;
+            shade(first, int(end - first));
         }
     }
 
@@ -275,33 +299,21 @@ class SeenRadiance {
     const HitRecord& record_;
     const ViewRows& views_;
 
-    // The views of each source, in their order: `order`, and in `last` the end of each.
-    void sort_by_source() {
-        for (int64_t i = 0; i < samples_.count; ++i) views_.last[i] = 0;
-        for (int64_t view = 0; view < views_.count; ++view) ++views_.last[views_.source[view]];
-        int32_t before = 0;
-        for (int64_t i = 0; i < samples_.count; ++i) {
-            const int32_t size = views_.last[i];
-            views_.last[i] = before, before += size;
-        }
-        for (int64_t view = 0; view < views_.count; ++view) views_.order[views_.last[views_.source[view]]++] = int32_t(view);
-    }
-
     // Up to eight views of one hit.
-    void shade(int32_t source, int32_t first, int count) {
-        const int32_t hit = views_.place[source];
+    void shade(int64_t first, int count) {
+        const int32_t source = views_.source[first], hit = views_.place[source];
         const float* const own = samples_.radiance + source;
         Vec3 light = {all(own[0]), all(own[samples_.count]), all(own[2 * samples_.count])};
         if (hit >= 0) light = radiance(hit, outgoing(first, count));
         for (int lane = 0; lane < count; ++lane) {
-            float* const to = views_.outgoing + views_.order[first + lane];
+            float* const to = views_.outgoing + first + lane;
             to[0] = light.x[lane], to[views_.columns] = light.y[lane], to[2 * views_.columns] = light.z[lane];
         }
     }
-    Vec3 outgoing(int32_t first, int count) const {
+    Vec3 outgoing(int64_t first, int count) const {
         Vec3 found;
         for (int lane = 0; lane < LANES; ++lane) {
-            const float* const from = views_.outgoing + views_.order[first + (lane < count ? lane : count - 1)];
+            const float* const from = views_.outgoing + first + (lane < count ? lane : count - 1);
             found.x[lane] = from[0], found.y[lane] = from[views_.columns], found.z[lane] = from[2 * views_.columns];
         }
         return found;

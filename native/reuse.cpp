@@ -52,12 +52,12 @@ class Views {
     Views(const Views&) = delete;
 
     int64_t size() const { return views_.count; }
-    // Lens points `[2, J]`, and viewers and sources `[J]`.
-    void copy(FloatsOut points, IntsOut viewer, IntsOut source) const {
+    // Lens points `[2, J]`, viewers, and members of groups that the viewers are, `[J]`.
+    void copy(FloatsOut points, IntsOut viewer, IntsOut member) const {
         const size_t views = size_t(views_.count);
-        check(points, 2 * views, "points"), check(viewer, views, "viewer"), check(source, views, "source");
+        check(points, 2 * views, "points"), check(viewer, views, "viewer"), check(member, views, "member");
         std::memcpy(points.data(), views_.x, 4 * views), std::memcpy(points.data() + views, views_.y, 4 * views);
-        std::memcpy(viewer.data(), views_.viewer, 4 * views), std::memcpy(source.data(), views_.source, 4 * views);
+        std::memcpy(viewer.data(), views_.viewer, 4 * views), std::memcpy(member.data(), views_.member, 4 * views);
     }
     void set_passing(const Floats& passing) {
         check(passing, size_t(views_.count), "passing");
@@ -72,11 +72,6 @@ class Views {
             rays = kernels().trace_views(scene_.t, lens_, samples_, record_, views_, &seconds);
         }
         return nb::make_tuple(rays, seconds);
-    }
-    nb::list ends() const {
-        nb::list found;
-        for (int member = 0; member < views_.members; ++member) found.append(views_.ends[member]);
-        return found;
     }
     // Radiance `[3, N]` and weights `[N]` of the pixels. density: of the viewers at the lens points, `[J]`; own: by the names of
     // `OwnSamples`.
@@ -98,7 +93,6 @@ class Views {
     ViewRows views_{};
     double min_spread_ = 0.0;
     std::vector<float> memory_;
-    std::vector<int64_t> ends_;
 
     static std::vector<float>& pool() {
         static thread_local std::vector<float> kept;
@@ -136,21 +130,20 @@ class Views {
     void make_rows(int64_t span) {
         ViewRows& v = views_;
         v.members = groups_.across * groups_.down;
+        if (v.members < 1 || v.members > 64) throw std::invalid_argument("groups of at most 64 pixels");
         v.pixels = (samples_.count + 7) / 8 * 8, v.columns = samples_.count * (v.members - 1) + 8;
         v.numbers = int32_t(span);
-        const size_t needed = 11 * size_t(v.columns) + 12 * size_t(v.pixels) + (groups_.pixels ? size_t(span) : 0);
+        const size_t needed = 10 * size_t(v.columns) + 11 * size_t(v.pixels) + (groups_.pixels ? size_t(span) : 0);
         memory_.swap(pool());
         if (memory_.size() < needed) memory_.resize(needed);
-        ends_.assign(size_t(v.members), 0), v.ends = ends_.data();
         float* place = memory_.data();
         const auto floats = [&](int64_t size) { place += size; return place - size; };
         const auto whole = [&](int64_t size) { return reinterpret_cast<int32_t*>(floats(size)); };
-        v.source = whole(v.columns), v.viewer = whole(v.columns), v.hit = whole(v.columns);
+        v.source = whole(v.columns), v.viewer = whole(v.columns), v.member = whole(v.columns);
         v.x = floats(v.columns), v.y = floats(v.columns), v.jacobian = floats(v.columns), v.passing = floats(v.columns);
         v.outgoing = floats(3 * v.columns);
         v.place = whole(v.pixels), v.column = whole(v.pixels), v.line = whole(v.pixels), v.number = whole(v.pixels);
         v.reusable = floats(v.pixels), v.depth = floats(v.pixels), v.plane = floats(3 * v.pixels), v.scale = floats(v.pixels);
-        v.order = whole(v.columns), v.last = whole(v.pixels);
         v.among = groups_.pixels ? whole(span) : nullptr;
     }
 };
@@ -165,7 +158,6 @@ void bind_reuse(nb::module_& m) {
         .def("copy", &Views::copy)
         .def("set_passing", &Views::set_passing)
         .def("trace", &Views::trace)
-        .def("ends", &Views::ends)
         .def("reuse", &Views::reuse);
 }
 

@@ -52,7 +52,7 @@ struct ShadowRays {
     }
 
     // Transmittances of the first `count` rays; adds to `rays` and `embree_seconds`. coherent: whether neighbours have much of their
-    // way in common.
+    // way in common, as the rays from one hit to the lens have.
     void trace(const Tables& t, int count, bool coherent) {
         for (int i = 0; i < count; ++i) passes[i] = 1.0f;
         rays += count;

@@ -194,20 +194,18 @@ struct HitRecord {
     PathLight light;
 };
 
-// Views of primary hits by other pixels of a group: rows of `columns` entries, of which `count` are in use. Views are in the order
-// of the members of groups, and then of their sources.
+// Views of primary hits by other pixels of a group: rows of `columns` entries, of which `count` are in use. The views of each source
+// follow one another, in the order of the members of the group.
 struct ViewRows {
     int64_t columns, count;
     int32_t members;
-    int64_t* ends;  // of the views of each member, from 0 on
-    int32_t *source, *viewer, *hit;  // hit: -1 for the environment
+    int32_t *source, *viewer, *member;
     float *x, *y, *jacobian, *passing, *outgoing;
     // Of the pixels of a batch, filled up to whole vectors: the number of the primary hit, -1 for none; column and row in the band,
     // number after the first; whether others may use the hit, its depth and plane; scale of the weights.
     int64_t pixels;
     int32_t *place, *column, *line, *number;
     float *reusable, *depth, *plane, *scale;
-    int32_t *last, *order;  // views by source: the end of those of each pixel in `order`
     int32_t* among;  // index of each number in the batch, -1 for none; null for consecutive pixels
     int32_t numbers;  // in `among`, or of the batch
 };

@@ -64,7 +64,7 @@ class ViewPoints(NamedTuple):
         """Densities q of the viewers at the lens points, `[J]`. count: number of pixels in the batch."""
         if not query.varies:
             return query.pdf(self.points)
-        found = [torch.empty(0, device=self.points.device)]
+        found = []
         for first, end in pairwise(self.ends):
             viewer = self.viewer[first:end]
             points = torch.full((2, count), NOWHERE, device=viewer.device)
@@ -91,14 +91,13 @@ def native_reuse(
         return None
     views = native.views(_arrays(camera, samples), _numbers(camera, groups, min_spread), record, *_pixels(samples.batch.places))
     if not camera.lens.is_disc and len(views) > 0:
-        _, points, viewer = _points(views)
+        points, viewer, _ = _points(views)
         views.set_passing(camera.lens.passing(points, samples.batch.focus.index_select(1, viewer)))
     rays, seconds = views.trace()
     samples.paths.rays += rays
     timer.add("tracing rays", seconds)
     count = samples.drawn.weight.shape[0]
-    ends, points, viewer = _points(views)
-    density = ViewPoints(viewer, points, ends).densities(samples.query, count)
+    density = _densities(views, samples.query, groups.across * groups.down, count)
     reused = Reused(torch.empty(3, count), torch.empty(count))
     views.reuse(density, {name: values.contiguous() for name, values in own.items()}, *reused)
     return reused
@@ -139,8 +138,17 @@ def _pixels(places: Pixels) -> tuple[int, Tensor | None]:
     return (places.start, None) if isinstance(places, slice) else (int(places[0]), places.contiguous())
 
 
-def _points(views: Any) -> tuple[list[int], Tensor, Tensor]:
-    """Ends of rows, lens points `[2, J]`, and viewers int64 `[J]` of the core's views."""
-    points, viewer, source = torch.empty(2, len(views)), *(torch.empty(len(views), dtype=torch.int32) for _ in range(2))
-    views.copy(points, viewer, source)
-    return views.ends(), points, viewer.long()
+def _points(views: Any) -> tuple[Tensor, Tensor, Tensor]:
+    """Lens points `[2, J]`, viewers int64 `[J]`, and members of the groups that the viewers are, int32 `[J]`."""
+    points, viewer, member = torch.empty(2, len(views)), *(torch.empty(len(views), dtype=torch.int32) for _ in range(2))
+    views.copy(points, viewer, member)
+    return points, viewer.long(), member
+
+
+def _densities(views: Any, query: LensQuery, members: int, count: int) -> Tensor:
+    """Densities of the viewers at the lens points, `[J]`. Views by the same member of groups have different viewers."""
+    points, viewer, member = _points(views)
+    order = member.argsort(stable=True)
+    ends = torch.bincount(member, minlength=members).cumsum(0).tolist()
+    by_member = ViewPoints(viewer.index_select(0, order), points.index_select(1, order), ends)
+    return torch.empty(len(order)).index_copy_(0, order, by_member.densities(query, count))
