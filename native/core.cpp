@@ -5,6 +5,7 @@
 
 #include "kernels.h"
 #include "film.h"
+#include "lens_mixture.h"
 #include "pixel_reuse.h"
 #include "trace.h"
 
@@ -158,6 +159,7 @@ namespace BOKEHGUIDE_TARGET {
 namespace isa = ::BOKEHGUIDE_ISA;
 extern const Kernels kernels = {isa::trace, isa::nearest_of, isa::visible_of, isa::expose_all, isa::camera_rays, isa::random, isa::incident_light,
                                 isa::find_views, isa::trace_views, isa::add_views,
+                                isa::prepare_mixture, isa::sample_mixture, isa::evaluate_mixture,
                                 isa::surfaces, isa::evaluate, isa::sample, isa::lights, isa::environment, isa::emitters};
 }  // namespace BOKEHGUIDE_TARGET
 }  // namespace bokehguide

@@ -28,6 +28,11 @@ struct Kernels {
     int64_t (*trace_views)(const Tables&, const LensCamera&, const LensSamples&, const HitRecord&, ViewRows&, double* seconds);
     void (*add_views)(const Tables&, const LensSamples&, const HitRecord&, const ViewRows&, const OwnSamples&, const float* density,
                       float* radiance, float* weight);
+    // Mixtures on the lens: shapes and weights; lens points `[2, N]`, which hold those of the uniform lens, and candidates; densities.
+    void (*prepare_mixture)(MixtureRows&);
+    void (*sample_mixture)(const MixtureRows&, const float* uniforms, float* points, int64_t* candidates);
+    void (*evaluate_mixture)(const MixtureRows&, int64_t count, const int32_t* pixels, const float* x, const float* y, const float* transmission,
+                             float* components, float* mixture, float* density);
     // Stages of a trace, for tests.
     void (*surfaces)(const Tables&, int64_t count, const float* origin, const float* direction, const int32_t* triangle,
                      const float* hits, float* rows);

@@ -11,6 +11,7 @@
 #include <dlfcn.h>
 #endif
 
+#include "mixture.h"
 #include "reuse.h"
 #include "scene.h"
 
@@ -208,6 +209,7 @@ NB_MODULE(_native, m) {
         .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
              nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none())
         .def("incident", &incident);
+    bind_mixture(m);
     bind_reuse(m);
     nb::class_<NamedClusterLights>(m, "ClusterLights").def(nb::init<nb::dict, nb::dict>());
     m.def("expose", &expose, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg());

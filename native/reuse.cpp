@@ -2,6 +2,7 @@
 
 #include "reuse.h"
 
+#include "mixture.h"
 #include "scene.h"
 
 namespace bokehguide {
@@ -72,6 +73,15 @@ class Views {
             rays = kernels().trace_views(scene_.t, lens_, samples_, record_, views_, &seconds);
         }
         return nb::make_tuple(rays, seconds);
+    }
+    // Densities `[J]` of a mixture; transmission: W at the lens points, null for a disc.
+    void densities(const EllipseMixture& mixture, const std::optional<Floats>& transmission, FloatsOut density) const {
+        check(density, size_t(views_.count), "density");
+        if (transmission) check(*transmission, size_t(views_.count), "transmission");
+        if (mixture.rows().pixels != samples_.count) throw std::invalid_argument("a mixture of other pixels");
+        nb::gil_scoped_release released;
+        kernels().evaluate_mixture(mixture.rows(), views_.count, views_.viewer, views_.x, views_.y, transmission ? transmission->data() : nullptr,
+                                   nullptr, nullptr, density.data());
     }
     // Radiance `[3, N]` and weights `[N]` of the pixels. density: of the viewers at the lens points, `[J]`; own: by the names of
     // `OwnSamples`.
@@ -158,6 +168,7 @@ void bind_reuse(nb::module_& m) {
         .def("copy", &Views::copy)
         .def("set_passing", &Views::set_passing)
         .def("trace", &Views::trace)
+        .def("densities", &Views::densities, nb::arg(), nb::arg().none(), nb::arg())
         .def("reuse", &Views::reuse);
 }
 

@@ -215,4 +215,54 @@ struct OwnSamples {
     const float *density, *passing, *transmittance;
 };
 
+// Piecewise linear densities (models/emitters/piecewise_linear.py).
+struct PiecewiseTable {
+    int64_t period;
+    const int64_t *keys, *position, *start, *end;  // the last two of each density
+    const double *weights, *cumulative, *total;
+};
+
+// Emitters of an environment map as densities on the lens (models/emitters/environment.py).
+struct EnvironmentTable {
+    int32_t width, height;
+    int64_t emitters;
+    double turn, axes[9];  // camera to world, row by row
+    float float_axes[9];
+    PiecewiseTable segments, rows;
+    const int64_t *segment, *emitter;
+    const double *whole, *columns;  // [2, emitters]
+    const int32_t* slot;
+    const float* flux;
+};
+
+// Parallelograms (models/emitters/parallelogram.py): three rows each, but for the last two.
+struct ParallelogramTable {
+    int64_t count;
+    const float *centre, *right, *up, *normal, *first, *second, *area, *luminance;
+};
+
+// A mixture of shapes for each of some pixels (models/ellipse_mixture.py), whose candidates are components of a field.
+struct MixtureRows {
+    int64_t pixels, candidates, columns, components;  // columns: candidates up to a whole vector
+    float lens_radius, lens_squared_radius, lens_area;
+    bool clips;
+    const int64_t *start, *given;  // candidates of each pixel, and their components
+    const float *focus, *given_beta, *scale;
+    // Of components
+    const float *mean, *outline, *strength;
+    const int64_t *environment_index, *parallelogram_index;
+    const EnvironmentTable* environment;  // null for none, as the next
+    const ParallelogramTable* parallelograms;
+    // Of candidates
+    int32_t *owner, *component;
+    float *ellipses, *windows, *contribution, *weight;
+    int64_t* cumulative;
+    double* map_rows;
+    uint8_t* clipped;
+    // Of pixels
+    float* beta;
+    double* cones;
+    uint8_t *guided, *sees_map;
+};
+
 }  // namespace bokehguide

@@ -6,7 +6,7 @@ Densities are per unit lens area (1/m²). The caller supplies the uniform number
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -81,6 +81,8 @@ class LensMixture(LensDistribution):
     """β, `[N]`."""
     weight: Tensor
     """Mixture weights w_i, `[M]`. Their sum over the candidates of a guided pixel is 1."""
+    core: Any = None
+    """The mixture in the native core, None if PyTorch holds it."""
 
     def __init__(self, lens: Lens, focus: Tensor, start: Tensor, count: int):
         super().__init__(lens)

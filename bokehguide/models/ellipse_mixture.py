@@ -8,6 +8,7 @@ docs/explanation/lens-densities.md derives the formulas.
 from __future__ import annotations
 
 import math
+from types import ModuleType
 from typing import NamedTuple
 
 import torch
@@ -48,6 +49,11 @@ class EmitterShapes(NamedTuple):
     parallelograms: ParallelogramEmitters | None
     parallelogram_index: Tensor
     luminance: Tensor
+
+    def in_core(self, extension: ModuleType) -> tuple[object | None, object | None]:
+        """The emitters of the map and the parallelograms in the native core, None for none."""
+        environment = None if self.environment is None else self.environment.in_core(extension)
+        return environment, None if self.parallelograms is None else self.parallelograms.in_core(extension, self.luminance)
 
 
 class StripClip(NamedTuple):

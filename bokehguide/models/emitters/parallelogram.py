@@ -7,6 +7,8 @@ docs/explanation/lens-densities.md derives the formulas.
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import torch
 from torch import Tensor
 
@@ -43,6 +45,14 @@ class ParallelogramEmitters:
 
     def __len__(self) -> int:
         return self._centre.shape[1]
+
+    def in_core(self, extension: ModuleType, luminance: Tensor) -> object:
+        """The parallelograms in the native core, by the names of `ParallelogramTable` in `native/tables.h`.
+
+        luminance: of each parallelogram, `[P]`.
+        """
+        tables = {name[1:]: table.contiguous() for name, table in vars(self).items()}
+        return extension.ParallelogramShapes(tables | {"luminance": luminance.contiguous()})
 
     def select(self, index: Tensor) -> ParallelogramEmitters:
         """The parallelograms at `index`, int64 `[M]`."""
