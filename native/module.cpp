@@ -14,6 +14,7 @@
 #include "mixture.h"
 #include "reuse.h"
 #include "scene.h"
+#include "sums.h"
 
 namespace bokehguide {
 
@@ -111,8 +112,8 @@ SplitRecord split_record(const nb::dict& arrays, size_t rays, bool with_lights) 
     record.paths = whole("paths", rays), record.owner = nb::cast<Out<int64_t>>(arrays["owner"], false).data();
     record.distance = of_hits("distance", 1), record.u = of_hits("u", 1), record.v = of_hits("v", 1);
     record.surface = of_hits("surface", 32), record.emission = of_hits("emission", 3);
-    record.light_direction = of_paths("light_direction", 3), record.direct = of_paths("direct", 3);
-    record.scattered_direction = of_paths("scattered_direction", 3), record.indirect = of_paths("indirect", 3);
+    record.light_direction = of_paths("light_direction", 3), record.scattered_direction = of_paths("scattered_direction", 3);
+    record.direct = of_paths("reflected", 6), record.indirect = record.direct + 3 * paths, record.bsdf = of_paths("bsdf", 6);
     if (with_lights) {
         record.light_row = whole("light_row", paths), record.light_cluster = whole("light_cluster", paths);
         record.light_rms = of_paths("light_rms", 1), record.light_visibility = of_paths("light_visibility", 1);
@@ -149,16 +150,6 @@ nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& directio
         kernels().trace(scene.t, arguments);
     }
     return nb::make_tuple(arguments.rays, arguments.embree_seconds, record.hit_count, record.path_count);
-}
-
-void incident(const Scene& scene, const nb::dict& arrays, int64_t paths, FloatsOut found) {
-    const PathLight of = path_light(arrays, paths);
-    const size_t columns = size_t(of.path_columns);
-    check(found, 6 * columns, "incident");
-    const float *direct = entry<Floats>(arrays, "direct", 3 * columns).data(), *indirect = entry<Floats>(arrays, "indirect", 3 * columns).data();
-    const int64_t* owner = nb::cast<Out<const int64_t>>(arrays["owner"], false).data();
-    nb::gil_scoped_release released;
-    kernels().incident(scene.t, of, owner, direct, indirect, found.data());
 }
 
 using Doubles = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
@@ -207,10 +198,10 @@ NB_MODULE(_native, m) {
         .def(nb::init<nb::dict, nb::dict, nb::object, nb::object, nb::object>(), nb::arg(), nb::arg(), nb::arg().none(),
              nb::arg().none(), nb::arg().none())
         .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
-             nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none())
-        .def("incident", &incident);
+             nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none());
     bind_mixture(m);
     bind_reuse(m);
+    bind_sums(m);
     nb::class_<NamedClusterLights>(m, "ClusterLights").def(nb::init<nb::dict, nb::dict>());
     m.def("expose", &expose, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg());
     m.def("camera_rays", [](const Floats& axes, const Floats& position, const Floats& focus, const Floats& points, FloatsOut rows) {

@@ -8,8 +8,6 @@ namespace BOKEHGUIDE_ISA {
 
 using bokehguide::PathLight;
 
-constexpr float FAINTEST = 1e-20f;
-
 // The BSDF of the opaque part of surfaces, seen from some directions (`opaque_values`).
 inline Scattering opaque_part(const Tables& t, const Surface& s) { return Scattering(t, s, all(2.0f)); }
 
@@ -27,30 +25,6 @@ inline Surface recorded_surface(const Tables& t, const PathLight& of, Int hit) {
     if (t.specular_color != nullptr) fill(of, hit, s, &s.specular_color.x, 3);
     if (t.clearcoat != nullptr) fill(of, hit, s, &s.clearcoat, 5);
     return s;
-}
-
-inline Float unreflected(Float light, Float value) { return value > all(FAINTEST) ? light / value : all(0.0f); }
-
-// `_incident`: incident light of light samples and of BSDF samples, `[6, paths]`.
-inline void incident_light(const Tables& t, const PathLight& of, const int64_t* owner, const float* direct, const float* indirect,
-                           float* incident) {
-    const float *directions[2] = {of.light_direction, of.scattered_direction}, *reflected[2] = {direct, indirect};
-    for (int64_t first = 0; first < of.path_count; first += LANES) {
-        Int hit = all(0), path = all(0);
-        for (int lane = 0; lane < LANES && first + lane < of.path_count; ++lane) {
-            hit[lane] = int32_t(owner[first + lane]), path[lane] = int32_t(first + lane);
-        }
-        const Surface s = recorded_surface(t, of, hit);
-        const Scattering scattering = opaque_part(t, s);
-        for (int kind = 0; kind < 2; ++kind) {
-            const Vec3 light = gather3(reflected[kind], of.path_columns, path);
-            const Vec3 value = scattering.evaluate(gather3(directions[kind], of.path_columns, path)).value;
-            const Float found[3] = {unreflected(light.x, value.x), unreflected(light.y, value.y), unreflected(light.z, value.z)};
-            for (int lane = 0; lane < LANES && first + lane < of.path_count; ++lane) {
-                for (int channel = 0; channel < 3; ++channel) incident[(3 * kind + channel) * of.path_columns + first + lane] = found[channel][lane];
-            }
-        }
-    }
 }
 
 // Radiance of one hit towards eight unit directions, added up over the paths of the hit (`PrimaryHits.radiance` without emission).

@@ -120,7 +120,8 @@ struct SplitRecord {
     float *distance, *u, *v, *surface, *emission;
     // Of paths
     int64_t* owner;
-    float *light_direction, *direct, *scattered_direction, *indirect;
+    float *light_direction, *scattered_direction;
+    float *direct, *indirect, *bsdf;  // bsdf: BSDF times cosine of both directions, [6, paths]
     // Light samples of paths; null without `lights`
     int32_t *light_row, *light_cluster;
     float *light_rms, *light_visibility;

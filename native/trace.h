@@ -188,7 +188,7 @@ class Tracing {
         for (int i = 0; i < paths; i += LANES) load_hits(i, first_hit);
         for (int axis = 0; axis < 3; ++axis) {
             const int64_t row = axis * record.path_columns + base;
-            std::memset(record.direct + row, 0, sizeof(float) * size_t(paths));
+            std::memset(record.direct + row, 0, sizeof(float) * size_t(paths)), std::memset(record.bsdf + row, 0, sizeof(float) * size_t(paths));
             std::memcpy(record.light_direction + row, b.surface[NORMAL_ROW + axis], sizeof(float) * size_t(paths));
         }
     }
@@ -417,13 +417,17 @@ class Tracing {
             numbers(depth, LIGHT, key, of_light);
             const Light light = direct_light(depth, i, s, scattering, of_light, key, active);
             if (trace.images != nullptr) prepare_image(i, s, light, active);
+            if (depth == 1 && trace.split != nullptr) record(trace.split->bsdf, i, light.scattered.value);
             aim_shadow_ray(i, s, throughput, light);
         }
         Float of_bsdf[3], pdf;
         numbers(depth, BSDF, key, of_bsdf);
-        Vec3 weight;
-        const Vec3 direction = scattering.sample(of_bsdf[0], of_bsdf[1], of_bsdf[2], weight, pdf);
-        if (depth == 1 && trace.split != nullptr) record_directions(i, direction, pdf, active);
+        Vec3 weight, value;
+        const Vec3 direction = scattering.sample(of_bsdf[0], of_bsdf[1], of_bsdf[2], weight, pdf, value);
+        if (depth == 1 && trace.split != nullptr) {
+            record(trace.split->bsdf + 3 * trace.split->path_columns, i, value);
+            record_directions(i, direction, pdf, active);
+        }
         if (trace.images != nullptr) transfer_through(i, s, direction, pdf, active);
         throughput = throughput * weight;
         Float survival = largest(throughput);
@@ -437,12 +441,12 @@ class Tracing {
         store(b.pdf + i, pdf), store(b.alive + i, survival);
     }
 
-    // A light sample without shadow: its direction, distance and reflected radiance, and the density of BSDF samples there.
+    // A light sample without shadow: its direction, distance and reflected radiance, and the BSDF and its density there.
     struct Light {
         Vec3 direction;
         Float distance;
         Vec3 value;
-        Float bsdf_pdf;
+        Scattered scattered;
     };
 
     Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const Float (&u)[6], Bits key, Int active) {
@@ -450,12 +454,12 @@ class Tracing {
             const ClusterSampler sampler(t, *trace.lights, s.position, active);
             const DirectLight found = sampler.sample(scattering, u, trace.random, key);
             record_light(i, found);
-            return {found.direction, found.distance, found.value, found.bsdf_pdf};
+            return {found.direction, found.distance, found.value, found.scattered};
         }
         const LightSample light = sample_light(t, PointQuery(t, s.position), u, active);
         const Scattered found = scattering.evaluate(light.direction);
         const Float weight = power_heuristic(light.pdf, found.pdf) / divisor(light.pdf);
-        return {light.direction, light.distance, found.value * light.radiance * weight, found.pdf};
+        return {light.direction, light.distance, found.value * light.radiance * weight, found};
     }
 
     void aim_shadow_ray(int i, const Surface& s, Vec3 throughput, const Light& light) {
@@ -512,7 +516,7 @@ class Tracing {
 
     // Images of light samples at eight vertices.
     void prepare_image(int i, const Surface& s, const Light& light, Int active) {
-        const Int slot = load<Int>(block.slot + i), shows = active & gather(block.narrow, slot) & (light.bsdf_pdf > all(NARROW));
+        const Int slot = load<Int>(block.slot + i), shows = active & gather(block.narrow, slot) & (light.scattered.pdf > all(NARROW));
         Float image = all(0.0f);
         if (any(shows)) {
             const Hits hit = hits_at(i, active);

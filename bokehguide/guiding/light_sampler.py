@@ -22,6 +22,7 @@ from bokehguide.render.lights.power_sampler import PowerLightSampler
 from bokehguide.render.native import cluster_lights
 from bokehguide.render.observer import CoreReport, PathObserver
 from bokehguide.render.vector import divisor
+from bokehguide.runtime import native
 from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.distributed import Ranks, RankSums
 
@@ -154,6 +155,10 @@ class LearnedLightSampler(RankSums, LightSampler):
 
     def add(self, tiles: Tensor, clusters: Tensor, contribution_rms: Tensor, visibility: Tensor) -> None:
         """Add light samples, `[N]` each. tiles, clusters: int32; samples of cluster -1 are ignored."""
+        core = native.core()
+        if core is not None and self.mine.device.type == "cpu":
+            core.add_light_samples(self.mine, tiles, clusters, contribution_rms, visibility, self.probability.shape[1], MAX_CONTRIBUTION)
+            return
         place, *rows = _rows(tiles, clusters, contribution_rms, visibility, self._count)
         for total, values in zip(self.mine.view(3, -1), rows):
             total.index_add_(0, place, values)  # double precision: the order of ranks does not matter

@@ -1,5 +1,6 @@
 """Agreement of the native core and PyTorch on mixtures of shapes on the lens, and on the reuse of primary hits."""
 
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 
@@ -8,6 +9,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.guiding.emitter_guide import EmitterGuide
+from bokehguide.guiding.light_sampler import LearnedLightSampler
 from bokehguide.guiding.pixel_reuse import PixelPathReuse, PixelReuse
 from bokehguide.models.ellipse_mixture import EllipseMixture
 from bokehguide.models.native_mixture import NativeEllipseMixture
@@ -156,6 +158,33 @@ def test_reused_samples_agree(name, monkeypatch):
     assert differing(found.weight, expected.weight, 1e-3) <= 2e-3
     assert differing(found.radiance, expected.radiance, 1e-3) <= 4e-3
     assert float((found.weight - step.samples.drawn.weight).abs().max()) > 0.1
+
+
+@pytest.mark.parametrize("consecutive", (True, False))
+def test_sums_of_learning_agree(consecutive, monkeypatch):
+    """Sums of light samples and of the control variate, with values that are not finite, and the corrected radiance."""
+    loop, generator = loop_of("fairy-lights"), torch.Generator().manual_seed(3)
+    lights = loop.mode.lights.sampler
+    assert isinstance(lights, LearnedLightSampler) and isinstance(loop.mode.reuse, PixelReuse)
+    control, count = deepcopy(loop.mode.reuse.control_variate), WIDTH * HEIGHT - 200
+    places = slice(100, 100 + count) if consecutive else torch.randperm(WIDTH * HEIGHT, generator=generator)[:count].sort().values
+    radiance, weight = torch.rand(3, count, generator=generator), 3.0 * torch.rand(count, generator=generator)
+    radiance[1, 7], weight[8], radiance[2, 9] = torch.nan, torch.inf, -torch.inf
+    control.coefficients.copy_(torch.randn(control.coefficients.shape, generator=generator))
+    tiles, clusters = lights.probability.shape
+    samples = [torch.randint(low, high, (count,), generator=generator, dtype=torch.int32) for low, high in ((0, tiles), (-1, clusters))]
+    samples += [(8.0 * torch.rand(count, generator=generator)).exp(), torch.rand(count, generator=generator)]
+    samples[2][:2] = torch.tensor((torch.nan, torch.inf))
+    results = []
+    for form in ("1", "0"):
+        monkeypatch.setenv(native.SWITCH, form)
+        control.mine.zero_(), lights.mine.zero_()
+        corrected = control.corrected(places, radiance, weight)
+        lights.add(*samples)
+        results.append((corrected, control.mine.clone(), lights.mine.clone()))
+    lights.mine.zero_()
+    for found, expected in zip(*results):
+        torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-9, equal_nan=True)
 
 
 def test_pytorch_takes_over_where_the_core_is_switched_off(monkeypatch):
