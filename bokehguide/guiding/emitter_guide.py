@@ -43,7 +43,6 @@ from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.splitting import SplitPaths
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.indexing import ActiveEntries, gather_pixels, scatter_add
 
 MAX_RATIO = 1e18
@@ -251,13 +250,11 @@ class EmitterGuide(Guide):
         return result
 
 
-@kernel
 def _luminance_beside(radiance: Tensor, emission: Tensor, known: Tensor) -> Tensor:
     """Luminance `[N]` of radiance `[3, N]` without the emission of known emitters, bool `[N]`."""
     return luminance(radiance - emission * known)
 
 
-@kernel
 def _moments(beta: Tensor, ellipses: Tensor, density: Tensor, ratio: Tensor) -> Tensor:
     """Summands of `EmitterGuide.moments`, `[2, N]`; ellipses, density: densities of the proposals and of the mixture."""
     share = beta * ellipses / density.clamp(min=1e-37)

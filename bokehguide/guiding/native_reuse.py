@@ -53,7 +53,8 @@ class Reused(NamedTuple):
 class ViewPoints(NamedTuple):
     """J views in rows of viewers. Within a row, each pixel is the viewer of at most one view.
 
-    viewer: pixel that sees the hit of another pixel, int64 `[J]`. points: lens points, `[2, J]`. ends: 0, and the end of each row.
+    viewer: pixel that sees the hit of another pixel, int64 `[J]`. points: lens points, `[2, J]`. ends: 0, and the end of each
+    row.
     """
 
     viewer: Tensor

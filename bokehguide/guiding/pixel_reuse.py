@@ -38,7 +38,6 @@ from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import hash_int
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import dot, length
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.distributed import ROWS_PER_BAND
 from bokehguide.runtime.indexing import ActiveEntries, Pixels, indices, pixel_numbers, scatter
@@ -338,7 +337,6 @@ def _repeated(values: Tensor, times: int) -> Tensor:
     return values if times == 1 else values.repeat(*[1] * (values.ndim - 1), times)
 
 
-@kernel
 def _reconnected(points: Tensor, focus: Tensor, other: Tensor, depth: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     """Reconnected lens points `[2, N]` and Jacobians `[N]`.
 
@@ -348,7 +346,6 @@ def _reconnected(points: Tensor, focus: Tensor, other: Tensor, depth: Tensor, pl
     return through, reconnection_jacobian(plane, points, through)
 
 
-@kernel
 def _ray_to(through: Tensor, position: Tensor, normal: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
     """Unit directions from surfaces to points `[3, N]`, whether the points are on the normal's side, and rays off the surface."""
     offset_to = through - position

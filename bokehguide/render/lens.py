@@ -10,7 +10,6 @@ from torch import Tensor
 
 from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.aperture import RIM, Iris, Mask
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 from bokehguide.scene import types
 
@@ -131,7 +130,6 @@ def make_lens(camera: types.Camera, corner: float, device: torch.device | str) -
     return ShapedLens(radius, focus_distance, pupil, unit, turn, shape.ratio, shape.cat_eye, corner)
 
 
-@kernel
 def _within(points: Tensor, squared: Tensor) -> Tensor:
     """1 for points `[2, N]` within a circle of radius² `squared`, else 0, float32 `[N]`."""
     x, y = points

@@ -88,7 +88,9 @@ class NativeTracer:
         """The record of a trace's primary hits in the core, None if PyTorch has recorded them."""
         return CoreRecord({}, 0, 0) if hits is None else hits.core_record()
 
-    def views(self, arrays: dict[str, Any], numbers: dict[str, float], record: CoreRecord, first: int, pixels: Tensor | None) -> Any:
+    def views(
+        self, arrays: dict[str, Any], numbers: dict[str, float], record: CoreRecord, first: int, pixels: Tensor | None
+    ) -> Any:
         """The `Views` of the extension, which `native/reuse.cpp` describes."""
         core = native.core()
         assert core is not None

@@ -13,7 +13,6 @@ from bokehguide.render.bsdf.mixture import opaque_values
 from bokehguide.render.geometry import MIN_FACING, Geometry, Surface
 from bokehguide.render.tracer import Hit
 from bokehguide.render.vector import dot
-from bokehguide.runtime.compile.kernels import kernel
 
 FAINTEST = 1e-20
 """Least BSDF value as a divisor. Smaller values are treated as 0, because the quotient of radiance and BSDF would overflow."""
@@ -108,7 +107,6 @@ class PrimaryHits:
         return self.geometry.emission(hit, self.surface.front.index_select(0, chosen), outgoing)
 
 
-@kernel
 def _incident(surface: Surface, outgoing: Tensor, directions: Pair, reflected: Pair) -> Pair:
     """Incident light `[3, P]` from the reflected radiance; 0 where the BSDF is 0."""
     values = opaque_values(surface, outgoing, directions)
@@ -116,7 +114,6 @@ def _incident(surface: Surface, outgoing: Tensor, directions: Pair, reflected: P
     return first, second
 
 
-@kernel
 def _reflected(surface: Surface, outgoing: Tensor, directions: Pair, incident: Pair) -> Tensor:
     """Reflected radiance `[3, P]`."""
     first, second = opaque_values(surface, outgoing, directions)

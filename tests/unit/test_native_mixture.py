@@ -172,7 +172,9 @@ def test_sums_of_learning_agree(consecutive, monkeypatch):
     radiance[1, 7], weight[8], radiance[2, 9] = torch.nan, torch.inf, -torch.inf
     control.coefficients.copy_(torch.randn(control.coefficients.shape, generator=generator))
     tiles, clusters = lights.probability.shape
-    samples = [torch.randint(low, high, (count,), generator=generator, dtype=torch.int32) for low, high in ((0, tiles), (-1, clusters))]
+    samples = [
+        torch.randint(low, high, (count,), generator=generator, dtype=torch.int32) for low, high in ((0, tiles), (-1, clusters))
+    ]
     samples += [(8.0 * torch.rand(count, generator=generator)).exp(), torch.rand(count, generator=generator)]
     samples[2][:2] = torch.tensor((torch.nan, torch.inf))
     results = []

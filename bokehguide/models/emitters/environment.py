@@ -23,7 +23,6 @@ from bokehguide.models.projection import FAR_OUTSIDE
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lights.equirectangular import Equirectangular
 from bokehguide.render.vector import dot, normalize, to_world
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.indexing import ActiveEntries
 
 
@@ -190,7 +189,6 @@ def _column_ranges(emitter: np.ndarray, column: np.ndarray, width: int) -> np.nd
     return np.stack((0.5 * (left + right + 1), np.minimum(0.5 * (right - left + 1) + 0.5, 0.5 * width)))
 
 
-@kernel
 def _texels_around(
     layout: Equirectangular, axes: Tensor, points: Tensor, focus: Tensor
 ) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor], Tensor, Tensor, Tensor]:

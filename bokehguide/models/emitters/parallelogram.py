@@ -14,7 +14,6 @@ from torch import Tensor
 
 from bokehguide.models.projection import FAR_OUTSIDE, LENS_MARGIN, project_to_lens
 from bokehguide.render.vector import cross, dot
-from bokehguide.runtime.compile.kernels import kernel, record
 from bokehguide.runtime.indexing import ActiveEntries
 
 LENS_POINT_ERROR = 1e-6
@@ -25,7 +24,6 @@ TINY = 1e-30
 """Divisor in place of 0, for a ray or an x_F in the plane of the parallelogram."""
 
 
-@record
 class ParallelogramEmitters:
     """P parallelograms in the camera frame.
 
@@ -219,12 +217,10 @@ class ViewedParallelograms:
         return _pdf(self._parallelograms, points.index_select(1, self._owner), self._window, self._focus, self._radius)
 
 
-@kernel
 def _window_and_area(parallelograms: ParallelogramEmitters, focus: Tensor, radius: Tensor) -> tuple[Tensor, Tensor]:
     window = parallelograms.window(focus, radius)
     return window, parallelograms.area_on_lens(window, focus, radius)
 
 
-@kernel
 def _pdf(parallelograms: ParallelogramEmitters, points: Tensor, window: Tensor, focus: Tensor, radius: Tensor) -> Tensor:
     return parallelograms.pdf(points, window, focus, radius)
