@@ -140,7 +140,10 @@ class ClusterSampler {
         const Float rest[5] = {u[1], u[2], u[3], u[4], u[5]};
         if (!t.has_far_power) return draw_triangle(cluster, by_voxel, rest, active);
         if (t.emitters == 0) return draw_environment(cluster, by_voxel, rest);
-        const ClusterSample sky = draw_environment(cluster, by_voxel, rest), near = draw_triangle(cluster, by_voxel, rest, active & ~far);
+        if (!any(far & active)) return draw_triangle(cluster, by_voxel, rest, active);
+        const ClusterSample sky = draw_environment(cluster, by_voxel, rest);
+        if (!any(~far & active)) return sky;
+        const ClusterSample near = draw_triangle(cluster, by_voxel, rest, active & ~far);
         const LightSample light = {choose(far, sky.light.direction, near.light.direction), far ? sky.light.distance : near.light.distance,
                                    choose(far, sky.light.radiance, near.light.radiance), far ? sky.light.pdf : near.light.pdf};
         return {light, far ? sky.cluster : near.cluster, far ? sky.share : near.share};
