@@ -148,11 +148,12 @@ def _points(views: Any) -> tuple[Tensor, Tensor, Tensor]:
 
 def _densities(views: Any, query: LensQuery, members: int, count: int) -> Tensor:
     """Densities of the viewers at the lens points, `[J]`. Views by the same member of groups have different viewers."""
-    points, viewer, member = _points(views)
     for mixture in (one.mixture for one in query.mixtures if one.mixture.core is not None):
         density = torch.empty(len(views))
-        views.densities(mixture.core, mixture.transmission(points), density)
+        transmission = None if mixture.lens.is_disc else mixture.lens.transmission(_points(views)[0]).contiguous()
+        views.densities(mixture.core, transmission, density)
         return density
+    points, viewer, member = _points(views)
     order = member.argsort(stable=True)
     ends = torch.bincount(member, minlength=members).cumsum(0).tolist()
     by_member = ViewPoints(viewer.index_select(0, order), points.index_select(1, order), ends)

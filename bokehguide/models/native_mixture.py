@@ -92,9 +92,6 @@ class NativeEllipseMixture(LensMixture):
         """See `LensMixture`."""
         components, mixture, density = (torch.empty(size) for size in (len(self.weight), points.shape[1], points.shape[1]))
         points = points.contiguous()
-        self.core.evaluate(points, self.transmission(points), components, mixture, density)
+        transmission = None if self.lens.is_disc else self.lens.transmission(points).contiguous()
+        self.core.evaluate(points, transmission, components, mixture, density)
         return LensDensity(points, components, mixture, density)
-
-    def transmission(self, points: Tensor) -> Tensor | None:
-        """W at lens points `[2, J]`, `[J]`; None where the core knows the aperture."""
-        return None if self.lens.is_disc else self.lens.transmission(points).contiguous()
