@@ -275,12 +275,13 @@ struct Scattering {
         }
         return found;
     }
-    // World direction; weight is BSDF·|cos|/pdf.
-    Vec3 sample(Float u0, Float u1, Float u2, Vec3& weight, Float& pdf) const {
+    // World direction; weight is BSDF·|cos|/pdf, and value is BSDF·|cos| of the opaque part.
+    Vec3 sample(Float u0, Float u1, Float u2, Vec3& weight, Float& pdf, Vec3& value) const {
         const Vec3 local = opaque.sample(u0, u1, u2);
         const Scattered found = opaque.evaluate(local);
         Vec3 direction = to_world(local, frame);
-        weight = found.value / divisor(found.pdf, 1e-20f) * allowed(direction, local.z), pdf = found.pdf;
+        const Float side = allowed(direction, local.z);
+        weight = found.value / divisor(found.pdf, 1e-20f) * side, pdf = found.pdf, value = found.value * side;
         if (any(glass)) {
             Vec3 other_weight;
             Float other_pdf;

@@ -42,7 +42,7 @@ struct DirectLight {
     Vec3 direction;
     Float distance;
     Vec3 value;
-    Float bsdf_pdf;
+    Scattered scattered;
     Int row, cluster;
     Float contribution_rms;
 };
@@ -58,7 +58,7 @@ class ClusterSampler {
         ClusterSample kept = draw(u);
         Scattered scattered = scattering.evaluate(kept.light.direction);
         Vec3 value = contribution(kept.light, scattered);
-        Float bsdf_pdf = scattered.pdf, target = luminance(value) * visibility(kept.cluster), total = target;
+        Float target = luminance(value) * visibility(kept.cluster), total = target;
         for (int number = 1; number < c.candidates; ++number) {
             const uint32_t dimension = FIRST_CANDIDATE + PER_CANDIDATE * uint32_t(number);
             Float others[7];
@@ -66,8 +66,8 @@ class ClusterSampler {
             const Float shifted = u[0] + float(double(number) / c.candidates);
             others[0] = clamp(shifted - floor(shifted), 0x1p-24f, 1.0f - 0x1p-24f);
             const ClusterSample other = draw({others[0], others[1], others[2], others[3], others[4], others[5]});
-            scattered = scattering.evaluate(other.light.direction);
-            const Vec3 new_value = contribution(other.light, scattered);
+            const Scattered seen = scattering.evaluate(other.light.direction);
+            const Vec3 new_value = contribution(other.light, seen);
             const Float new_target = luminance(new_value) * visibility(other.cluster);
             total = total + new_target;
             const Int changes = others[6] * total < new_target;
@@ -75,11 +75,11 @@ class ClusterSampler {
             kept.light.distance = changes ? other.light.distance : kept.light.distance;
             kept.cluster = changes ? other.cluster : kept.cluster, kept.share = changes ? other.share : kept.share;
             value = choose(changes, new_value, value), target = changes ? new_target : target;
-            bsdf_pdf = changes ? scattered.pdf : bsdf_pdf;
+            scattered = {choose(changes, seen.value, scattered.value), changes ? seen.pdf : scattered.pdf};
         }
         const Float scale = total / (float(c.candidates) * divisor(target));
         const Float contribution_rms = luminance(value) * sqrt(kept.share * scale);
-        return {kept.light.direction, kept.light.distance, value * scale, bsdf_pdf, row, kept.cluster, contribution_rms};
+        return {kept.light.direction, kept.light.distance, value * scale, scattered, row, kept.cluster, contribution_rms};
     }
 
     // Densities of light samples, for MIS: `environment_pdf` and `triangle_pdf` of `MixtureLights`.
@@ -140,7 +140,10 @@ class ClusterSampler {
         const Float rest[5] = {u[1], u[2], u[3], u[4], u[5]};
         if (!t.has_far_power) return draw_triangle(cluster, by_voxel, rest, active);
         if (t.emitters == 0) return draw_environment(cluster, by_voxel, rest);
-        const ClusterSample sky = draw_environment(cluster, by_voxel, rest), near = draw_triangle(cluster, by_voxel, rest, active & ~far);
+        if (!any(far & active)) return draw_triangle(cluster, by_voxel, rest, active);
+        const ClusterSample sky = draw_environment(cluster, by_voxel, rest);
+        if (!any(~far & active)) return sky;
+        const ClusterSample near = draw_triangle(cluster, by_voxel, rest, active & ~far);
         const LightSample light = {choose(far, sky.light.direction, near.light.direction), far ? sky.light.distance : near.light.distance,
                                    choose(far, sky.light.radiance, near.light.radiance), far ? sky.light.pdf : near.light.pdf};
         return {light, far ? sky.cluster : near.cluster, far ? sky.share : near.share};

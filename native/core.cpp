@@ -5,7 +5,8 @@
 
 #include "kernels.h"
 #include "film.h"
-#include "primary_hits.h"
+#include "lens_mixture.h"
+#include "pixel_reuse.h"
 #include "trace.h"
 
 namespace BOKEHGUIDE_ISA {
@@ -113,10 +114,10 @@ void evaluate(const Tables& t, int64_t count, const float* rows, const float* ch
 void sample(const Tables& t, int64_t count, const float* rows, const float* choice, const float* uniforms, float* out) {
     for (Columns at(count); at.first < count; at.first += LANES) {
         const Surface s = at.surface(rows);
-        Vec3 weight;
+        Vec3 weight, value;
         Float pdf;
         const Scattering scattering(t, s, at(choice, 0));
-        at.put(out, 0, scattering.sample(at(uniforms, 0), at(uniforms, 1), at(uniforms, 2), weight, pdf));
+        at.put(out, 0, scattering.sample(at(uniforms, 0), at(uniforms, 1), at(uniforms, 2), weight, pdf, value));
         at.put(out, 3, weight), at.put(out, 6, pdf);
     }
 }
@@ -156,7 +157,9 @@ void emitters(const Tables& t, int64_t count, const float* points, const float* 
 namespace bokehguide {
 namespace BOKEHGUIDE_TARGET {
 namespace isa = ::BOKEHGUIDE_ISA;
-extern const Kernels kernels = {isa::trace, isa::nearest_of, isa::visible_of, isa::expose_all, isa::camera_rays, isa::random, isa::incident_light, isa::reflected_light,
+extern const Kernels kernels = {isa::trace, isa::nearest_of, isa::visible_of, isa::expose_all, isa::camera_rays, isa::random,
+                                isa::find_views, isa::trace_views, isa::add_views,
+                                isa::prepare_mixture, isa::sample_mixture, isa::evaluate_mixture,
                                 isa::surfaces, isa::evaluate, isa::sample, isa::lights, isa::environment, isa::emitters};
 }  // namespace BOKEHGUIDE_TARGET
 }  // namespace bokehguide

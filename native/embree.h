@@ -27,6 +27,12 @@ template <int N> struct alignas(N == 1 ? 16 : 4 * N) RayHitsOf {
     HitsOf<N> hit;
 };
 
+// Arguments of a query for packets of rays that have much of their way in common.
+struct OccludedArguments {
+    unsigned flags = 1u << 16, features = ~0u;  // coherent, all features
+    void *context = nullptr, *filter = nullptr, *occluded = nullptr;
+};
+
 struct Embree {
     void* (*new_device)(const char*);
     long (*device_property)(void*, int);
@@ -41,10 +47,12 @@ struct Embree {
     void (*release_scene)(void*);
     void (*intersect1)(void*, RayHitsOf<1>*, void*);
     void (*occluded1)(void*, RaysOf<1>*, void*);
+    void (*occluded8)(const int*, void*, RaysOf<8>*, OccludedArguments*);
 };
 
 extern Embree embree;
 
+static_assert(sizeof(RaysOf<8>) == 384, "as in rtcore_ray.h");
 static_assert(sizeof(RaysOf<1>) == 48 && sizeof(RayHitsOf<1>) == 96, "as in rtcore_ray.h");
 
 }  // namespace bokehguide

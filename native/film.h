@@ -34,8 +34,6 @@ struct PixelLanes {
     void add(float* row, Float values) const { put(row, get<Float>(row) + values); }
 };
 
-inline Int finite(Float x) { return (bits<Int>(x) & 0x7f800000) != 0x7f800000; }
-inline Float or_zero(Float x) { return finite(x) ? x : all(0.0f); }
 
 // `torch.lerp`.
 inline Float lerp(Float start, Float end, Float weight) {

@@ -19,9 +19,18 @@ struct Kernels {
     void (*camera_rays)(const Camera&, int64_t count, const float* focus, const float* points, float* origin, float* direction);
     // Random numbers of dimensions from `dimension` on; first: of the range of steps of stratified ones, 0 for independent ones.
     void (*random)(const Random&, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first, float* out);
-    // Incident light `[6, paths]` of recorded paths, and radiance `[3, views]` of primary hits towards other lens points.
-    void (*incident)(const Tables&, const PathLight&, const int64_t* owner, const float* direct, const float* indirect, float* incident);
-    void (*reflected)(const Tables&, const PathLight&, int64_t views, const int64_t* chosen, const float* outgoing, float* radiance);
+    // Views of recorded hits by other pixels: those that their lens contains; those of them that nothing blocks, with the number of
+    // rays and the seconds in Embree; and the radiance `[3, N]` and weights `[N]` of all pixels, given the densities of all views.
+    void (*find_views)(const Tables&, const LensCamera&, const PixelGroups&, const LensSamples&, const HitRecord&, float min_spread,
+                       ViewRows&);
+    int64_t (*trace_views)(const Tables&, const LensCamera&, const LensSamples&, const HitRecord&, ViewRows&, double* seconds);
+    void (*add_views)(const Tables&, const LensSamples&, const HitRecord&, const ViewRows&, const OwnSamples&, const float* density,
+                      float* radiance, float* weight);
+    // Mixtures on the lens: shapes and weights; lens points `[2, N]`, which hold those of the uniform lens, and candidates; densities.
+    void (*prepare_mixture)(MixtureRows&);
+    void (*sample_mixture)(const MixtureRows&, const float* uniforms, float* points, int64_t* candidates);
+    void (*evaluate_mixture)(const MixtureRows&, int64_t count, const int32_t* pixels, const float* x, const float* y, const float* transmission,
+                             float* components, float* mixture, float* density);
     // Stages of a trace, for tests.
     void (*surfaces)(const Tables&, int64_t count, const float* origin, const float* direction, const int32_t* triangle,
                      const float* hits, float* rows);

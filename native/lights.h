@@ -168,8 +168,8 @@ inline Vec3 sample_distant(const DistantTable& light, Float u0, Float u1) {
 
 // A direction uniform over a texel of the map.
 inline Vec3 sample_texel(const Tables& t, Int texel, Float u0, Float u1) {
-    Int row, column;
-    for (int lane = 0; lane < LANES; ++lane) row[lane] = texel[lane] / t.map_width, column[lane] = texel[lane] % t.map_width;
+    const Double quotient = __builtin_convertvector(texel, Double) / double(t.map_width);  // exact enough for whole numbers of 31 bits
+    const Int row = __builtin_convertvector(quotient, Int), column = texel - row * t.map_width;
     Float unused, top, bottom, sine, cosine;
     sincos(PI / float(t.map_height) * to_float(row), unused, top);
     sincos(PI / float(t.map_height) * to_float(row + 1), unused, bottom);

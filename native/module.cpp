@@ -1,18 +1,9 @@
 // The Python module `bokehguide._native`: scenes for Embree and whole scenes, on the arrays of PyTorch's tensors.
 
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 
 #include <atomic>
 #include <chrono>
-#include <cstring>
-#include <memory>
-#include <optional>
-#include <stdexcept>
-#include <string>
-#include <vector>
 
 #if defined(_WIN32)
 #include <windows.h>
@@ -20,20 +11,19 @@
 #include <dlfcn.h>
 #endif
 
-#include "embree.h"
-#include "kernels.h"
-
-namespace nb = nanobind;
+#include "mixture.h"
+#include "reuse.h"
+#include "scene.h"
+#include "sums.h"
 
 namespace bokehguide {
 
 Embree embree;
+void* device = nullptr;
 
 double seconds() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
 
 namespace {
-
-void* device = nullptr;
 
 bool has_avx2() {
 #if defined(BOKEHGUIDE_HAS_AVX2)
@@ -48,12 +38,16 @@ std::atomic<bool> modern{has_avx2()};
 // Whether the AVX2 core serves from now on, where the processor has it; the other core has the same bits.
 bool use_avx2(bool wanted) { return modern = wanted && has_avx2(); }
 
+}  // namespace
+
 const Kernels& kernels() {
 #if defined(BOKEHGUIDE_HAS_AVX2)
     if (modern) return avx2::kernels;
 #endif
     return baseline::kernels;
 }
+
+namespace {
 
 // ------------------------------------------------------------------------------------------------------------- Embree
 
@@ -86,236 +80,11 @@ long load_embree(const std::string& path) {
     bind(library, "rtcReleaseGeometry", embree.release_geometry), bind(library, "rtcCommitScene", embree.commit_scene);
     bind(library, "rtcReleaseScene", embree.release_scene);
     bind(library, "rtcIntersect1", embree.intersect1), bind(library, "rtcOccluded1", embree.occluded1);
+    bind(library, "rtcOccluded8", embree.occluded8);
     if (device == nullptr) device = embree.new_device(nullptr);
     if (device == nullptr) throw std::runtime_error("Embree has no device");
     return embree.device_property(device, 0);
 }
-
-using Floats = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
-using Ints = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
-using FloatsOut = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
-using IntsOut = nb::ndarray<int32_t, nb::c_contig, nb::device::cpu>;
-
-template <class Array> void check(const Array& array, size_t size, const char* name) {
-    if (array.size() != size) {
-        throw std::invalid_argument(std::string(name) + " has " + std::to_string(array.size()) + " entries, not " + std::to_string(size));
-    }
-}
-
-// Triangles that rays may meet; threads may call it side by side.
-class Triangles {
-  public:
-    Triangles(const nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>& vertices,
-              const nb::ndarray<const int32_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>& corners) {
-        if (device == nullptr) throw std::runtime_error("Embree is not loaded");
-        constexpr int INDEX = 0, VERTEX = 1, UINT3 = 0x5003, FLOAT3 = 0x9003, TRIANGLE = 0, ROBUST = 4;
-        scene = embree.new_scene(device);
-        embree.set_scene_flags(scene, ROBUST);
-        void* geometry = embree.new_geometry(device, TRIANGLE);
-        std::memcpy(embree.new_buffer(geometry, VERTEX, 0, FLOAT3, 12, vertices.shape(0)), vertices.data(), 4 * vertices.size());
-        std::memcpy(embree.new_buffer(geometry, INDEX, 0, UINT3, 12, corners.shape(0)), corners.data(), 4 * corners.size());
-        embree.commit_geometry(geometry);
-        embree.attach_geometry(scene, geometry);
-        embree.release_geometry(geometry);
-        nb::gil_scoped_release released;
-        embree.commit_scene(scene);
-    }
-    ~Triangles() { embree.release_scene(scene); }
-    Triangles(const Triangles&) = delete;
-
-    void nearest(const Floats& origin, const Floats& direction, const std::optional<Floats>& limits, IntsOut triangle,
-                 FloatsOut found) const {
-        const size_t count = triangle.size();
-        check(origin, 3 * count, "origin"), check(direction, 3 * count, "direction"), check(found, 3 * count, "found");
-        if (limits) check(*limits, count, "limits");
-        nb::gil_scoped_release released;
-        float* rows = found.data();
-        kernels().nearest(scene, int64_t(count), origin.data(), direction.data(), limits ? limits->data() : nullptr, triangle.data(),
-                          rows, rows + count, rows + 2 * count);
-    }
-    void visible(const Floats& origin, const Floats& direction, const Floats& limits, FloatsOut passes) const {
-        const size_t count = passes.size();
-        check(origin, 3 * count, "origin"), check(direction, 3 * count, "direction"), check(limits, count, "limits");
-        nb::gil_scoped_release released;
-        kernels().visible(scene, int64_t(count), origin.data(), direction.data(), limits.data(), passes.data());
-    }
-
-    void* scene;
-};
-
-// ------------------------------------------------------------------------------------------------------------- scenes
-
-// Arrays and numbers by name; the arrays stay alive as long as the object.
-class Named {
-  public:
-    Named(nb::dict arrays, nb::dict numbers) : arrays_(arrays), numbers_(numbers) {}
-    Named(const Named&) = delete;
-
-  protected:
-    template <class T> const T* array(const std::string& name, size_t* size = nullptr) {
-        if (!arrays_.contains(name.c_str()) || nb::handle(arrays_[name.c_str()]).is_none()) {
-            if (size) *size = 0;
-            return nullptr;
-        }
-        auto found = nb::cast<nb::ndarray<const T, nb::c_contig, nb::device::cpu>>(arrays_[name.c_str()]);
-        if (size) *size = found.size();
-        kept_.push_back(nb::ndarray<>(found));
-        return found.data();
-    }
-    double number(const char* name) { return nb::cast<double>(numbers_[name]); }
-    bool is(const char* name) { return number(name) != 0.0; }
-    const AliasEntry* alias_table(const std::string& name, std::vector<AliasEntry>& entries) {
-        size_t count;
-        const float* keep = array<float>(name + "_keep", &count);
-        const int32_t* alias = array<int32_t>(name + "_alias");
-        entries.resize(count);
-        for (size_t i = 0; i < count; ++i) entries[i] = {keep[i], alias[i]};
-        return count > 0 ? entries.data() : nullptr;
-    }
-    void forget_names() {
-        arrays_.clear();
-        numbers_.clear();
-    }
-
-  private:
-    nb::dict arrays_, numbers_;
-    std::vector<nb::ndarray<>> kept_;
-};
-
-// A scene's tables, by the names of `Tables`.
-class Scene : Named {
-  public:
-    Scene(nb::dict arrays, nb::dict numbers, nb::object tracer, nb::object opaque, nb::object translucent)
-        : Named(arrays, numbers), scenes_(nb::make_tuple(tracer, opaque, translucent)) {
-        const auto scene = [](nb::handle triangles) { return triangles.is_none() ? nullptr : nb::cast<Triangles&>(triangles).scene; };
-        t.tracer = scene(tracer), t.opaque = scene(opaque), t.translucent = scene(translucent);
-        set_geometry(), set_materials(), set_textures(), set_lights(), set_environment();
-        forget_names();
-    }
-
-    Tables t{};
-
-  private:
-    void set_geometry() {
-        size_t size, count;
-        const float* normals = array<float>("normals", &size);
-        const int32_t* material = array<int32_t>("material", &count);
-        const int32_t* emitter = array<int32_t>("emitter");
-        t.triangle_count = int64_t(count);
-        rows_.resize(count);
-        for (size_t i = 0; i < count; ++i) {
-            for (int row = 0; row < 12; ++row) (row < 3 ? rows_[i].geometric[row] : rows_[i].normals[row - 3]) = normals[row * count + i];
-            rows_[i].material = material[i], rows_[i].emitter = emitter[i];
-        }
-        t.triangles = rows_.data();
-        t.translucent_numbers = array<int64_t>("translucent_numbers");
-        t.uvs = array<float>("uvs"), t.colors = array<float>("colors");
-        t.vertices = array<float>("vertices"), t.corners = array<int32_t>("corners");
-    }
-    void set_materials() {
-        size_t size;
-        t.parameters = array<float>("parameters", &size);
-        t.materials = int64_t(size / 9);
-        t.emission = array<float>("emission"), t.specular_color = array<float>("specular_color");
-        t.clearcoat = array<float>("clearcoat"), t.cones = array<float>("cones");
-        t.opacity = array<float>("opacity"), t.absorption = array<float>("absorption");
-        t.emissive = array<int32_t>("emissive"), t.tinted = array<int32_t>("tinted");
-        t.is_translucent = array<int32_t>("is_translucent");
-        for (int slot = 0; slot < SLOTS; ++slot) {
-            const std::string number = std::to_string(slot);
-            t.numbers[slot] = array<int64_t>("numbers" + number);
-            t.normal_scales[slot] = array<float>("normal_scales" + number);
-            t.tangents[slot] = array<float>("tangents" + number);
-        }
-        t.tilts_coats = is("tilts_coats"), t.has_transmission = is("has_transmission"), t.plain_emission = is("plain_emission");
-    }
-    void set_textures() {
-        size_t size;
-        t.texels = reinterpret_cast<const uint16_t*>(array<int64_t>("texels"));
-        t.texture_start = array<int64_t>("texture_start", &size);
-        t.textures = int64_t(size);
-        t.texture_sizes = array<int64_t>("texture_sizes"), t.texture_bounds = array<int64_t>("texture_bounds");
-        t.texture_uv_set = array<int64_t>("texture_uv_set"), t.texture_transforms = array<float>("texture_transforms");
-        t.texture_scales = array<float>("texture_scales");
-        t.uv_sets = int64_t(number("uv_sets"));
-    }
-    void set_lights() {
-        size_t count;
-        const int64_t* triangles = array<int64_t>("emitter_triangles", &count);
-        t.emitters = int64_t(count);
-        t.has_far_power = is("has_far_power");
-        if (count == 0) return;
-        const float* rows = array<float>("emitter_rows");
-        const int32_t* cluster = array<int32_t>("emitter_cluster");
-        emitters_.resize(count);
-        for (size_t i = 0; i < count; ++i) {
-            float* fields = reinterpret_cast<float*>(&emitters_[i]);
-            for (int row = 0; row < 14; ++row) fields[row] = rows[row * count + i];
-            emitters_[i].triangle = int32_t(triangles[i]), emitters_[i].cluster = cluster[i];
-        }
-        t.emitter_rows = emitters_.data();
-        t.within_table = alias_table("within", within_table_);
-        t.within_start = array<int32_t>("within_start"), t.far_share = array<float>("far_share");
-        set_clusters();
-        const float* box = array<float>("grid_box");  // low, cells per metre, last cell, steps
-        for (int axis = 0; axis < 3; ++axis) {
-            t.grid_low[axis] = box[axis], t.grid_last[axis] = box[4 + axis], t.grid_step[axis] = int32_t(box[7 + axis]);
-        }
-        t.grid_scale = box[3];
-    }
-    void set_clusters() {
-        size_t size;
-        t.cluster_cumulative = array<float>("cluster_cumulative", &size);
-        t.cluster_levels = int32_t(number("cluster_levels"));
-        const size_t line = size_t(1) << (t.cluster_levels < LEVELS_IN_LINE ? t.cluster_levels : LEVELS_IN_LINE);
-        for (size_t last = line - 1; last < size; last += line) cluster_lines_.push_back(t.cluster_cumulative[last]);
-        t.cluster_lines = cluster_lines_.data();
-    }
-    void set_environment() {
-        t.has_environment = is("has_environment"), t.visible_environment = is("visible_environment");
-        t.map_texels = array<float>("map_texels"), t.map_density = array<float>("map_density");
-        t.map_table = alias_table("map", map_table_);
-        t.map_width = int32_t(number("map_width")), t.map_height = int32_t(number("map_height"));
-        t.map_turn = float(number("map_turn")), t.map_share = float(number("map_share"));
-        size_t size;
-        const float* distant = array<float>("distant", &size);
-        static_assert(sizeof(DistantTable) == 16 * sizeof(float), "one row of `distant`");
-        t.distant = reinterpret_cast<const DistantTable*>(distant);
-        t.distant_count = int32_t(size / 16);
-        t.distant_edges = array<float>("distant_edges");
-    }
-
-    nb::tuple scenes_;
-    std::vector<TriangleRow> rows_;
-    std::vector<EmitterRow> emitters_;
-    std::vector<AliasEntry> within_table_, map_table_;
-    std::vector<float> cluster_lines_;
-};
-
-// The choice among clusters of lights, by the names of `ClusterLights`.
-class NamedClusterLights : Named {
-  public:
-    NamedClusterLights(nb::dict arrays, nb::dict numbers) : Named(arrays, numbers) {
-        std::memcpy(c.axes, array<float>("axes"), sizeof c.axes), std::memcpy(c.position, array<float>("position"), sizeof c.position);
-        const auto real = [&](const char* name) { return float(number(name)); };
-        const auto whole = [&](const char* name) { return int32_t(number(name)); };
-        c.pixel_slope = real("pixel_slope"), c.half_width = real("half_width"), c.half_height = real("half_height");
-        c.tile_size = real("tile_size"), c.last_column = real("across") - 1.0f, c.last_row = real("down") - 1.0f;
-        c.across = whole("across"), c.clusters = whole("clusters"), c.candidates = whole("candidates");
-        c.cumulative = array<float>("cumulative"), c.visibility = array<float>("visibility");
-        c.levels = whole("levels"), c.first_step = whole("first_step");
-        c.first_texels = whole("first_texels"), c.map_clusters = whole("map_clusters"), c.first_distant = whole("first_distant");
-        c.texel_table = alias_table("texel", texel_table_), c.texel_start = array<int32_t>("texel_start");
-        c.texel_order = array<int32_t>("texel_order"), c.texel_cluster = array<uint8_t>("texel_cluster");
-        c.texel_density = array<float>("texel_density");
-        forget_names();
-    }
-
-    ClusterLights c{};
-
-  private:
-    std::vector<AliasEntry> texel_table_;
-};
 
 // Keys of random numbers. directions: of Sobol' sequences, int32 `[8, 30]`.
 Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index) {
@@ -331,15 +100,6 @@ Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index) {
     return {step_key, seed_key, index, directions};
 }
 
-template <class T> using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
-
-// An array of a dictionary, which must have some number of entries.
-template <class Array> Array entry(const nb::dict& arrays, const char* name, size_t size) {
-    const auto found = nb::cast<Array>(arrays[name], false);  // a converted copy would end with this function
-    check(found, size, name);
-    return found;
-}
-
 // The arrays of a record of split paths, by the names of `SplitRecord`.
 SplitRecord split_record(const nb::dict& arrays, size_t rays, bool with_lights) {
     SplitRecord record{};
@@ -352,8 +112,8 @@ SplitRecord split_record(const nb::dict& arrays, size_t rays, bool with_lights) 
     record.paths = whole("paths", rays), record.owner = nb::cast<Out<int64_t>>(arrays["owner"], false).data();
     record.distance = of_hits("distance", 1), record.u = of_hits("u", 1), record.v = of_hits("v", 1);
     record.surface = of_hits("surface", 32), record.emission = of_hits("emission", 3);
-    record.light_direction = of_paths("light_direction", 3), record.direct = of_paths("direct", 3);
-    record.scattered_direction = of_paths("scattered_direction", 3), record.indirect = of_paths("indirect", 3);
+    record.light_direction = of_paths("light_direction", 3), record.scattered_direction = of_paths("scattered_direction", 3);
+    record.direct = of_paths("reflected", 6), record.indirect = record.direct + 3 * paths, record.bsdf = of_paths("bsdf", 6);
     if (with_lights) {
         record.light_row = whole("light_row", paths), record.light_cluster = whole("light_cluster", paths);
         record.light_rms = of_paths("light_rms", 1), record.light_visibility = of_paths("light_visibility", 1);
@@ -390,44 +150,6 @@ nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& directio
         kernels().trace(scene.t, arguments);
     }
     return nb::make_tuple(arguments.rays, arguments.embree_seconds, record.hit_count, record.path_count);
-}
-
-// The light of recorded paths, by the names of `PathLight`; `paths` of them are in use.
-PathLight path_light(const nb::dict& arrays, int64_t paths) {
-    PathLight of{};
-    of.hit_columns = int64_t(nb::cast<Ints>(arrays["paths"], false).size()), of.path_columns = int64_t(nb::cast<Out<const int64_t>>(arrays["owner"], false).size());
-    of.path_count = paths;
-    if (paths < 0 || paths > of.path_columns) throw std::invalid_argument("more paths than the record has entries");
-    const auto rows = [&](const char* name, size_t size) { return entry<Floats>(arrays, name, size).data(); };
-    const size_t columns = size_t(of.path_columns);
-    of.surface = rows("surface", 32 * size_t(of.hit_columns));
-    of.light_direction = rows("light_direction", 3 * columns), of.scattered_direction = rows("scattered_direction", 3 * columns);
-    of.paths = nb::cast<Ints>(arrays["paths"], false).data();
-    return of;
-}
-
-void incident(const Scene& scene, const nb::dict& arrays, int64_t paths, FloatsOut found) {
-    const PathLight of = path_light(arrays, paths);
-    const size_t columns = size_t(of.path_columns);
-    check(found, 6 * columns, "incident");
-    const float *direct = entry<Floats>(arrays, "direct", 3 * columns).data(), *indirect = entry<Floats>(arrays, "indirect", 3 * columns).data();
-    const int64_t* owner = nb::cast<Out<const int64_t>>(arrays["owner"], false).data();
-    nb::gil_scoped_release released;
-    kernels().incident(scene.t, of, owner, direct, indirect, found.data());
-}
-
-void reflected(const Scene& scene, const nb::dict& arrays, int64_t paths, const Floats& incident, const Ints& first_path,
-               const Out<const int64_t>& chosen, const Floats& outgoing, FloatsOut radiance) {
-    PathLight of = path_light(arrays, paths);
-    const size_t views = chosen.size();
-    check(incident, 6 * size_t(of.path_columns), "incident"), check(outgoing, 3 * views, "outgoing"), check(radiance, 3 * views, "radiance");
-    of.incident = incident.data(), of.first_path = first_path.data();
-    for (size_t view = 0; view < views; ++view) {
-        const int64_t hit = chosen.data()[view];
-        if (hit < 0 || size_t(hit) >= first_path.size()) throw std::invalid_argument("a primary hit beyond the record");
-    }
-    nb::gil_scoped_release released;
-    kernels().reflected(scene.t, of, int64_t(views), chosen.data(), outgoing.data(), radiance.data());
 }
 
 using Doubles = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
@@ -476,9 +198,10 @@ NB_MODULE(_native, m) {
         .def(nb::init<nb::dict, nb::dict, nb::object, nb::object, nb::object>(), nb::arg(), nb::arg(), nb::arg().none(),
              nb::arg().none(), nb::arg().none())
         .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
-             nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none())
-        .def("incident", &incident)
-        .def("reflected", &reflected);
+             nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none());
+    bind_mixture(m);
+    bind_reuse(m);
+    bind_sums(m);
     nb::class_<NamedClusterLights>(m, "ClusterLights").def(nb::init<nb::dict, nb::dict>());
     m.def("expose", &expose, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg());
     m.def("camera_rays", [](const Floats& axes, const Floats& position, const Floats& focus, const Floats& points, FloatsOut rows) {

@@ -8,78 +8,45 @@ namespace BOKEHGUIDE_ISA {
 
 using bokehguide::PathLight;
 
-constexpr float FAINTEST = 1e-20f;
-
 // The BSDF of the opaque part of surfaces, seen from some directions (`opaque_values`).
 inline Scattering opaque_part(const Tables& t, const Surface& s) { return Scattering(t, s, all(2.0f)); }
+
+// Rows of recorded hits, as fields of surfaces from some field on.
+inline void fill(const PathLight& of, Int hit, Surface& s, Float* field, int count = 1) {
+    const int first = int(field - reinterpret_cast<Float*>(&s));
+    for (int row = 0; row < count; ++row) field[row] = gather(of.surface + (first + row) * of.hit_columns, hit);
+}
 
 // Surfaces of recorded hits, with the fields that the opaque part needs; the others are 0.
 inline Surface recorded_surface(const Tables& t, const PathLight& of, Int hit) {
     Surface s = {};
-    const auto fill = [&](Float* field, int count = 1) {
-        const int first = int(field - reinterpret_cast<Float*>(&s));
-        for (int row = 0; row < count; ++row) field[row] = gather(of.surface + (first + row) * of.hit_columns, hit);
-    };
-    fill(&s.outgoing.x, 9);  // with both normals
-    fill(&s.base_color.x, 6), fill(&s.ior);
-    if (t.specular_color != nullptr) fill(&s.specular_color.x, 3);
-    if (t.clearcoat != nullptr) fill(&s.clearcoat, 5);
+    fill(of, hit, s, &s.outgoing.x, 9);  // with both normals
+    fill(of, hit, s, &s.base_color.x, 6), fill(of, hit, s, &s.ior);
+    if (t.specular_color != nullptr) fill(of, hit, s, &s.specular_color.x, 3);
+    if (t.clearcoat != nullptr) fill(of, hit, s, &s.clearcoat, 5);
     return s;
 }
 
-inline Float unreflected(Float light, Float value) { return value > all(FAINTEST) ? light / value : all(0.0f); }
-
-// `_incident`: incident light of light samples and of BSDF samples, `[6, paths]`.
-inline void incident_light(const Tables& t, const PathLight& of, const int64_t* owner, const float* direct, const float* indirect,
-                           float* incident) {
-    const float *directions[2] = {of.light_direction, of.scattered_direction}, *reflected[2] = {direct, indirect};
-    for (int64_t first = 0; first < of.path_count; first += LANES) {
-        Int hit = all(0), path = all(0);
-        for (int lane = 0; lane < LANES && first + lane < of.path_count; ++lane) {
-            hit[lane] = int32_t(owner[first + lane]), path[lane] = int32_t(first + lane);
-        }
-        const Surface s = recorded_surface(t, of, hit);
-        const Scattering scattering = opaque_part(t, s);
-        for (int kind = 0; kind < 2; ++kind) {
-            const Vec3 light = gather3(reflected[kind], of.path_columns, path);
-            const Vec3 value = scattering.evaluate(gather3(directions[kind], of.path_columns, path)).value;
-            const Float found[3] = {unreflected(light.x, value.x), unreflected(light.y, value.y), unreflected(light.z, value.z)};
-            for (int lane = 0; lane < LANES && first + lane < of.path_count; ++lane) {
-                for (int channel = 0; channel < 3; ++channel) incident[(3 * kind + channel) * of.path_columns + first + lane] = found[channel][lane];
-            }
-        }
-    }
-}
-
-// `_reflected`: radiance `[3, views]` of hits towards unit directions `[3, views]`, added up over the paths of each hit.
-inline void reflected_light(const Tables& t, const PathLight& of, int64_t views, const int64_t* chosen, const float* outgoing, float* radiance) {
+// Radiance of one hit towards eight unit directions, added up over the paths of the hit (`PrimaryHits.radiance` without emission).
+inline Vec3 reflected(const Tables& t, const PathLight& of, int32_t hit, Vec3 outgoing) {
     const float* directions[2] = {of.light_direction, of.scattered_direction};
-    for (int64_t first = 0; first < views; first += LANES) {
-        const int count = views - first < LANES ? int(views - first) : LANES;
-        Int hit, viewer;
-        for (int lane = 0; lane < LANES; ++lane) {
-            const int64_t view = first + (lane < count ? lane : count - 1);
-            hit[lane] = int32_t(chosen[view]), viewer[lane] = int32_t(view);
+    Surface s = recorded_surface(t, of, all(hit));
+    s.outgoing = outgoing;
+    const Scattering scattering = opaque_part(t, s);
+    const auto column = [&](const float* rows, int32_t path) {
+        return Vec3{all(rows[path]), all(rows[of.path_columns + path]), all(rows[2 * of.path_columns + path])};
+    };
+    Vec3 sum = grey(all(0.0f));
+    for (int32_t path = of.first_path[hit]; path < of.first_path[hit] + of.paths[hit]; ++path) {
+        Vec3 light = grey(all(0.0f));
+        for (int kind = 0; kind < 2; ++kind) {
+            const float* const incident = of.incident + 3 * kind * of.path_columns;
+            if (incident[path] == 0.0f && incident[of.path_columns + path] == 0.0f && incident[2 * of.path_columns + path] == 0.0f) continue;
+            light = light + scattering.evaluate(column(directions[kind], path)).value * column(incident, path);
         }
-        const Int begin = gather(of.first_path, hit), paths = gather(of.paths, hit);
-        Surface s = recorded_surface(t, of, hit);
-        s.outgoing = gather3(outgoing, views, viewer);
-        const Scattering scattering = opaque_part(t, s);
-        Vec3 sum = grey(all(0.0f));
-        for (int32_t number = 0; any(number < paths); ++number) {
-            const Int going = number < paths, path = going ? begin + number : begin;
-            Vec3 light = grey(all(0.0f));
-            for (int kind = 0; kind < 2; ++kind) {
-                const Vec3 arriving = gather3(of.incident + 3 * kind * of.path_columns, of.path_columns, path);
-                light = light + scattering.evaluate(gather3(directions[kind], of.path_columns, path)).value * arriving;
-            }
-            sum = choose(going, sum + light, sum);
-        }
-        for (int lane = 0; lane < count; ++lane) {
-            float* const column = radiance + first + lane;
-            column[0] = sum.x[lane], column[views] = sum.y[lane], column[2 * views] = sum.z[lane];
-        }
+        sum = sum + light;
     }
+    return sum;
 }
 
 }  // namespace BOKEHGUIDE_ISA

@@ -58,4 +58,22 @@ inline void visible(void* scene, const RayRows& rays, float* visible, int64_t co
     }
 }
 
+// As `visible`, for rays of which neighbours have much of their way in common; rows have entries for whole packets. What happens to
+// a ray does not depend on the others of its packet.
+inline void visible_coherent(void* scene, const RayRows& rays, float* visible, int64_t count) {
+    RaysOf<LANES> packet;
+    bokehguide::OccludedArguments coherent;
+    for (int64_t first = 0; first < count; first += LANES) {
+        alignas(32) int valid[LANES];
+        for (int lane = 0; lane < LANES; ++lane) valid[lane] = first + lane < count ? -1 : 0;
+        for (int axis = 0; axis < 3; ++axis) {
+            store(packet.origin[axis], load<Float>(rays.origin[axis] + first)), store(packet.direction[axis], load<Float>(rays.direction[axis] + first));
+        }
+        store(packet.near, all(0.0f)), store(packet.time, all(0.0f)), store(packet.far, load<Float>(rays.limit + first));
+        store(packet.mask, all(-1)), store(packet.id, all(0)), store(packet.flags, all(0));
+        embree.occluded8(valid, scene, &packet, &coherent);
+        store(visible + first, load<Float>(packet.far) < all(0.0f) ? all(0.0f) : all(1.0f));
+    }
+}
+
 }  // namespace BOKEHGUIDE_ISA

@@ -95,6 +95,8 @@ inline Float abs(Float x) { return bits<Float>(bits<Bits>(x) & all(0x7fffffffu))
 inline Float copysign(Float size, Float sign) {
     return bits<Float>((bits<Bits>(size) & all(0x7fffffffu)) | (bits<Bits>(sign) & all(0x80000000u)));
 }
+inline Int finite(Float x) { return (bits<Int>(x) & 0x7f800000) != 0x7f800000; }
+inline Float or_zero(Float x) { return finite(x) ? x : all(0.0f); }
 // 1 where the mask is set, else 0.
 inline Float one_if(Int mask) { return bits<Float>(mask & bits<Int>(all(1.0f))); }
 inline Float square(Float x) { return x * x; }

@@ -120,7 +120,8 @@ struct SplitRecord {
     float *distance, *u, *v, *surface, *emission;
     // Of paths
     int64_t* owner;
-    float *light_direction, *direct, *scattered_direction, *indirect;
+    float *light_direction, *scattered_direction;
+    float *direct, *indirect, *bsdf;  // bsdf: BSDF times cosine of both directions, [6, paths]
     // Light samples of paths; null without `lights`
     int32_t *light_row, *light_cluster;
     float *light_rms, *light_visibility;
@@ -165,6 +166,104 @@ struct FilmSums {
 
 struct Camera {
     float axes[9], position[3];  // camera to world, row by row
+};
+struct LensCamera {
+    Camera camera;
+    float radius, squared_radius, passing, focus_distance, pixel_slope;  // passing: 1 / A of a round aperture
+};
+
+// Groups of pixels of a film that reuse each other's primary hits (guiding/pixel_reuse.py): the number of the first pixel of a
+// batch and of all pixels, null for consecutive ones; the width of the film, and the size and shift of groups.
+struct PixelGroups {
+    int64_t first;
+    const int64_t* pixels;
+    int32_t width, across, down, right, below;
+};
+
+// One sample for each of some pixels; rows as in `Tables`.
+struct LensSamples {
+    int64_t count;
+    const float *points, *focus, *depth, *weight, *radiance;
+    const int32_t* triangle;
+};
+
+// Recorded hits and their light; rows as in `SplitRecord`.
+struct HitRecord {
+    int64_t count;
+    const int32_t *ray, *triangle;
+    const float *u, *v, *distance, *emission;
+    PathLight light;
+};
+
+// Views of primary hits by other pixels of a group: rows of `columns` entries, of which `count` are in use. The views of each source
+// follow one another, in the order of the members of the group.
+struct ViewRows {
+    int64_t columns, count;
+    int32_t members;
+    int32_t *source, *viewer, *member;
+    float *x, *y, *jacobian, *passing, *outgoing;
+    // Of the pixels of a batch, filled up to whole vectors: the number of the primary hit, -1 for none; column and row in the band,
+    // number after the first; whether others may use the hit, its depth and plane; scale of the weights.
+    int64_t pixels;
+    int32_t *place, *column, *line, *number;
+    float *reusable, *depth, *plane, *scale;
+    int32_t* among;  // index of each number in the batch, -1 for none; null for consecutive pixels
+    int32_t numbers;  // in `among`, or of the batch
+};
+
+// The weights of reuse, for each pixel: density and W / A at the pixel's own lens point, transmittance there, null for 1.
+struct OwnSamples {
+    const float *density, *passing, *transmittance;
+};
+
+// Piecewise linear densities (models/emitters/piecewise_linear.py).
+struct PiecewiseTable {
+    int64_t period;
+    const int64_t *keys, *position, *start, *end;  // the last two of each density
+    const double *weights, *cumulative, *total;
+};
+
+// Emitters of an environment map as densities on the lens (models/emitters/environment.py).
+struct EnvironmentTable {
+    int32_t width, height;
+    int64_t emitters;
+    double turn, axes[9];  // camera to world, row by row
+    float float_axes[9];
+    PiecewiseTable segments, rows;
+    const int64_t *segment, *emitter;
+    const double *whole, *columns;  // [2, emitters]
+    const int32_t* slot;
+    const float* flux;
+};
+
+// Parallelograms (models/emitters/parallelogram.py): three rows each, but for the last two.
+struct ParallelogramTable {
+    int64_t count;
+    const float *centre, *right, *up, *normal, *first, *second, *area, *luminance;
+};
+
+// A mixture of shapes for each of some pixels (models/ellipse_mixture.py), whose candidates are components of a field.
+struct MixtureRows {
+    int64_t pixels, candidates, columns, components;  // columns: candidates up to a whole vector
+    float lens_radius, lens_squared_radius, lens_area;
+    bool clips;
+    const int64_t *start, *given;  // candidates of each pixel, and their components
+    const float *focus, *given_beta, *scale;
+    // Of components
+    const float *mean, *outline, *strength;
+    const int64_t *environment_index, *parallelogram_index;
+    const EnvironmentTable* environment;  // null for none, as the next
+    const ParallelogramTable* parallelograms;
+    // Of candidates
+    int32_t *owner, *component;
+    float *ellipses, *windows, *contribution, *weight;
+    int64_t* cumulative;
+    double* map_rows;
+    uint8_t* clipped;
+    // Of pixels
+    float* beta;
+    double* cones;
+    uint8_t *guided, *sees_map;
 };
 
 }  // namespace bokehguide

@@ -9,29 +9,21 @@
 
 #include "cluster_lights.h"
 #include "images.h"
-#include "rays.h"
+#include "shadow_rays.h"
 
 namespace BOKEHGUIDE_ISA {
 
 using bokehguide::SplitRecord;
 using bokehguide::Trace;
 
-// Paths in a block; entries of a row, so that rows of a power of two do not share sets of the cache; rows of a `Surface`.
-constexpr int BLOCK = 1024, ROW = BLOCK + 16, NORMAL_ROW = 9, ALBEDO_ROW = 15;
+// Rows of a `Surface`.
+constexpr int NORMAL_ROW = 9, ALBEDO_ROW = 15;
 constexpr int ROULETTE_DEPTH = 4;
-constexpr float MAX_SURVIVAL = 0.95f, SHADOW_END = 1.0f - 1e-4f, SHORT = 1.0f / 16.0f;
+constexpr float MAX_SURVIVAL = 0.95f, SHADOW_END = 1.0f - 1e-4f;
 // Random dimensions (render/dimensions.py).
-constexpr uint32_t PART = 0, BSDF = 1, ROULETTE = 4, LIGHT = 5, LIGHT_COUNT = 6, MAX_CROSSINGS = 256;
+constexpr uint32_t PART = 0, BSDF = 1, ROULETTE = 4, LIGHT = 5, LIGHT_COUNT = 6;
 inline uint32_t vertex_dimension(int depth) { return 32 + 16 * uint32_t(depth - 1); }
 inline uint32_t crossing_dimension(int depth) { return (1u << 20) + MAX_CROSSINGS * uint32_t(depth); }
-
-typedef float Row[ROW];
-typedef int32_t IntRow[ROW];
-
-inline Vec3 load3(const Row* rows, int first) { return {load<Float>(rows[0] + first), load<Float>(rows[1] + first), load<Float>(rows[2] + first)}; }
-inline void store3(Row* rows, int first, Vec3 v) { store(rows[0] + first, v.x), store(rows[1] + first, v.y), store(rows[2] + first, v.z); }
-inline Vec3 gather3(const Row* rows, Int index) { return {gather(rows[0], index), gather(rows[1], index), gather(rows[2], index)}; }
-inline Int first_lanes(int count) { return Int{0, 1, 2, 3, 4, 5, 6, 7} < count; }
 
 struct alignas(64) Block {
     // Paths that are alive.
@@ -43,12 +35,12 @@ struct alignas(64) Block {
     IntRow triangle;
     Row distance, u, v, surface[SURFACE_ROWS];
     // Light samples, and their shadow rays.
-    Row contribution[3], weight, shadow_origin[3], shadow_direction[3], shadow_length, visibility, light_direction[3];
+    Row contribution[3], weight, visibility, light_direction[3];
+    ShadowRays shadow;
     // Which paths go on or met a surface, and which did not.
     IntRow kept, dropped;
     // Rays beyond translucent surfaces.
-    IntRow beyond, last, beyond_triangle;
-    Row beyond_origin[3], beyond_direction[3], beyond_start, beyond_limit, beyond_distance, beyond_u, beyond_v;
+    Beyond beyond;
     // Primary hits that split, by their number in the block.
     IntRow hit_key;
     Row hit_throughput[3];
@@ -65,8 +57,8 @@ class Tracing {
     Tracing(const Tracing&) = delete;
 
     void run() {
-        trace.rays = 0;
-        trace.embree_seconds = 0.0;
+        trace.rays = block.shadow.rays = 0;
+        trace.embree_seconds = block.shadow.embree_seconds = 0.0;
         if (trace.split != nullptr) trace.split->hit_count = trace.split->path_count = 0;
         for (first = 0; first < trace.count; first += BLOCK) {
             begin();
@@ -77,6 +69,7 @@ class Tracing {
                 follow();
             }
         }
+        trace.rays += block.shadow.rays, trace.embree_seconds += block.shadow.embree_seconds;
     }
 
   private:
@@ -195,7 +188,7 @@ class Tracing {
         for (int i = 0; i < paths; i += LANES) load_hits(i, first_hit);
         for (int axis = 0; axis < 3; ++axis) {
             const int64_t row = axis * record.path_columns + base;
-            std::memset(record.direct + row, 0, sizeof(float) * size_t(paths));
+            std::memset(record.direct + row, 0, sizeof(float) * size_t(paths)), std::memset(record.bsdf + row, 0, sizeof(float) * size_t(paths));
             std::memcpy(record.light_direction + row, b.surface[NORMAL_ROW + axis], sizeof(float) * size_t(paths));
         }
     }
@@ -282,19 +275,6 @@ class Tracing {
         if (t.translucent != nullptr) go_beyond_translucent(depth);
     }
 
-    // Distances just beyond surfaces along rays, and the points there (`_beyond` of visibility.py).
-    static Float beyond(Vec3 origin, Vec3 direction, Float distance, Int again, Vec3& start) {
-        const Float step = again ? all(1.0f) : all(SHORT);
-        const Float further = distance + step * leaving_distance(origin + distance * direction, distance);
-        start = origin + further * direction;
-        return further;
-    }
-
-    // Lanes that do not count have some triangle, so that tables can be read.
-    static Hits valid(Hits hit, Int active) {
-        hit.triangle = active ? hit.triangle : all(0);
-        return hit;
-    }
     Hits hits_of(Int path) const {
         return {gather(block.triangle, path), gather(block.distance, path), gather(block.u, path), gather(block.v, path)};
     }
@@ -302,53 +282,37 @@ class Tracing {
     // Paths go on from translucent surfaces with probability 1 - opacity.
     void go_beyond_translucent(int depth) {
         Block& b = block;
-        int count = 0;
-        for (int i = 0; i < paths; ++i) b.beyond[i] = i, b.last[i] = -1;
-        count = paths;
+        Beyond& rays = b.beyond;
+        int count = paths;
+        for (int i = 0; i < paths; ++i) rays.ray[i] = i, rays.last[i] = -1;
         for (uint32_t crossing = 0; crossing < MAX_CROSSINGS; ++crossing) {
-            count = keep_if(b.beyond, count, [&](int path) {
+            count = keep_if(rays.ray, count, [&](int path) {
                 return b.triangle[path] >= 0 && t.is_translucent[t.triangles[b.triangle[path]].material];
             });
             int going = 0;
             for (int i = 0; i < count; i += LANES) {
-                const Int active = first_lanes(count - i), path = load<Int>(b.beyond + i);
+                const Int active = first_lanes(count - i), path = load<Int>(rays.ray + i);
                 const Hits hit = valid(hits_of(path), active);
                 const Float number = uniform(trace.random, bits<Bits>(gather(b.key, path)), crossing_dimension(depth) + crossing);
-                const Int again = hit.triangle == gather(b.last, path);
+                const Int again = hit.triangle == gather(rays.last, path);
                 const unsigned on = lanes(((number >= opacity(t, hit, active)) | again) & active);
                 Vec3 start;
-                const Float further = beyond(gather3(b.origin, path), gather3(b.direction, path), hit.distance, again, start);
+                const Float further = just_beyond(gather3(b.origin, path), gather3(b.direction, path), hit.distance, again, start);
                 for (int lane = 0; lane < LANES; ++lane) {
                     if (!(on >> lane & 1)) continue;
-                    b.last[path[lane]] = hit.triangle[lane];
-                    set_beyond(going, path[lane], start, lane, b.direction);
-                    b.beyond[going] = path[lane], b.beyond_start[going++] = further[lane];
+                    rays.last[path[lane]] = hit.triangle[lane];
+                    rays.set(going++, path[lane], start, lane, further[lane], b.direction);
                 }
             }
             count = going;
             if (count == 0) break;
-            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], ROW, nullptr);
-            in_embree(count, [&] { nearest(t.tracer, rays, {b.beyond_triangle, b.beyond_distance, b.beyond_u, b.beyond_v}, count); });
+            in_embree(count, [&] { rays.find(t.tracer, count, nullptr); });
             for (int i = 0; i < count; ++i) {
-                const int path = b.beyond[i];
-                b.triangle[path] = b.beyond_triangle[i], b.u[path] = b.beyond_u[i], b.v[path] = b.beyond_v[i];
-                b.distance[path] = b.beyond_distance[i] + b.beyond_start[i];
+                const int path = rays.ray[i];
+                b.triangle[path] = rays.triangle[i], b.u[path] = rays.u[i], b.v[path] = rays.v[i];
+                b.distance[path] = rays.distance[i] + rays.start[i];
             }
         }
-    }
-    void set_beyond(int place, int path, const Vec3& start, int lane, const Row* direction) {
-        const float point[3] = {start.x[lane], start.y[lane], start.z[lane]};
-        for (int axis = 0; axis < 3; ++axis) {
-            block.beyond_origin[axis][place] = point[axis], block.beyond_direction[axis][place] = direction[axis][path];
-        }
-    }
-    template <class Condition> static int keep_if(IntRow& list, int count, Condition keeps) {
-        int kept = 0;
-        for (int i = 0; i < count; ++i) {
-            if (keeps(list[i])) list[kept++] = list[i];
-        }
-        for (int i = kept; i < (kept + LANES - 1) / LANES * LANES; ++i) list[i] = 0;
-        return kept;
     }
 
     // Paths that meet nothing end in the environment.
@@ -453,13 +417,17 @@ class Tracing {
             numbers(depth, LIGHT, key, of_light);
             const Light light = direct_light(depth, i, s, scattering, of_light, key, active);
             if (trace.images != nullptr) prepare_image(i, s, light, active);
+            if (depth == 1 && trace.split != nullptr) record(trace.split->bsdf, i, light.scattered.value);
             aim_shadow_ray(i, s, throughput, light);
         }
         Float of_bsdf[3], pdf;
         numbers(depth, BSDF, key, of_bsdf);
-        Vec3 weight;
-        const Vec3 direction = scattering.sample(of_bsdf[0], of_bsdf[1], of_bsdf[2], weight, pdf);
-        if (depth == 1 && trace.split != nullptr) record_directions(i, direction, pdf, active);
+        Vec3 weight, value;
+        const Vec3 direction = scattering.sample(of_bsdf[0], of_bsdf[1], of_bsdf[2], weight, pdf, value);
+        if (depth == 1 && trace.split != nullptr) {
+            record(trace.split->bsdf + 3 * trace.split->path_columns, i, value);
+            record_directions(i, direction, pdf, active);
+        }
         if (trace.images != nullptr) transfer_through(i, s, direction, pdf, active);
         throughput = throughput * weight;
         Float survival = largest(throughput);
@@ -473,12 +441,12 @@ class Tracing {
         store(b.pdf + i, pdf), store(b.alive + i, survival);
     }
 
-    // A light sample without shadow: its direction, distance and reflected radiance, and the density of BSDF samples there.
+    // A light sample without shadow: its direction, distance and reflected radiance, and the BSDF and its density there.
     struct Light {
         Vec3 direction;
         Float distance;
         Vec3 value;
-        Float bsdf_pdf;
+        Scattered scattered;
     };
 
     Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const Float (&u)[6], Bits key, Int active) {
@@ -486,12 +454,12 @@ class Tracing {
             const ClusterSampler sampler(t, *trace.lights, s.position, active);
             const DirectLight found = sampler.sample(scattering, u, trace.random, key);
             record_light(i, found);
-            return {found.direction, found.distance, found.value, found.bsdf_pdf};
+            return {found.direction, found.distance, found.value, found.scattered};
         }
         const LightSample light = sample_light(t, PointQuery(t, s.position), u, active);
         const Scattered found = scattering.evaluate(light.direction);
         const Float weight = power_heuristic(light.pdf, found.pdf) / divisor(light.pdf);
-        return {light.direction, light.distance, found.value * light.radiance * weight, found.pdf};
+        return {light.direction, light.distance, found.value * light.radiance * weight, found};
     }
 
     void aim_shadow_ray(int i, const Surface& s, Vec3 throughput, const Light& light) {
@@ -500,8 +468,7 @@ class Tracing {
         const Vec3 origin = leave(s, light.direction), target = light.direction - (origin - s.position) / light.distance;
         const Float stretch = length(target);
         store3(b.contribution, i, contribution), store(b.weight + i, largest(contribution));
-        store3(b.shadow_origin, i, origin), store3(b.shadow_direction, i, target / stretch);
-        store(b.shadow_length + i, light.distance * stretch * SHADOW_END);
+        b.shadow.aim(i, origin, target / stretch, light.distance * stretch * SHADOW_END);
         if (trace.split != nullptr) store3(b.light_direction, i, light.direction);
     }
 
@@ -549,7 +516,7 @@ class Tracing {
 
     // Images of light samples at eight vertices.
     void prepare_image(int i, const Surface& s, const Light& light, Int active) {
-        const Int slot = load<Int>(block.slot + i), shows = active & gather(block.narrow, slot) & (light.bsdf_pdf > all(NARROW));
+        const Int slot = load<Int>(block.slot + i), shows = active & gather(block.narrow, slot) & (light.scattered.pdf > all(NARROW));
         Float image = all(0.0f);
         if (any(shows)) {
             const Hits hit = hits_at(i, active);
@@ -614,80 +581,14 @@ class Tracing {
         Block& b = block;
         const int traced = sort([&](int i) { return b.weight[i] > 0.0f; });
         for (int i = 0; i < paths; i += LANES) store(b.visibility + i, all(0.0f));
-        if (traced < paths) {
-            compact(b.shadow_origin, traced), compact(b.shadow_direction, traced), compact(b.shadow_length, traced);
-        }
-        Row& passes = b.distance;
-        for (int i = 0; i < traced; ++i) passes[i] = 1.0f;
-        if (t.opaque != nullptr) {
-            const RayRows rays(b.shadow_origin[0], b.shadow_direction[0], ROW, b.shadow_length);
-            in_embree(traced, [&] { visible(t.opaque, rays, passes, traced); });
-        } else {
-            trace.rays += traced;
-        }
-        if (t.translucent != nullptr) dim(passes, traced);
-        for (int i = 0; i < traced; ++i) b.visibility[b.kept[i]] = passes[i];
+        if (traced < paths) compact(b.shadow.origin, traced), compact(b.shadow.direction, traced), compact(b.shadow.length, traced);
+        b.shadow.trace(t, traced, false);
+        for (int i = 0; i < traced; ++i) b.visibility[b.kept[i]] = b.shadow.passes[i];
         if (trace.images != nullptr) add_sampled_images();
         if (depth == 1 && trace.split != nullptr) return record_direct();
         for (int i = 0; i < paths; i += LANES) {
             store3(b.radiance, i, load3(b.radiance, i) + load3(b.contribution, i) * load<Float>(b.visibility + i));
         }
-    }
-
-    // Multiply transmittances of shadow rays by those of the translucent surfaces (`Visibility._dim`).
-    void dim(Row& passes, int traced) {
-        Block& b = block;
-        for (int i = 0; i < traced; ++i) b.beyond[i] = i, b.last[i] = -1, b.beyond_start[i] = 0.0f;
-        int count = keep_if(b.beyond, traced, [&](int ray) { return passes[ray] > 0.0f; });
-        for (int i = 0; i < count; ++i) {
-            const int ray = b.beyond[i];
-            for (int axis = 0; axis < 3; ++axis) b.beyond_origin[axis][i] = b.shadow_origin[axis][ray];
-        }
-        for (uint32_t crossing = 0; crossing < MAX_CROSSINGS && count > 0; ++crossing) {
-            for (int i = 0; i < count; ++i) {
-                const int ray = b.beyond[i];
-                for (int axis = 0; axis < 3; ++axis) b.beyond_direction[axis][i] = b.shadow_direction[axis][ray];
-                b.beyond_limit[i] = b.shadow_length[ray] - b.beyond_start[i];
-            }
-            const RayRows rays(b.beyond_origin[0], b.beyond_direction[0], ROW, b.beyond_limit);
-            in_embree(count, [&] {
-                nearest(t.translucent, rays, {b.beyond_triangle, b.beyond_distance, b.beyond_u, b.beyond_v}, count);
-            });
-            count = dim_once(passes, count);
-        }
-        for (int i = 0; i < count; ++i) passes[b.beyond[i]] = 0.0f;
-    }
-
-    // One translucent surface along each of `count` rays; returns the number of rays that go on.
-    int dim_once(Row& passes, int count) {
-        Block& b = block;
-        int met = 0;
-        for (int i = 0; i < count; ++i) {  // rays that met a surface, in place
-            if (b.beyond_triangle[i] < 0) continue;
-            b.beyond[met] = b.beyond[i];
-            b.beyond_triangle[met] = int32_t(t.translucent_numbers[b.beyond_triangle[i]]);
-            b.beyond_distance[met] = b.beyond_distance[i] + b.beyond_start[i], b.beyond_u[met] = b.beyond_u[i];
-            b.beyond_v[met++] = b.beyond_v[i];
-        }
-        for (int i = met; i < (met + LANES - 1) / LANES * LANES; ++i) b.beyond[i] = b.beyond_triangle[i] = 0;
-        int going = 0;
-        for (int i = 0; i < met; i += LANES) {
-            const Int active = first_lanes(met - i), ray = load<Int>(b.beyond + i), triangle = load<Int>(b.beyond_triangle + i);
-            const Float distance = load<Float>(b.beyond_distance + i);
-            const Hits hit = {triangle, distance, load<Float>(b.beyond_u + i), load<Float>(b.beyond_v + i)};
-            const Int again = triangle == gather(b.last, ray);
-            const Float left = again ? all(1.0f) : 1.0f - opacity(t, hit, active);
-            Vec3 start;
-            const Float further = beyond(gather3(b.shadow_origin, ray), gather3(b.shadow_direction, ray), distance, again, start);
-            for (int lane = 0; lane < LANES && i + lane < met; ++lane) {
-                passes[ray[lane]] *= left[lane];
-                if (!(passes[ray[lane]] > 0.0f && further[lane] < b.shadow_length[ray[lane]])) continue;
-                b.last[ray[lane]] = triangle[lane];
-                set_beyond(going, ray[lane], start, lane, b.shadow_direction);
-                b.beyond[going] = ray[lane], b.beyond_start[going++] = further[lane];
-            }
-        }
-        return going;
     }
 };
 

@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bokehguide.cli.arguments import COMPILE_HELP, natural, positive, size, threads
+from bokehguide.cli.arguments import natural, positive, size, threads
 from bokehguide.cli.report import peak_memory_mb, write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import markdown
@@ -44,7 +44,6 @@ def main() -> None:
     warm_up = "steps before the measurement (default: 8, the steps of the global fit)"
     parser.add_argument("--warm-up", type=natural, default=8, metavar="N", help=warm_up)
     parser.add_argument("--threads", type=threads, metavar="N", help="default: one per core")
-    parser.add_argument("--compile", action="store_true", help=COMPILE_HELP)
     parser.add_argument("--peers", action="store_true", help="compare with Mitsuba 3 (pip install '.[peers]')")
     parser.add_argument("--json", type=Path, metavar="PATH", help="also write the figures here")
     args = parser.parse_args()
@@ -140,7 +139,7 @@ def render_alone(mode: str, args: argparse.Namespace) -> float:
 
 def start(mode: str, args: argparse.Namespace) -> RenderLoop:
     spp = args.warm_up + args.spp
-    return RenderLoop(measured_scene(args), RenderSettings(mode=mode, spp=spp, threads=args.threads, compile=args.compile))
+    return RenderLoop(measured_scene(args), RenderSettings(mode=mode, spp=spp, threads=args.threads))
 
 
 def measured_scene(args: argparse.Namespace) -> Scene:

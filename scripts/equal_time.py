@@ -29,7 +29,7 @@ if importlib.util.find_spec("mitsuba") is None:
 
 from experiments.mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer, comparable
 
-from bokehguide.cli.arguments import COMPILE_HELP, Parser, duration, positive, size, threads
+from bokehguide.cli.arguments import Parser, duration, positive, size, threads
 from bokehguide.cli.report import write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import errors, made_reference, markdown, progress, regions
@@ -84,7 +84,6 @@ def main() -> None:
     add("--size", type=size, default="640x360", metavar="WxH", help="default: 640x360")
     add("--seconds", type=duration, default=60.0, metavar="S", help="seconds of each renderer (default: 60)")
     add("--reference-spp", type=positive, default=4096, metavar="N", help="SPP of the reference (default: 4096)")
-    add("--compile", action="store_true", help=COMPILE_HELP)
     add("--threads", type=threads, metavar="N", help="threads of bokehguide (default: one per core); Mitsuba uses all cores")
     add("--cache", type=Path, metavar="DIR", help="folder of the references (default: the user's cache folder)")
     add("--out", type=Path, default=Path("out/equal-time"), metavar="DIR", help="folder of the results (default: out/equal-time)")
@@ -105,7 +104,7 @@ def main() -> None:
 
 def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
     """Both runners with their histories."""
-    settings = RenderSettings(spp=args.reference_spp, threads=args.threads, compile=args.compile)
+    settings = RenderSettings(spp=args.reference_spp, threads=args.threads)
     reference = made_reference(scene, settings, args.out / f"{scene.name}-reference.exr", args.cache).radiance
     masks = {name: mask for name, mask in regions(scene).items() if name in ("frame", "insets")}
     runners = [bokehguide_runner(scene, args), mitsuba_runner(scene)]
@@ -119,7 +118,7 @@ def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
 
 def bokehguide_runner(scene: Scene, args: argparse.Namespace) -> Runner:
     start = time.perf_counter()
-    loop = RenderLoop(scene, RenderSettings(args.mode, 1 << 20, SEED, threads=args.threads, compile=args.compile))
+    loop = RenderLoop(scene, RenderSettings(args.mode, 1 << 20, SEED, threads=args.threads))
     built = time.perf_counter() - start
 
     def advance() -> int:

@@ -79,6 +79,7 @@ def by_command(threads: int, ranks: int, scene: str, mode: str) -> Hashes:
     """Hashes of the files of the command line. The bits depend on the number of ranks (processes that share the work)."""
     many = ("torch.distributed.run", "--standalone", "--nproc-per-node", ranks, "-m") if ranks > 1 else ()
     options = ("--spp", STEPS[mode], "--size", "{}x{}".format(*SIZE), "--threads", threads, "--seed", 5, "--out", "a.exr")
+    options += ("--checkpoint-every", 3600)  # a render that ends by itself leaves no other checkpoint
     command = (sys.executable, "-m", *many, "bokehguide", "render", scene, "--mode", mode, *options)
     paths = {"PYTHONPATH": str(Path(bokehguide.__file__).parent.parent), "OMP_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:

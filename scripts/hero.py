@@ -31,7 +31,6 @@ def main() -> int:
     parser.add_argument("--size", default="640x360", metavar="WxH", help="pixels of each picture (default: 640x360)")
     parser.add_argument("--spp", type=int, default=64, metavar="N", help="samples per pixel of the guided render (default: 64)")
     parser.add_argument("--threads", type=int, metavar="N", help="threads of each render (default: one per core)")
-    parser.add_argument("--compile", action="store_true", help="render with compiled kernels")
     parser.add_argument("--out", type=Path, default=OUT, metavar="PATH", help="WebP or PNG (default: docs/images/hero.webp)")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -54,7 +53,6 @@ def render(mode: str, folder: Path, options: argparse.Namespace, *more: str) -> 
     command = [sys.executable, "-m", "bokehguide", "render", options.scene, "--mode", mode, "--size", options.size]
     command += ["--out", str(folder / f"{mode}.exr"), "--json", str(facts), "--checkpoint-every", "0", *more]
     command += ["--threads", str(options.threads)] if options.threads else []
-    command += ["--compile"] if options.compile else []
     finished = subprocess.run(command, check=False)
     if finished.returncode:
         sys.exit(finished.returncode)

@@ -1,10 +1,10 @@
 """Time of a step, function by function.
 
     python scripts/profile_step.py --mode guided
-    python scripts/profile_step.py --scene chrome --mode uniform --size 640x360 --compile
+    python scripts/profile_step.py --scene chrome --mode uniform --size 640x360
 
-One thread renders. With `--compile` it renders again with compiled kernels, which are compiled first. Time in PyTorch,
-NumPy and Embree counts for the calling function. All rows but the last include the profiler's overhead.
+One thread renders. Time in PyTorch, NumPy, Embree and the native core counts for the calling function. All rows but the last
+include the profiler's overhead.
 """
 
 from __future__ import annotations
@@ -43,28 +43,23 @@ def main() -> None:
     parser.add_argument("--size", type=size, default="1280x720", metavar="WxH", help="default: 1280x720")
     parser.add_argument("--spp", type=positive, default=4, metavar="N", help="profiled steps (default: 4)")
     parser.add_argument("--warm-up", type=natural, default=9, metavar="N", help="steps before the measurement (default: 9)")
-    parser.add_argument("--compile", action="store_true", help="also profile compiled kernels")
     args = parser.parse_args()
-    profiles = {"eager": profiled(args, compiled=False)}
-    if args.compile:
-        profiles["compiled"] = profiled(args, compiled=True)
-    print(table(profiles, args))
+    print(table(profiled(args), args))
 
 
-def table(profiles: dict[str, Profile], args: argparse.Namespace) -> str:
+def table(profile: Profile, args: argparse.Namespace) -> str:
     """The SHOWN functions that take most of the time, in Markdown."""
-    rays = profiles["eager"].rays_per_sample
-    title = f"{args.scene} {args.mode} {'x'.join(map(str, args.size))}, one thread, {rays:.2f} rays per sample: ns per ray"
-    rows = [["function", *profiles]]
-    for name, _ in sum((profile.functions for profile in profiles.values()), Counter()).most_common(SHOWN):
-        rows.append([name, *(f"{profile.functions[name]:.1f}" for profile in profiles.values())])
-    rows.append(["whole step, without the profiler", *(f"{profile.whole:.1f}" for profile in profiles.values())])
+    rays = f"{profile.rays_per_sample:.2f} rays per sample"
+    title = f"{args.scene} {args.mode} {'x'.join(map(str, args.size))}, one thread, {rays}"
+    rows = [["function", "ns per ray"]]
+    rows += [[name, f"{value:.1f}"] for name, value in profile.functions.most_common(SHOWN)]
+    rows.append(["whole step, without the profiler", f"{profile.whole:.1f}"])
     return f"{title}\n\n{markdown(rows)}"
 
 
-def profiled(args: argparse.Namespace, compiled: bool) -> Profile:
+def profiled(args: argparse.Namespace) -> Profile:
     scene = load_scene(args.scene, Overrides(*args.size))
-    loop = RenderLoop(scene, RenderSettings(args.mode, args.warm_up + 2 * args.spp, threads=1, compile=compiled))
+    loop = RenderLoop(scene, RenderSettings(args.mode, args.warm_up + 2 * args.spp, threads=1))
     for _ in range(args.warm_up):
         loop.step()
     start = time.process_time()

@@ -14,7 +14,6 @@ from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS, VIEWS
 
 SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml or Mitsuba .xml file, or a .glb .gltf .obj .ply .stl model"
-COMPILE_HELP = "render with compiled kernels: faster, after minutes of compilation on each machine"
 REUSE_HELP = "radius in pixels in which area-restir reuses samples (default: 50, for images 1920 wide)"
 
 
@@ -85,7 +84,6 @@ def _add_render_options(render: argparse.ArgumentParser) -> None:
     add("--reference", type=Path, metavar="REF.exr", help="report the error against this image during the render")
     add("--device", choices=("cpu", "cuda"), default="cpu", help="device of the tensors (default: cpu)")
     add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
-    add("--compile", action="store_true", help=COMPILE_HELP)
     _add_display(add)
     add("--denoise", action="store_true", help="also write a denoised picture into the EXR, and show it in the PNG")
     box = "render only this box: in pixels from the top left, or in fractions of the frame if W and H are at most 1"
@@ -127,7 +125,6 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
     add("--device", choices=("cpu", "cuda"), default="cpu", help="device of the tensors (default: cpu)")
     add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
-    add("--compile", action="store_true", help=COMPILE_HELP)
     _add_display(add)
     _add_allow_outside(compare)
     _add_overrides(compare)

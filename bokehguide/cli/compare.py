@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     scene = load_scene(options.scene, overrides_from(options), options.allow_outside)
     if options.inset:
         scene = replace(scene, insets=tuple(Inset(*box) for box in options.inset))
-    common = {"spp": options.spp, "seed": SEED, "device": options.device, "threads": options.threads, "compile": options.compile}
+    common = {"spp": options.spp, "seed": SEED, "device": options.device, "threads": options.threads}
     every = [RenderSettings(mode, **common, reuse_radius=options.reuse_radius) for mode in options.modes]
     display = Display(chosen_exposure(options.exposure, scene.film.exposure), options.view)
     check_device(options.device)

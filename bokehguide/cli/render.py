@@ -121,7 +121,7 @@ def final_errors(pictures: Pictures, options: argparse.Namespace, reference: Ten
 
 def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
     """The settings of the command line. Raises BokehguideError for a value out of range."""
-    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "denoise", "compile")
+    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "denoise")
     crop = options.crop and crop_pixels(options.crop, scene.film)
     return RenderSettings(**{name: getattr(options, name) for name in names}, crop=crop)
 

@@ -19,7 +19,6 @@ from bokehguide.render.lights.power_sampler import PowerLightSampler, voxel_shar
 from bokehguide.render.lights.scene_lights import PointQuery
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import divisor, luminance
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.indexing import indices, scatter
 
 VOXEL_SHARE = 0.125
@@ -90,7 +89,7 @@ class ClusterTables(NamedTuple):
     """Probabilities of C clusters in each of R rows. The probabilities have not changed since the step `first_step`.
 
     visibility: expected visible share of each cluster's light, positive, `[R, C]`. first_far: number of the first cluster of the
-    environment, `[1]`, on the device, so that no kernel waits for the host.
+    environment, `[1]`, on the device, so that nothing waits for the host.
     """
 
     table: ClusterTable
@@ -212,7 +211,6 @@ def _environment_cluster(power: PowerLightSampler, element: Tensor, light: Light
     return ClusterSample(*light, clusters.cluster(element), light.pdf / clusters.pdf_within(element))
 
 
-@kernel
 def _chosen(
     table: ClusterTable, row: Tensor, environment_share: Tensor, uniforms: Tensor, first_far: Tensor
 ) -> tuple[Tensor, ...]:
@@ -223,7 +221,6 @@ def _chosen(
     return cluster, by_voxel.to(torch.float32), is_far.to(torch.float32)
 
 
-@kernel
 def _mixture_share(
     by_voxel: ClusterTable, cells: Tensor, environment_share: Tensor, table: ClusterTable, row: Tensor, cluster: Tensor
 ) -> Tensor:
@@ -276,14 +273,12 @@ def resampled(
     return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.bsdf_pdf, clusters)
 
 
-@kernel
 def _target(light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: Tensor) -> tuple[Tensor, Tensor]:
     """Contributions `[3, N]` and targets `[N]` of samples."""
     value = mis.light_contribution(light.radiance, light.pdf, *scattered)
     return value, luminance(value) * visibility
 
 
-@kernel
 def _updated(
     kept: _Reservoir, total: Tensor, light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: Tensor, uniform: Tensor
 ) -> tuple[_Reservoir, Tensor]:

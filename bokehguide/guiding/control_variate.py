@@ -19,6 +19,7 @@ from torch.nn.functional import pad, unfold
 
 from bokehguide.guiding.protocols import ModeContext
 from bokehguide.render.vector import luminance
+from bokehguide.runtime import native
 from bokehguide.runtime.distributed import ROWS_PER_BAND, RankSums
 from bokehguide.runtime.indexing import Pixels, gather_pixels, pixel_numbers
 
@@ -78,6 +79,11 @@ class ControlVariate(RankSums):
 
     def add(self, places: Pixels, radiance: Tensor, weight: Tensor) -> None:
         """Add samples `[3, N]` with their weights `[N]`. Samples that are not finite are ignored."""
+        core = native.core()
+        if core is not None and radiance.device.type == "cpu":
+            first, pixels = (places.start, None) if isinstance(places, slice) else (0, places.contiguous())
+            core.add_control_samples(self.mine, pixels, first, self._width, CELL, radiance.contiguous(), weight.contiguous())
+            return
         radiance, weight = radiance.double(), weight.double()  # squares of large float32 numbers overflow
         light = luminance(radiance)
         rows = torch.stack((torch.ones_like(light), weight, weight * weight, weight * light, light * light, *radiance))

@@ -36,18 +36,22 @@ from bokehguide.guiding.virtual_images import HighlightImages
 from bokehguide.models.base import owners
 from bokehguide.models.candidates import draw_candidates
 from bokehguide.models.ellipse_mixture import EllipseMixture
+from bokehguide.models.native_mixture import CoreField, NativeEllipseMixture
 from bokehguide.render import dimensions
 from bokehguide.render.observer import PathObserver
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.splitting import SplitPaths
 from bokehguide.render.vector import luminance
-from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime import native
 from bokehguide.runtime.indexing import ActiveEntries, gather_pixels, scatter_add
 
 MAX_RATIO = 1e18
 """Contributions in learning are clamped to this value, so that their squares stay finite in single precision."""
 PRIOR_MOMENT = 1e-3
 """Initial second moment of either part of the mixture, over the squared mean luminance of the frame."""
+
+
+AnyEllipseMixture = EllipseMixture | NativeEllipseMixture
 
 
 class DrawnEmitters(NamedTuple):
@@ -105,14 +109,16 @@ class EmitterGuide(Guide):
         slots = self.success_rates.slots(batch.pixels, owners(start, len(component)), component)
         return MixtureQuery(self._mixture(batch, start, component, slots), uniforms, component, slots)
 
-    def _mixture(self, batch: PixelBatch, start: Tensor, component: Tensor, slots: Tensor) -> EllipseMixture:
-        field, lens, known = self.field, self.camera.lens, self._proposals.shapes
-        mean, outline = field.mean.index_select(1, component), self.outlines.index_select(1, component)
-        weight = field.lens_weights(lens.focus_distance).index_select(0, component)
-        environment, parallelogram = self._numbers.index_select(1, component)
-        shapes = known._replace(environment_index=environment, parallelogram_index=parallelogram)
+    def _mixture(self, batch: PixelBatch, start: Tensor, component: Tensor, slots: Tensor) -> AnyEllipseMixture:
+        lens, focus, clips = self.camera.lens, batch.focus, self.config.clip_to_lens
         scale, beta = self.success_rates.learned_scale(slots), gather_pixels(self.beta, batch.pixels)
-        return EllipseMixture(lens, batch.focus, beta, start, mean, outline, weight, scale, shapes, self.config.clip_to_lens)
+        if self._core_field is not None:
+            return NativeEllipseMixture(lens, focus, beta, start, self._core_field, component, scale, clips)
+        mean, outline = self.field.mean.index_select(1, component), self.outlines.index_select(1, component)
+        weight = self.field.lens_weights(lens.focus_distance).index_select(0, component)
+        environment, parallelogram = (number.index_select(0, component) for number in self._numbers)
+        shapes = self._proposals.shapes._replace(environment_index=environment, parallelogram_index=parallelogram)
+        return EllipseMixture(lens, focus, beta, start, mean, outline, weight, scale, shapes, clips)
 
     def initial_queries(self, batch: PixelBatch) -> Iterable[LensQuery]:
         """One uniform query before the first step, because the weights of the first step may differ from 1."""
@@ -142,7 +148,7 @@ class EmitterGuide(Guide):
         return super().recorded_distance(samples)
 
     @torch.no_grad()
-    def learn_from(self, samples: BatchSamples, query: MixtureQuery[EllipseMixture], ratio: Tensor) -> DrawnEmitters:
+    def learn_from(self, samples: BatchSamples, query: MixtureQuery[AnyEllipseMixture], ratio: Tensor) -> DrawnEmitters:
         """Add to the moments of the batch's pixels; returns the contributions of the emitters that were drawn."""
         mixture, slots_of, at, candidate = query.mixture, query.slots, samples.drawn.at, samples.drawn.candidate
         assert slots_of is not None and at is not None and candidate is not None
@@ -209,6 +215,13 @@ class EmitterGuide(Guide):
         shapes, found = self._proposals.shapes, len(self.field) - len(self._proposals.field)
         self._numbers = pad(torch.stack((shapes.environment_index, shapes.parallelogram_index)), (0, found), value=-1)
         """Number of each component among the map's emitters and among the parallelograms, -1 for none, int64 `[2, G]`."""
+        self._core_field: CoreField | None = None
+        core = native.core()
+        if core is not None and self.beta.device.type == "cpu" and len(self.field):
+            environment, parallelogram = self._numbers
+            numbered = shapes._replace(environment_index=environment, parallelogram_index=parallelogram)
+            weight = self.field.lens_weights(self.camera.lens.focus_distance)
+            self._core_field = CoreField.of(core, self.field.mean, self.outlines, weight, numbered)
         slack = self.config.candidate_slack
         self.candidates = draw_candidates(self.field, self.camera, slack) if len(self.field) else None
 
@@ -237,13 +250,11 @@ class EmitterGuide(Guide):
         return result
 
 
-@kernel
 def _luminance_beside(radiance: Tensor, emission: Tensor, known: Tensor) -> Tensor:
     """Luminance `[N]` of radiance `[3, N]` without the emission of known emitters, bool `[N]`."""
     return luminance(radiance - emission * known)
 
 
-@kernel
 def _moments(beta: Tensor, ellipses: Tensor, density: Tensor, ratio: Tensor) -> Tensor:
     """Summands of `EmitterGuide.moments`, `[2, N]`; ellipses, density: densities of the proposals and of the mixture."""
     share = beta * ellipses / density.clamp(min=1e-37)

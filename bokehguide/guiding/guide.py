@@ -19,7 +19,6 @@ from bokehguide.models.kl import one_sample_kl
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 
 
@@ -135,7 +134,6 @@ def _figures(query: MixtureQuery, weight: Tensor, loss: Tensor) -> Tensor:
     return torch.stack([each.double() for each in (guided.sum(), ((weight == 0.0) & guided).sum(), beta.sum(), loss)])
 
 
-@kernel
 def _positions(points: Tensor, directions: Tensor, distance: Tensor, far: Tensor) -> Tensor:
     """Positions `[3, N]` at `distance` `[N]` along camera-frame directions `[3, N]` from lens points `[2, N]`.
 

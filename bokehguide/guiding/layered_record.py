@@ -9,7 +9,6 @@ from torch import Tensor
 
 from bokehguide.guiding.record_buffer import Raster, Records
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.distributed import Ranks
 from bokehguide.runtime.indexing import indices, indices_of_each
@@ -171,7 +170,6 @@ class VoxelRecord(Raster):
             raise ValueError("voxels outside the record buffer")
 
 
-@kernel
 def _classified(cells: Tensor, luminance: Tensor, lit: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
     """Arrays `[N]`: cells of samples, 0 outside the raster; 1 inside, else 0; luminance inside; 1 for voxel samples, else 0."""
     inside, cells = cells >= 0, cells.clamp(min=0)

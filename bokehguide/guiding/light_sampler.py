@@ -22,7 +22,7 @@ from bokehguide.render.lights.power_sampler import PowerLightSampler
 from bokehguide.render.native import cluster_lights
 from bokehguide.render.observer import CoreReport, PathObserver
 from bokehguide.render.vector import divisor
-from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.runtime import native
 from bokehguide.runtime.distributed import Ranks, RankSums
 
 TILES, SMALLEST = 80, 4
@@ -104,7 +104,7 @@ class LearnedLightSampler(RankSums, LightSampler):
         self.register_buffer("probability", torch.zeros(shape, device=device))
         self.register_buffer("visibility", torch.zeros(shape, device=device))
         self.register_buffer("epoch", torch.tensor(1))
-        # Constants are on the device, so that no kernel waits for the host.
+        # Constants are on the device, so that nothing waits for the host.
         self._count = torch.tensor([clusters.count], dtype=torch.int32, device=device)
         self._first_far = torch.tensor([clusters.triangles], device=device)
         self._candidates, self._learns_visibility = config.light_candidates, config.learn_visibility
@@ -154,6 +154,12 @@ class LearnedLightSampler(RankSums, LightSampler):
 
     def add(self, tiles: Tensor, clusters: Tensor, contribution_rms: Tensor, visibility: Tensor) -> None:
         """Add light samples, `[N]` each. tiles, clusters: int32; samples of cluster -1 are ignored."""
+        core = native.core()
+        if core is not None and self.mine.device.type == "cpu":
+            core.add_light_samples(
+                self.mine, tiles, clusters, contribution_rms, visibility, self.probability.shape[1], MAX_CONTRIBUTION
+            )
+            return
         place, *rows = _rows(tiles, clusters, contribution_rms, visibility, self._count)
         for total, values in zip(self.mine.view(3, -1), rows):
             total.index_add_(0, place, values)  # double precision: the order of ranks does not matter
@@ -190,7 +196,6 @@ class LearnedLightSampler(RankSums, LightSampler):
         return result
 
 
-@kernel
 def _rows(tiles: Tensor, clusters: Tensor, contribution_rms: Tensor, visibility: Tensor, count: Tensor) -> tuple[Tensor, ...]:
     """Flat table indices of samples, int32 `[N]`, and the summands, float64 `[N]` each. count: clusters in a row of the table."""
     counted = (clusters >= 0).double()

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -29,17 +28,16 @@ from torch import Tensor
 
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.control_variate import ControlVariate, NoControlVariate
-from bokehguide.guiding.protocols import BatchSamples, LensQuery, ModeContext, SampleReuse, StepSummary
+from bokehguide.guiding.native_reuse import PixelGroups, Reused, ViewPoints, native_reuse
+from bokehguide.guiding.protocols import BatchSamples, ModeContext, SampleReuse, StepSummary
 from bokehguide.models.reconnection import reconnect, reconnection_jacobian
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import FilmSamples
-from bokehguide.render.lens import Lens
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import hash_int
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import dot, length
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.distributed import ROWS_PER_BAND
 from bokehguide.runtime.indexing import ActiveEntries, Pixels, indices, pixel_numbers, scatter
@@ -51,18 +49,8 @@ GROUP_SPACING = 3.0
 """Mean distance between two pixels of a group, in pixels."""
 PAIRS_AT_ONCE = 65536
 """Approximate number of pixel pairs in one operation on a CPU. More pairs exceed the cache; fewer have more Python overhead."""
-NOWHERE, INFINITE = 1e15, 1e30
-
-
-class Reused(NamedTuple):
-    """The samples of N pixels after reuse.
-
-    radiance: sum of weighted radiance over all hits that a pixel uses, `[3, N]`. weight: sum of the weights, `[N]`; its mean is
-    1.
-    """
-
-    radiance: Tensor
-    weight: Tensor
+INFINITE = 1e30
+"""Depth of hits at infinity."""
 
 
 class _Hits(NamedTuple):
@@ -139,20 +127,32 @@ class PixelPathReuse:
 
         Samples that are not finite are not reused, and stay in their pixel.
         """
-        lens, paths, batch, drawn = self._camera.lens, samples.paths, samples.batch, samples.drawn
-        hits = self._hits(samples)
-        transmittance = self._own_transmittance(hits, samples, timer)
-        total, rows = samples.query.own_pdf(drawn) * transmittance, []
-        key = hash_int(hash_int(self._seed ^ 0x68E31DA4) + batch.step)
-        members = _members(batch.places, self._width, key, self._group, total.device)
+        drawn, batch = samples.drawn, samples.batch
+        own = {"density": samples.query.own_pdf(drawn), "passing": self._camera.lens.passing(drawn.points, batch.focus)}
+        own |= self._own_transmittance(samples, timer)
+        groups, native = self._groups(batch.step), self._tracer.native
+        found = None
+        if native is not None:
+            found = native_reuse(native, self._camera, groups, self._min_spread, samples, own, timer)
+        return self._reuse(groups, samples, own, timer) if found is None else found
+
+    def _groups(self, step: int) -> PixelGroups:
+        return PixelGroups.of(self._width, self._group, hash_int(hash_int(self._seed ^ 0x68E31DA4) + step))
+
+    def _reuse(self, groups: PixelGroups, samples: BatchSamples, own: dict[str, Tensor], timer: PhaseTimer) -> Reused:
+        paths, batch, drawn = samples.paths, samples.batch, samples.drawn
+        hits, transmittance = self._hits(samples), own.get("transmittance", 1.0)
+        total, rows = own["density"] * transmittance, []
+        members = _members(batch.places, groups, total.device)
         together = max(1, PAIRS_AT_ONCE // len(total)) if total.device.type == "cpu" else len(members)
         for viewers in members.split(together) if len(members) > 0 else ():
             views = self._views(viewers, hits, samples, timer)
             if len(views.source) > 0:
-                total.index_add_(0, views.source, _densities(samples.query, views, len(total)) * views.jacobian)
+                density = ViewPoints(views.viewer, views.points, views.ends).densities(samples.query, len(total))
+                total.index_add_(0, views.source, density * views.jacobian)
                 rows.append(views)
         scale = torch.where(total > 0.0, 1.0 / total, 0.0)
-        weight = torch.where(drawn.weight > 0.0, _passing(lens, drawn.points, batch.focus) * transmittance * scale, 0.0)
+        weight = torch.where(drawn.weight > 0.0, own["passing"] * transmittance * scale, 0.0)
         reused = Reused(paths.radiance * weight, weight)
         for views in rows:
             weight = (views.passing * views.jacobian * scale.index_select(0, views.source)).nan_to_num(0.0, 0.0, 0.0)
@@ -200,15 +200,16 @@ class PixelPathReuse:
             alike &= surface.front > 0.0
         return alike
 
-    def _own_transmittance(self, hits: _Hits, samples: BatchSamples, timer: PhaseTimer) -> Tensor:
-        """Transmittance `[N]` of the translucent surfaces between each pixel's own lens point and primary hit."""
+    def _own_transmittance(self, samples: BatchSamples, timer: PhaseTimer) -> dict[str, Tensor]:
+        """Transmittance `[N]` of the translucent surfaces between each pixel's own lens point and primary hit, if it is not 1."""
         if not self._tracer.geometry.materials.has_translucent:
-            return torch.ones_like(hits.depth)
+            return {}
+        hits = self._hits(samples)
         rays = self._lens_rays(hits.place, samples.drawn.points, samples.batch.focus, samples.paths.primary_hits)
         counts = rays.path_counts * hits.reusable
         transmittance, traced = self._tracer.visibility.transmittance(rays.origin, rays.direction, rays.distance, counts, timer)
         samples.paths.rays += traced
-        return torch.where(hits.reusable, transmittance, 1.0)
+        return {"transmittance": torch.where(hits.reusable, transmittance, 1.0)}
 
     def _views(self, viewers: Tensor, hits: _Hits, samples: BatchSamples, timer: PhaseTimer) -> _Views:
         """The views of all N hits by R rows of other pixels; viewers: int64 `[R, N]`, -1 for no viewer."""
@@ -218,7 +219,7 @@ class PixelPathReuse:
         own = (samples.drawn.points, samples.batch.focus, hits.depth, hits.plane, hits.reusable)
         points, focus, depth, plane, reusable = (_repeated(values, rows) for values in own)
         through, jacobian = _reconnected(points, focus, focus_of_viewer, depth, plane)
-        passing = _passing(self._camera.lens, through, focus_of_viewer) * reusable * (viewer >= 0)
+        passing = self._camera.lens.passing(through, focus_of_viewer) * reusable * (viewer >= 0)
         index = ActiveEntries(passing > 0.0).index
         source = torch.arange(count, device=index.device).repeat(rows)
         place = hits.place.index_select(0, source.index_select(0, index))
@@ -294,19 +295,6 @@ class PixelReuse(SampleReuse):
         self.control_variate.merge()
 
 
-def _densities(query: LensQuery, views: _Views, count: int) -> Tensor:
-    """Densities q of the viewers at the lens points of the views, `[J]`. count: number of pixels in the batch."""
-    if not query.varies:
-        return query.pdf(views.points)
-    found = []
-    for first, end in pairwise(views.ends):
-        viewer = views.viewer[first:end]
-        points = torch.full((2, count), NOWHERE, device=viewer.device)
-        scatter(points, viewer, views.points[:, first:end])
-        found.append(query.pdf(points).index_select(0, viewer))
-    return torch.cat(found)
-
-
 def _radiance(views: _Views, hits: _Hits, paths: PathSamples) -> Tensor:
     """Radiance `[3, J]` of the samples as the viewers see them."""
     radiance, index = paths.radiance.index_select(1, views.source), views.on_surface
@@ -318,25 +306,24 @@ def _radiance(views: _Views, hits: _Hits, paths: PathSamples) -> Tensor:
     return radiance
 
 
-def _members(places: Pixels, width: int, key: int, group: tuple[int, int], device: torch.device) -> Tensor:
+def _members(places: Pixels, groups: PixelGroups, device: torch.device) -> Tensor:
     """The other pixels in the groups of N pixels, as indices into the N pixels, int64 `[members - 1, N]`; -1 for no pixel.
 
-    places: pixels of the film. width: of the film. key: random bits that determine the positions of the groups.
+    places: pixels of the film.
     """
     numbers = pixel_numbers(places, device)
     first, last = (places.start, places.stop - 1) if isinstance(places, slice) else (int(places[0]), int(places[-1]))
     among = torch.full((last - first + 2,), -1, device=device)  # the last entry is shared by all other places
     among[numbers - first] = torch.arange(len(numbers), device=device)
-    there = numbers - first + _offsets(width, key, group, device).index_select(1, numbers % (ROWS_PER_BAND * width))
+    there = numbers - first + _offsets(groups, device).index_select(1, numbers % (ROWS_PER_BAND * groups.width))
     there = torch.where((there >= 0) & (there < len(among)), there, len(among) - 1)
     return among.index_select(0, there.flatten()).reshape(there.shape)
 
 
-def _offsets(width: int, key: int, group: tuple[int, int], device: torch.device) -> Tensor:
+def _offsets(groups: PixelGroups, device: torch.device) -> Tensor:
     """Offsets in pixel numbers from each pixel of a band to the other pixels of its group, int64
     `[members - 1, ROWS_PER_BAND * width]`. If the other pixel is outside the band, the offset leads outside any film."""
-    across, down = group if key & 1 else group[::-1]
-    right, below = (key >> 8) % across, (key >> 16) % down
+    width, across, down, right, below = groups
     sizes = (across * down, ROWS_PER_BAND, width)
     member, row, x = torch.meshgrid(*(torch.arange(size, device=device) for size in sizes), indexing="ij")
     column = ((x + right) ^ (member % across)) - right
@@ -350,12 +337,6 @@ def _repeated(values: Tensor, times: int) -> Tensor:
     return values if times == 1 else values.repeat(*[1] * (values.ndim - 1), times)
 
 
-def _passing(lens: Lens, points: Tensor, focus: Tensor) -> Tensor:
-    """W / A at lens points `[2, N]` towards focus points `[3, N]`, `[N]`."""
-    return lens.transmission(points) * lens.unblocked(points, focus) / lens.area
-
-
-@kernel
 def _reconnected(points: Tensor, focus: Tensor, other: Tensor, depth: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     """Reconnected lens points `[2, N]` and Jacobians `[N]`.
 
@@ -365,7 +346,6 @@ def _reconnected(points: Tensor, focus: Tensor, other: Tensor, depth: Tensor, pl
     return through, reconnection_jacobian(plane, points, through)
 
 
-@kernel
 def _ray_to(through: Tensor, position: Tensor, normal: Tensor, offset: Tensor) -> tuple[Tensor, ...]:
     """Unit directions from surfaces to points `[3, N]`, whether the points are on the normal's side, and rays off the surface."""
     offset_to = through - position

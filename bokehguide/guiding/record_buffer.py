@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.distributed import Ranks, RankSums
 from bokehguide.runtime.indexing import ActiveEntries, indices
 
@@ -56,7 +55,6 @@ class Raster(RankSums):
         return (self.sums[1] / self.sums[0].clamp(min=1.0)).reshape(self.height, self.width)
 
 
-@kernel
 def _cells(raster: Tensor, depth: Tensor, size: Tensor) -> Tensor:
     """`Raster.cells` of raster positions `[2, N]` and depths `[N]`; size: margin, width and height, int64 `[3, 1]`."""
     border, width, height = size

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.random import hash_tensor
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.distributed import Ranks, RankSums
 from bokehguide.runtime.indexing import Pixels, pixel_numbers
 
@@ -70,7 +69,6 @@ class SuccessRates(RankSums):
         return self.rates.index_select(0, slots)
 
 
-@kernel
 def _slots(tile: Tensor, owner: Tensor, component: Tensor, bounds: Tensor) -> Tensor:
     """`SuccessRates.slots` of pixels in tiles int32 `[N]`; bounds: number of emitters, and the last slot, int32 `[2, 1]`."""
     slot = hash_tensor(tile.index_select(0, owner) * 0x165667B1 + component.int() * 0x27D4EB2F) & bounds[1]

@@ -20,7 +20,6 @@ from bokehguide.render.observer import CoreReport, PathObserver
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import cross, divisor, dot, length, luminance, normalize
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.indexing import ActiveEntries, PendingIndices, scatter_add
 
@@ -277,7 +276,6 @@ def propagate_abcd(abcd: Tensor, distance: Tensor) -> Tensor:
     return torch.cat((abcd[:2] + distance / abcd[4] * abcd[2:4], abcd[2:]))
 
 
-@kernel
 def _image(abcd: Tensor, distance: Tensor) -> Tensor:
     """Distances `[N]` of the images of points at `distance` `[N]` beyond the last vertex of ABCD `[5, N]`.
 
@@ -288,7 +286,6 @@ def _image(abcd: Tensor, distance: Tensor) -> Tensor:
     return torch.where(place > 0.0, place.clamp(max=MISS_DISTANCE), MISS_DISTANCE)
 
 
-@kernel
 def _propagate_through(
     abcd: Tensor,
     distance: Tensor,

@@ -106,7 +106,7 @@ class GuidedLens:
         self._by_epoch = not isinstance(self._sampler, GaussianGuide)
         self._spans = [torch.from_numpy(part) for part in np.split(pixels, range(BATCH, len(pixels), BATCH))]
         self._size = len(pixels)
-        self._workers = Workers(available_cores(), torch.device("cpu"), False)
+        self._workers = Workers(available_cores(), torch.device("cpu"))
         self._drawn: list[list[_Drawn]] = []
 
     def close(self) -> None:

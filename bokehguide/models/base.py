@@ -6,13 +6,12 @@ Densities are per unit lens area (1/m²). The caller supplies the uniform number
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from bokehguide.render.lens import Lens
-from bokehguide.runtime.compile.kernels import kernel
 
 WEIGHT_STEPS = 2.0**40
 """For the draw of a candidate, mixture weights are rounded to multiples of 1 / WEIGHT_STEPS: sums of whole numbers are exact."""
@@ -81,6 +80,8 @@ class LensMixture(LensDistribution):
     """β, `[N]`."""
     weight: Tensor
     """Mixture weights w_i, `[M]`. Their sum over the candidates of a guided pixel is 1."""
+    core: Any = None
+    """The mixture in the native core, None if PyTorch holds it."""
 
     def __init__(self, lens: Lens, focus: Tensor, start: Tensor, count: int):
         super().__init__(lens)
@@ -137,14 +138,12 @@ def owners(start: Tensor, count: int) -> Tensor:
     return torch.repeat_interleave(start[1:] - start[:-1], output_size=count)
 
 
-@kernel
 def _normalised(weight: Tensor, total: Tensor, owner: Tensor) -> tuple[Tensor, Tensor]:
     """Weights `[M]` divided by the totals `[N]` of their owners: as float32, and rounded to whole WEIGHT_STEPS as int64."""
     share = weight.double() / total.clamp(min=1e-300).index_select(0, owner)  # a total of 0 gives weights of 0
     return share.float(), (share * WEIGHT_STEPS).long()
 
 
-@kernel
 def _ends_before(ends: Tensor, low: Tensor, high: Tensor, uniforms: Tensor, owner: Tensor) -> Tensor:
     """1 for each candidate before the drawn candidate of the same pixel, else 0, int64 `[M]`.
 

@@ -8,6 +8,7 @@ docs/explanation/lens-densities.md derives the formulas.
 from __future__ import annotations
 
 import math
+from types import ModuleType
 from typing import NamedTuple
 
 import torch
@@ -18,7 +19,6 @@ from bokehguide.models.emitters.environment import EnvironmentEmitters, ViewedEn
 from bokehguide.models.emitters.parallelogram import ParallelogramEmitters, ViewedParallelograms
 from bokehguide.models.projection import LENS_MARGIN, project_to_lens
 from bokehguide.render.lens import Lens
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.indexing import ActiveEntries
 
@@ -48,6 +48,11 @@ class EmitterShapes(NamedTuple):
     parallelograms: ParallelogramEmitters | None
     parallelogram_index: Tensor
     luminance: Tensor
+
+    def in_core(self, extension: ModuleType) -> tuple[object | None, object | None]:
+        """The emitters of the map and the parallelograms in the native core, None for none."""
+        environment = None if self.environment is None else self.environment.in_core(extension)
+        return environment, None if self.parallelograms is None else self.parallelograms.in_core(extension, self.luminance)
 
 
 class StripClip(NamedTuple):
@@ -168,7 +173,6 @@ class EllipseMixture(LensMixture):
         return density
 
 
-@kernel
 def _ellipses(
     mean: Tensor, outline: Tensor, focus: Tensor, weight: Tensor, lens_radius: Tensor, clip_to_lens: bool
 ) -> tuple[Ellipses, Tensor]:
@@ -263,7 +267,6 @@ def _disc_quantile(share: Tensor) -> Tensor:
     return torch.where(share < 0.5, -angle.cos(), angle.cos())
 
 
-@kernel
 def _inside_lens(ellipses: Ellipses, lens_radius: Tensor) -> tuple[Tensor, Tensor]:
     """`overlap` of the ellipses; and 1 if the whole ellipse is inside the lens circle, else 0; `[M]` each."""
     center, width, tilt, height, _ = ellipses
@@ -273,7 +276,6 @@ def _inside_lens(ellipses: Ellipses, lens_radius: Tensor) -> tuple[Tensor, Tenso
     return overlap(center, width, tilt, height, lens_radius), whole
 
 
-@kernel
 def _sample_ellipses(ellipses: Ellipses, candidate: Tensor, uniforms: Tensor) -> Tensor:
     """Points `[2, K]` of constant density in the strips of the ellipses `candidate` `[K]`, from uniform numbers `[2, K]`."""
     center, width, tilt, height = (part.index_select(-1, candidate) for part in ellipses[:-1])
@@ -288,7 +290,6 @@ def _sample_ellipses(ellipses: Ellipses, candidate: Tensor, uniforms: Tensor) ->
     return center + torch.stack((width * x, tilt * x + height * y))
 
 
-@kernel
 def _ellipse_pdf(points: Tensor, owner: Tensor, ellipses: Ellipses) -> Tensor:
     """Densities of the ellipses at their owners' lens points `[2, N]`, `[M]`."""
     center, width, tilt, height, clip = ellipses

@@ -10,7 +10,6 @@ from torch import Tensor
 from bokehguide.models.base import LensMixture, LensSample
 from bokehguide.models.projection import FAR_OUTSIDE, lens_density, project_to_lens
 from bokehguide.render.lens import Lens
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.indexing import ActiveEntries
 
@@ -47,7 +46,6 @@ class GaussianMixture(LensMixture):
         return _component_pdf(points, self.focus, self.owner, self.mean, self.sigma)
 
 
-@kernel
 def _kept(mean: Tensor, sigma: Tensor, focus: Tensor, owner: Tensor, lens_radius: Tensor) -> Tensor:
     """C_G of Eq. 22: 1 if the projected mean lies within r + |k|σ of the lens centre, else 0; float32 `[M]`."""
     focus = focus.index_select(1, owner)
@@ -56,7 +54,6 @@ def _kept(mean: Tensor, sigma: Tensor, focus: Tensor, owner: Tensor, lens_radius
     return (x * x + y * y < reach * reach).to(torch.float32)
 
 
-@kernel
 def _component_pdf(points: Tensor, focus: Tensor, owner: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
     """Densities of the candidates at their owners' lens points `[2, N]`, `[M]`."""
     return lens_density(points.index_select(1, owner), focus.index_select(1, owner), mean, sigma)

@@ -15,7 +15,6 @@ from bokehguide.models.blend_weight import BlendWeightMap
 from bokehguide.models.gaussian_mixture import GaussianMixture
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.models.projection import log_density_gradient
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.indexing import ActiveEntries
 
 
@@ -65,7 +64,6 @@ def offset_gradient(
     return gradient.index_add_(2, gaussian, slopes.view(*gradient.shape[:2], len(learns)))
 
 
-@kernel
 def _slopes(points: Tensor, focus: Tensor, mean: Tensor, sigma: Tensor, scale: Tensor, basis: Tensor) -> Tensor:
     """Terms of the gradient, float64 `[18, K]`: each component of scale · ∂ log p / ∂μ times each row of the basis `[6, K]`."""
     of_mean = scale * log_density_gradient(points, focus, mean, sigma)

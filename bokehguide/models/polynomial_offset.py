@@ -7,7 +7,6 @@ from torch import Tensor, nn
 
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.runtime.compile.kernels import kernel
 
 
 def exponents(degree: int) -> list[tuple[int, int]]:
@@ -54,13 +53,11 @@ class PolynomialOffset(nn.Module):
         return _offset(rows, gaussian, self.basis(gaussian, raster))
 
 
-@kernel
 def _basis(center: Tensor, inverse_radius: Tensor, unit: Tensor, gaussian: Tensor, raster: Tensor, degree: int) -> Tensor:
     center, inverse_radius, unit = (of_field.index_select(-1, gaussian) for of_field in (center, inverse_radius, unit))
     return monomials(((raster - center) * inverse_radius).clamp(-2.0, 2.0), degree) * unit
 
 
-@kernel
 def _offset(rows: Tensor, gaussian: Tensor, basis: Tensor) -> Tensor:
     """Sums `[3, N]` of the basis `[6, N]` times the coefficients `[18, G]` of Gaussians `[N]`."""
     rows, zero = rows.index_select(1, gaussian), torch.zeros_like(basis[0])

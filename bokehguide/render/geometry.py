@@ -14,7 +14,6 @@ from bokehguide.render import triangles
 from bokehguide.render.materials import CLEARCOAT_F0, Materials
 from bokehguide.render.tracer import Hit, Tracer
 from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
-from bokehguide.runtime.compile.kernels import kernel, record
 from bokehguide.runtime.indexing import ActiveEntries
 from bokehguide.scene.types import Scene
 
@@ -41,7 +40,6 @@ TARGETS = {
 channels are squared, because α = roughness²."""
 
 
-@record
 @dataclass
 class Surface:
     """Surfaces that N paths hit, as component arrays; all vectors are in world space.
@@ -280,7 +278,6 @@ class Geometry:
         return self.materials.transmittance(self.material.index_select(0, hit.triangle), front, hit.distance)
 
 
-@kernel
 def _sides(rows: Tensor, origins: Tensor, directions: Tensor, hit: Hit) -> tuple[Tensor, ...]:
     """The first fields of `Surface`, up to `facing`, from the normals of triangles `[12, N]`."""
     geometric, outgoing = rows[0:3], -directions

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.aperture import RIM, Iris, Mask
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 from bokehguide.scene import types
 
@@ -26,6 +25,11 @@ class Lens:
 
     radius: float
     focus_distance: float
+
+    @property
+    def is_disc(self) -> bool:
+        """Whether W is 1 within `radius`, for all focus points."""
+        return True
 
     @property
     def vignettes(self) -> bool:
@@ -56,6 +60,10 @@ class Lens:
         """Share of W that vignetting leaves for rays from lens points `[2, N]` to focus points `[3, N]`, `[N]`."""
         return torch.ones_like(points[0])
 
+    def passing(self, points: Tensor, focus: Tensor) -> Tensor:
+        """W / A, 1/m², at lens points `[2, N]` towards focus points `[3, N]`, `[N]`."""
+        return self.transmission(points) * self.unblocked(points, focus) / self.area
+
 
 @dataclass(frozen=True, eq=False)
 class ShapedLens(Lens):
@@ -73,6 +81,10 @@ class ShapedLens(Lens):
     ratio: float
     cat_eye: float
     corner: float
+
+    @property
+    def is_disc(self) -> bool:
+        return False
 
     @property
     def vignettes(self) -> bool:
@@ -118,7 +130,6 @@ def make_lens(camera: types.Camera, corner: float, device: torch.device | str) -
     return ShapedLens(radius, focus_distance, pupil, unit, turn, shape.ratio, shape.cat_eye, corner)
 
 
-@kernel
 def _within(points: Tensor, squared: Tensor) -> Tensor:
     """1 for points `[2, N]` within a circle of radius² `squared`, else 0, float32 `[N]`."""
     x, y = points

@@ -21,7 +21,7 @@ from bokehguide.render.lights.light_clusters import LightClusters
 from bokehguide.render.lights.scene_lights import Lights
 from bokehguide.render.materials import NORMAL_MAPS, SLOTS, Materials
 from bokehguide.render.observer import CoreReport, PathObserver
-from bokehguide.render.primary_hits import PrimaryHits
+from bokehguide.render.primary_hits import FAINTEST, CoreRecord, PrimaryHits
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.splitting import Splitting
 from bokehguide.render.textures import TextureAtlas
@@ -84,6 +84,21 @@ class NativeTracer:
             observer.reported(report)
         return fields
 
+    def record(self, hits: PrimaryHits | None) -> CoreRecord | None:
+        """The record of a trace's primary hits in the core, None if PyTorch has recorded them."""
+        return CoreRecord({}, 0, 0) if hits is None else hits.core_record()
+
+    def views(
+        self, arrays: dict[str, Any], numbers: dict[str, float], record: CoreRecord, first: int, pixels: Tensor | None
+    ) -> Any:
+        """The `Views` of the extension, which `native/reuse.cpp` describes."""
+        core = native.core()
+        assert core is not None
+        if record.hits > 0:
+            arrays = {**arrays, "record": record.arrays}
+        counts = {"hits": float(record.hits), "paths": float(record.paths), "first": float(first)}
+        return core.Views(self._scene, arrays, numbers | counts, pixels)
+
     def _trace_split(
         self, given: CoreRays, counts: Tensor | None, lights: object | None, timer: PhaseTimer
     ) -> tuple[dict[str, Any], PrimaryHits | None, CoreReport]:
@@ -101,7 +116,7 @@ class NativeTracer:
         if lights is not None and paths > 0:
             row, cluster, rms, visibility = (arrays[name][:paths] for name in LIGHT_ROWS)
             samples = (row, cluster, rms, visibility)
-        recorded = _recorded(self._scene, self._geometry, arrays, hits, paths) if hits > 0 else None
+        recorded = _recorded(self._geometry, arrays, hits, paths) if hits > 0 else None
         return fields, recorded, CoreReport(fields["radiance"], fields["distance"], images, samples)
 
     def _trace(self, given: CoreRays, timer: PhaseTimer, *split: object) -> tuple[dict[str, Any], tuple[int, int]]:
@@ -135,7 +150,8 @@ def _hit_arrays(count: int) -> dict[str, Tensor]:
 
 def _path_arrays(count: int, with_lights: bool) -> dict[str, Tensor]:
     """Arrays for at most `count` paths that leave primary hits."""
-    arrays = {name: torch.empty(3, count) for name in ("light_direction", "direct", "scattered_direction", "indirect")}
+    arrays = {name: torch.empty(3, count) for name in ("light_direction", "scattered_direction")}
+    arrays |= {name: torch.empty(6, count) for name in ("reflected", "bsdf")}
     arrays["owner"] = torch.empty(count, dtype=torch.int64)
     if with_lights:
         arrays |= {name: torch.empty(count, dtype=torch.int32) for name in LIGHT_ROWS[:2]}
@@ -143,7 +159,7 @@ def _path_arrays(count: int, with_lights: bool) -> dict[str, Tensor]:
     return arrays
 
 
-def _recorded(scene: Any, geometry: Geometry, arrays: dict[str, Tensor], hits: int, paths: int) -> PrimaryHits:
+def _recorded(geometry: Geometry, arrays: dict[str, Tensor], hits: int, paths: int) -> PrimaryHits:
     """The primary hits that the native core has recorded; their tensors share the memory of the record."""
     of_hits = {
         name: arrays[name][..., :hits] for name in ("ray", "triangle", "paths", "distance", "u", "v", "surface", "emission")
@@ -151,7 +167,7 @@ def _recorded(scene: Any, geometry: Geometry, arrays: dict[str, Tensor], hits: i
     hit = Hit(of_hits["triangle"], of_hits["distance"], of_hits["u"], of_hits["v"])
     surface = surface_of(geometry.materials, of_hits["surface"])
     fields = (of_hits["ray"].long(), hit, surface, of_hits["emission"], of_hits["paths"].long(), arrays["owner"][:paths])
-    return NativeHits(geometry, *fields, arrays["indirect"][:, :paths], scene, arrays)
+    return NativeHits(geometry, *fields, arrays["reflected"][3:, :paths], arrays)
 
 
 def surface_of(materials: Materials, rows: Tensor) -> Surface:
@@ -169,27 +185,25 @@ def surface_of(materials: Materials, rows: Tensor) -> Surface:
 
 @dataclass
 class NativeHits(PrimaryHits):
-    """`PrimaryHits` that the native core has recorded and shades. record: arrays of the core."""
+    """`PrimaryHits` that the native core has recorded. record: arrays of the core."""
 
-    scene: Any
     record: dict[str, Tensor]
 
     def __post_init__(self) -> None:
-        rows = (self.record[name][:, : len(self.owner)] for name in ("light_direction", "direct", "scattered_direction"))
-        self.light_direction, self.direct, self.scattered_direction = rows
+        count = len(self.owner)
+        self.light_direction, self.scattered_direction = (
+            self.record[name][:, :count] for name in ("light_direction", "scattered_direction")
+        )
+        self.direct = self.record["reflected"][:3, :count]
         self._normals: list[Tensor] | None = None
-        self._light: tuple[Tensor, Tensor] | None = None
+        self._incident = None
 
-    def radiance(self, chosen: Tensor, outgoing: Tensor, count: int) -> Tensor:
-        """See `PrimaryHits`."""
-        if self._light is None:
-            incident = torch.empty(6, self.record["indirect"].shape[1])
-            self.scene.incident(self.record, len(self.owner), incident)
-            self._light = incident, (self.counts.cumsum(0) - self.counts).int()
-        reflected = torch.empty(3, len(chosen))
-        views = chosen.contiguous(), outgoing.contiguous()
-        self.scene.reflected(self.record, len(self.owner), *self._light, *views, reflected)
-        return self._emitted(chosen, outgoing).add_(reflected)
+    def core_record(self) -> CoreRecord:
+        """See `PrimaryHits`. Where a BSDF is too small as a divisor, the incident light counts as 0."""
+        bsdf = self.record["bsdf"]
+        incident = torch.where(bsdf > FAINTEST, self.record["reflected"] / bsdf, 0.0)
+        arrays = self.record | {"incident": incident, "first_path": (self.counts.cumsum(0) - self.counts).int()}
+        return CoreRecord(arrays, len(self.rays), len(self.owner))
 
 
 def cluster_lights(core: ModuleType, clusters: LightClusters, arrays: dict[str, Tensor], numbers: dict[str, float]) -> object:

@@ -25,7 +25,6 @@ from bokehguide.render.splitting import UNSPLIT, Splitting
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import divisor, dot, length
 from bokehguide.render.visibility import Arrivals, Visibility
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Scene
 
@@ -302,7 +301,6 @@ class _PrimarySegment(_Segment):
         return rays
 
 
-@kernel
 def _shadow_ray(surface: Surface, throughput: Tensor, direction: Tensor, distance: Tensor, value: Tensor) -> tuple[Tensor, ...]:
     """Unshadowed contributions `[3, N]` of light samples, their largest channels, and origins, directions and lengths of shadow
     rays.
@@ -317,7 +315,6 @@ def _shadow_ray(surface: Surface, throughput: Tensor, direction: Tensor, distanc
     return contribution, contribution.amax(0), origin, target / stretch, distance * stretch * SHADOW_END
 
 
-@kernel
 def _next_segment(
     surface: Surface, throughput: Tensor, direction: Tensor, weight: Tensor, uniform: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:

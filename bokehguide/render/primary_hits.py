@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,11 +13,19 @@ from bokehguide.render.bsdf.mixture import opaque_values
 from bokehguide.render.geometry import MIN_FACING, Geometry, Surface
 from bokehguide.render.tracer import Hit
 from bokehguide.render.vector import dot
-from bokehguide.runtime.compile.kernels import kernel
 
 FAINTEST = 1e-20
 """Least BSDF value as a divisor. Smaller values are treated as 0, because the quotient of radiance and BSDF would overflow."""
 Pair = tuple[Tensor, Tensor]
+
+
+class CoreRecord(NamedTuple):
+    """Primary hits in the native core. arrays: by the names of `SplitRecord` and `PathLight` in `native/tables.h`. hits, paths:
+    how many are in use."""
+
+    arrays: dict[str, Tensor]
+    hits: int
+    paths: int
 
 
 @dataclass
@@ -53,6 +62,10 @@ class PrimaryHits:
     def path_rays(self) -> Tensor:
         """Ray of each path, int64 `[P]`."""
         return self.rays.index_select(0, self.owner)
+
+    def core_record(self) -> CoreRecord | None:
+        """The record in the native core, None if PyTorch has recorded the hits."""
+        return None
 
     def same_normals(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
         """Whether the surfaces `chosen`, int64 `[J]`, have the same shading normals from unit directions `[3, J]`; bool `[J]`.
@@ -94,7 +107,6 @@ class PrimaryHits:
         return self.geometry.emission(hit, self.surface.front.index_select(0, chosen), outgoing)
 
 
-@kernel
 def _incident(surface: Surface, outgoing: Tensor, directions: Pair, reflected: Pair) -> Pair:
     """Incident light `[3, P]` from the reflected radiance; 0 where the BSDF is 0."""
     values = opaque_values(surface, outgoing, directions)
@@ -102,7 +114,6 @@ def _incident(surface: Surface, outgoing: Tensor, directions: Pair, reflected: P
     return first, second
 
 
-@kernel
 def _reflected(surface: Surface, outgoing: Tensor, directions: Pair, incident: Pair) -> Tensor:
     """Reflected radiance `[3, P]`."""
     first, second = opaque_values(surface, outgoing, directions)

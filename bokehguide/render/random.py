@@ -27,15 +27,12 @@ import torch
 from torch import Tensor
 
 from bokehguide.runtime import native
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 
 _MASK = 0xFFFFFFFF
 _BITS = 31
 _DIRECTIONS = (torch.quasirandom.SobolEngine(8).sobolstate << 1).tolist()
 """Direction numbers of Sobol' sequences, of _BITS bits (Joe and Kuo 2008), by dimension and bit of the index."""
-_AT_ONCE = 4
-"""The number of bits of a point is rounded up to a multiple of this value, because each number of bits is compiled separately."""
 
 
 def hash_int(x: int) -> int:
@@ -88,13 +85,11 @@ def _to_unit(bits: Tensor) -> Tensor:
     return bits.bitwise_right_shift_(8).bitwise_and_(0x7FFFFF).to(torch.float32).add_(0.5).mul_(2.0**-23)
 
 
-@kernel
 def _uniform(pixel_keys: Tensor, keys: Tensor) -> Tensor:
     """Numbers float32 `[keys, N]` from a hash of every key and pixel."""
     return _to_unit(hash_tensor(pixel_keys ^ keys[:, None]).bitwise_right_shift_(1))
 
 
-@kernel
 def _scrambled(pixel_keys: Tensor, keys: Tensor, places: Tensor) -> Tensor:
     """Points of Sobol' sequences, float32 `[keys, N]`, scrambled by each key and pixel.
 
@@ -168,6 +163,6 @@ class PixelRandom:
         key = hash_int(self.seed_key + 0x3C6EF372 * dimension + hash_int(first - 1))
         index = shuffle_index(self.index - (first - 1), key)
         ones = [_places(sobol_point(index, i)) for i in range(count)]
-        rows = max(-(-max(map(len, ones)) // _AT_ONCE), 1) * _AT_ONCE
+        rows = max(1, *map(len, ones))
         places = [[float(point[row] if row < len(point) else _BITS) for point in ones] for row in range(rows)]
         return _scrambled(self.pixel_keys, self._keys(key + i for i in range(count)), to_device(places, self.pixel_keys.device))

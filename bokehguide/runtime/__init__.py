@@ -1,1 +1,1 @@
-"""Devices, worker threads, ranks (processes that render one picture), compiled kernels, and settings of the process."""
+"""Devices, worker threads, ranks (processes that render one picture), the native core, and settings of the process."""

@@ -10,7 +10,6 @@ from typing import ParamSpec, Self, TypeVar
 
 import torch
 
-from bokehguide.runtime.compile.kernels import compile_kernels
 from bokehguide.runtime.device import own_stream
 
 P = ParamSpec("P")
@@ -22,21 +21,19 @@ _default_lock = threading.Lock()
 
 
 class Workers:
-    """A pool of threads with one OpenMP thread each. The pool has its own setting for compiled kernels.
+    """A pool of threads with one OpenMP thread each.
 
     The constructor starts no thread: threads start with the first call of `map` or `submit`. They end with `close`, at the end of
     the context, or when the object is garbage-collected.
 
-    threads: number of threads. device: of the tensors that `map` works on. compiled: whether kernels are compiled
-    (see `runtime/compile/kernels.py`).
+    threads: number of threads. device: of the tensors that `map` works on.
     """
 
-    def __init__(self, threads: int, device: torch.device, compiled: bool):
+    def __init__(self, threads: int, device: torch.device):
         if device.type == "cuda" and device.index is None:
             device = torch.device("cuda", torch.cuda.current_device())
         self.threads = threads
         self._device = device
-        self._compile_threads = threads if compiled else 0
         # The threads hold the initializer. It must not refer to this object, or the object would never be collected.
         self._pool = ThreadPoolExecutor(threads, "bokehguide", _begin_thread, (device,))
 
@@ -60,15 +57,14 @@ class Workers:
 
     def submit(self, work: Callable[P, Result], *args: P.args, **kwargs: P.kwargs) -> Future[Result]:
         """Start `work` on one of the threads. Raises RuntimeError after `close`."""
-        return self._pool.submit(_run_compiled, self._compile_threads, work, *args, **kwargs)
+        return self._pool.submit(work, *args, **kwargs)
 
     @contextmanager
     def serial(self) -> Iterator[None]:
-        """A context in which the calling thread has one OpenMP thread and this pool's setting for compiled kernels."""
+        """A context in which the calling thread has one OpenMP thread."""
         before = _set_openmp_threads(1)
         try:
-            with compile_kernels(self._compile_threads):
-                yield
+            yield
         finally:
             _set_openmp_threads(before)
 
@@ -81,11 +77,6 @@ class Workers:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _run_compiled(compile_threads: int, work: Callable[P, Result], *args: P.args, **kwargs: P.kwargs) -> Result:
-    with compile_kernels(compile_threads):
-        return work(*args, **kwargs)
 
 
 def _begin_thread(device: torch.device) -> None:

@@ -68,7 +68,7 @@ class RenderLoop:
         self.film = self._empty_film()
         self.step_number = 0
         threads = settings.threads or available_cores()
-        self.workers = Workers(threads, device, settings.compile)
+        self.workers = Workers(threads, device)
         self._batches = Batches(threads, self.mode.lens.paths_per_sample)
         self._learns = any(strategy.learns for strategy in self.mode.strategies.values())
         self._phases: Counter[str] = Counter()

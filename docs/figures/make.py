@@ -318,7 +318,7 @@ def packages() -> plt.Figure:
         ((2.3, 0.55), (2.9, 0.55)),
     ):
         arrow(axes, start, end)
-    label(axes, 4.0, 0.08, "runtime (device, threads, compiled kernels) and image serve all of them", GREY, fontsize=9)
+    label(axes, 4.0, 0.08, "runtime (device, threads, native core) and image serve all of them", GREY, fontsize=9)
     return figure
 
 

@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from experiments.options import experiment_parser, load_scenes
 
-from bokehguide.cli.arguments import COMPILE_HELP, positive
+from bokehguide.cli.arguments import positive
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import errors, made_reference, progress, regions, whole_step
 from bokehguide.image import check_writable, replacing, tone_map, write_png
@@ -52,7 +52,6 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("out/seeds"), metavar="DIR", help="folder of the results (default: out/seeds)"
     )
-    parser.add_argument("--compile", action="store_true", help=COMPILE_HELP)
     args = parser.parse_args()
     check_writable(args.out / "seeds.md")
     lines = []
@@ -67,7 +66,7 @@ def main() -> None:
 
 def report(scene: Scene, args: argparse.Namespace) -> Iterator[str]:
     """Lines of the table of one scene and of the sentence on its blocks."""
-    settings = RenderSettings(spp=args.spp, threads=args.threads, compile=args.compile)
+    settings = RenderSettings(spp=args.spp, threads=args.threads)
     path = args.out / f"{scene.name}-reference.exr"
     reference = made_reference(scene, replace(settings, spp=REFERENCE_SHARE * args.spp), path, args.cache).radiance.float()
     mask = regions(scene).get("insets", regions(scene)["frame"])
@@ -143,7 +142,7 @@ def early_picture(scene: Scene, args: argparse.Namespace) -> None:
     """Write the last mode at EARLY SPP beside the first mode at EARLY and at LATE SPP."""
     parts = []
     for mode, spp in ((args.modes[-1], EARLY), (args.modes[0], EARLY), (args.modes[0], LATE)):
-        parts += renders(scene, RenderSettings(mode, spp, threads=args.threads, compile=args.compile), 1)[0]
+        parts += renders(scene, RenderSettings(mode, spp, threads=args.threads), 1)[0]
     write_png(args.out / f"{scene.name}-first.png", tone_map(torch.cat(parts, dim=1)))
 
 

@@ -24,7 +24,7 @@ from experiments.mean_tests import FINE, at_least_two, independent_runs, judge, 
 from experiments.mutations import MUTATIONS, Mutation
 from experiments.options import experiment_parser, load_scenes
 
-from bokehguide.cli.arguments import COMPILE_HELP, positive
+from bokehguide.cli.arguments import positive
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import LongRender, accumulate
 from bokehguide.scene import Scene
@@ -51,7 +51,7 @@ def main() -> int:
                 print(f"{scene.name} {mode}: time limit reached")
                 unfinished += 1
                 continue
-            settings = RenderSettings(mode, args.spp, threads=args.threads, compile=args.compile)
+            settings = RenderSettings(mode, args.spp, threads=args.threads)
             with Mutation(args.mutate):
                 runs = independent_runs(scene, settings, args.runs)
             outcomes += judge(scene, mode, runs, uniform, args.cache)
@@ -65,7 +65,6 @@ def parse() -> argparse.Namespace:
     add("--runs", type=at_least_two, default=16, metavar="R", help="runs of each mode (default: 16)")
     add("--uniform-spp", type=positive, default=16384, metavar="N", help="SPP of the uniform render (default: 16384)")
     add("--cache", type=Path, required=True, metavar="DIR", help="folder of the uniform renders")
-    add("--compile", action="store_true", help=COMPILE_HELP)
     add("--mutate", choices=MUTATIONS, help="break the estimator: the tests must fail")
     args = parser.parse_args()
     if args.uniform_spp % FINE**2:

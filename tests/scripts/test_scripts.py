@@ -7,11 +7,13 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 
 from bokehguide.cli.scripts import run
 from bokehguide.errors import BokehguideError
 from bokehguide.image import read_metadata, read_rgb, write_exr
 from bokehguide.runtime import native
+from bokehguide.train import MODES
 from tests.support.paths import REPOSITORY
 
 SCRIPTS = REPOSITORY / "scripts"
@@ -73,6 +75,25 @@ def test_bench_measures_each_mode_and_the_peer(script, tmp_path):
     assert (uniform["step_cost"], uniform["candidates"]) == (1.0, 0.0)
     assert 0.0 < learning["guide_cost"] < learning["step_cost"]
     assert "| guided |" in finished.stdout and ("| Mitsuba |" in finished.stdout) == peers
+
+
+@pytest.mark.slow
+def test_the_check_of_a_gpu_runs_on_a_cpu(script, tmp_path):
+    finished = script("gpu_check.py", "--device", "cpu", "--quick", "--json", "gpu.json")
+    assert finished.returncode == 0, finished.stderr
+    found = json.loads((tmp_path / "gpu.json").read_text())
+    assert [row["mode"] for row in found["means"]] == list(MODES)
+    assert all(row["regions"] == 25 and 0.0 <= row["p"] <= 1.0 for row in found["means"])
+    assert [row["mode"] for row in found["steps"]] == ["uniform", "lis-o", "guided"]
+    assert all(row["M samples/s"] > 0.0 for row in found["steps"])
+    assert finished.stdout.count("| guided |") == 2 and "0 of 7 tests fail" in finished.stdout
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="torch finds a CUDA device")
+def test_the_check_of_a_gpu_needs_one(script):
+    finished = script("gpu_check.py")
+    assert finished.returncode == 2
+    assert finished.stderr == "gpu_check: error: device: cuda: torch finds no CUDA device here; give cpu\n"
 
 
 @pytest.mark.slow

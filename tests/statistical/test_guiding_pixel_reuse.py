@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from bokehguide.guiding.config import GuidedConfig
-from bokehguide.guiding.pixel_reuse import COLUMNS, NOWHERE, _members
+from bokehguide.guiding.native_reuse import NOWHERE, PixelGroups
+from bokehguide.guiding.pixel_reuse import COLUMNS, _members
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.random import hash_int
@@ -48,7 +49,7 @@ COATED = replace(FLOOR, clearcoat=1.0, clearcoat_roughness=0.6)
 
 def members_of(places, width: int, key: int) -> torch.Tensor:
     """For each other place in a group of the default size, the pixel there for each of N pixels, `[.., N]`, or -1."""
-    return _members(places, width, key, GROUP, torch.device("cpu"))
+    return _members(places, PixelGroups.of(width, GROUP, key), torch.device("cpu"))
 
 
 def key_of(step: Step, seed: int) -> int:

@@ -12,7 +12,17 @@ from bokehguide.models import ellipse_mixture
 from bokehguide.models.ellipse_mixture import EllipseMixture, overlap, packed
 from bokehguide.models.projection import project_to_lens
 from bokehguide.render.lens import Lens
-from tests.support.lens_cases import INNER_RINGS, LENS, X_F, EllipseCase, grid, mean_through, means_of, probabilities
+from tests.support.lens_cases import (
+    INNER_RINGS,
+    LENS,
+    X_F,
+    EllipseCase,
+    grid,
+    in_both_forms,
+    mean_through,
+    means_of,
+    probabilities,
+)
 from tests.support.statistical import SIGNIFICANCE, chi_square
 
 DRAWS = 100_000
@@ -51,7 +61,7 @@ CASES = [
         [3.0, 1.0, 0.5],
     ),
 ]
-BY_NAME = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+BY_NAME = pytest.mark.parametrize("case", in_both_forms(CASES), ids=lambda case: case.name)
 
 
 def test_uniform_samples_report_no_candidate():

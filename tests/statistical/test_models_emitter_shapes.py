@@ -13,7 +13,7 @@ from bokehguide.models.emitters.environment import EnvironmentEmitters, ViewedEn
 from bokehguide.models.emitters.parallelogram import ParallelogramEmitters, ViewedParallelograms
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene.types import Camera
-from tests.support.lens_cases import X_F, EllipseCase, grid, mean_through, means_of, probabilities
+from tests.support.lens_cases import X_F, EllipseCase, grid, in_both_forms, mean_through, means_of, probabilities
 from tests.support.statistical import SIGNIFICANCE, chi_square
 
 DRAWS = 100_000
@@ -77,7 +77,7 @@ LEARNT = ShapesCase(
     environment_index=(-1, -1, 1, -1),
     parallelogram_index=(0, -1, -1, 1),
 )
-BY_NAME = pytest.mark.parametrize("case", [OF_MAP, PARALLELOGRAM, ALL, LEARNT], ids=lambda case: case.name)
+BY_NAME = pytest.mark.parametrize("case", in_both_forms((OF_MAP, PARALLELOGRAM, ALL, LEARNT)), ids=lambda case: case.name)
 
 
 @pytest.mark.slow

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch import Tensor
 
 from bokehguide.guiding.config import GaussianConfig
+from bokehguide.guiding.emitter_guide import EmitterGuide
 from bokehguide.guiding.gaussian_guide import GaussianGuide
 from bokehguide.guiding.guide import Guide, GuideRecord
 from bokehguide.guiding.lens_queries import MixtureQuery
 from bokehguide.guiding.protocols import BatchSamples, LensPoints, ModeContext, PixelBatch, StepSummary
 from bokehguide.guiding.record_buffer import Records
 from bokehguide.models.base import LensMixture, LensSample
+from bokehguide.models.ellipse_mixture import EllipseMixture
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.random import PixelRandom
+from bokehguide.runtime import native
 from bokehguide.runtime.distributed import Ranks
 from bokehguide.scene.types import Camera
 
@@ -56,6 +60,17 @@ def mixture_query(guide: Guide, batch: PixelBatch) -> MixtureQuery:
 def mixture_of(guide: Guide, batch: PixelBatch | None = None) -> LensMixture:
     """The mixture that the guide draws from, by default at the centres of all pixels."""
     return mixture_query(guide, batch or pixel_batch(guide)).mixture
+
+
+def pytorch_mixture(guide: EmitterGuide, batch: PixelBatch) -> EllipseMixture:
+    """The mixture of `mixture_of` in PyTorch, with its ellipses."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(native.SWITCH, "0")
+        guide.set_candidates()
+        mixture = mixture_of(guide, batch)
+    guide.set_candidates()
+    assert isinstance(mixture, EllipseMixture)
+    return mixture
 
 
 def samples_of(batch: PixelBatch, query: MixtureQuery, drawn: LensSample) -> BatchSamples:

@@ -6,8 +6,8 @@ density jumps, falls between cells.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -18,8 +18,10 @@ from bokehguide.guiding.gaussian_guide import GaussianGuide
 from bokehguide.models.base import LensMixture
 from bokehguide.models.ellipse_mixture import EllipseMixture, EmitterShapes, balls, packed
 from bokehguide.models.gaussian_mixture import GaussianMixture
+from bokehguide.models.native_mixture import CoreField, NativeEllipseMixture
 from bokehguide.render.lens import Lens
 from tests.support.guides import mixture_of, pixel_batch
+from tests.support.native_cases import core
 from tests.support.statistical import chi_square
 
 LENS = Lens(0.1, 2.0)
@@ -78,11 +80,12 @@ class LensCase:
 class EllipseCase(LensCase):
     """A mixture of ellipses. sigma: radii of balls, unless axes gives half axes `[M, 3, 3]` of ellipsoids, one a row.
 
-    learned_scale: factor of each candidate's weight; all 1 by default.
+    learned_scale: factor of each candidate's weight; all 1 by default. native: whether the native core holds the mixture.
     """
 
     axes: tuple | None = None
     learned_scale: tuple[float, ...] = ()
+    native: bool = False
 
     def shapes(self, count: int) -> EmitterShapes | None:
         """Candidates of `count` pixels with a shape other than an ellipsoid; None for none."""
@@ -94,19 +97,28 @@ class EllipseCase(LensCase):
         axes = torch.tensor(self.axes)
         return packed(axes.transpose(1, 2) @ axes)
 
-    def distribution(self, count: int) -> EllipseMixture:
+    def distribution(self, count: int) -> EllipseMixture | NativeEllipseMixture:
         candidates = len(self.sigma)
-        return EllipseMixture(
+        pixels = (
             self.lens,
             torch.tensor(self.focus)[:, None].expand(3, count).contiguous(),
             torch.full((count,), self.beta),
             torch.arange(count + 1) * candidates,
-            torch.tensor(self.mean).reshape(3, candidates).repeat(1, count),
-            self.outlines().repeat(1, count),
-            torch.tensor(self.weight).repeat(count),
-            torch.tensor(self.learned_scale or (1.0,) * candidates).repeat(count),
-            self.shapes(count),
         )
+        mean, weight = torch.tensor(self.mean).reshape(3, candidates), torch.tensor(self.weight)
+        scale = torch.tensor(self.learned_scale or (1.0,) * candidates).repeat(count)
+        if not self.native:
+            field = (mean.repeat(1, count), self.outlines().repeat(1, count), weight.repeat(count))
+            return EllipseMixture(*pixels, *field, scale, self.shapes(count))
+        none = torch.full((candidates,), -1)
+        shapes = self.shapes(1) or EmitterShapes(None, none, None, none, torch.zeros(0))
+        field = CoreField.of(core(), mean, self.outlines(), weight, shapes)
+        return NativeEllipseMixture(*pixels, field, torch.arange(candidates).repeat(count), scale)
+
+
+def in_both_forms(cases: Sequence[EllipseCase]) -> list[EllipseCase]:
+    """The cases in PyTorch and in the native core."""
+    return [*cases, *(replace(case, name=f"{case.name}, native", native=True) for case in cases)]
 
 
 @dataclass(frozen=True)

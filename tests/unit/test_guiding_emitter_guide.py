@@ -20,7 +20,7 @@ from bokehguide.scene.shapes import joined, spheres, transform, transformed, uni
 from bokehguide.scene.types import Environment, Material, Mesh, Scene, Sun
 from bokehguide.train import RenderLoop, RenderSettings
 from tests.support import scenes
-from tests.support.guides import mixture_of, mixture_query, pixel_batch, samples_of, summary
+from tests.support.guides import mixture_of, mixture_query, pixel_batch, pytorch_mixture, samples_of, summary
 
 WIDTH, HEIGHT = 64, 36
 
@@ -83,8 +83,7 @@ def shares_of_hits(emitter: Mesh) -> tuple[float, float]:
 def mixture_without_uniform(loop: RenderLoop) -> tuple[torch.Tensor, EllipseMixture]:
     """Focus points of all pixels `[3, pixels]`, and their mixtures without the uniform part."""
     batch = pixel_batch(loop.mode.lens)
-    mixture = mixture_of(loop.mode.lens, batch)
-    assert isinstance(mixture, EllipseMixture)
+    mixture = pytorch_mixture(loop.mode.lens, batch)
     mixture.beta = mixture.guided.float()
     return batch.focus, mixture
 
@@ -277,10 +276,9 @@ def test_beta_has_the_least_variance():
             light = (3.0 * at.mixture * mixture.lens.area + 1.0) * mixture.lens.contains(drawn.points)
             guide.learn_from(samples, query, light / (mixture.lens.area * at.density))
         guide.update(summary(64))
-    beyond = (
-        mixture.ellipses.center.square().sum(0).sqrt() + torch.maximum(mixture.ellipses.width, mixture.ellipses.height)
-        > mixture.lens.radius
-    ).float()
+    ellipses = pytorch_mixture(guide, batch).ellipses
+    beyond = ellipses.center.square().sum(0).sqrt() + torch.maximum(ellipses.width, ellipses.height) > mixture.lens.radius
+    beyond = beyond.float()
     inside = mixture.guided & (torch.zeros(pixels).index_add(0, mixture.owner, beyond) == 0.0)
     assert inside.sum() > 20
     assert float(guide.beta[inside].median()) == pytest.approx(0.75, abs=0.03)

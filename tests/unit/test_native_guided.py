@@ -14,7 +14,6 @@ from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.splitting import SplitPaths
-from bokehguide.render.vector import normalize
 from bokehguide.runtime.timer import PhaseTimer
 from tests.support.native_cases import FEATURES, both_tracers, core, feature_scene, rays
 
@@ -122,23 +121,6 @@ def test_distances_of_virtual_images_agree(name):
     assert differing(found.images.distances()[images], distances[images]) <= 0.05
     if name in ("glass", "chrome"):
         assert int(images.sum()) > 20
-
-
-@pytest.mark.parametrize("name", (*LIT, *BUILT_IN))
-def test_primary_hits_are_shaded_as_by_pytorch(name):
-    """Radiance of the hits of one record towards nearby points, by both forms."""
-    native, _ = both_tracers(name)
-    found = Traced(native, name, rays(name, COUNT)).hits
-    expected = PrimaryHits(
-        found.geometry, found.rays, found.hit, found.surface, found.emission, found.counts, found.owner, found.indirect
-    )
-    expected.light_direction, expected.direct = found.light_direction, found.direct
-    expected.scattered_direction = found.scattered_direction
-    generator = torch.Generator().manual_seed(5)
-    chosen = torch.randint(len(found.rays), (2 * COUNT,), generator=generator)
-    outgoing = normalize(found.surface.outgoing[:, chosen] + 0.1 * torch.randn(3, 2 * COUNT, generator=generator))
-    count = int(found.counts[chosen].sum())
-    assert differing(found.radiance(chosen, outgoing, count), expected.radiance(chosen, outgoing, count)) <= 2.0 * FLIPS
 
 
 def test_nan_and_infinite_rays_split_as_in_pytorch():

@@ -10,6 +10,7 @@ derives the formulas.
 from __future__ import annotations
 
 import math
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ from bokehguide.models.projection import FAR_OUTSIDE
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lights.equirectangular import Equirectangular
 from bokehguide.render.vector import dot, normalize, to_world
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.indexing import ActiveEntries
 
 
@@ -68,6 +68,17 @@ class EnvironmentEmitters:
         """Index of each texel in `_flux` and `_emitter`; 0 for texels of no emitter."""
         self._flux = torch.from_numpy(np.append(0.0, flux).astype(np.float32)).to(device)
         self._emitter = torch.from_numpy(np.append(-1, emitter)).to(device)
+
+    def in_core(self, extension: ModuleType) -> object:
+        """The emitters in the native core, by the names of `EnvironmentTable` in `native/tables.h`."""
+        arrays = {"axes": self._camera.axes, "whole": self.whole, "columns": self._columns, "segment": self._segment}
+        arrays |= {"emitter": self._emitter, "slot": self._slot, "flux": self._flux}
+        numbers = {"width": self._map.width, "height": self._map.height, "turn": float(self._map.turn)}
+        for prefix, density in (("segments", self._segments), ("rows", self._rows)):
+            arrays |= {f"{prefix}_{name}": table for name, table in density.tables().items()}
+            numbers[f"{prefix}_period"] = density.period
+        tables = {name: table.contiguous() for name, table in arrays.items()}
+        return extension.EnvironmentShapes(tables, {name: float(value) for name, value in numbers.items()})
 
     def _make_densities(
         self, emitter: np.ndarray, row: np.ndarray, column: np.ndarray, flux: np.ndarray, device: torch.device
@@ -178,7 +189,6 @@ def _column_ranges(emitter: np.ndarray, column: np.ndarray, width: int) -> np.nd
     return np.stack((0.5 * (left + right + 1), np.minimum(0.5 * (right - left + 1) + 0.5, 0.5 * width)))
 
 
-@kernel
 def _texels_around(
     layout: Equirectangular, axes: Tensor, points: Tensor, focus: Tensor
 ) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor], Tensor, Tensor, Tensor]:

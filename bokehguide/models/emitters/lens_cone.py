@@ -18,7 +18,6 @@ from bokehguide.models.projection import LENS_MARGIN
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lights.equirectangular import Equirectangular
 from bokehguide.render.vector import dot, normalize, polar_angle, to_world
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 
 ANGLE_ERROR = 1e-6
@@ -65,7 +64,6 @@ def lens_cone(layout: Equirectangular, camera: ThinLensCamera, focus: Tensor) ->
     return LensCone(focus, column, theta, reach, axes, radius)
 
 
-@kernel
 def _enclosing_circle(layout: Equirectangular, focus: Tensor, axes: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Column, polar angle and angular radius, `[N]` each, of the circle about the direction from the lens centre to x_F.
 
@@ -94,7 +92,6 @@ def _uses_circle(cone: LensCone) -> Tensor:
     return oblique | (cone.reach > MAX_CONE_ANGLE) | (cone.theta.sin() < MIN_POLE_DISTANCE * cone.reach.sin())
 
 
-@kernel
 def row_range(layout: Equirectangular, cone: LensCone, middle: Tensor, half: Tensor) -> Tensor:
     """First and last row at which cones contain columns up to `half` texels from `middle`, `[N]` both.
 
@@ -157,7 +154,6 @@ def _meridian_rows(layout: Equirectangular, cone: LensCone, column: Tensor) -> t
     return rows[0], rows[1]
 
 
-@kernel
 def row_interval(layout: Equirectangular, cone: LensCone, y: Tensor) -> tuple[Tensor, Tensor]:
     """First and last column that cones contain `y` texels below the map's top, `[N]` both.
 

@@ -7,12 +7,13 @@ docs/explanation/lens-densities.md derives the formulas.
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import torch
 from torch import Tensor
 
 from bokehguide.models.projection import FAR_OUTSIDE, LENS_MARGIN, project_to_lens
 from bokehguide.render.vector import cross, dot
-from bokehguide.runtime.compile.kernels import kernel, record
 from bokehguide.runtime.indexing import ActiveEntries
 
 LENS_POINT_ERROR = 1e-6
@@ -23,7 +24,6 @@ TINY = 1e-30
 """Divisor in place of 0, for a ray or an x_F in the plane of the parallelogram."""
 
 
-@record
 class ParallelogramEmitters:
     """P parallelograms in the camera frame.
 
@@ -43,6 +43,14 @@ class ParallelogramEmitters:
 
     def __len__(self) -> int:
         return self._centre.shape[1]
+
+    def in_core(self, extension: ModuleType, luminance: Tensor) -> object:
+        """The parallelograms in the native core, by the names of `ParallelogramTable` in `native/tables.h`.
+
+        luminance: of each parallelogram, `[P]`.
+        """
+        tables = {name[1:]: table.contiguous() for name, table in vars(self).items()}
+        return extension.ParallelogramShapes(tables | {"luminance": luminance.contiguous()})
 
     def select(self, index: Tensor) -> ParallelogramEmitters:
         """The parallelograms at `index`, int64 `[M]`."""
@@ -209,12 +217,10 @@ class ViewedParallelograms:
         return _pdf(self._parallelograms, points.index_select(1, self._owner), self._window, self._focus, self._radius)
 
 
-@kernel
 def _window_and_area(parallelograms: ParallelogramEmitters, focus: Tensor, radius: Tensor) -> tuple[Tensor, Tensor]:
     window = parallelograms.window(focus, radius)
     return window, parallelograms.area_on_lens(window, focus, radius)
 
 
-@kernel
 def _pdf(parallelograms: ParallelogramEmitters, points: Tensor, window: Tensor, focus: Tensor, radius: Tensor) -> Tensor:
     return parallelograms.pdf(points, window, focus, radius)

@@ -38,6 +38,11 @@ class PiecewiseLinear:
         self.total = self._cumulative[self._end] - self._cumulative[self._start]
         """Integral of each density over its period, float64 `[G]`."""
 
+    def tables(self) -> dict[str, Tensor]:
+        """The tables by the names of `PiecewiseTable` in `native/tables.h`."""
+        tables = {"keys": self._keys, "position": self.position, "start": self._start, "end": self._end}
+        return tables | {"weights": self._weights, "cumulative": self._cumulative, "total": self.total}
+
     def find(self, group: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
         """The last knot at or before the positions `x` of groups, both `[N]`, and the distance from the knot to `x`."""
         x = x - (x / self.period).floor() * self.period

@@ -9,7 +9,6 @@ from bokehguide.render.bsdf.dielectric import DielectricBSDF
 from bokehguide.render.bsdf.opaque import OpaqueBSDF
 from bokehguide.render.geometry import Surface
 from bokehguide.render.vector import divisor, dot, tangent_frame, to_local, to_world
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.indexing import ActiveEntries
 
 Frame = tuple[Tensor, Tensor, Tensor]
@@ -24,8 +23,7 @@ class Scattering:
     """
 
     def __init__(self, surface: Surface, choice: Tensor | None):
-        self._frame, self._opaque = _prepared(surface)
-        self._opaque.surface = surface
+        self._frame, self._opaque = _opaque(surface, surface.outgoing)
         self._glass: DielectricBSDF | None = None
         if choice is not None:
             self._chosen = ActiveEntries(choice < surface.transmission * (1.0 - surface.metallic))
@@ -65,14 +63,6 @@ def opaque_values(surface: Surface, outgoing: Tensor, directions: tuple[Tensor, 
     return [opaque.evaluate(one)[0] * _allowed(surface, direction, one[2]) for one, direction in zip(local, directions)]
 
 
-@kernel
-def _prepared(surface: Surface) -> tuple[Frame, OpaqueBSDF]:
-    """Shading frame and opaque part of the BSDF. The result omits the argument `surface`, so that no kernel copies it."""
-    (tangent, bitangent, normal), opaque = _opaque(surface, surface.outgoing)
-    del opaque.surface
-    return (tangent, bitangent, normal.clone()), opaque
-
-
 def _opaque(surface: Surface, outgoing: Tensor) -> tuple[Frame, OpaqueBSDF]:
     """The shading frame, and the opaque part of the BSDF as seen from world directions `outgoing` `[3, N]`."""
     frame = (*tangent_frame(surface.normal), surface.normal)
@@ -80,14 +70,12 @@ def _opaque(surface: Surface, outgoing: Tensor) -> tuple[Frame, OpaqueBSDF]:
     return frame, OpaqueBSDF(to_local(outgoing, *frame), surface, None if coat is None else to_local(coat, *frame))
 
 
-@kernel
 def _evaluated(frame: Frame, opaque: OpaqueBSDF, direction: Tensor) -> tuple[Tensor, Tensor]:
     local = to_local(direction, *frame)
     value, pdf = opaque.evaluate(local)
     return value * _allowed(opaque.surface, direction, local[2]), pdf
 
 
-@kernel
 def _sampled(frame: Frame, opaque: OpaqueBSDF, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     local = opaque.sample(uniforms)
     value, pdf = opaque.evaluate(local)

@@ -27,7 +27,6 @@ from torch import Tensor
 from bokehguide.render.geometry import Surface
 from bokehguide.render.materials import CLEARCOAT_F0
 from bokehguide.render.vector import dot, fifth_power, luminance, normalize, tangent_frame, to_local, to_world
-from bokehguide.runtime.compile.kernels import record
 
 MIN_COSINE = 1e-6
 """Least cosine to the normal in BSDFs, so that terms of grazing directions stay finite."""
@@ -73,7 +72,6 @@ def smith_root(cosine: Tensor, a2: Tensor) -> Tensor:
     return (a2 + (1.0 - a2) * cosine * cosine).sqrt()
 
 
-@record
 class _Microfacets:
     """GGX microfacets of roughness α `[N]`, seen from a direction with the cosine `cosine` `[N]` to the normal."""
 
@@ -89,7 +87,6 @@ class _Microfacets:
         return visibility, distribution / (self._cosine + self._root)
 
 
-@record
 class _Clearcoat:
     """The layer of KHR_materials_clearcoat.
 
@@ -134,7 +131,6 @@ class _Clearcoat:
         return value * (cosine * above), pdf * (half[2] > 0.0).to(torch.float32), beneath, above
 
 
-@record
 class OpaqueBSDF:
     """Mixture of a metal and a Lambertian base under a dielectric coat. An optional clearcoat covers both.
 
@@ -223,7 +219,6 @@ class OpaqueBSDF:
             half = sample_visible_normal(outgoing, alpha, uniforms[1:])
             half = half + (coat.from_own(half) - half) * over
         mirrored = 2.0 * dot(self._outgoing, half) * half - self._outgoing
-        # The compiler computes sine and cosine once: microfacets have the same angle.
         angle, radius = 2.0 * math.pi * uniforms[1], uniforms[2].sqrt()
         height = (1.0 - uniforms[2]).sqrt()
         diffuse = torch.stack((radius * angle.cos(), radius * angle.sin(), height))

@@ -8,8 +8,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.runtime.compile.kernels import kernel
-
 
 class AliasTable:
     """Draws indices i with the probability weights[i] / sum(weights). The measure is counting.
@@ -44,7 +42,6 @@ class AliasTable:
         return self.probability.index_select(0, index)
 
 
-@kernel
 def _drawn(keep: Tensor, alias: Tensor, rows: tuple[Tensor, Tensor] | None, uniforms: Tensor) -> Tensor:
     """Entries `[N]` of one table, or of several tables; rows: starts of the tables, and the table of each draw."""
     start, count = 0, keep.shape[0]

@@ -9,13 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from bokehguide.runtime.compile.kernels import kernel, record
-
 LEVELS = 7
 """Binary logarithm of the largest number of clusters of one kind of light."""
 
 
-@record
 class ClusterTable:
     """A choice among C clusters in each of R rows; the measure is counting. Kernels take it as an argument.
 
@@ -43,12 +40,6 @@ class ClusterTable:
     def pdf(self, row: Tensor, cluster: Tensor) -> Tensor:
         """Probability of each cluster in each row, `[N]`."""
         return self._probability.index_select(0, (row << self.levels) + cluster)
-
-
-@kernel
-def sampled(table: ClusterTable, row: Tensor, uniforms: Tensor) -> Tensor:
-    """`ClusterTable.sample`, as a kernel."""
-    return table.sample(row, uniforms)
 
 
 def build_clusters(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, int]:

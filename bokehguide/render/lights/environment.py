@@ -13,7 +13,6 @@ from bokehguide.color import LUMINANCE
 from bokehguide.render.lights.alias_table import AliasTable
 from bokehguide.render.lights.distant import DistantLight
 from bokehguide.render.lights.equirectangular import Equirectangular
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.device import to_device
 from bokehguide.scene.types import Environment, Sun
 
@@ -163,14 +162,12 @@ class EnvironmentMap:
         return self.table.probability.cpu().numpy().reshape(self.height, self.width)
 
 
-@kernel
 def _texel_at(layout: Equirectangular, directions: Tensor) -> Tensor:
     """Texels `[N]` that unit directions `[3, N]` lie in."""
     column, row = layout.place(directions)  # rounding may give the map's width or height
     return row.int().clamp(0, layout.height - 1) * layout.width + column.int().clamp(0, layout.width - 1)
 
 
-@kernel
 def _within(layout: Equirectangular, texel: Tensor, uniforms: Tensor) -> Tensor:
     """Unit directions `[3, N]`, uniform over texels `[N]`, from uniform numbers `[2, N]`."""
     row, column = texel // layout.width, texel % layout.width
@@ -178,7 +175,6 @@ def _within(layout: Equirectangular, texel: Tensor, uniforms: Tensor) -> Tensor:
     return layout.around(column + uniforms[0], top + (bottom - top) * uniforms[1])
 
 
-@kernel
 def _texels_about(layout: Equirectangular, directions: Tensor) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
     """Four texels around unit directions `[3, N]`, row by row, int32 `[N]`, and the offsets of the directions between them,
     `[N]`."""
@@ -187,7 +183,6 @@ def _texels_about(layout: Equirectangular, directions: Tensor) -> tuple[tuple[Te
     return tuple(row + column for row in rows for column in columns), across, down
 
 
-@kernel
 def _blended(corners: tuple[Tensor, ...], across: Tensor, down: Tensor) -> Tensor:
     """Bilinear interpolation of four values `[3, N]`."""
     one, two, three, four = corners

@@ -8,10 +8,8 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.vector import polar_angle
-from bokehguide.runtime.compile.kernels import record
 
 
-@record
 class Equirectangular:
     """Layout of a map `[H, W]` whose centre lies at -z and whose columns grow towards +x.
 

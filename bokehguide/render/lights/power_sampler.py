@@ -14,7 +14,6 @@ from bokehguide.render.lights.base import DirectLight, LightSample, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.scene_lights import Lights, PointQuery
 from bokehguide.render.random import PixelRandom
-from bokehguide.runtime.compile.kernels import kernel
 
 
 class PowerLightSampler(LightSampler):
@@ -42,7 +41,7 @@ class PowerLightSampler(LightSampler):
         light = self.draw(self.lights.query(surface.position), uniforms)
         scattered = scattering.evaluate(light.direction)
         return DirectLight(
-            light.direction, light.distance, _light_contribution(light.radiance, light.pdf, *scattered), scattered[1]
+            light.direction, light.distance, mis.light_contribution(light.radiance, light.pdf, *scattered), scattered[1]
         )
 
     def draw(self, query: PointQuery, uniforms: Tensor) -> LightSample:
@@ -74,7 +73,7 @@ class PowerLightSampler(LightSampler):
 
     def share(self, query: PointQuery, cluster: Tensor) -> Tensor:
         """Probability `[N]` of choosing each of the clusters `[N]` of triangles."""
-        return _voxel_share(self.lights.grid.table, query.cells, query.environment_share, cluster)
+        return voxel_share(self.lights.grid.table, query.cells, query.environment_share, cluster)
 
     def triangle_pdf(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
         """See `LightDistribution`."""
@@ -90,9 +89,3 @@ class PowerLightSampler(LightSampler):
 def voxel_share(table: ClusterTable, cells: Tensor, environment_share: Tensor, cluster: Tensor) -> Tensor:
     """Probability `[N]` with which cells `[N]` of the voxel grid choose clusters `[N]` of triangles."""
     return (1.0 - environment_share) * table.pdf(cells, cluster)
-
-
-_voxel_share = kernel(voxel_share)
-
-
-_light_contribution = kernel(mis.light_contribution)

@@ -19,7 +19,6 @@ from bokehguide.render.lights.light_clusters import LightClusters
 from bokehguide.render.lights.voxel_grid import GridEmitters, LightVoxelGrid
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import cross, divisor, dot, luminance, normalize
-from bokehguide.runtime.compile.kernels import kernel
 from bokehguide.runtime.indexing import indices, scatter
 from bokehguide.scene.types import Scene
 
@@ -204,7 +203,6 @@ class Lights:
         return density(directions, self.sampled_environment.texels(directions))
 
 
-@kernel
 def _on_triangle(rows: Tensor, points: Tensor, uniforms: Tensor, share: Tensor) -> tuple[Tensor, ...]:
     """Samples, uniform over triangles, seen from `points` `[3, N]`, from uniform numbers `[2, N]`.
 

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.lights.alias_table import AliasTable
-from bokehguide.render.lights.clusters import ClusterTable, build_clusters, sampled
-from bokehguide.runtime.compile.kernels import kernel
+from bokehguide.render.lights.clusters import ClusterTable, build_clusters
 
 RESOLUTION = 24
 """Cells along the longest side of the grid."""
@@ -107,7 +106,7 @@ class LightVoxelGrid:
 
     def sample_cluster(self, cells: Tensor, uniforms: Tensor) -> Tensor:
         """Clusters `[N]` for points in `cells` `[N]`, from uniform numbers `[N]`."""
-        return sampled(self.table, cells, uniforms)
+        return self.table.sample(cells, uniforms)
 
     def sample_within(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Triangles `[N]` of clusters `[N]`, drawn in proportion to their power from uniform numbers `[2, N]`."""
@@ -179,7 +178,6 @@ def _defensive(weights: np.ndarray, power: np.ndarray) -> np.ndarray:
     return (1.0 - DEFENSIVE) * by_light + DEFENSIVE * by_power
 
 
-@kernel
 def _cells(points: Tensor, low: Tensor, scale: Tensor, last: Tensor, step: Tensor) -> Tensor:
     """Numbers `[N]` of the cells that points `[3, N]` lie in.
 

@@ -1,1 +1,0 @@
-"""Ahead-of-time compilation of element-wise kernels."""

@@ -1,0 +1,360 @@
+// Reuse of primary hits among neighbouring pixels: guiding/pixel_reuse.py, for eight views at a time.
+
+#pragma once
+
+#include <new>
+
+#include "primary_hits.h"
+#include "shadow_rays.h"
+
+namespace BOKEHGUIDE_ISA {
+
+using bokehguide::HitRecord;
+using bokehguide::LensCamera;
+using bokehguide::LensSamples;
+using bokehguide::OwnSamples;
+using bokehguide::PixelGroups;
+using bokehguide::ViewRows;
+
+// Groups end with bands of ROWS_PER_BAND rows and with bands of 2^COLUMN_BITS columns.
+constexpr int ROWS_PER_BAND = 8, COLUMN_BITS = 5, FRONT_ROW = 12;
+constexpr float GROUP_SPACING = 3.0f, INFINITELY_DEEP = 1e30f, SHORTENED = 1.0f - 1e-4f;
+
+inline Vec3 camera_to_world(const bokehguide::Camera& c, Vec3 v) {
+    const float* m = c.axes;
+    return {m[0] * v.x + m[1] * v.y + m[2] * v.z, m[3] * v.x + m[4] * v.y + m[5] * v.z, m[6] * v.x + m[7] * v.y + m[8] * v.z};
+}
+inline Vec3 world_to_camera(const bokehguide::Camera& c, Vec3 v) {
+    const float* m = c.axes;
+    return {m[0] * v.x + m[3] * v.y + m[6] * v.z, m[1] * v.x + m[4] * v.y + m[7] * v.z, m[2] * v.x + m[5] * v.y + m[8] * v.z};
+}
+inline Vec3 camera_position(const bokehguide::Camera& c) { return {all(c.position[0]), all(c.position[1]), all(c.position[2])}; }
+
+// Surfaces of recorded hits, with their places, normals, and the fields by which pixels see them alike; the others are 0.
+inline Surface placed_surface(const Tables& t, const PathLight& of, Int hit) {
+    Surface s = {};
+    fill(of, hit, s, &s.position.x, 15), fill(of, hit, s, &s.metallic, 2), fill(of, hit, s, &s.transmission);
+    if (t.clearcoat != nullptr) fill(of, hit, s, &s.clearcoat, 5);
+    return s;
+}
+
+// The primary hits of a batch by pixel (`_hits`), and the places of pixels in their bands.
+class PixelHits {
+  public:
+    PixelHits(const Tables& t, const LensCamera& lens, const HitRecord& record, float min_spread, ViewRows& views)
+        : t_(t), lens_(lens), record_(record), views_(views), min_spread_(min_spread) {}
+
+    void fill(const PixelGroups& groups, const LensSamples& samples) {
+        ViewRows& v = views_;
+        for (int64_t i = 0; i < v.pixels; ++i) {
+            const int64_t place = i < samples.count ? i : samples.count - 1;
+            const int64_t pixel = groups.pixels == nullptr ? groups.first + place : groups.pixels[place];
+            v.column[i] = int32_t(pixel % groups.width), v.line[i] = int32_t(pixel / groups.width % ROWS_PER_BAND);
+            v.number[i] = int32_t(pixel - groups.first);
+            const bool infinite = samples.triangle[place] < 0 && samples.weight[place] > 0.0f;
+            v.reusable[i] = infinite && t_.has_environment && t_.visible_environment && i < samples.count;
+            v.depth[i] = infinite ? INFINITELY_DEEP : samples.depth[place];
+            v.place[i] = -1, v.plane[i] = v.plane[v.pixels + i] = 0.0f, v.plane[2 * v.pixels + i] = 1.0f;
+        }
+        for (int64_t first = 0; first < record_.count; first += LANES) add(first);
+        for (int32_t i = 0; v.among != nullptr && i < v.numbers; ++i) v.among[i] = -1;
+        for (int64_t i = 0; v.among != nullptr && i < samples.count; ++i) v.among[v.number[i]] = int32_t(i);
+    }
+
+  private:
+    const Tables& t_;
+    const LensCamera& lens_;
+    const HitRecord& record_;
+    ViewRows& views_;
+    float min_spread_;
+
+    void add(int64_t first) {
+        const int count = record_.count - first < LANES ? int(record_.count - first) : LANES;
+        Int hit;
+        for (int lane = 0; lane < LANES; ++lane) hit[lane] = int32_t(first + (lane < count ? lane : count - 1));
+        const Surface s = placed_surface(t_, record_.light, hit);
+        const Vec3 normal = world_to_camera(lens_.camera, s.geometric_normal);
+        const Vec3 position = world_to_camera(lens_.camera, s.position - camera_position(lens_.camera));
+        const Float offset = dot(position, normal), alike = one_if(looks_alike(s, min_spread_ * view_angle(at_least(position.z, 1e-9f))));
+        for (int lane = 0; lane < count; ++lane) {
+            const int32_t pixel = record_.ray[first + lane];
+            float* const plane = views_.plane + pixel;
+            views_.place[pixel] = int32_t(first + lane), views_.reusable[pixel] = alike[lane];
+            plane[0] = normal.x[lane], plane[views_.pixels] = normal.y[lane], plane[2 * views_.pixels] = offset[lane];
+        }
+    }
+    // `_view_angle`.
+    Float view_angle(Float depth) const {
+        const float focus = lens_.focus_distance;
+        const Float spacing = (GROUP_SPACING * lens_.pixel_slope * focus) * depth / at_least(abs(depth - focus), 1e-9f);
+        return at_most(spacing, 2.0f * lens_.radius) / depth;
+    }
+    // `_looks_alike`.
+    Int looks_alike(const Surface& s, Float least) const {
+        Int alike = (s.alpha >= least) & (s.facing > all(0.0f));
+        if (t_.clearcoat != nullptr) alike &= (s.clearcoat <= all(0.0f)) | (s.clearcoat_alpha >= least);
+        if (t_.has_transmission) alike &= s.transmission * (1.0f - s.metallic) <= all(0.0f);
+        if (t_.absorption != nullptr) alike &= s.front > all(0.0f);
+        return alike;
+    }
+};
+
+// A member of eight pixels' groups (`_members`), as indices into the batch; -1 for none.
+inline Int member_of(const PixelGroups& groups, const ViewRows& v, int member, int64_t i) {
+    const Int x = load<Int>(v.column + i), line = load<Int>(v.line + i);
+    const Int column = ((x + groups.right) ^ (member % groups.across)) - groups.right;
+    const Int row = ((line + groups.below) ^ (member / groups.across)) - groups.below;
+    const Int there = load<Int>(v.number + i) + (row - line) * groups.width + column - x;
+    const Int inside = (column < groups.width) & ((column >> COLUMN_BITS) == (x >> COLUMN_BITS)) & (row >= 0) & (row < ROWS_PER_BAND) &
+                       (there >= 0) & (there < v.numbers);
+    if (v.among == nullptr) return inside ? there : all(-1);
+    return inside ? gather(v.among, inside ? there : all(0)) : all(-1);
+}
+
+inline Float plane_distance(Vec3 plane, Float x, Float y) { return abs(plane.z - plane.x * x - plane.y * y); }
+
+// The views of eight pixels' hits, where the lens contains their lens points.
+class ViewFinder {
+  public:
+    ViewFinder(const LensCamera& lens, const PixelGroups& groups, const LensSamples& samples, ViewRows& views)
+        : lens_(lens), groups_(groups), samples_(samples), views_(views) {}
+
+    void find(int64_t first) {
+        first_ = first;
+        for (int member = 1; member < views_.members; ++member) reconnect(member);
+        for (int lane = 0; lane < LANES; ++lane) {
+            for (int member = 1; member < views_.members; ++member) {
+                if (inside_[member] >> lane & 1) add(member, lane);
+            }
+        }
+    }
+
+  private:
+    static constexpr int MOST = 64;  // members of a group
+    const LensCamera& lens_;
+    const PixelGroups& groups_;
+    const LensSamples& samples_;
+    ViewRows& views_;
+    int64_t first_ = 0;
+    unsigned inside_[MOST];
+    Int viewer_[MOST];
+    Float x_[MOST], y_[MOST], jacobian_[MOST];
+
+    // `_reconnected`.
+    void reconnect(int member) {
+        const int64_t count = samples_.count;
+        Int viewer = member_of(groups_, views_, member, first_);
+        const Int seen = (viewer >= 0) & (load<Float>(views_.reusable + first_) > all(0.0f));
+        inside_[member] = 0;
+        if (!any(seen)) return;
+        viewer = seen ? viewer : all(0);
+        Int pixel = Int{0, 1, 2, 3, 4, 5, 6, 7} + int32_t(first_);
+        pixel = seen ? pixel : all(0);
+        const Float depth = load<Float>(views_.depth + first_);
+        const Float own_x = gather(samples_.points, pixel), own_y = gather(samples_.points + count, pixel);
+        const Float scale = depth / (depth - gather(samples_.focus + 2 * count, pixel));
+        const auto moved = [&](const float* row, Float own) { return own + (gather(row, viewer) - gather(row, pixel)) * scale; };
+        const Float x = moved(samples_.focus, own_x), y = moved(samples_.focus + count, own_y);
+        const auto row = [&](int axis) { return load<Float>(views_.plane + axis * views_.pixels + first_); };
+        const Vec3 plane = {row(0), row(1), row(2)};
+        inside_[member] = lanes(seen & (x * x + y * y <= all(lens_.squared_radius)));
+        viewer_[member] = viewer, x_[member] = x, y_[member] = y;
+        jacobian_[member] = plane_distance(plane, x, y) / at_least(plane_distance(plane, own_x, own_y), 1e-20f);
+    }
+    void add(int member, int lane) {
+        const int64_t view = views_.count++;
+        views_.source[view] = int32_t(first_ + lane), views_.viewer[view] = viewer_[member][lane], views_.member[view] = member;
+        views_.x[view] = x_[member][lane], views_.y[view] = y_[member][lane];
+        views_.jacobian[view] = jacobian_[member][lane], views_.passing[view] = lens_.passing;
+    }
+};
+
+inline void find_views(const Tables& t, const LensCamera& lens, const PixelGroups& groups, const LensSamples& samples, const HitRecord& record,
+                       float min_spread, ViewRows& views) {
+    PixelHits(t, lens, record, min_spread, views).fill(groups, samples);
+    views.count = 0;
+    ViewFinder finder(lens, groups, samples, views);
+    for (int64_t first = 0; first < samples.count; first += LANES) finder.find(first);
+}
+
+// Whether surfaces have the same shading normals from unit directions (`PrimaryHits.same_normals`).
+inline Int same_normals(const Tables& t, const HitRecord& record, Int hit, const Surface& s, Vec3 outgoing) {
+    const auto faces = [&](Vec3 normal) { return dot(normal, outgoing) > all(MIN_FACING); };
+    Int same = faces(s.normal);
+    if (t.clearcoat != nullptr && t.tilts_coats) same &= faces(s.clearcoat_normal);
+    const bool mapped = t.normal_scales[bokehguide::NORMAL] != nullptr || t.normal_scales[bokehguide::CLEARCOAT_NORMAL] != nullptr;
+    if (mapped) {
+        const Vec3 own = corner_normal(t, {gather(record.triangle, hit), all(0.0f), gather(record.u, hit), gather(record.v, hit)});
+        same &= faces(normalize(own * copysign(all(1.0f), dot(own, s.geometric_normal))));
+    }
+    return same;
+}
+
+// Shadow rays of the views of a block from hits to lens points (`_lens_rays`).
+class alignas(64) ViewTracing {
+  public:
+    ViewTracing(const Tables& t, const LensCamera& lens, const LensSamples& samples, const HitRecord& record, ViewRows& views)
+        : t_(t), lens_(lens), samples_(samples), record_(record), views_(views) {
+        rays_.rays = 0, rays_.embree_seconds = 0.0;
+    }
+
+    // Keep the views that nothing blocks, in their order.
+    void run() {
+        const int64_t count = views_.count;
+        views_.count = 0;
+        for (int64_t first = 0; first < count; first += BLOCK) {
+            const int size = count - first < BLOCK ? int(count - first) : BLOCK;
+            int traced = 0;
+            for (int i = 0; i < size; i += LANES) traced = aim(first, i, size, traced);
+            rays_.trace(t_, traced, true);
+            for (int i = 0; i < traced; ++i) {
+                if (rays_.passes[i] > 0.0f) keep(first + chosen_[i], i);
+            }
+        }
+    }
+    int64_t rays() const { return rays_.rays; }
+    double embree_seconds() const { return rays_.embree_seconds; }
+
+  private:
+    const Tables& t_;
+    const LensCamera& lens_;
+    const LensSamples& samples_;
+    const HitRecord& record_;
+    ViewRows& views_;
+    ShadowRays rays_;
+    IntRow chosen_;
+    Row outgoing_[3];
+
+    void keep(int64_t view, int ray) {
+        const int64_t to = views_.count++;
+        views_.source[to] = views_.source[view], views_.viewer[to] = views_.viewer[view], views_.member[to] = views_.member[view];
+        views_.x[to] = views_.x[view], views_.y[to] = views_.y[view], views_.passing[to] = views_.passing[view];
+        views_.jacobian[to] = views_.jacobian[view] * rays_.passes[ray];
+        for (int axis = 0; axis < 3; ++axis) views_.outgoing[axis * views_.columns + to] = outgoing_[axis][ray];
+    }
+
+    // Aim the rays of up to eight views; returns the number of rays so far.
+    int aim(int64_t first, int i, int size, int traced) {
+        const int64_t view = first + i;  // rows have entries for whole vectors
+        const Int active = first_lanes(size - i) & (load<Float>(views_.passing + view) > all(0.0f));
+        const Int hit = active ? gather(views_.place, active ? load<Int>(views_.source + view) : all(0)) : all(-1);
+        const Int viewer = active ? load<Int>(views_.viewer + view) : all(0), far = hit < 0;
+        const Vec3 point = {load<Float>(views_.x + view), load<Float>(views_.y + view), all(0.0f)};
+        const Vec3 on_lens = camera_to_world(lens_.camera, point) + camera_position(lens_.camera);
+        Vec3 origin = on_lens, direction = {}, outgoing = {};
+        Float distance = all(MISS_DISTANCE);
+        Int leaves = active;
+        if (any(far & active)) {
+            direction = camera_to_world(lens_.camera, normalize(gather3(samples_.focus, samples_.count, viewer) - point));
+        }
+        if (any(~far)) {
+            const Int place = far ? all(0) : hit;
+            const Surface s = placed_surface(t_, record_.light, place);
+            const Vec3 offset_to = on_lens - s.position, start = s.position + s.geometric_normal * s.offset, ray = on_lens - start;
+            outgoing = offset_to / length(offset_to);
+            const Float reach = length(ray);
+            leaves &= far | ((dot(s.geometric_normal, outgoing) > all(0.0f)) & same_normals(t_, record_, place, s, outgoing));
+            origin = choose(far, origin, start), direction = choose(far, direction, ray / reach);
+            distance = far ? distance : reach * SHORTENED;
+        }
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (!leaves[lane]) continue;
+            const Vec3* const from[3] = {&origin, &direction, &outgoing};
+            Row* const rows[3] = {rays_.origin, rays_.direction, outgoing_};
+            for (int row = 0; row < 3; ++row) {
+                rows[row][0][traced] = from[row]->x[lane], rows[row][1][traced] = from[row]->y[lane], rows[row][2][traced] = from[row]->z[lane];
+            }
+            rays_.length[traced] = distance[lane], chosen_[traced++] = i + lane;
+        }
+        return traced;
+    }
+};
+
+inline int64_t trace_views(const Tables& t, const LensCamera& lens, const LensSamples& samples, const HitRecord& record, ViewRows& views,
+                           double* seconds) {
+    ViewTracing* const tracing = new (std::align_val_t(64)) ViewTracing(t, lens, samples, record, views);
+    tracing->run();
+    const int64_t rays = tracing->rays();
+    *seconds = tracing->embree_seconds();
+    operator delete(tracing, std::align_val_t(64));
+    return rays;
+}
+
+// Radiance of the samples as their viewers see them (`_radiance`), in place of the directions of the views.
+class SeenRadiance {
+  public:
+    SeenRadiance(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views)
+        : t_(t), samples_(samples), record_(record), views_(views) {}
+
+    void run() {
+        for (int64_t first = 0, end; first < views_.count; first = end) {
+            for (end = first; end < views_.count && end < first + LANES && views_.source[end] == views_.source[first];) ++end;
+            shade(first, int(end - first));
+        }
+    }
+
+  private:
+    const Tables& t_;
+    const LensSamples& samples_;
+    const HitRecord& record_;
+    const ViewRows& views_;
+
+    // Up to eight views of one hit.
+    void shade(int64_t first, int count) {
+        const int32_t source = views_.source[first], hit = views_.place[source];
+        const float* const own = samples_.radiance + source;
+        Vec3 light = {all(own[0]), all(own[samples_.count]), all(own[2 * samples_.count])};
+        if (hit >= 0) light = radiance(hit, outgoing(first, count));
+        for (int lane = 0; lane < count; ++lane) {
+            float* const to = views_.outgoing + first + lane;
+            to[0] = light.x[lane], to[views_.columns] = light.y[lane], to[2 * views_.columns] = light.z[lane];
+        }
+    }
+    Vec3 outgoing(int64_t first, int count) const {
+        Vec3 found;
+        for (int lane = 0; lane < LANES; ++lane) {
+            const float* const from = views_.outgoing + first + (lane < count ? lane : count - 1);
+            found.x[lane] = from[0], found.y[lane] = from[views_.columns], found.z[lane] = from[2 * views_.columns];
+        }
+        return found;
+    }
+    Vec3 radiance(int32_t hit, Vec3 outgoing) const {
+        const int64_t columns = record_.light.hit_columns;
+        const float* const emitted = record_.emission + hit;
+        Vec3 light = {all(emitted[0]), all(emitted[columns]), all(emitted[2 * columns])};
+        if (!t_.plain_emission) {
+            const Hits at = {all(record_.triangle[hit]), all(record_.distance[hit]), all(record_.u[hit]), all(record_.v[hit])};
+            light = emission(t_, at, all(record_.light.surface[FRONT_ROW * columns + hit]), outgoing, all(-1));
+        }
+        return light + reflected(t_, record_.light, hit, outgoing);
+    }
+};
+
+inline void add_views(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views, const OwnSamples& own,
+                      const float* density, float* radiance, float* weight) {
+    const int64_t count = samples.count;
+    float* const scale = views.scale;
+    for (int64_t i = 0; i < count; ++i) scale[i] = own.density[i] * (own.transmittance ? own.transmittance[i] : 1.0f);
+    for (int64_t view = 0; view < views.count; ++view) scale[views.source[view]] += density[view] * views.jacobian[view];
+    for (int64_t i = 0; i < count; ++i) {
+        scale[i] = scale[i] > 0.0f ? 1.0f / scale[i] : 0.0f;
+        const float passing = own.passing[i] * (own.transmittance ? own.transmittance[i] : 1.0f);
+        weight[i] = samples.weight[i] > 0.0f ? passing * scale[i] : 0.0f;
+        for (int channel = 0; channel < 3; ++channel) radiance[channel * count + i] = samples.radiance[channel * count + i] * weight[i];
+    }
+    SeenRadiance(t, samples, record, views).run();
+    for (int64_t first = 0; first < views.count; first += LANES) {
+        const int size = views.count - first < LANES ? int(views.count - first) : LANES;
+        const Int source = first_lanes(size) ? load<Int>(views.source + first) : all(0);
+        const Float share = or_zero(load<Float>(views.passing + first) * load<Float>(views.jacobian + first) * gather(scale, source));
+        const auto seen = [&](int channel) { return or_zero(load<Float>(views.outgoing + channel * views.columns + first) * share); };
+        const Float channels[3] = {seen(0), seen(1), seen(2)};
+        for (int lane = 0; lane < size; ++lane) {
+            const int32_t viewer = views.viewer[first + lane];
+            weight[viewer] += share[lane];
+            for (int channel = 0; channel < 3; ++channel) radiance[channel * count + viewer] += channels[channel][lane];
+        }
+    }
+}
+
+}  // namespace BOKEHGUIDE_ISA

@@ -1,0 +1,198 @@
+"""Agreement of the native core and PyTorch on mixtures of shapes on the lens, and on the reuse of primary hits."""
+
+from copy import deepcopy
+from dataclasses import replace
+from functools import cache
+
+import pytest
+import torch
+from torch import Tensor
+
+from bokehguide.guiding.emitter_guide import EmitterGuide
+from bokehguide.guiding.light_sampler import LearnedLightSampler
+from bokehguide.guiding.pixel_reuse import PixelPathReuse, PixelReuse
+from bokehguide.models.ellipse_mixture import EllipseMixture
+from bokehguide.models.native_mixture import NativeEllipseMixture
+from bokehguide.runtime import native
+from bokehguide.runtime.timer import PhaseTimer
+from bokehguide.scene import Overrides, load_scene
+from bokehguide.scene.types import Aperture, Camera
+from bokehguide.train import RenderLoop, RenderSettings
+from tests.support import scenes
+from tests.support.guides import mixture_of, pixel_batch, pytorch_mixture
+from tests.support.native_cases import core, feature_scene
+from tests.support.sharing_cases import step_of, terrace
+
+WIDTH, HEIGHT = 64, 36
+STEPS = 5
+HEPTAGON = Aperture(blades=7, rotation=20.0, ratio=1.4, cat_eye=0.6)
+MIXTURES = ("fairy-lights", "night-street", "emitters", "emitters, heptagon")
+REUSE = ("terrace", "sheets", "textures", "coats", "lamps", "suns", "hidden sky", "emitters, heptagon")
+
+
+@cache
+def loop_of(name: str) -> RenderLoop:
+    """A loop that has learned for some steps in the native core."""
+    core()
+    name, _, aperture = name.partition(", ")
+    if name == "terrace":
+        scene = terrace(WIDTH, HEIGHT)
+    elif name == "emitters":
+        scene = scenes.emitters(WIDTH, HEIGHT)
+    elif name in ("fairy-lights", "night-street"):
+        scene = load_scene(name, Overrides(width=WIDTH, height=HEIGHT))
+    else:
+        film = replace(feature_scene(name).film, width=WIDTH, height=HEIGHT)
+        camera = Camera((0.0, 1.0, 2.9), (0.0, 0.5, 0.0), fov=45.0, aperture_radius=0.1, focus_distance=1.4)
+        scene = replace(feature_scene(name), film=film, camera=camera)
+    if aperture:
+        scene = replace(scene, camera=replace(scene.camera, aperture=HEPTAGON))
+    loop = RenderLoop(scene, RenderSettings("guided", threads=1))
+    for _ in range(STEPS):
+        loop.step()
+    return loop
+
+
+def guide_of(name: str) -> EmitterGuide:
+    guide = loop_of(name).mode.lens
+    assert isinstance(guide, EmitterGuide)
+    return guide
+
+
+@cache
+def both(name: str) -> tuple[NativeEllipseMixture, EllipseMixture]:
+    """The mixtures of all pixels in the native core and in PyTorch."""
+    guide = guide_of(name)
+    batch = pixel_batch(guide)
+    found = mixture_of(guide, batch)
+    assert isinstance(found, NativeEllipseMixture)
+    return found, pytorch_mixture(guide, batch)
+
+
+def numbers(seed: int) -> Tensor:
+    return torch.rand(3, WIDTH * HEIGHT, generator=torch.Generator().manual_seed(seed)).clamp(1e-6, 1.0 - 1e-6)
+
+
+def differing(found: Tensor, expected: Tensor, tolerance: float) -> float:
+    """Share of entries that differ by more than a relative tolerance."""
+    return float(((found - expected).abs() > tolerance * expected.abs() + 1e-30).double().mean())
+
+
+@pytest.mark.parametrize("name", MIXTURES)
+def test_shapes_and_weights_agree(name):
+    found, expected = both(name)
+    assert len(expected.weight) > 1000 or name.startswith("emitters")
+    assert torch.equal(found.guided, expected.guided) and torch.equal(found.beta, expected.beta)
+    assert torch.equal(found.owner, expected.owner)
+    for field in ("expected_contribution", "weight"):
+        assert differing(getattr(found, field), getattr(expected, field), 1e-4) <= 2e-3, field
+        assert differing(getattr(found, field), getattr(expected, field), 1e-2) == 0.0, field
+
+
+@pytest.mark.parametrize("name", MIXTURES)
+def test_lens_points_agree(name):
+    found, expected = both(name)
+    radius, drawn = found.lens.radius, 0
+    for seed in range(8):
+        one, other = found.sample(numbers(seed)), expected.sample(numbers(seed))
+        assert one.candidate is not None and other.candidate is not None
+        assert (one.candidate != other.candidate).double().mean() <= 1e-3
+        same = one.candidate == other.candidate
+        off = (one.points - other.points)[:, same].abs().amax(0) > 1e-4 * radius
+        assert off.double().mean() <= 1e-3
+        drawn += int((other.candidate >= 0).sum())
+    assert drawn > 1000
+
+
+@pytest.mark.parametrize("name", MIXTURES)
+def test_densities_agree(name):
+    """At lens points of the mixture, and at points anywhere on the lens plane."""
+    found, expected = both(name)
+    anywhere = found.lens.radius * 1.2 * (2.0 * numbers(9)[:2] - 1.0)
+    for points in (expected.sample(numbers(3)).points, expected.sample(numbers(4)).points, anywhere):
+        one, other = found.evaluate(points), expected.evaluate(points)
+        for field in ("components", "mixture", "density"):
+            assert differing(getattr(one, field), getattr(other, field), 1e-3) <= 3e-3, field
+        assert torch.equal(found.pdf(points), one.density)
+
+
+@pytest.mark.parametrize("name", ("night-street", "emitters, heptagon"))
+def test_the_mixture_of_a_pixel_does_not_depend_on_its_batch(name):
+    guide, whole = guide_of(name), both(name)[0]
+    part = slice(7, WIDTH * HEIGHT - 5)
+    alone = mixture_of(guide, pixel_batch(guide, part))
+    assert isinstance(alone, NativeEllipseMixture)
+    uniforms, every = numbers(5), whole.sample(numbers(5)).points
+    points = alone.sample(uniforms[:, part]).points
+    assert torch.equal(points, every[:, part])
+    assert torch.equal(alone.pdf(points), whole.pdf(every)[part])
+
+
+def test_both_instruction_sets_give_the_same_bits_of_mixtures():
+    if not core().use_avx2(True):
+        pytest.skip("the processor has one instruction set")
+    guide = guide_of("night-street")
+    results = []
+    try:
+        for modern in (True, False):
+            core().use_avx2(modern)
+            mixture = mixture_of(guide, pixel_batch(guide))
+            points = mixture.sample(numbers(6)).points
+            results.append((points, mixture.pdf(points), mixture.weight))
+    finally:
+        core().use_avx2(True)
+    assert all(torch.equal(one, other) for one, other in zip(*results))
+
+
+@pytest.mark.parametrize("name", REUSE)
+def test_reused_samples_agree(name, monkeypatch):
+    """Radiance and weights of the pixels of one step, by both forms, from the same primary hits."""
+    loop = loop_of(name)
+    assert isinstance(loop.mode.reuse, PixelReuse)
+    step = step_of(loop, seed=5)
+    reuse = PixelPathReuse(loop.camera, loop.tracer, loop.film.width, 5)
+    found, rays = reuse.reuse(step.samples, PhaseTimer()), step.samples.paths.rays
+    monkeypatch.setattr("bokehguide.guiding.pixel_reuse.native_reuse", lambda *_: None)
+    expected = reuse.reuse(step.samples, PhaseTimer())
+    assert step.samples.paths.rays - rays > 1000 or name == "hidden sky"
+    assert differing(found.weight, expected.weight, 1e-3) <= 2e-3
+    assert differing(found.radiance, expected.radiance, 1e-3) <= 4e-3
+    assert float((found.weight - step.samples.drawn.weight).abs().max()) > 0.1
+
+
+@pytest.mark.parametrize("consecutive", (True, False))
+def test_sums_of_learning_agree(consecutive, monkeypatch):
+    """Sums of light samples and of the control variate, with values that are not finite, and the corrected radiance."""
+    loop, generator = loop_of("fairy-lights"), torch.Generator().manual_seed(3)
+    lights = loop.mode.lights.sampler
+    assert isinstance(lights, LearnedLightSampler) and isinstance(loop.mode.reuse, PixelReuse)
+    control, count = deepcopy(loop.mode.reuse.control_variate), WIDTH * HEIGHT - 200
+    places = slice(100, 100 + count) if consecutive else torch.randperm(WIDTH * HEIGHT, generator=generator)[:count].sort().values
+    radiance, weight = torch.rand(3, count, generator=generator), 3.0 * torch.rand(count, generator=generator)
+    radiance[1, 7], weight[8], radiance[2, 9] = torch.nan, torch.inf, -torch.inf
+    control.coefficients.copy_(torch.randn(control.coefficients.shape, generator=generator))
+    tiles, clusters = lights.probability.shape
+    samples = [
+        torch.randint(low, high, (count,), generator=generator, dtype=torch.int32) for low, high in ((0, tiles), (-1, clusters))
+    ]
+    samples += [(8.0 * torch.rand(count, generator=generator)).exp(), torch.rand(count, generator=generator)]
+    samples[2][:2] = torch.tensor((torch.nan, torch.inf))
+    results = []
+    for form in ("1", "0"):
+        monkeypatch.setenv(native.SWITCH, form)
+        control.mine.zero_(), lights.mine.zero_()
+        corrected = control.corrected(places, radiance, weight)
+        lights.add(*samples)
+        results.append((corrected, control.mine.clone(), lights.mine.clone()))
+    lights.mine.zero_()
+    for found, expected in zip(*results):
+        torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-9, equal_nan=True)
+
+
+def test_pytorch_takes_over_where_the_core_is_switched_off(monkeypatch):
+    monkeypatch.setenv(native.SWITCH, "0")
+    with RenderLoop(terrace(WIDTH, HEIGHT), RenderSettings("guided", threads=1)) as loop:
+        for _ in range(2):
+            loop.step()
+        guide = loop.mode.lens
+        assert isinstance(guide, EmitterGuide) and isinstance(mixture_of(guide), EllipseMixture)
