@@ -1,0 +1,1 @@
+"""The page of `bokehguide view`: an interactive picture in the browser."""
