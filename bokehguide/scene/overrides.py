@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +90,7 @@ class Overrides:
     @property
     def given(self) -> dict[str, Any]:
         """The values that are not None, by name."""
-        return {key: value for key, value in asdict(self).items() if value is not None}
+        return {key: value for key, value in vars(self).items() if value is not None}
 
     @property
     def focus(self) -> Focus | None:
@@ -109,7 +109,7 @@ class Overrides:
         return {key: option_text(value) for key, value in (size | given).items()}
 
     def _options(self) -> _Options:
-        return _Options(self.given, "", "", asdict(self))
+        return _Options(self.given, "", "", vars(self))
 
 
 class _Options(Table):

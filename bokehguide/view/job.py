@@ -9,13 +9,15 @@ from dataclasses import replace
 from bokehguide.render import PathTracer
 from bokehguide.scene import FilmSettings, Scene
 from bokehguide.train import RenderLoop, RenderSettings, StepStats
+from bokehguide.train.scheduler import Batches
 from bokehguide.view.state import ViewState
 from bokehguide.view.workers import StoppableWorkers
 
 COARSE_PIXELS = 6_000
 """Largest number of pixels of the first picture where nothing is known about the speed."""
-BATCH_PIXELS = 28_800
-"""Pixels of a batch. A change waits for the batches that have begun. The batches change no bit of the picture."""
+BATCH_PIXELS, LEAST_BATCH = 7_200, 2_400
+"""Pixels of a batch, and the least number of them. A change waits for the batches that have begun, some 50 ms. The batches change
+no bit of the picture."""
 PREVIEW_SPP = 32
 """Samples per pixel after which the picture rests, until a render is asked for."""
 
@@ -75,8 +77,8 @@ class Job:
 
     def _next_loop(self) -> RenderLoop:
         film, *self._sizes = self._sizes
-        # The number of threads of the settings cuts a step into batches; the workers have their own number.
-        batches = max(self._workers.threads, film.width * film.height // BATCH_PIXELS)
-        loop = RenderLoop(replace(self.scene, film=film), replace(self._settings, threads=batches), tracer=self.tracer)
+        loop = RenderLoop(replace(self.scene, film=film), self._settings, tracer=self.tracer)
         loop.workers = self._workers
+        count = max(self._workers.threads, film.width * film.height // BATCH_PIXELS)
+        loop.batches = Batches(count, loop.mode.lens.paths_per_sample, LEAST_BATCH)
         return loop
