@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import webbrowser
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from bokehguide.cli.memory import describe, explained
 from bokehguide.cli.pictures import chosen_exposure
 from bokehguide.cli.render import overrides_from, print_warnings
 from bokehguide.cli.terminal import clear_stage, say
+from bokehguide.image.oidn import has_denoiser
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import load_scene
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
 
 def make_session(options: argparse.Namespace, source: Source) -> Session:
     """The session of a scene with the values of the options."""
-    halves = importlib.util.find_spec("mitsuba_oidn") is not None
+    halves = has_denoiser()
     exposure = chosen_exposure(options.exposure, source.scene.film.exposure)
     denoise = halves and not options.noisy
     state = ViewState(source.overrides, options.mode, options.spp, options.seed, exposure, options.view, denoise)

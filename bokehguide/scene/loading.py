@@ -63,10 +63,9 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
 
 
 def override_scene(scene: Scene, overrides: Overrides) -> Scene:
-    """`scene` with a camera, a film and an environment by `overrides`, without focus on a point or an object. Meshes and materials
-    are the same objects.
+    """`scene` with a camera, a film and an environment by `overrides`, except the focus on a point or an object.
 
-    Raises BokehguideError for a value out of range.
+    Meshes and materials are the same objects. Raises BokehguideError for a value out of range.
     """
     scene, chosen = _with_camera(override_environment(scene, overrides), overrides, SceneFiles(Path(), True))
     return replace(scene, camera=chosen.camera, film=override_film(scene.film, overrides))

@@ -193,7 +193,7 @@ def override_environment(scene: Scene, overrides: Overrides) -> Scene:
     if overrides.environment_rotation is not None:
         if environment is None:
             raise BokehguideError(
-                f"--environment-rotation: {overrides.environment_rotation:g}: the scene has no environment; give --environment too"
+                f"--environment-rotation: {overrides.environment_rotation:g}: there is no environment; give --environment too"
             )
         environment = replace(environment, rotation=overrides.environment_rotation)
     if environment is scene.environment:

@@ -32,11 +32,19 @@ def reduced_sizes(film: FilmSettings, pixels: float = COARSE_PIXELS) -> list[Fil
 class Job:
     """The steps of the pictures of one traced state: one step at each reduced size, then the full size.
 
-    scene: with the overrides of the state. tracer: of the scene. halves: whether the film keeps halves, for a denoiser. pixels: of
-    the first picture at most. loop: of the present size. curve: numbers of steps and estimated MAPE at the full size.
+    scene: with the overrides of the state. tracer: of the scene. halves: whether the film keeps halves, for a denoiser.
+    pixels: of the first picture at most. loop: of the present size. curve: numbers of steps and estimated MAPE at the full size.
     """
 
-    def __init__(self, scene: Scene, state: ViewState, tracer: PathTracer, workers: StoppableWorkers, halves: bool, pixels: float = COARSE_PIXELS):
+    def __init__(
+        self,
+        scene: Scene,
+        state: ViewState,
+        tracer: PathTracer,
+        workers: StoppableWorkers,
+        halves: bool,
+        pixels: float = COARSE_PIXELS,
+    ):
         self.traced = state.traced
         self.scene, self.tracer = scene, tracer
         self._workers = workers

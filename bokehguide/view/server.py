@@ -75,7 +75,9 @@ class ViewServer:
             self._port = self._ready.result()
         except OSError as error:
             reason = error.strerror or str(error)
-            raise BokehguideError(f"view: cannot listen on {self.host}:{self._port} ({reason}); give another --port or --host") from None
+            raise BokehguideError(
+                f"view: cannot listen on {self.host}:{self._port} ({reason}); give another --port or --host"
+            ) from None
         self._shown.start(self.send)
 
     @property

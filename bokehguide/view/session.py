@@ -52,6 +52,7 @@ class Exhibit(Protocol):
 
     def greeting(self) -> list[Message]:
         """The messages for a browser that connects."""
+        ...
 
     def handle(self, request: Mapping[str, Any]) -> Message | Future[Message] | None:
         """Follow a request of a page; returns the answer for this page. Raises BokehguideError."""

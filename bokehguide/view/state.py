@@ -15,7 +15,7 @@ import numpy as np
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import FARTHEST_FOCUS, VIEWS
 from bokehguide.scene import BUILTIN, Aperture, Overrides, Scene
-from bokehguide.scene.cameras import FOCUS_KEYS, focal_length
+from bokehguide.scene.cameras import focal_length
 from bokehguide.scene.loading import MODEL_SUFFIXES, override_scene
 from bokehguide.scene.overrides import APERTURE, NO_OVERRIDES
 from bokehguide.scene.tables import EXPOSURE, Table, did_you_mean
@@ -57,7 +57,10 @@ class ViewState:
 
 @dataclass(frozen=True)
 class Source:
-    """The scene as it was loaded. scene: with the `overrides` of the command line. spec: its name or path; empty for a `Scene`."""
+    """The scene as it was loaded.
+
+    scene: with the `overrides` of the command line. spec: its name or path; empty for a `Scene` of Python.
+    """
 
     scene: Scene
     overrides: Overrides = NO_OVERRIDES
@@ -224,7 +227,7 @@ CHANGES: dict[str, Callable[[ViewState, Source, Any], ViewState]] = {
 
 
 def values_of(state: ViewState, source: Source) -> dict[str, Any]:
-    """The values of all controls. None is a pinhole's f-number, an infinite focus distance, a metered exposure, no environment."""
+    """The values of all controls. None: a pinhole's f-number, infinite focus, a metered exposure, no environment."""
     scene = source.scene_of(state.overrides)
     camera, environment = scene.camera, scene.environment
     shape = camera.aperture or Aperture()
@@ -258,7 +261,7 @@ def scene_file(state: ViewState, source: Source, folder: Path, name: str) -> str
     Raises BokehguideError for a scene of Python, which has no file.
     """
     if not source.spec:
-        raise BokehguideError(f"{source.scene.name}: is a scene in Python, which a scene file cannot name; save the picture instead")
+        raise BokehguideError(f"{source.scene.name}: a scene file cannot name a scene of Python; save the picture instead")
     values, outside = dict(state.overrides.given), source.allow_outside
     base = source.spec
     if base not in BUILTIN:

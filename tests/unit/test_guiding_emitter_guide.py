@@ -200,7 +200,9 @@ def test_the_smallest_parallelograms_have_their_radiance():
 def test_proposals_are_larger_than_their_emitters_by_the_scale():
     scene = scenes.emitters(WIDTH, HEIGHT)
     camera = ThinLensCamera(scene.camera, WIDTH, HEIGHT)
-    one, other = (emitter_proposals(scene, find_emitters(scene), camera, GuidedConfig(emitter_scale=scale)) for scale in (1.0, 1.2))
+    one, other = (
+        emitter_proposals(scene, find_emitters(scene), camera, GuidedConfig(emitter_scale=scale)) for scale in (1.0, 1.2)
+    )
     torch.testing.assert_close(other.field.radius, 1.2 * one.field.radius)
     torch.testing.assert_close(other.outlines, 1.44 * one.outlines)
 

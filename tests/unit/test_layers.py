@@ -22,6 +22,7 @@ LAYERS = (
     ("train",),
     ("evaluation",),
     ("picture",),
+    ("view",),
     ("cli",),
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}

@@ -37,7 +37,7 @@ def read_derived(path: Path, tables: dict[str, Any], files: SceneFiles) -> Deriv
     if base not in BUILTIN:
         base = str(files.named(root, "base"))
     table = Table(root.values.get("overrides", {}), str(path), "overrides", (*KEYS, "exposure"))
-    values = {key: tuple(value) if isinstance(value, list) else value for key, value in table.values.items()}
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in table.values.items()}
     exposure = table.number("exposure", 0.0, EXPOSURE) if "exposure" in table else None
     values.pop("exposure", None)
     maps = ["environment"] if table.text("environment").endswith((".hdr", ".exr")) else []

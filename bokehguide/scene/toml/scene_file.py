@@ -30,9 +30,7 @@ DEEP_KEY = re.compile(rf"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*
 OBJECT_KEYS = ("name", "shape", "file", "material", "translate", "rotate", "scale")
 
 
-def read_scene_file(
-    path: Path, tables: dict[str, Any], overrides: Overrides, files: SceneFiles
-) -> tuple[Scene, ChosenCamera]:
+def read_scene_file(path: Path, tables: dict[str, Any], overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
     """The scene of a `.toml` file with the given tables, and its camera with `overrides`. Paths are relative to the file.
 
     files: the files that the scene may name. Raises BokehguideError naming file, field, value and
