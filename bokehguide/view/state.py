@@ -25,6 +25,7 @@ from bokehguide.train import MODES
 
 LAYERS = ("picture", "depth", "normal", "albedo", "variance", "beta", "emitters")
 """Layers of the picture that the page can show; the last two exist in modes that learn."""
+WORLD_UP = (0.0, 1.0, 0.0)
 MAX_SPP = 2**20
 OPENING = ("f_number", "aperture_radius", "fov")
 """Overrides that give the radius of the lens together."""
@@ -84,7 +85,7 @@ class Source:
         if all(getattr(overrides, key) == getattr(self.overrides, key) for key in OPENING):
             left_out = (*LOADED, *OPENING)  # an f-number without a field of view counts with the focal length of a scene file
         if self.is_model and overrides.camera_position is not None:  # such a model has no other key of its own camera
-            scene = replace(scene, camera=replace(scene.camera, up=(0.0, 1.0, 0.0)))
+            scene = replace(scene, camera=replace(scene.camera, up=WORLD_UP))
         return override_scene(scene, Overrides(**{key: value for key, value in given.items() if key not in left_out}))
 
 
@@ -155,8 +156,13 @@ def _set_focus(state: ViewState, source: Source, value: Any) -> ViewState:
 
 
 def _set_fov(state: ViewState, source: Source, value: Any) -> ViewState:
-    """Degrees. The f-number stays, and so does the focus: a model's camera focuses on the middle of its field of view."""
+    """Degrees. The f-number stays, and so does the focus: a model's camera focuses on the middle of its field of view.
+
+    The place becomes explicit for a model, as the camera that frames a model stands where its field of view fits.
+    """
     camera = source.scene_of(state.overrides).camera
+    if source.is_model and camera.up == WORLD_UP:
+        state = moved(state, source, camera.position, camera.target)
     opening = {"aperture_radius": 0.0} if camera.aperture_radius == 0.0 else {"f_number": camera.f_number}
     return with_overrides(state, fov=_number(value, "field of view"), focus_distance=camera.focus_distance, **opening)
 
