@@ -42,7 +42,7 @@ class Job:
         state: ViewState,
         tracer: PathTracer,
         workers: StoppableWorkers,
-        halves: bool,
+        halves: bool = False,
         pixels: float = COARSE_PIXELS,
     ):
         self.traced = state.traced

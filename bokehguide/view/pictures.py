@@ -17,6 +17,9 @@ from bokehguide.view.job import Job
 from bokehguide.view.preview import QuickDenoiser, quick_display
 from bokehguide.view.state import Source, ViewState, command_line
 
+LAYERS_OF_DATA = ("depth", "normal", "albedo", "variance")
+"""Layers that a film or a file has, whatever the mode has learned."""
+
 
 @dataclass(frozen=True)
 class Shown:

@@ -60,7 +60,7 @@ class ViewServer:
     """
 
     def __init__(self, shown: Exhibit, host: str = "127.0.0.1", port: int = 0):
-        self._shown, self.host, self._port = shown, host, port
+        self.shown, self.host, self._port = shown, host, port
         self.token = None if is_loopback(host) else secrets.token_urlsafe(16)
         self._browsers: list[_Browser] = []
         self._loop = asyncio.new_event_loop()
@@ -78,7 +78,7 @@ class ViewServer:
             raise BokehguideError(
                 f"view: cannot listen on {self.host}:{self._port} ({reason}); give another --port or --host"
             ) from None
-        self._shown.start(self.send)
+        self.shown.start(self.send)
 
     @property
     def address(self) -> str:
@@ -90,7 +90,7 @@ class ViewServer:
         """End the connections, the thread, and the work of what is shown."""
         self._loop.call_soon_threadsafe(self._end.set)
         self._thread.join()
-        self._shown.close()
+        self.shown.close()
 
     def send(self, message: Message) -> None:
         """Send a message to all browsers; any thread may call."""
@@ -173,11 +173,11 @@ class ViewServer:
         from websockets.exceptions import ConnectionClosed
 
         browser = _Browser()
-        for message in await asyncio.to_thread(self._shown.greeting):
+        for message in await asyncio.to_thread(self.shown.greeting):
             browser.put(message)
         self._browsers.append(browser)
         self._tell_roles()
-        self._shown.watch(True)
+        self.shown.watch(True)
         sender = asyncio.create_task(self._send_waiting(connection, browser))
         try:
             async for text in connection:
@@ -189,7 +189,7 @@ class ViewServer:
             self._browsers.remove(browser)
             self._tell_roles()
             if not self._browsers:
-                self._shown.watch(False)
+                self.shown.watch(False)
 
     def _tell_roles(self) -> None:
         for number, browser in enumerate(self._browsers):
@@ -219,7 +219,7 @@ class ViewServer:
                 return
             if request.get("type") not in FREE and self._browsers[0] is not browser:
                 raise BokehguideError("another browser steers; take over to change something")
-            answer = await asyncio.to_thread(self._shown.handle, request)
+            answer = await asyncio.to_thread(self.shown.handle, request)
         except BokehguideError as error:
             browser.put(Message("failure", {"failure": str(error)}))
             return

@@ -23,7 +23,9 @@ def derive(tmp_path):
 
 
 def test_overrides_replace_values_of_the_base(derive):
-    scene = derive('base = "box.toml"\n[overrides]\nf_number = 0.2\nwidth = 16\nheight = 9\nexposure = 1.5\naperture_blades = 6\n')
+    scene = derive(
+        'base = "box.toml"\n[overrides]\nf_number = 0.2\nwidth = 16\nheight = 9\nexposure = 1.5\naperture_blades = 6\n'
+    )
     assert (scene.name, scene.film.width, scene.film.height, scene.film.exposure) == ("derived", 16, 9, 1.5)
     assert scene.camera.f_number == pytest.approx(0.2) and scene.camera.aperture.blades == 6
     assert (scene.camera.focus_distance, len(scene.meshes), scene.film.max_depth) == (3.0, 2, 3)

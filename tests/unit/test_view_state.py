@@ -187,7 +187,9 @@ def test_movements_add_no_roll_and_change_as_asked(kind, sources):
     before = np.subtract(camera.target, camera.position)
     distance, after = np.linalg.norm(before), target - position
     moved_eye, moved_target = not np.allclose(position, camera.position), not np.allclose(target, camera.target)
-    assert (moved_eye, moved_target) == {"orbit": (True, False), "look": (False, True), "dolly": (True, False)}.get(kind, (True, True))
+    assert (moved_eye, moved_target) == {"orbit": (True, False), "look": (False, True), "dolly": (True, False)}.get(
+        kind, (True, True)
+    )
     if kind != "dolly":
         assert np.linalg.norm(after) == pytest.approx(distance)
     if kind in ("pan", "walk", "rise"):
