@@ -171,7 +171,13 @@ class Renderer:
         if self._failed == self._wanted.state:
             return False
         job = self._job
-        return job is None or job.traced != self._wanted.state.traced or not job.done(self._limit()) or not self._is_shown(job)
+        return (
+            self._rendering
+            or job is None
+            or job.traced != self._wanted.state.traced
+            or not job.done(self._limit())
+            or not self._is_shown(job)
+        )
 
     def _limit(self) -> int:
         """Samples per pixel at which the steps end."""

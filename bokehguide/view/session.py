@@ -74,6 +74,8 @@ class Session(Listener):
         self._revision = 0
         self._marked = False
         self._send: Send = lambda message: None
+        self._latest: Message | None = None
+        """The picture that was shown last, for browsers that connect."""
         self._depths = DepthFinder(source.scene)
         self._lock = threading.Lock()
         self._layers: tuple[object, int, dict[str, np.ndarray]] | None = None
@@ -103,7 +105,8 @@ class Session(Listener):
             "follows": False,
         }
         marker = [self._marker()] if self._marked else []
-        return [Message("hello", facts), self._state_message(), *marker]
+        picture = [] if self._latest is None else [self._latest]
+        return [Message("hello", facts), self._state_message(), *picture, *marker]
 
     def handle(self, request: Mapping[str, Any]) -> Message | Future[Message] | None:
         kind = request.get("type")
@@ -115,7 +118,8 @@ class Session(Listener):
             return REQUESTS[kind](self, request)
 
     def shown(self, facts: dict[str, Any], shown: Shown) -> None:
-        self._send(Message("picture", facts, png(shown.image)))
+        self._latest = Message("picture", facts, png(shown.image))
+        self._send(self._latest)
 
     def ended(self, job: Job, state: ViewState) -> None:
         try:

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from bokehguide.cli import main
-from bokehguide.image import read_layers
+from bokehguide.image import Display, read_layers, to_8_bit
 from bokehguide.render import PathTracer
 from bokehguide.scene import FilmSettings, Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
@@ -275,8 +275,6 @@ def test_stopped_workers_begin_no_item():
 
 @pytest.mark.parametrize("view", ["photo", "aces", "srgb"])
 def test_the_quick_view_is_within_a_few_levels(view):
-    from bokehguide.image import Display, to_8_bit
-
     rng = np.random.default_rng(1)
     radiance = (np.exp2(rng.uniform(-9.0, 8.0, (60, 80, 1))) * rng.uniform(0.1, 1.0, (60, 80, 3))).astype(np.float32)
     radiance[0, 0] = np.nan
@@ -292,3 +290,17 @@ def test_the_quick_denoiser_lowers_the_error():
     noisy = (truth * rng.gamma(2.0, 0.5, truth.shape)).astype(np.float32)
     clean = QuickDenoiser()(noisy)
     assert np.abs(clean - truth).mean() < 0.25 * np.abs(noisy - truth).mean()
+
+
+def test_a_render_that_has_all_of_its_samples_writes_its_files_at_once(page):
+    page.rested()
+    page.send(type="render", on=True)
+    assert page.until("note")["note"] == f"wrote box-view.exr and box-view.png, {SPP} SPP"
+
+
+def test_a_browser_that_connects_later_sees_the_latest_picture(box, tmp_path):
+    with served(box, tmp_path, spp=SPP) as server, opened(server) as first:
+        shown = first.rested()
+        with opened(server) as second:
+            assert second.facts["picture"]["exact"]
+            np.testing.assert_array_equal(second.image, shown)

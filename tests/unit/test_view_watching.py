@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def rendered(tmp_path, monkeypatch):
     def render(spp: int) -> None:
         assert main(["render", "box.toml", f"--spp={spp}", "--denoise", f"--out=other-{spp}.exr"]) == 0
         shutil.copy(f"other-{spp}.exr", "next.exr")
-        os.replace("next.exr", "out.exr")
+        Path("next.exr").replace("out.exr")
 
     return render
 

@@ -36,7 +36,7 @@ export class Stage {
     this.fit();
   }
 
-  // As large as the page allows, and never larger than three pixels of the screen for one of the picture.
+  // As large as the page allows, and at most eight pixels of the screen for one of the picture.
   fit() {
     if (!this.size) return;
     const [width, height] = this.size;
@@ -45,7 +45,7 @@ export class Stage {
     const others = narrow ? 0 : [...stage.children].reduce((sum, each) => sum + (each === this.frame ? 0 : each.offsetHeight + 8), 0);
     const room = narrow ? innerHeight * 0.45 : innerHeight - this.frame.getBoundingClientRect().top - others - 24;
     const space = stage.clientWidth - (narrow ? 0 : 32);
-    const scale = Math.max(Math.min(space / width, room / height, 3), 0.1);
+    const scale = Math.max(Math.min(space / width, room / height, 8), 0.1);
     this.frame.style.width = `${Math.floor(width * scale)}px`;
     this.frame.style.height = `${Math.floor(height * scale)}px`;
   }
@@ -63,7 +63,7 @@ export class Stage {
   }
 
   async mark(on, blob) {
-    const pen = this.marker.getContext("2d");
+    const pen = this.marker.getContext("2d", { willReadFrequently: true });
     const image = on && blob ? await createImageBitmap(blob) : null;
     pen.clearRect(0, 0, this.marker.width, this.marker.height);
     if (!image) return;
