@@ -14,7 +14,7 @@ from bokehguide.view.state import ViewState
 from bokehguide.view.workers import StoppableWorkers
 
 COARSE_PIXELS = 6_000
-"""Largest number of pixels of the first picture where nothing is known about the speed."""
+"""Approximate number of pixels of the first picture where nothing is known about the speed."""
 BATCH_PIXELS, LEAST_BATCH = 7_200, 2_400
 """Pixels of a batch, and the least number of them. A change waits for the batches that have begun, some 50 ms. The batches change
 no bit of the picture."""
@@ -23,8 +23,8 @@ PREVIEW_SPP = 32
 
 
 def reduced_sizes(film: FilmSettings, pixels: float = COARSE_PIXELS) -> list[FilmSettings]:
-    """Sizes of the film, each twice as wide as the one before, from one with at most `pixels` pixels to its own."""
-    count = max(0, math.ceil(math.log2(film.width * film.height / pixels) / 2.0))
+    """Sizes of the film, each twice as wide as the one before, from one with about `pixels` pixels to its own."""
+    count = max(0, round(math.log2(film.width * film.height / pixels) / 2.0))
     sizes = [(max(1, round(film.width / 2**n)), max(1, round(film.height / 2**n))) for n in range(count, 0, -1)]
     return [*(replace(film, width=width, height=height) for width, height in sizes), film]
 
@@ -33,7 +33,7 @@ class Job:
     """The steps of the pictures of one traced state: one step at each reduced size, then the full size.
 
     scene: with the overrides of the state. tracer: of the scene. halves: whether the film keeps halves, for a denoiser.
-    pixels: of the first picture at most. loop: of the present size. curve: numbers of steps and estimated MAPE at the full size.
+    pixels: of the first picture, about. loop: of the present size. curve: numbers of steps and estimated MAPE at the full size.
     """
 
     def __init__(

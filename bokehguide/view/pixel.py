@@ -35,6 +35,7 @@ def pixel_facts(loop: RenderLoop, layers: dict[str, np.ndarray], x: float, y: fl
     values = {name: np.asarray(layer[row, column], np.float64).tolist() for name, layer in layers.items()}
     depth = values.pop("depth")
     met = depth < 0.5 * NO_DEPTH
+    beta = loop.guide_images().get("beta")
     confusion = float(coc_diameter(loop.scene.camera, loop.scene.film, depth if met else np.inf))
     return {
         "pixel": [column, row],
@@ -42,7 +43,7 @@ def pixel_facts(loop: RenderLoop, layers: dict[str, np.ndarray], x: float, y: fl
         **values,
         "depth": depth if met else None,
         "confusion": confusion,
-        "beta": float(loop.mode.lens.blend_weights()[row * width + column]),
+        "beta": 0.0 if beta is None else float(beta[row, column, 0]),
         "lens": lens_disc(loop, row * width + column) if loop.camera.lens.radius > 0.0 else None,
     }
 

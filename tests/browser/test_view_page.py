@@ -196,12 +196,11 @@ def test_the_pixel_under_the_pointer_has_values_and_a_lens(browser):
 
 
 def test_the_plane_of_focus_can_be_marked(browser):
-    pen = "const c = document.getElementById('marker'); const pen = c.getContext('2d');"
-    count = f"{pen} return pen.getImageData(0, 0, c.width, c.height).data.some(x => x)"
-    assert not browser.driver.execute_script(count)
+    drawn = "return document.getElementById('marker').toDataURL()"
+    empty = browser.driver.execute_script(drawn)
     browser.changed(lambda: browser.click(0.27, 0.62))
     browser.find("marked").click()
-    browser.until(lambda: browser.driver.execute_script(count))
+    browser.until(lambda: browser.driver.execute_script(drawn) != empty)
 
 
 def test_a_second_browser_watches_until_it_takes_over(browser):

@@ -249,7 +249,7 @@ def test_sizes_double_up_to_the_full_one():
     sizes = [(film.width, film.height) for film in reduced_sizes(FilmSettings(640, 360, max_depth=2))]
     assert sizes == [(80, 45), (160, 90), (320, 180), (640, 360)]
     assert [film.width for film in reduced_sizes(FilmSettings(32, 20))] == [32]
-    assert [film.width for film in reduced_sizes(FilmSettings(9000, 1))] == [4500, 9000]
+    assert [film.width for film in reduced_sizes(FilmSettings(24000, 1))] == [12000, 24000]
     assert all(film.max_depth == 2 for film in reduced_sizes(FilmSettings(640, 360, max_depth=2)))
 
 
