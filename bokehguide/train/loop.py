@@ -99,6 +99,10 @@ class RenderLoop:
         """From now on, render only the `active` pixels of the film, bool `[pixels]`."""
         self._places = indices(active & self._mine_of_film().to(active.device))
 
+    def freeze(self) -> None:
+        """Stop learning."""
+        self._learns = False
+
     @property
     def phases(self) -> dict[str, float]:
         """Seconds of wall time so far, for each phase in PHASES."""

@@ -89,4 +89,6 @@ class Job:
         loop.workers = self._workers
         count = max(self._workers.threads, film.width * film.height // BATCH_PIXELS)
         loop.batches = Batches(count, loop.mode.lens.paths_per_sample, LEAST_BATCH)
+        if self._sizes:  # a reduced size has one step, so that nothing can use what it learns
+            loop.freeze()
         return loop

@@ -200,8 +200,9 @@ class Renderer:
             job = self._job = self._new_job(state)
         if not job.done(self._limit()):
             job.advance()
-        if self._is_due(job, wanted):
-            first = self._sight is None or self._sight.job is not job
+        first = self._sight is None or self._sight.job is not job
+        outdated = self._wanted.state.traced != state.traced
+        if self._is_due(job, wanted) and (first or not outdated):
             self._show(job, wanted)
             if first:
                 self._adapt(time.monotonic() - start)

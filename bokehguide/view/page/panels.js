@@ -4,7 +4,7 @@ const SUPERSCRIPT = new Intl.NumberFormat("en", { notation: "compact", maximumFr
 
 export function showStats(facts) {
   const put = (id, text) => (document.getElementById(id).textContent = text);
-  put("spp", facts.reduction > 1.001 ? `1/${Math.round(facts.reduction)} size` : `${facts.spp} / ${facts.limit}`);
+  put("samples", facts.reduction > 1.001 ? `1/${Math.round(facts.reduction)} size` : `${facts.spp} / ${facts.limit}`);
   put("error", facts.error === null ? "–" : `${(100 * facts.error).toPrecision(2)} %`);
   put("speed", facts.rays_per_second ? `${SUPERSCRIPT.format(facts.rays_per_second)} rays/s` : "–");
   put("seconds", `${facts.seconds.toFixed(1)} s`);
