@@ -8,8 +8,10 @@ from io import BytesIO
 import numpy as np
 import torch
 from PIL import Image
+from torch import Tensor
 
 from bokehguide.image import Display, to_8_bit
+from bokehguide.models.candidates import MAX_CANDIDATES
 from bokehguide.picture import Picture
 from bokehguide.render.film import NO_DEPTH
 from bokehguide.train import RenderLoop, denoise_picture, describe_render
@@ -78,12 +80,29 @@ def finished(job: Job, state: ViewState, source: Source) -> Picture:
 
 def layer_image(loop: RenderLoop, name: str) -> np.ndarray:
     """A layer as uint8 `[H, W, 3]`; a layer that the mode does not learn is black."""
-    if name in ("beta", "emitters"):
-        images = loop.guide_images()
-        wanted = images.get("beta" if name == "beta" else "highlights")
-        shape = (loop.film.height, loop.film.width, 3)
-        return to_8_bit(torch.zeros(shape) if wanted is None else wanted)
+    if name == "emitters":
+        return to_8_bit(emitters_image(loop))
+    if name == "beta":
+        black = torch.zeros(loop.film.height, loop.film.width, 3)
+        return to_8_bit(loop.guide_images().get("beta", black))
     return data_image(name, loop.film.layers())
+
+
+def emitters_image(loop: RenderLoop) -> Tensor:
+    """How many emitters and highlights each pixel may see through the lens, `[H, W, 3]` in 0 … 1, white for MAX_CANDIDATES.
+
+    The places of highlights that the mode has found during the render are red.
+    """
+    height, width = loop.film.height, loop.film.width
+    image, candidates = torch.zeros(height, width, 3), getattr(loop.mode.lens, "candidates", None)
+    if candidates is not None:
+        image += (candidates.counts().reshape(height, width, 1) / MAX_CANDIDATES).sqrt()
+    found = loop.guide_images().get("highlights")
+    if found is not None:  # with a margin around the frame
+        top, left = (found.shape[0] - height) // 2, (found.shape[1] - width) // 2
+        places = found[top : top + height, left : left + width, 0] > 0.0
+        image[places] = torch.tensor([1.0, 0.2, 0.1])
+    return image
 
 
 def data_image(name: str, layers: dict[str, np.ndarray]) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import threading
 import time
@@ -214,6 +215,7 @@ class Renderer:
         """Free the picture."""
         self._finisher.stop()
         self._job = self._sight = None
+        gc.collect()  # the learned fields of some modes refer to each other in circles
 
     def _answer(self) -> None:
         while self._questions:
