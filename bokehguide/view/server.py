@@ -24,10 +24,14 @@ from urllib.parse import parse_qs, urlsplit
 from bokehguide.errors import BokehguideError
 from bokehguide.view.session import FREE, Exhibit, Message
 
+log = logging.getLogger(__name__)
+
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 MAX_REQUEST = 1 << 14
 """Bytes of the longest request of a page."""
 MAX_BROWSERS = 16
+SILENCE = 60.0
+"""Seconds without a sign of life after which a browser counts as gone."""
 POLICY = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; base-uri 'none'"
 
 
@@ -116,7 +120,13 @@ class ViewServer:
         logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a browser that goes away is no news
         try:
             server = await serve(
-                self._talk, self.host, self._port, process_request=self._respond, max_size=MAX_REQUEST, compression=None
+                self._talk,
+                self.host,
+                self._port,
+                process_request=self._respond,
+                max_size=MAX_REQUEST,
+                compression=None,
+                ping_timeout=SILENCE,
             )
         except OSError as error:
             self._ready.set_exception(error)
@@ -222,6 +232,10 @@ class ViewServer:
             answer = await asyncio.to_thread(self.shown.handle, request)
         except BokehguideError as error:
             browser.put(Message("failure", {"failure": str(error)}))
+            return
+        except Exception as error:  # the page goes on
+            log.exception("a request of the page failed")
+            browser.put(Message("failure", {"failure": f"internal error: {error!r}"}))
             return
         if isinstance(answer, Future):
             answer.add_done_callback(lambda future: self._loop.call_soon_threadsafe(_deliver, future, browser))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -77,6 +77,7 @@ class Session(Listener):
         self._latest: Message | None = None
         """The picture that was shown last, for browsers that connect."""
         self._depths = DepthFinder(source.scene)
+        self._marking = ThreadPoolExecutor(1, "marker")
         self._lock = threading.Lock()
         self._layers: tuple[object, int, dict[str, np.ndarray]] | None = None
         self.renderer = Renderer(source, state, self, halves, threads)
@@ -86,6 +87,8 @@ class Session(Listener):
         self.renderer.start()
 
     def close(self) -> None:
+        self._marked = False
+        self._marking.shutdown()
         self.renderer.close()
 
     def watch(self, watched: bool) -> None:
@@ -140,8 +143,8 @@ class Session(Listener):
         self._revision += 1
         self.renderer.update(state, self._revision)
         self._send(self._state_message())
-        if self._marked and before.overrides != state.overrides:
-            self._send(self._marker())
+        if before.overrides != state.overrides:
+            self._mark_later()
 
     def _state_message(self) -> Message:
         facts = {
@@ -170,8 +173,20 @@ class Session(Listener):
 
     def _mark(self, request: Mapping[str, Any]) -> None:
         self._marked = bool(request.get("on"))
-        self._send(self._marker() if self._marked else Message("marker", {"on": False}))
         self._send(self._state_message())
+        if self._marked:
+            self._mark_later()
+        else:
+            self._send(Message("marker", {"on": False}))
+
+    def _mark_later(self) -> None:
+        """Send the marker of the present state, unless another state has replaced it by then."""
+        if self._marked:
+            self._marking.submit(self._send_marker, self.state)
+
+    def _send_marker(self, state: ViewState) -> None:
+        if self._marked and state is self.state:
+            self._send(self._marker())
 
     def _marker(self) -> Message:
         marker = self._depths.marker(self.source.scene_of(self.state.overrides))

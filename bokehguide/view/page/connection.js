@@ -5,6 +5,8 @@ export class Connection {
   constructor(handlers, onStatus) {
     this.handlers = handlers;
     this.onStatus = onStatus;
+    this.queue = []; // changes that wait for the answer to the one before
+    this.waits = false;
     this.open();
   }
 
@@ -13,7 +15,11 @@ export class Connection {
     address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
     this.socket = new WebSocket(address);
     this.socket.binaryType = "arraybuffer";
-    this.socket.onopen = () => this.onStatus(true);
+    this.socket.onopen = () => {
+      this.queue = [];
+      this.waits = false;
+      this.onStatus(true);
+    };
     this.socket.onclose = () => {
       this.onStatus(false);
       setTimeout(() => this.open(), 1000);
@@ -31,9 +37,37 @@ export class Connection {
       picture = new Blob([new Uint8Array(data, 4 + length)], { type: "image/png" });
     }
     this.handlers[facts.type]?.(facts, picture);
+    if (facts.type === "state" || facts.type === "failure") {
+      this.waits = false;
+      this.pump();
+    }
   }
 
+  // Changes go one by one; while one is on its way, later ones of its kind become one.
   send(request) {
+    if (!["set", "move"].includes(request.type)) {
+      this.post(request);
+      return;
+    }
+    const last = this.queue.at(-1);
+    if (last && last.type === "move" && request.type === "move" && last.kind === request.kind) {
+      last.x += request.x;
+      last.y += request.y;
+    } else if (last && last.type === "set" && last.name === request.name) {
+      last.value = request.value;
+    } else {
+      this.queue.push({ ...request });
+    }
+    this.pump();
+  }
+
+  pump() {
+    if (this.waits || this.queue.length === 0) return;
+    this.waits = true;
+    this.post(this.queue.shift());
+  }
+
+  post(request) {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(request));
   }
 }
