@@ -16,7 +16,7 @@ from bokehguide.image import replacing
 from bokehguide.limits import VIEWS
 from bokehguide.scene.tables import did_you_mean
 from bokehguide.train import MODES
-from bokehguide.view.job import Job
+from bokehguide.view.job import PREVIEW_SPP, Job
 from bokehguide.view.motion import move
 from bokehguide.view.pictures import Shown, png
 from bokehguide.view.pixel import pixel_facts
@@ -106,6 +106,7 @@ class Session(Listener):
             "denoiser": self.halves,
             "environment": scene.environment is not None,
             "follows": False,
+            "preview": PREVIEW_SPP,
         }
         marker = [self._marker()] if self._marked else []
         picture = [] if self._latest is None else [self._latest]

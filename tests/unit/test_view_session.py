@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import shlex
 import threading
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -304,3 +305,15 @@ def test_a_browser_that_connects_later_sees_the_latest_picture(box, tmp_path):
         with opened(server) as second:
             assert second.facts["picture"]["exact"]
             np.testing.assert_array_equal(second.image, shown)
+
+
+def test_pictures_of_earlier_states_are_freed(box, tmp_path):
+    with served(box, tmp_path, spp=1) as server, opened(server) as page:
+        jobs = []
+        for number in range(12):
+            page.change(type="set", name="focus_distance", value=2.0 + 0.1 * number)
+            page.until("picture", lambda facts: facts["revision"] == page.facts["state"]["revision"])
+            jobs.append(server.shown.renderer.ask(weakref.ref).result(60))
+        page.rested()
+        assert len({id(job) for job in jobs}) == 12
+        assert sum(job() is not None for job in jobs) <= 2

@@ -17,6 +17,7 @@ const controls = new Controls(send);
 let asked = 0; // time of the open question about a pixel, 0 without one
 let state = null;
 let facts = null;
+let preview = Infinity; // samples per pixel at which a picture rests before a render
 
 function note(text, bad = false) {
   const place = find("note");
@@ -41,6 +42,7 @@ const handlers = {
   hello(message) {
     find("scene").textContent = message.scene;
     document.title = `${message.scene} – bokehguide view`;
+    preview = message.preview ?? Infinity;
     stage.greet(message);
     controls.greet(message);
     const layers = Object.fromEntries(message.layers.map((name) => [name, NAMES[name] ?? name]));
@@ -89,7 +91,7 @@ const handlers = {
 
 // "Render" becomes "Stop" while a render runs, and "Continue" after a stop.
 function showButton() {
-  const begun = facts && state && facts.reduction < 1.001 && facts.spp > 32 && facts.spp < state.values.spp;
+  const begun = facts && state && facts.reduction < 1.001 && facts.spp > preview && facts.spp < state.values.spp;
   find("render").textContent = state?.rendering ? "Stop" : begun ? "Continue" : "Render";
 }
 
