@@ -8,6 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 from bokehguide.errors import BokehguideError
+from bokehguide.runtime.process import return_freed_memory
 from bokehguide.view.job import Job
 from bokehguide.view.pictures import Shown, exact
 from bokehguide.view.state import ViewState
@@ -46,6 +47,7 @@ class Finisher:
 
     def _finish(self, job: Job, state: ViewState, revision: int, stopped: threading.Event) -> None:
         if stopped.wait(REST):
+            return_freed_memory()  # earlier pictures had other sizes
             return
         try:
             shown = exact(job.loop, state)
@@ -54,3 +56,4 @@ class Finisher:
             return
         if not stopped.is_set():
             self._publish(job, state, revision, shown)
+            return_freed_memory()

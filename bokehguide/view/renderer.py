@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 from bokehguide.errors import BokehguideError
 from bokehguide.render import PathTracer
 from bokehguide.runtime.distributed import available_cores
+from bokehguide.runtime.process import return_freed_memory
 from bokehguide.scene import Scene
 from bokehguide.view.finisher import Finisher
 from bokehguide.view.job import COARSE_PIXELS, PREVIEW_SPP, Job
@@ -215,7 +216,8 @@ class Renderer:
         """Free the picture."""
         self._finisher.stop()
         self._job = self._sight = None
-        gc.collect()  # the learned fields of some modes refer to each other in circles
+        gc.collect()
+        return_freed_memory()
 
     def _answer(self) -> None:
         while self._questions:
