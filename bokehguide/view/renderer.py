@@ -31,6 +31,8 @@ LATEST = 0.25
 """Seconds after which a new picture is shown while steps go on."""
 FIRST = 0.09
 """Seconds that the first picture after a change should take; its size follows from the last ones."""
+TRIMMED = 32
+"""Number of changes after which freed memory is returned: pictures of many sizes leave gaps of many sizes."""
 LEAST_COARSE, MOST_COARSE = 3_000, 60_000
 """Bounds of the pixels of a first picture."""
 
@@ -85,6 +87,7 @@ class Renderer:
         self._tracer = PathTracer(source.scene)
         self._rotation = _rotation(source.scene)
         self._job: Job | None = None
+        self._job_count = 0
         self._sight: Sight | None = None
         self._shown_at = 0.0
         self._failed: ViewState | None = None
@@ -169,7 +172,7 @@ class Renderer:
         if self._closed or self._questions:
             return True
         if not (self._watched or self._rendering):
-            return self._job is not None
+            return self._job is not None or self._sight is not None
         if self._failed == self._wanted.state:
             return False
         job = self._job
@@ -232,6 +235,9 @@ class Renderer:
 
     def _new_job(self, state: ViewState) -> Job:
         self._finisher.stop()
+        self._job_count += 1
+        if self._job_count % TRIMMED == 0:
+            return_freed_memory()
         scene = self.source.scene_of(state.overrides)
         if _rotation(scene) != self._rotation:
             self._tracer = PathTracer(scene, geometry=self._tracer.geometry)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import shlex
 import threading
+import time
 import weakref
 from pathlib import Path
 
@@ -317,3 +318,15 @@ def test_pictures_of_earlier_states_are_freed(box, tmp_path):
         page.rested()
         assert len({id(job) for job in jobs}) == 12
         assert sum(job() is not None for job in jobs) <= 2
+
+
+def test_nothing_keeps_a_picture_when_nobody_watches(box, tmp_path):
+    """Also where the last step was abandoned."""
+    with served(box, tmp_path, overrides=Overrides(width=640, height=400), spp=SPP) as server:
+        with opened(server) as page:
+            page.until("picture")
+            job = server.shown.renderer.ask(weakref.ref).result(60)
+        deadline = time.monotonic() + 60.0
+        while job() is not None and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert job() is None
