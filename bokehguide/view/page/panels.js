@@ -90,5 +90,6 @@ function drawDisc(lens) {
   pen.fillStyle = "#7fe0ff";
   const half = canvas.width / 2;
   for (const [x, y] of lens.draws) pen.fillRect(half + x * half - 1, half - y * half - 1, 2, 2);
-  note.textContent = `The lens from behind: brighter is sampled more, up to ${number(lens.highest)} times as often as evenly. Dots: ${lens.draws.length} draws.`;
+  const share = lens.highest < 1.05 ? "this pixel samples it evenly" : `brighter is sampled more, up to ${lens.highest.toPrecision(3)} times as often as evenly`;
+  note.textContent = `The lens from behind: ${share}. Dots: ${lens.draws.length} draws.`;
 }
