@@ -60,7 +60,10 @@ class Browser:
 
     def rest(self, after: int = 0) -> np.ndarray:
         """The exact picture of a revision above `after`, uint8 `[H, W, 3]`."""
-        self.until(lambda: self.data("exact") == "true" and int(self.data("revision")) >= after)
+        # Movements wait for the next frame of the screen, and changes for the answer to the one before.
+        self.driver.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
+        self.until(lambda: self.data("pending") in ("", "0") and int(self.data("state")) >= after)
+        self.until(lambda: self.data("exact") == "true" and self.data("revision") == self.data("state"))
         time.sleep(0.3)  # the picture is drawn when it is decoded
         script = "return document.getElementById('picture').toDataURL('image/png').split(',')[1]"
         return np.asarray(Image.open(BytesIO(base64.b64decode(self.driver.execute_script(script)))).convert("RGB"))

@@ -50,6 +50,7 @@ const handlers = {
   },
   state(message) {
     state = message;
+    document.body.dataset.state = message.revision;
     controls.show(message);
     find("command").value = message.command;
     const layer = document.querySelector(`#layers input[value="${message.values.layer}"]`);

@@ -62,9 +62,11 @@ export class Connection {
   }
 
   pump() {
-    if (this.waits || this.queue.length === 0) return;
-    this.waits = true;
-    this.post(this.queue.shift());
+    if (!this.waits && this.queue.length > 0) {
+      this.waits = true;
+      this.post(this.queue.shift());
+    }
+    document.body.dataset.pending = this.queue.length + (this.waits ? 1 : 0);
   }
 
   post(request) {
