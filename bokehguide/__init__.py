@@ -1,6 +1,7 @@
 """Defocused photographs by path tracing with guided lens sampling.
 
-`bokehguide.render(scene)` renders a scene and returns a `Picture`. The names below are imported when they are first used, so
+`bokehguide.render(scene)` renders a scene and returns a `Picture`. `bokehguide.view(scene)` shows a scene on a page on which its
+depth of field can be set. The names below are imported when they are first used, so
 that `import bokehguide` and `bokehguide --help` do not wait for PyTorch.
 """
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
         load_scene,
     )
     from bokehguide.train import RenderLoop, RenderSettings
+    from bokehguide.view.notebook import view
 
 __version__ = "0.4.0"
 
@@ -50,6 +52,7 @@ __all__ = [
     "Texture",
     "load_scene",
     "render",
+    "view",
 ]
 
 _HOMES = {
@@ -65,8 +68,8 @@ _HOMES = {
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name == "render":  # the package `bokehguide/render/`, which is callable as well
-        return import_module("bokehguide.render")
+    if name in ("render", "view"):  # packages, which are callable as well
+        return import_module(f"bokehguide.{name}")
     return getattr(import_module(_HOMES.get(name, "bokehguide.scene")), name)
 
 

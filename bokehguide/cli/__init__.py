@@ -45,7 +45,7 @@ def _run(arguments: Sequence[str], own_process: bool) -> int:
         terminal.open_streams()
     try:
         options = parse(arguments)
-        if own_process and options.command in ("render", "compare"):
+        if own_process and options.command in ("render", "compare", "view"):
             terminal.show_stages()
         # Imported by name, so that --help and a mistyped option do not wait for torch.
         with explained("the image" if options.command == "metrics" else "the scene"):

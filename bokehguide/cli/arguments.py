@@ -17,6 +17,9 @@ SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml or Mitsuba .xm
 REUSE_HELP = "radius in pixels in which area-restir reuses samples (default: 50, for images 1920 wide)"
 
 
+MODE_NAMES = "uniform|lis|lis-b|lis-o|guided|area-restir|area-restir+lis"
+
+
 class Parser(argparse.ArgumentParser):
     """A parser without abbreviations that reports a mistake in one line, as a BokehguideError."""
 
@@ -47,6 +50,7 @@ def make_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"bokehguide {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_render(commands)
+    _add_view(commands)
     _add_compare(commands)
     _add_develop(commands)
     _add_metrics(commands)
@@ -62,6 +66,27 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     render.add_argument("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as a JSON object")
 
 
+def _add_view(commands: argparse._SubParsersAction) -> None:
+    view = commands.add_parser("view", help="open a page in the browser that shows a scene and sets its depth of field")
+    add = view.add_argument
+    shown = view.add_mutually_exclusive_group(required=True)
+    shown.add_argument("scene", metavar="SCENE", nargs="?", help=SCENE_HELP)
+    watch = "follow a render that runs elsewhere, by the file that it writes"
+    shown.add_argument("--watch", type=exr, metavar="OUT.exr", help=watch)
+    add("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1, this machine alone)")
+    add("--port", type=port, default=8737, metavar="N", help="port to listen on; 0: any free port (default: 8737)")
+    add("--no-browser", action="store_true", help="print the address, and open no browser")
+    add("--mode", default="guided", metavar=MODE_NAMES, help="how the lens is sampled at first (default: guided)")
+    add("--spp", type=positive, default=64, metavar="N", help="samples per pixel of a render (default: 64)")
+    add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
+    add("--seed", type=natural, default=0, metavar="N", help="seed of the random numbers (default: 0)")
+    add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
+    _add_display(add)
+    add("--noisy", action="store_true", help="show the picture without denoising at first")
+    _add_allow_outside(view)
+    _add_overrides(view)
+
+
 def _add_info(commands: argparse._SubParsersAction) -> None:
     info = commands.add_parser("info", help="print a scene as `render` with the same options sees it, and likely mistakes")
     _add_render_options(info)
@@ -73,8 +98,7 @@ def _add_info(commands: argparse._SubParsersAction) -> None:
 def _add_render_options(render: argparse.ArgumentParser) -> None:
     add = render.add_argument
     add("scene", metavar="SCENE", help=SCENE_HELP)
-    names = "uniform|lis|lis-b|lis-o|guided|area-restir|area-restir+lis"
-    add("--mode", default="guided", metavar=names, help="how the lens is sampled (default: guided)")
+    add("--mode", default="guided", metavar=MODE_NAMES, help="how the lens is sampled (default: guided)")
     add("--reuse-radius", type=float, default=50.0, metavar="PX", help=REUSE_HELP)
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
@@ -157,6 +181,7 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     group = command.add_argument_group("camera and light of a model, or overrides of a scene file")
     add = group.add_argument
     add("--environment", metavar="MAP|R,G,B", help="a .hdr or .exr map, or a constant radiance")
+    add("--environment-rotation", type=float, metavar="DEG", help="rotation of the map about +y, anticlockwise from above")
     lens = group.add_mutually_exclusive_group()
     lens.add_argument("--f-number", type=float, metavar="N", help="focal length / diameter of the lens, on the scene's sensor")
     lens.add_argument("--aperture-radius", type=float, metavar="M", help="metres; 0: a pinhole")
@@ -210,6 +235,10 @@ def natural(text: str) -> int:
 
 def threads(text: str) -> int:
     return _whole(text, 1, MAX_THREADS)
+
+
+def port(text: str) -> int:
+    return _whole(text, 0, 65535)
 
 
 def modes(text: str) -> tuple[str, ...]:

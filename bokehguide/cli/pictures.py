@@ -12,7 +12,7 @@ from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, write_exr, write_png
 from bokehguide.render import Film
-from bokehguide.scene.overrides import OVERRIDES
+from bokehguide.scene.overrides import OVERRIDES, option_text
 from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render
 from bokehguide.train.adaptive import HalvesFilm
 
@@ -69,6 +69,5 @@ def command_line(options: argparse.Namespace, spp: int) -> str:
     words = ["bokehguide", "render", options.scene]
     for name, value in (kept | size | {"spp": spp}).items():
         if value is not None:
-            text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-            words.append(f"--{name.replace('_', '-')}={text}")
+            words.append(f"--{name.replace('_', '-')}={option_text(value)}")
     return shlex.join(words + ["--denoise"] * options.denoise + ["--allow-outside"] * options.allow_outside)

@@ -88,7 +88,7 @@ class EmitterGuide(Guide):
         self.to(device)
         self.epoch = self.epoch.cpu()
         self._owned = context.owned.to(device)
-        self._proposals = emitter_proposals(context.scene, self.camera, config)
+        self._proposals = emitter_proposals(context.scene, context.tracer.emitters, self.camera, config)
         self.success_rates = SuccessRates(self.camera, len(self._proposals.field), self.ranks)
         self.register_buffer("unit", torch.tensor(1.0))
         """Unit of luminance for the success rates: the approximate mean luminance of the frame."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from dataclasses import dataclass
 
@@ -17,10 +16,8 @@ from bokehguide.models.emitters.environment import EnvironmentEmitters
 from bokehguide.models.emitters.parallelogram import ParallelogramEmitters
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.scene.emitters import Emitters, find_emitters
+from bokehguide.scene.emitters import Emitters
 from bokehguide.scene.types import Scene
-
-log = logging.getLogger(__name__)
 
 INFINITY = 1e5
 """Distance of emitters at infinity, in focus distances."""
@@ -55,14 +52,12 @@ def no_proposals(scene: Scene, device: torch.device) -> EmitterProposals:
     return EmitterProposals(GaussianField().to(device), torch.zeros(6, 0, device=device), shapes, triangles, False)
 
 
-def emitter_proposals(scene: Scene, camera: ThinLensCamera, config: GuidedConfig) -> EmitterProposals:
-    """The emitters of a scene that a camera sees out of focus."""
+def emitter_proposals(scene: Scene, emitters: Emitters, camera: ThinLensCamera, config: GuidedConfig) -> EmitterProposals:
+    """The `emitters` of a scene that a camera sees out of focus."""
     device = camera.position.device
     if not config.known_emitters:
         return no_proposals(scene, device)
     size_scale = config.emitter_scale
-    log.info("finding the emitters")
-    emitters = find_emitters(scene)
     arrays = (emitters.centres.T, emitters.bounding_radii, emitters.radii, emitters.luminance, emitters.ellipsoids)
     centre, reach, size, bright, outline = (torch.from_numpy(x).float() for x in arrays)
     infinite, axes = torch.from_numpy(emitters.infinite), camera.axes.cpu()

@@ -18,6 +18,15 @@ def require_denoiser() -> ModuleType:
     return mitsuba_oidn
 
 
+def has_denoiser() -> bool:
+    """Whether the module `mitsuba_oidn` is installed."""
+    try:
+        require_denoiser()
+    except BokehguideError:
+        return False
+    return True
+
+
 class Denoiser:
     """Denoises pictures of one view with the same auxiliary layers, which are denoised first (prefiltered).
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import torch
 from torch import Tensor
@@ -26,7 +27,10 @@ from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import divisor, dot, length
 from bokehguide.render.visibility import Arrivals, Visibility
 from bokehguide.runtime.timer import PhaseTimer
+from bokehguide.scene.emitters import Emitters, find_emitters
 from bokehguide.scene.types import Scene
+
+log = logging.getLogger(__name__)
 
 ROULETTE_DEPTH = 4
 """Least number of segments of a path before Russian roulette. Earlier roulette would add noise: a dark diffuse surface would end
@@ -63,16 +67,25 @@ class PathTracer:
 
     light_sampler: light sampler of all vertices; a trace may have another light sampler for primary hits. max_depth: largest
     number of segments of a path; with 1, the camera sees only emission.
+
+    geometry: of another tracer whose scene differs in its lights at infinity alone, to be used again.
     """
 
-    def __init__(self, scene: Scene, device: torch.device | str = "cpu"):
-        self.geometry = Geometry(scene, device)
+    def __init__(self, scene: Scene, device: torch.device | str = "cpu", geometry: Geometry | None = None):
+        self._scene = scene
+        self.geometry = geometry or Geometry(scene, device)
         self.lights = Lights(scene, self.geometry)
         self.light_sampler = PowerLightSampler(self.lights)
         self.visibility = Visibility(self.geometry, scene.meshes)
         self.max_depth = scene.film.max_depth
         self.native = NativeTracer.make(self.geometry, self.lights, self.visibility)
         """The native core for this scene, None where it is missing."""
+
+    @cached_property
+    def emitters(self) -> Emitters:
+        """The emitters of the scene, found when they are first needed."""
+        log.info("finding the emitters")
+        return find_emitters(self._scene)
 
     def trace(
         self,

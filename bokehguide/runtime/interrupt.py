@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from typing import Self
 
 from bokehguide.stopping import NUMBERS, leave_signals_to_handlers
@@ -22,6 +23,11 @@ class Interrupt:
     def requested(self) -> bool:
         """Whether a signal has arrived."""
         return self.signal is not None
+
+    def wait(self) -> None:
+        """Wait for a signal."""
+        while not self.requested:
+            time.sleep(0.2)  # a handler runs between two of these; `signal.pause` misses one that comes just before
 
     def __enter__(self) -> Self:
         leave_signals_to_handlers()

@@ -33,3 +33,12 @@ def _keep_freed_memory() -> None:
         mallopt = ctypes.CDLL(None).mallopt
         for parameter, value in ((TRIM_THRESHOLD, NEVER), (MMAP_THRESHOLD, LARGEST), (ARENA_MAX, 1)):
             mallopt(parameter, value)
+
+
+def return_freed_memory() -> None:
+    """Return freed memory to the system, for programs that rest between pictures of different sizes.
+
+    The function has no effect on other C libraries than glibc.
+    """
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)

@@ -12,7 +12,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.limits import FREE_INSTANCES, FREE_MESHES, MESH_BYTES, most_decoded, most_triangles, most_values
 from bokehguide.scene.tables import Table, shown
 
-KINDS = {"file": "model", "image": "image"}
+KINDS = {"file": "model", "image": "image", "base": "scene", "aperture_image": "image"}
 """The kinds of files by the keys that name them; other keys name textures."""
 
 
@@ -61,7 +61,7 @@ class SceneFiles:
         Raises as `find` and `require_file` do, naming the table's file and the key.
         """
         path = self.find(Path(table.file).parent, table.text(key), table.place(key))
-        if key == "map":
+        if key in ("map", "environment"):
             require_map(path, table.place(key))
         else:
             require_file(path, KINDS.get(key, "texture"), table.place(key))

@@ -103,7 +103,7 @@ def _framed(scene: Scene, meshes: tuple[Mesh, ...], overrides: Overrides, file: 
         emitters = find_emitters(checked(scene, file))  # without triangles of no area
         view = compose(points, sight, emitters, film, fov)
         camera, environment = view.camera, scene.environment
-        if view.rotation and environment is not None:
+        if view.rotation and environment is not None and overrides.environment_rotation is None:
             scene = replace(scene, environment=replace(environment, rotation=environment.rotation + view.rotation))
         if target is None:
             return replace(scene, camera=camera)

@@ -25,11 +25,14 @@ from bokehguide.scene.overrides import (
     override_environment,
     override_film,
 )
+from bokehguide.scene.toml.derived import read_derived
 from bokehguide.scene.types import Scene
 from bokehguide.scene.validation import checked
 
 log = logging.getLogger(__name__)
 
+MAX_BASES = 8
+"""Scene files with a `base` that may lead to each other; a cycle has more."""
 MODEL_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 MODEL_OVERRIDES = ("camera", "variant", "time")
 """Overrides that make sense for a model alone."""
@@ -48,21 +51,27 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
     """
     name = spec.name if isinstance(spec, Scene) else os.fspath(spec)
     suffix = "" if isinstance(spec, Scene) else Path(spec).suffix.lower()
-    for key in MODEL_OVERRIDES:
-        value = getattr(overrides, key)
-        if value is not None and suffix not in MODEL_SUFFIXES:
-            raise BokehguideError(f"--{key}: {value!r}: selects a {key} of a model, but {name} is none; leave it out")
+    _check_model(name, suffix, overrides)
     log.info("loading %s", printable(name, 120))
     files = SceneFiles(Path() if isinstance(spec, Scene) else Path(spec).parent, allow_outside)
     with located(name):
         if isinstance(spec, Scene):
             scene, chosen = _with_camera(override_environment(spec, overrides), overrides, files)
         else:
-            scene, chosen = _read(name, suffix, overrides, files)
+            scene, chosen = _read(name, overrides, files)
         scene = checked(replace(scene, camera=chosen.camera, film=override_film(scene.film, overrides)), name)
         if chosen.focus is not None:
             scene = focused(scene, chosen.focus)
         return replace(scene, likely_mistakes=likely_mistakes(scene, chosen.written))
+
+
+def override_scene(scene: Scene, overrides: Overrides) -> Scene:
+    """`scene` with a camera, a film and an environment by `overrides`, except the focus on a point or an object.
+
+    Meshes and materials are the same objects. Raises BokehguideError for a value out of range.
+    """
+    scene, chosen = _with_camera(override_environment(scene, overrides), overrides, SceneFiles(Path(), True))
+    return replace(scene, camera=chosen.camera, film=override_film(scene.film, overrides))
 
 
 def _with_camera(scene: Scene, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
@@ -76,18 +85,26 @@ def _with_camera(scene: Scene, overrides: Overrides, files: SceneFiles) -> tuple
     return scene, chosen if reshaped else replace(chosen, camera=replace(chosen.camera, aperture=own))
 
 
-def _read(spec: str, suffix: str, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
-    """The scene that `spec` names, and its camera with `overrides`."""
+def _check_model(name: str, suffix: str, overrides: Overrides) -> None:
+    """Raise BokehguideError if `overrides` select a part of a model in a scene that is no model."""
+    for key in MODEL_OVERRIDES:
+        value = getattr(overrides, key)
+        if value is not None and suffix not in (*MODEL_SUFFIXES, ".toml"):
+            raise BokehguideError(f"--{key}: {value!r}: selects a {key} of a model, but {name} is none; leave it out")
+
+
+def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0) -> tuple[Scene, ChosenCamera]:
+    """The scene that `spec` names, and its camera with `overrides`. depth: number of files that lead here by their `base`."""
+    suffix = Path(spec).suffix.lower()
     if spec in BUILTIN:
+        _check_model(spec, "", overrides)
         return _with_camera(override_environment(BUILTIN[spec](), overrides), overrides, files)
     if suffix == ".toml":
-        from bokehguide.scene.toml.scene_file import read_scene_file
-
-        scene, chosen = read_scene_file(Path(spec), overrides, files)
-        return override_environment(scene, overrides), chosen
+        return _read_toml(Path(spec), overrides, files, depth)
     if suffix == ".xml":
         from bokehguide.scene.mitsuba_xml import read_mitsuba
 
+        _check_model(spec, "", overrides)
         scene, chosen = read_mitsuba(Path(spec), overrides, files)
         return override_environment(scene, overrides), chosen
     if suffix in MODEL_SUFFIXES:
@@ -101,3 +118,22 @@ def _read(spec: str, suffix: str, overrides: Overrides, files: SceneFiles) -> tu
         f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, a Mitsuba .xml file, "
         f"or a model ({' '.join(MODEL_SUFFIXES)})"
     )
+
+
+def _read_toml(path: Path, overrides: Overrides, files: SceneFiles, depth: int) -> tuple[Scene, ChosenCamera]:
+    """The scene of a `.toml` file, and its camera with `overrides`."""
+    from bokehguide.scene.toml.scene_file import parse_scene_file, read_scene_file
+
+    tables = parse_scene_file(path, files)
+    if "base" not in tables:
+        _check_model(str(path), "", overrides)
+        scene, chosen = read_scene_file(path, tables, overrides, files)
+        return override_environment(scene, overrides), chosen
+    derived = read_derived(path, tables, files)
+    if depth >= MAX_BASES:
+        raise BokehguideError(f"{path}: base: more than {MAX_BASES} files lead to each other; give the first one's base")
+    merged = overrides.over(derived.overrides)
+    scene, chosen = _read(str(derived.base), merged, files, depth + 1)
+    film = override_film(scene.film, merged)
+    film = film if derived.exposure is None else replace(film, exposure=derived.exposure)
+    return replace(scene, name=path.stem, film=film), chosen

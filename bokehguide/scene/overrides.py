@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,23 @@ from bokehguide.scene.apertures import KEYS as APERTURE_KEYS
 from bokehguide.scene.cameras import FOCUS_KEYS, Focus, read_camera, read_focus
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.tables import ANGLE_OF_VIEW, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
+from bokehguide.scene.tables import ANGLE_OF_VIEW, ANY, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
 from bokehguide.scene.types import Camera, Environment, FilmSettings, ModelState, Scene, Vector
 
-NUMBERS = {"f_number": POSITIVE, "aperture_radius": NOT_NEGATIVE, "focus_distance": IN_FRONT, "fov": ANGLE_OF_VIEW}
+NUMBERS = {
+    "f_number": POSITIVE,
+    "aperture_radius": NOT_NEGATIVE,
+    "focus_distance": IN_FRONT,
+    "fov": ANGLE_OF_VIEW,
+    "environment_rotation": ANY,
+}
+RIVALS = (
+    ("f_number", "aperture_radius"),
+    ("focus_distance", "focus_at", "focus_on"),
+    ("camera", "camera_position"),
+    ("camera", "camera_target"),
+)
+"""Overrides of which one at most is given."""
 APERTURE = {key: f"aperture_{key}" for key in APERTURE_KEYS}
 """Overrides of single keys of the table `[camera.aperture]`; `read_aperture` checks them."""
 
@@ -25,7 +38,8 @@ APERTURE = {key: f"aperture_{key}" for key in APERTURE_KEYS}
 class Overrides:
     """Values that replace a scene's own; None keeps the scene's.
 
-    width, height: pixels. environment: the path of a `.hdr` or `.exr` map, or a radiance "R,G,B".
+    width, height: pixels. environment: the path of a `.hdr` or `.exr` map, or a radiance "R,G,B". environment_rotation:
+    of the map, degrees about +y, anticlockwise seen from above.
     f_number: focal length / lens diameter, with the focal length of the field of view on the scene's
     sensor, 36 mm wide by default. aperture_radius, focus_distance, camera_position, camera_target:
     metres. focus_at: focuses on the surface at a point of the frame, in pixels from the top left
@@ -42,6 +56,7 @@ class Overrides:
     width: int | None = None
     height: int | None = None
     environment: str | None = None
+    environment_rotation: float | None = None
     f_number: float | None = None
     aperture_radius: float | None = None
     focus_distance: float | None = None
@@ -63,10 +78,8 @@ class Overrides:
 
     def __post_init__(self) -> None:
         options = self._options()
-        options.exclusive("f_number", "aperture_radius")
-        options.exclusive("focus_distance", "focus_at", "focus_on")
-        options.exclusive("camera", "camera_position")
-        options.exclusive("camera", "camera_target")
+        for names in RIVALS:
+            options.exclusive(*names)
         options.count("width", 1)
         options.count("height", 1)
         options.text("environment")
@@ -82,7 +95,7 @@ class Overrides:
     @property
     def given(self) -> dict[str, Any]:
         """The values that are not None, by name."""
-        return {key: value for key, value in asdict(self).items() if value is not None}
+        return {key: value for key, value in vars(self).items() if value is not None}
 
     @property
     def state(self) -> ModelState:
@@ -94,8 +107,19 @@ class Overrides:
         """What `focus_at` or `focus_on` ask for, None without either."""
         return read_focus(self._options())
 
+    def over(self, other: Overrides) -> Overrides:
+        """These overrides, and the values of `other` that do not contradict them."""
+        rivals = {rival for names in RIVALS for name in names if name in self.given for rival in names}
+        return Overrides(**{key: value for key, value in other.given.items() if key not in rivals} | self.given)
+
+    def options(self) -> dict[str, str]:
+        """The values as texts of command-line options, by the names of the options with underscores."""
+        given = {key: value for key, value in self.given.items() if key not in ("width", "height")}
+        size = {"size": f"{self.width}x{self.height}"} if self.width and self.height else {}
+        return {key: option_text(value) for key, value in (size | given).items()}
+
     def _options(self) -> _Options:
-        return _Options(self.given, "", "", asdict(self))
+        return _Options(self.given, "", "", vars(self))
 
 
 class _Options(Table):
@@ -105,6 +129,11 @@ class _Options(Table):
         """The command-line option for `key`."""
         name = key.replace("_", "-")
         return f"--size ({name})" if key in ("width", "height") else f"--{name}"
+
+
+def option_text(value: Any) -> str:
+    """A value as the text of a command-line option."""
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 NO_OVERRIDES = Overrides()
@@ -164,12 +193,21 @@ def override_film(film: FilmSettings, overrides: Overrides) -> FilmSettings:
 def override_environment(scene: Scene, overrides: Overrides) -> Scene:
     """`scene` with the radiance of the environment from `overrides`.
 
-    The environment keeps its `rotation` and `visible`, but not its intensity.
+    With another radiance, the environment keeps its `visible`, but not its intensity, and its `rotation` unless `overrides` have
+    one. Raises BokehguideError for a rotation of a scene without an environment.
     """
-    if overrides.environment is None:
+    environment, warnings = scene.environment, []
+    if overrides.environment is not None:
+        radiance, warnings = read_radiance(overrides.environment)
+        environment = replace(environment or Environment(radiance), radiance=radiance)
+    if overrides.environment_rotation is not None:
+        if environment is None:
+            raise BokehguideError(
+                f"--environment-rotation: {overrides.environment_rotation:g}: there is no environment; give --environment too"
+            )
+        environment = replace(environment, rotation=overrides.environment_rotation)
+    if environment is scene.environment:
         return scene
-    radiance, warnings = read_radiance(overrides.environment)
-    environment = replace(scene.environment or Environment(radiance), radiance=radiance)
     return replace(scene, environment=environment, warnings=scene.warnings + tuple(warnings))
 
 

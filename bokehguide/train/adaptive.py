@@ -71,10 +71,6 @@ class HalfLoop(RenderLoop):
         """From now on put only samples of `counted` pixels on the film, bool `[pixels]`."""
         self._counted = counted
 
-    def freeze(self) -> None:
-        """Stop learning."""
-        self._learns = False
-
     def _light_so_far(self) -> tuple[float, float]:
         """Includes samples that are not on the film, because the other half decides which samples are on the film."""
         mine = slice(None) if self._share is None else self._share

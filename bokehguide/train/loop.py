@@ -38,6 +38,7 @@ class RenderLoop:
     """Renders a scene step by step. After each step, `film` holds the picture so far.
 
     The loop is a context manager that ends its worker threads.
+    `workers` and `batches`, which cuts the pixels of a step, may be replaced before the first step.
     Random numbers depend on the pixel, and the loop adds reports of batches in the order of the pixels or in double precision.
     The batches and the number of threads therefore change no bit.
 
@@ -69,7 +70,7 @@ class RenderLoop:
         self.step_number = 0
         threads = settings.threads or available_cores()
         self.workers = Workers(threads, device)
-        self._batches = Batches(threads, self.mode.lens.paths_per_sample)
+        self.batches = Batches(threads, self.mode.lens.paths_per_sample)
         self._learns = any(strategy.learns for strategy in self.mode.strategies.values())
         self._phases: Counter[str] = Counter()
         self._mean_luminance = 1.0
@@ -98,6 +99,10 @@ class RenderLoop:
         """From now on, render only the `active` pixels of the film, bool `[pixels]`."""
         self._places = indices(active & self._mine_of_film().to(active.device))
 
+    def freeze(self) -> None:
+        """Stop learning."""
+        self._learns = False
+
     @property
     def phases(self) -> dict[str, float]:
         """Seconds of wall time so far, for each phase in PHASES."""
@@ -111,7 +116,7 @@ class RenderLoop:
             spans = self._spans()
             results = self._in_batches(self._render_batch, spans)
             resampled = self._in_batches(self._resample_batch, self.mode.reuse.second_pass(spans))
-            self._batches.cost([sum(work) for work in zip(*(_work(each) for each in (results, resampled) if each))])
+            self.batches.cost([sum(work) for work in zip(*(_work(each) for each in (results, resampled) if each))])
             if self._learns:
                 timer = PhaseTimer()
                 with timer.measure("learning"):
@@ -223,7 +228,7 @@ class RenderLoop:
         if self._places is not None:
             size = len(self._places)
             cuts = None if cuts is None else np.unique(np.searchsorted(self._places.cpu().numpy(), cuts))
-        return self._batches.spans(size, cuts)
+        return self.batches.spans(size, cuts)
 
     def _in_batches(self, work: Callable[[Pixels], BatchResult], spans: Sequence[slice]) -> list[BatchResult]:
         """Results of `work` for the film's pixels of each span."""

@@ -24,11 +24,12 @@ class Batches:
     `spans` cuts the row by the costs that `cost` has received for the last spans. Costs should be reproducible, such as numbers
     of rays; seconds are not reproducible.
 
-    paths: approximate number of paths of a pixel. The number of pixels of a batch is divided by this number.
+    paths: approximate number of paths of a pixel. The number of pixels of a batch is divided by this number. smallest: number of
+    pixels of a batch, at least, if there are several; None: SMALL_BATCH.
     """
 
-    def __init__(self, threads: int, paths: int = 1):
-        self._threads, self._paths = threads, paths
+    def __init__(self, threads: int, paths: int = 1, smallest: int | None = None):
+        self._threads, self._paths, self._smallest = threads, paths, smallest
         self._most = FIRST_BATCH // paths
         self._cuts = np.zeros(1)
         """Bounds of the spans, as fractions of the row."""
@@ -43,7 +44,7 @@ class Batches:
         if pixels == 0:
             return []
         rounds = math.ceil(pixels / (self._most * self._threads))
-        count = max(min(rounds * self._threads, pixels // SMALL_BATCH), 1)
+        count = max(min(rounds * self._threads, pixels // (self._smallest or SMALL_BATCH)), 1)
         if len(self._cuts) != count + 1:  # another size, or spans merged at equal ends
             self._cuts = np.linspace(0.0, 1.0, count + 1)
         self._longest = LONGEST * self._most * count / pixels

@@ -16,6 +16,7 @@ from bokehguide.models.projection import project_to_lens
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.random import PixelRandom
 from bokehguide.runtime.timer import PhaseTimer
+from bokehguide.scene.emitters import find_emitters
 from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_box, unit_rectangle, unit_sphere
 from bokehguide.scene.types import Environment, Material, Mesh, Scene, Sun
 from bokehguide.train import RenderLoop, RenderSettings
@@ -35,7 +36,7 @@ def rendered(scene: Scene, steps: int, config: GuidedConfig = GuidedConfig()) ->
 
 def proposals(loop: RenderLoop) -> EmitterProposals:
     """The emitters that the loop's guide knows from the start."""
-    return emitter_proposals(loop.scene, loop.camera, loop.settings.guided)
+    return emitter_proposals(loop.scene, loop.tracer.emitters, loop.camera, loop.settings.guided)
 
 
 def test_emitters_are_known_before_the_first_step():
@@ -198,7 +199,9 @@ def test_the_smallest_parallelograms_have_their_radiance():
 def test_proposals_are_larger_than_their_emitters_by_the_scale():
     scene = scenes.emitters(WIDTH, HEIGHT)
     camera = ThinLensCamera(scene.camera, WIDTH, HEIGHT)
-    one, other = (emitter_proposals(scene, camera, GuidedConfig(emitter_scale=scale)) for scale in (1.0, 1.2))
+    one, other = (
+        emitter_proposals(scene, find_emitters(scene), camera, GuidedConfig(emitter_scale=scale)) for scale in (1.0, 1.2)
+    )
     torch.testing.assert_close(other.field.radius, 1.2 * one.field.radius)
     torch.testing.assert_close(other.outlines, 1.44 * one.outlines)
 

@@ -24,6 +24,7 @@ LAYERS = (
     ("mitsuba",),
     ("evaluation",),
     ("picture",),
+    ("view",),
     ("cli",),
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}

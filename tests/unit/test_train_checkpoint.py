@@ -93,9 +93,9 @@ def test_where_batches_were_cut_leaves_no_trace(mode, tmp_path, monkeypatch):
     save_checkpoint(tmp_path / "a.ckpt", onwards(loop, 5), 0.0)
     again = RenderLoop(scene(mode), replace(settings(mode), threads=3))
     load_checkpoint(tmp_path / "a.ckpt", again)
-    again._batches.spans(48 * 27)
-    again._batches.cost([1.0, 3.0, 2.0])
-    assert loop._batches.spans(48 * 27) != again._batches.spans(48 * 27)
+    again.batches.spans(48 * 27)
+    again.batches.cost([1.0, 3.0, 2.0])
+    assert loop.batches.spans(48 * 27) != again.batches.spans(48 * 27)
     assert_same_bits(onwards(loop, 18), onwards(again, 18))
 
 

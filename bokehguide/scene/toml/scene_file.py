@@ -30,13 +30,13 @@ DEEP_KEY = re.compile(rf"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*
 OBJECT_KEYS = ("name", "shape", "file", "variant", "time", "material", "translate", "rotate", "scale")
 
 
-def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
-    """The scene of a `.toml` file, and its camera with `overrides`. Paths are relative to the file.
+def read_scene_file(path: Path, tables: dict[str, Any], overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
+    """The scene of a `.toml` file with the given tables, and its camera with `overrides`. Paths are relative to the file.
 
     files: the files that the scene may name. Raises BokehguideError naming file, field, value and
     remedy for invalid input.
     """
-    root = Table(_parse(path, files), str(path), "", SCENE_KEYS)
+    root = Table(tables, str(path), "", SCENE_KEYS)
     if "camera" not in root:
         root.missing("camera", "add [camera] with position and target")
     warnings: list[str] = []
@@ -58,8 +58,8 @@ def read_scene_file(path: Path, overrides: Overrides, files: SceneFiles) -> tupl
     return scene, chosen
 
 
-def _parse(path: Path, files: SceneFiles) -> dict[str, Any]:
-    """The tables of a TOML file."""
+def parse_scene_file(path: Path, files: SceneFiles) -> dict[str, Any]:
+    """The tables of a TOML file. Raises BokehguideError for a file that is missing, unreadable or no TOML."""
     require_file(path, "scene")
     try:
         text = files.read(path).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")

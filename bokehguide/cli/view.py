@@ -1,0 +1,60 @@
+"""`bokehguide view`."""
+
+from __future__ import annotations
+
+import argparse
+import webbrowser
+from pathlib import Path
+
+from bokehguide.cli.memory import describe, explained
+from bokehguide.cli.pictures import chosen_exposure
+from bokehguide.cli.render import overrides_from, print_warnings
+from bokehguide.cli.terminal import clear_stage, say
+from bokehguide.image.oidn import has_denoiser
+from bokehguide.runtime.interrupt import Interrupt
+from bokehguide.runtime.process import dedicate_process
+from bokehguide.scene import load_scene
+from bokehguide.train import RenderSettings
+from bokehguide.view.server import ViewServer, is_loopback, require_websockets
+from bokehguide.view.session import Exhibit, Session
+from bokehguide.view.state import Source, ViewState
+from bokehguide.view.watching import WatchedFile
+
+
+def run(options: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C or SIGTERM; returns the exit code."""
+    require_websockets()
+    if options.watch:
+        return serve(WatchedFile(options.watch), options)
+    dedicate_process()
+    RenderSettings(options.mode, spp=options.spp, seed=options.seed)  # checks the values
+    scene = load_scene(options.scene, overrides_from(options), options.allow_outside)
+    print_warnings(scene)
+    with explained(describe(scene)):
+        session = make_session(options, Source(scene, overrides_from(options), options.scene, options.allow_outside))
+        return serve(session, options)
+
+
+def make_session(options: argparse.Namespace, source: Source) -> Session:
+    """The session of a scene with the values of the options."""
+    halves = has_denoiser()
+    exposure = chosen_exposure(options.exposure, source.scene.film.exposure)
+    denoise = halves and not options.noisy
+    state = ViewState(source.overrides, options.mode, options.spp, options.seed, exposure, options.view, denoise)
+    return Session(source, state, Path.cwd(), halves, options.threads)
+
+
+def serve(shown: Exhibit, options: argparse.Namespace) -> int:
+    """Show the page until a signal."""
+    server = ViewServer(shown, options.host, options.port)
+    with Interrupt() as interrupt:
+        server.start()
+        clear_stage()
+        whom = "this machine alone" if is_loopback(options.host) else "all who know this address, token included"
+        print(f"{server.address} serves {whom}; Ctrl-C ends")
+        if not options.no_browser:
+            webbrowser.open(server.address)
+        interrupt.wait()
+        server.close()
+    say("ended")
+    return 0

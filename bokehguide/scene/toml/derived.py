@@ -1,0 +1,67 @@
+"""Scene files that name another scene as their `base` and override some of its values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene.builtin import BUILTIN
+from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.overrides import Overrides
+from bokehguide.scene.tables import EXPOSURE, Table
+
+KEYS = tuple(field.name for field in fields(Overrides))
+
+
+@dataclass(frozen=True)
+class DerivedScene:
+    """A scene with overrides. base: a built-in name, or the path of a scene file or of a model. exposure: EV, None for the
+    base's."""
+
+    base: str
+    overrides: Overrides
+    exposure: float | None
+
+
+def read_derived(path: Path, tables: dict[str, Any], files: SceneFiles) -> DerivedScene:
+    """The derived scene of a `.toml` file with the given tables. Paths are relative to the file.
+
+    files: the files that the scene may name. Raises BokehguideError naming file, field, value and remedy for invalid input.
+    """
+    root = Table(tables, str(path), "", ("base", "overrides"))
+    base = root.text("base")
+    if not base:
+        root.fail("base", "names no scene; give a built-in scene, a scene file or a model")
+    if base not in BUILTIN:
+        base = str(files.named(root, "base"))
+    table = Table(root.values.get("overrides", {}), str(path), "overrides", (*KEYS, "exposure"))
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in table.values.items()}
+    exposure = table.number("exposure", 0.0, EXPOSURE) if "exposure" in table else None
+    values.pop("exposure", None)
+    maps = ["environment"] if table.text("environment").endswith((".hdr", ".exr")) else []
+    for key in ("aperture_image", *maps):
+        if key in table:
+            values[key] = str(files.named(table, key))
+    try:
+        return DerivedScene(base, Overrides(**values), exposure)
+    except BokehguideError as error:
+        raise BokehguideError(f"{path}: overrides: {error}") from None
+
+
+def derived_text(base: str, overrides: Overrides, exposure: float | None, comment: str) -> str:
+    """The text of a `.toml` file with this derived scene. comment: its first lines, without `#`."""
+    values = overrides.given | ({} if exposure is None else {"exposure": exposure})
+    lines = [*(f"# {line}" for line in comment.splitlines()), f"base = {_toml(base)}", "", "[overrides]"]
+    return "\n".join([*lines, *(f"{key} = {_toml(value)}" for key, value in values.items())]) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """A number, a text or a tuple of numbers in TOML."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return '"' + "".join(f"\\u{ord(mark):04x}" if ord(mark) < 32 or ord(mark) == 127 else mark for mark in escaped) + '"'
+    return repr(value)

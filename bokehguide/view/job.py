@@ -1,0 +1,94 @@
+"""One picture of the page, from a reduced size to its full size."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from bokehguide.render import PathTracer
+from bokehguide.scene import FilmSettings, Scene
+from bokehguide.train import RenderLoop, RenderSettings, StepStats
+from bokehguide.train.scheduler import Batches
+from bokehguide.view.state import ViewState
+from bokehguide.view.workers import StoppableWorkers
+
+COARSE_PIXELS = 6_000
+"""Approximate number of pixels of the first picture where nothing is known about the speed."""
+BATCH_PIXELS, LEAST_BATCH = 7_200, 2_400
+"""Pixels of a batch, and the least number of them. A change waits for the batches that have begun, some 50 ms. The batches change
+no bit of the picture."""
+PREVIEW_SPP = 32
+"""Samples per pixel after which the picture rests, until a render is asked for."""
+
+
+def reduced_sizes(film: FilmSettings, pixels: float = COARSE_PIXELS) -> list[FilmSettings]:
+    """Sizes of the film, each twice as wide as the one before, from one with about `pixels` pixels to its own."""
+    count = max(0, round(math.log2(film.width * film.height / pixels) / 2.0))
+    sizes = [(max(1, round(film.width / 2**n)), max(1, round(film.height / 2**n))) for n in range(count, 0, -1)]
+    return [*(replace(film, width=width, height=height) for width, height in sizes), film]
+
+
+class Job:
+    """The steps of the pictures of one traced state: one step at each reduced size, then the full size.
+
+    scene: with the overrides of the state. tracer: of the scene. halves: whether the film keeps halves, for a denoiser.
+    pixels: of the first picture, about. loop: of the present size. curve: numbers of steps and estimated MAPE at the full size.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        state: ViewState,
+        tracer: PathTracer,
+        workers: StoppableWorkers,
+        halves: bool = False,
+        pixels: float = COARSE_PIXELS,
+    ):
+        self.traced = state.traced
+        self.scene, self.tracer = scene, tracer
+        self._workers = workers
+        self._settings = RenderSettings(state.mode, seed=state.seed, denoise=halves)
+        self._sizes: Sequence[FilmSettings] = reduced_sizes(scene.film, pixels)
+        self.curve: list[tuple[int, float]] = []
+        self.seconds = 0.0
+        self.stats: StepStats | None = None
+        self.loop = self._next_loop()
+
+    @property
+    def full_size(self) -> bool:
+        """Whether the loop has the full size."""
+        return not self._sizes
+
+    @property
+    def reduction(self) -> float:
+        """Width of the full size over the present width."""
+        return self.scene.film.width / self.loop.film.width
+
+    def done(self, spp: int) -> bool:
+        """Whether the full size has `spp` samples per pixel."""
+        return self.full_size and self.loop.step_number >= spp
+
+    def advance(self) -> StepStats:
+        """Take a step, at the next size if this size has its step. Raises AbandonedError where the workers are stopped."""
+        if not self.full_size and self.loop.step_number > 0:
+            self.loop = self._next_loop()
+        self.stats = self.loop.step()
+        self.seconds += self.stats.seconds
+        return self.stats
+
+    def measure(self) -> None:
+        """Add the estimated error so far to the curve."""
+        step = self.loop.step_number
+        if self.full_size and step > 1 and (not self.curve or self.curve[-1][0] < step):
+            self.curve.append((step, self.loop.film.relative_noise()))
+
+    def _next_loop(self) -> RenderLoop:
+        film, *self._sizes = self._sizes
+        loop = RenderLoop(replace(self.scene, film=film), self._settings, tracer=self.tracer)
+        loop.workers = self._workers
+        count = max(self._workers.threads, film.width * film.height // BATCH_PIXELS)
+        loop.batches = Batches(count, loop.mode.lens.paths_per_sample, LEAST_BATCH)
+        if self._sizes:  # a reduced size has one step, so that nothing can use what it learns
+            loop.freeze()
+        return loop

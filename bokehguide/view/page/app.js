@@ -1,0 +1,134 @@
+// The page of `bokehguide view`.
+
+import { Connection } from "./connection.js";
+import { Controls } from "./controls.js";
+import { showPixel, showStats } from "./panels.js";
+import { Stage } from "./stage.js";
+
+const HOVER = 120; // milliseconds between two questions about the pixel under the pointer
+const NAMES = { picture: "Picture", depth: "Depth", normal: "Normal", albedo: "Albedo", emission: "Emission", variance: "Variance", beta: "β", emitters: "Emitters" };
+const TOOLS = { orbit: "Orbit", pan: "Pan", dolly: "Dolly", look: "Look" };
+const find = (id) => document.getElementById(id);
+
+let connection = null;
+const send = (request) => connection.send(request);
+const stage = new Stage(send);
+const controls = new Controls(send);
+let asked = 0; // time of the open question about a pixel, 0 without one
+let state = null;
+let facts = null;
+let preview = Infinity; // samples per pixel at which a picture rests before a render
+
+function note(text, bad = false) {
+  const place = find("note");
+  place.textContent = text;
+  place.classList.toggle("bad", bad);
+  clearTimeout(note.timer);
+  note.timer = setTimeout(() => (place.textContent = ""), bad ? 8000 : 5000);
+}
+
+function radios(holder, names, chosen, choose) {
+  const group = holder.id;
+  holder.replaceChildren(...Object.entries(names).map(([value, text]) => {
+    const label = document.createElement("label");
+    const input = Object.assign(document.createElement("input"), { type: "radio", name: group, value, checked: value === chosen });
+    input.addEventListener("change", () => choose(value));
+    label.append(input, Object.assign(document.createElement("span"), { textContent: text }));
+    return label;
+  }));
+}
+
+const handlers = {
+  hello(message) {
+    find("scene").textContent = message.scene;
+    document.title = `${message.scene} – bokehguide view`;
+    preview = message.preview ?? Infinity;
+    stage.greet(message);
+    controls.greet(message);
+    const layers = Object.fromEntries(message.layers.map((name) => [name, NAMES[name] ?? name]));
+    radios(find("layers"), layers, "picture", (value) => send({ type: "set", name: "layer", value }));
+  },
+  state(message) {
+    state = message;
+    document.body.dataset.state = message.revision;
+    controls.show(message);
+    find("command").value = message.command;
+    const layer = document.querySelector(`#layers input[value="${message.values.layer}"]`);
+    if (layer) layer.checked = true;
+    showButton();
+  },
+  picture(message, blob) {
+    facts = message;
+    controls.metered = message.exposure;
+    showStats(message);
+    stage.show(message, blob);
+    showButton();
+    document.body.dataset.revision = message.revision;
+    document.body.dataset.spp = message.reduction > 1.001 ? 0 : message.spp;
+    document.body.dataset.exact = message.exact;
+  },
+  marker(message, blob) {
+    stage.mark(message.on, blob);
+  },
+  role(message) {
+    controls.steers(message.steers);
+    const others = message.browsers - 1;
+    const also = others === 1 ? "one other browser watches" : `${others} other browsers watch`;
+    find("role").textContent = message.steers ? (others ? also : "") : "Watching: another browser steers";
+    find("steer").hidden = message.steers;
+    for (const input of document.querySelectorAll("#layers input")) input.disabled = !message.steers;
+  },
+  pixel(message) {
+    asked = 0;
+    showPixel(message);
+  },
+  note: (message) => note(message.note),
+  failure(message) {
+    asked = 0;
+    note(message.failure, true);
+    if (state) controls.show(state);
+  },
+};
+
+// "Render" becomes "Stop" while a render runs, and "Continue" after a stop.
+function showButton() {
+  const begun = facts && state && facts.reduction < 1.001 && facts.spp > preview && facts.spp < state.values.spp;
+  find("render").textContent = state?.rendering ? "Stop" : begun ? "Continue" : "Render";
+}
+
+async function copy() {
+  const field = find("command");
+  try {
+    await navigator.clipboard.writeText(field.value);
+  } catch {
+    field.select();
+    document.execCommand("copy");
+  }
+  note("Copied the command");
+}
+
+radios(find("tools"), TOOLS, "orbit", (value) => {
+  stage.tool = value;
+  find("drag").textContent = value;
+});
+find("render").addEventListener("click", () => send({ type: "render", on: !state?.rendering }));
+find("save_picture").addEventListener("click", () => send({ type: "save_picture" }));
+find("save_scene").addEventListener("click", () => send({ type: "save_scene" }));
+find("reset").addEventListener("click", () => send({ type: "reset" }));
+find("marked").addEventListener("change", (event) => send({ type: "mark", on: event.target.checked }));
+find("steer").addEventListener("click", () => send({ type: "steer" }));
+find("copy").addEventListener("click", copy);
+
+setInterval(() => {
+  if (!stage.place || stage.start || (asked && performance.now() - asked < 3000)) return;
+  const [x, y] = stage.place;
+  stage.place = null;
+  asked = performance.now();
+  send({ type: "hover", x, y });
+}, HOVER);
+
+connection = new Connection(handlers, (open) => {
+  document.body.dataset.connected = open;
+  if (!open) note("The connection is lost; trying again …", true);
+  else find("note").textContent = "";
+});

@@ -1,0 +1,102 @@
+"""Scene files that name another scene as their base."""
+
+from __future__ import annotations
+
+import pytest
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene import Overrides, load_scene
+from bokehguide.scene.toml.derived import derived_text
+from tests.support.scene_text import BOX_AND_EMITTER
+
+
+@pytest.fixture
+def derive(tmp_path):
+    """A function that writes a derived scene beside `box.toml` and loads it."""
+    (tmp_path / "box.toml").write_text(BOX_AND_EMITTER)
+
+    def write(text: str, overrides: Overrides = Overrides(), **keywords):  # noqa: B008 - frozen
+        (tmp_path / "derived.toml").write_text(text)
+        return load_scene(str(tmp_path / "derived.toml"), overrides, **keywords)
+
+    return write
+
+
+def test_overrides_replace_values_of_the_base(derive):
+    scene = derive(
+        'base = "box.toml"\n[overrides]\nf_number = 0.2\nwidth = 16\nheight = 9\nexposure = 1.5\naperture_blades = 6\n'
+    )
+    assert (scene.name, scene.film.width, scene.film.height, scene.film.exposure) == ("derived", 16, 9, 1.5)
+    assert scene.camera.f_number == pytest.approx(0.2) and scene.camera.aperture.blades == 6
+    assert (scene.camera.focus_distance, len(scene.meshes), scene.film.max_depth) == (3.0, 2, 3)
+
+
+def test_a_base_may_be_built_in_and_overrides_may_be_absent(derive):
+    assert len(derive('base = "daylight"\n').meshes) == len(load_scene("daylight").meshes)
+
+
+def test_the_command_line_has_the_last_word(derive):
+    scene = derive('base = "box.toml"\n[overrides]\nf_number = 0.2\nfocus_distance = 2.0\n', Overrides(aperture_radius=0.1))
+    assert (scene.camera.aperture_radius, scene.camera.focus_distance) == (0.1, 2.0)
+
+
+def test_a_focus_on_a_point_is_found_in_the_derived_scene(derive):
+    near = derive('base = "box.toml"\n[overrides]\nfocus_at = [0.25, 0.6]\n').camera.focus_distance
+    assert near == pytest.approx(3.0, abs=0.2)
+    far = derive('base = "box.toml"\n[overrides]\nfocus_at = [0.25, 0.6]\ncamera_position = [0.0, 0.0, 5.0]\n')
+    assert far.camera.focus_distance == pytest.approx(near + 1.0, abs=0.2)
+
+
+def test_a_base_may_have_a_base(derive, tmp_path):
+    (tmp_path / "first.toml").write_text('base = "box.toml"\n[overrides]\nfov = 30.0\nfocus_distance = 2.5\n')
+    camera = derive('base = "first.toml"\n[overrides]\nfov = 20.0\n').camera
+    assert (camera.fov, camera.focus_distance) == (20.0, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('base = "derived.toml"', "derived.toml: base: more than 8 files"),
+        ('base = "gone.toml"', "derived.toml: base: .*gone.toml"),
+        ('base = "/etc/hostname"', "outside the scene's folder"),
+        ('base = ""', "derived.toml: base: .* is not a text"),
+        ("base = 3", "derived.toml: base: 3 is not a text"),
+        ('base = "box.toml"\n[overrides]\nf_numbr = 2.0', "overrides.f_numbr: unknown key; did you mean 'f_number'"),
+        ('base = "box.toml"\n[overrides]\nf_number = -2.0', "derived.toml: overrides: --f-number: -2.0"),
+        ('base = "box.toml"\n[overrides]\nf_number = 2.0\naperture_radius = 1.0', "both given"),
+        ('base = "box.toml"\n[overrides]\nexposure = 1e9', "derived.toml: overrides.exposure"),
+        ('base = "box.toml"\n[overrides]\naperture_image = "gone.png"', "overrides.aperture_image: .*gone.png"),
+        ('base = "box.toml"\n[overrides]\nenvironment = "gone.hdr"', "overrides.environment: .*gone.hdr"),
+        ('base = "box.toml"\n[overrides]\ncamera = "a"', "--camera: 'a': selects a camera of a model"),
+        ('base = "daylight"\n[overrides]\ncamera = "a"', "--camera: 'a': selects a camera of a model"),
+        ('base = "box.toml"\n[overrides]\ncamera_position = [1.0, 2.0]', "--camera-position"),
+        ('base = "box.toml"\n[camera]\nfov = 3.0', "camera: unknown key"),
+        ('base = "box.toml"\noverrides = 3', "overrides: 3 is not a table"),
+    ],
+)
+def test_mistakes_are_named(text, words, derive):
+    with pytest.raises(BokehguideError, match=words) as caught:
+        derive(text)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_the_text_of_a_derived_scene_is_read_back(derive, tmp_path):
+    values = Overrides(
+        width=7, height=5, environment="0.5,0.25,1.5", camera_position=(0.1, 0.2, 5.0), focus_distance=float("inf"), fov=1.0 / 3.0
+    )
+    (tmp_path / 'a "quoted" \\ name.toml').write_text(BOX_AND_EMITTER)
+    scene = derive(derived_text('a "quoted" \\ name.toml', values, -0.3, "two\nlines"))
+    assert scene.camera.position == (0.1, 0.2, 5.0) and scene.camera.fov == 1.0 / 3.0 and scene.film.exposure == -0.3
+    assert scene.camera.focus_distance == float("inf") and scene.environment.radiance.ravel().tolist() == [0.5, 0.25, 1.5]
+
+
+def test_the_rotation_of_an_environment_is_an_override():
+    assert load_scene("daylight", Overrides(environment_rotation=30.0)).environment.rotation == 30.0
+    both = load_scene("daylight", Overrides(environment="1,1,1", environment_rotation=-10.0)).environment
+    assert both.rotation == -10.0 and both.radiance.ravel().tolist() == [1.0, 1.0, 1.0]
+
+
+def test_a_rotation_needs_an_environment(derive):
+    text = BOX_AND_EMITTER.replace("[environment]\ncolor = [0.02, 0.03, 0.05]\n", "")
+    with pytest.raises(BokehguideError, match="--environment-rotation: 10: there is no environment; give --environment too"):
+        derive(text, Overrides(environment_rotation=10.0))

@@ -1,0 +1,227 @@
+"""The state of the page of `bokehguide view`: the command and the scene file of a state make the scene of the page."""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bokehguide.cli.arguments import parse
+from bokehguide.cli.render import overrides_from
+from bokehguide.errors import BokehguideError
+from bokehguide.scene import Overrides, Scene, load_scene
+from bokehguide.scene.digest import digest
+from bokehguide.scene.sight import to_raster
+from bokehguide.view.motion import move
+from bokehguide.view.state import CHANGES, Source, ViewState, changed, command_line, moved, scene_file, values_of
+from tests.support.gltf_square import write_gltf
+from tests.support.scene_text import BOX_AND_EMITTER
+
+FILE = BOX_AND_EMITTER.replace("fov = 40.0\naperture_radius = 0.5", "focal_length = 37.3\nf_number = 0.07").replace(
+    "focus_distance = 3.0", 'focus_on = "wall"'
+)
+"""A scene file whose lens and focus depend on other values of its camera."""
+
+
+def source_of(spec: str, *options: str) -> Source:
+    given = parse(["render", spec, *options])
+    return Source(load_scene(spec, overrides_from(given)), overrides_from(given), spec)
+
+
+def state_of(source: Source) -> ViewState:
+    return ViewState(source.overrides, exposure=source.scene.film.exposure)
+
+
+def same(one: Scene, other: Scene) -> None:
+    """Assert that two scenes have the same camera, film, environment and geometry."""
+    for name in ("position", "target", "up", "fov", "aperture_radius", "focus_distance", "sensor_width"):
+        assert getattr(one.camera, name) == getattr(other.camera, name), name
+    assert digest(one.camera.aperture) == digest(other.camera.aperture)
+    assert (one.film.width, one.film.height, one.film.max_depth) == (other.film.width, other.film.height, other.film.max_depth)
+    assert digest(one.environment) == digest(other.environment) and digest(one.meshes) == digest(other.meshes)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Iterator[Path]:
+    """The present folder of these tests, with the files of the sources."""
+    path = tmp_path_factory.mktemp("view")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.chdir(path)
+        yield path
+
+
+@pytest.fixture(scope="module")
+def sources(folder) -> dict[str, Source]:
+    """Sources of all kinds."""
+    (folder / "box.toml").write_text(FILE)
+    write_gltf(folder / "square.gltf")
+    tilted = {"camera": 0, "translation": [0.5, 1.0, 4.0], "rotation": [-0.1, 0.02, 0.03, 0.994]}
+    lens = [{"type": "perspective", "perspective": {"yfov": 0.6, "znear": 0.1}}]
+    write_gltf(folder / "photo.gltf", nodes=[{"mesh": 0}, tilted], cameras=lens)
+    return {
+        "builtin": source_of("fairy-lights", "--size", "32x18"),
+        "file": source_of("box.toml"),
+        "model": source_of("square.gltf", "--size", "32x18"),
+        "camera": source_of("photo.gltf", "--size", "32x18", "--camera", "0"),
+        "options": source_of("box.toml", "--f-number", "0.1", "--camera-target", "0.1,0,0"),
+    }
+
+
+EDITS = {
+    "untouched": [],
+    "f-number": [("f_number", 1.7)],
+    "pinhole": [("f_number", None)],
+    "focus": [("focus_distance", 2.345)],
+    "infinity": [("focus_distance", None)],
+    "field of view": [("fov", 33.3)],
+    "focal length": [("focal_length", 61.7), ("f_number", 2.2)],
+    "shape": [("blades", 7), ("rotation", 12.5), ("curvature", 0.3), ("ratio", 1.4), ("cat_eye", 0.5), ("edge", -0.2)],
+    "round again": [("blades", 7), ("rotation", 12.5), ("blades", 0)],
+    "light": [("environment_rotation", 77.0), ("mode", "uniform"), ("exposure", 1.5), ("view", "aces"), ("spp", 3)],
+    "moved": [("move", ("orbit", 0.1, 0.05)), ("move", ("dolly", 0.0, -0.1)), ("f_number", 1.1), ("move", ("pan", 0.05, 0.0))],
+}
+
+
+def edited(source: Source, name: str) -> ViewState:
+    """The state after the edits of this name."""
+    state = state_of(source)
+    for key, value in EDITS[name]:
+        if key == "move":
+            place = move(source.scene_of(state.overrides).camera, *value)
+            state = moved(state, source, *place)
+        else:
+            state = changed(state, source, key, value)
+    return state
+
+
+@pytest.mark.parametrize("name", EDITS)
+@pytest.mark.parametrize("kind", ["builtin", "file", "model", "camera", "options"])
+def test_the_command_and_the_scene_file_make_the_scene_of_the_page(kind, name, sources, folder):
+    source = sources[kind]
+    state = edited(source, name)
+    scene = source.scene_of(state.overrides)
+    words = shlex.split(command_line(state, source))
+    options = parse(words[1:])
+    same(load_scene(options.scene, overrides_from(options)), scene)
+    assert (options.mode, options.spp, options.view) == (state.mode, state.spp, state.view)
+    path = folder / "saved.toml"
+    path.write_text(scene_file(state, source, folder, path.name))
+    saved = load_scene(str(path))
+    same(saved, scene)
+    assert saved.film.exposure == state.exposure
+    assert path.read_text().startswith(f"# bokehguide render saved.toml --mode={state.mode} --spp={state.spp}")
+
+
+def test_edits_change_the_scene(sources):
+    """Otherwise the comparisons above would prove nothing."""
+    for source in sources.values():
+        cameras = {name: source.scene_of(edited(source, name).overrides) for name in EDITS}
+        first = cameras.pop("untouched")
+        for name, scene in cameras.items():
+            if name != "round again":
+                differs = scene.camera != first.camera or digest(scene.environment) != digest(first.environment)
+                assert differs, name
+
+
+def test_another_field_of_view_keeps_the_f_number_and_the_focus(sources):
+    source = sources["file"]
+    before = values_of(state_of(source), source)
+    after = values_of(edited(source, "field of view"), source)
+    assert after["f_number"] == pytest.approx(before["f_number"], rel=1e-12)
+    assert (after["focus_distance"], after["fov"]) == (before["focus_distance"], 33.3)
+    assert after["focal_length"] == pytest.approx(18.0 / math.tan(math.radians(33.3) / 2.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("f_number", -1.0, "f-number"),
+        ("f_number", "2", "no number"),
+        ("focus_distance", 0.0, "focus-distance"),
+        ("fov", 200.0, "fov"),
+        ("focal_length", 0.0, "not positive"),
+        ("blades", 2, "blades"),
+        ("blades", 2.5, "blades"),
+        ("ratio", 100.0, "ratio"),
+        ("exposure", 1e9, "exposure"),
+        ("spp", 0, "SPP"),
+        ("spp", True, "SPP"),
+        ("mode", "magic", "mode"),
+        ("layer", "smell", "layer"),
+        ("denoise", "yes", "denoise"),
+        ("f_nunber", 2.0, "did you mean 'f_number'"),
+        ("environment_rotation", math.nan, "no number"),
+    ],
+)
+def test_a_wrong_value_is_an_error_that_names_it(name, value, words, sources):
+    source = sources["builtin"]
+    with pytest.raises(BokehguideError, match=words):
+        changed(state_of(source), source, name, value)
+
+
+def test_a_scene_of_python_has_no_file(sources, tmp_path):
+    source = Source(sources["builtin"].scene)
+    with pytest.raises(BokehguideError, match="a scene of Python"):
+        scene_file(state_of(source), source, tmp_path, "a.toml")
+
+
+def test_paths_of_a_saved_scene_are_relative_to_it(sources, tmp_path):
+    text = scene_file(state_of(sources["file"]), sources["file"], tmp_path, "a.toml")
+    assert f'base = "{os.path.relpath("box.toml", tmp_path)}"' in text and "--allow-outside" in text.splitlines()[0]
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(BokehguideError, match="outside the scene's folder"):
+        load_scene(str(tmp_path / "a.toml"))
+    same(load_scene(str(tmp_path / "a.toml"), allow_outside=True), sources["file"].scene)
+
+
+@pytest.mark.parametrize("kind", ["orbit", "look", "pan", "dolly", "walk", "rise"])
+def test_movements_add_no_roll_and_change_as_asked(kind, sources):
+    camera = sources["builtin"].scene.camera
+    position, target = (np.array(each) for each in move(camera, kind, 0.1, 0.07))
+    before = np.subtract(camera.target, camera.position)
+    distance, after = np.linalg.norm(before), target - position
+    moved_eye, moved_target = not np.allclose(position, camera.position), not np.allclose(target, camera.target)
+    assert (moved_eye, moved_target) == {"orbit": (True, False), "look": (False, True), "dolly": (True, False)}.get(
+        kind, (True, True)
+    )
+    if kind != "dolly":
+        assert np.linalg.norm(after) == pytest.approx(distance)
+    if kind in ("pan", "walk", "rise"):
+        np.testing.assert_allclose(after, before, atol=1e-9)
+    if kind == "dolly":
+        assert np.linalg.norm(after) == pytest.approx(distance * 4.0**0.07)
+
+
+def test_the_scene_follows_the_pointer(sources):
+    """A point at the target moves with a drag to the right and down, for a pan and for a look."""
+    scene = sources["builtin"].scene
+    for kind in ("pan", "look"):
+        position, target = move(scene.camera, kind, 0.02, 0.01)
+        camera = replace(scene.camera, position=position, target=target)
+        (raster,), _ = to_raster(camera, scene.film, np.array([scene.camera.target]))
+        expected = np.array([0.5 * scene.film.width, 0.5 * scene.film.height]) + np.array([0.02, 0.01]) * scene.film.width
+        np.testing.assert_allclose(raster, expected, atol=0.02 * scene.film.width * 0.15)
+
+
+def test_an_orbit_stops_before_the_zenith(sources):
+    camera = sources["builtin"].scene.camera
+    position, target = move(camera, "orbit", 0.0, 100.0)
+    forward = np.subtract(target, position) / np.linalg.norm(np.subtract(target, position))
+    assert -0.9999 < forward[1] < -0.99
+
+
+def test_all_changes_are_values_of_the_page(sources):
+    source = sources["builtin"]
+    assert set(CHANGES) <= set(values_of(state_of(source), source))
+
+
+def test_overrides_give_way_to_later_ones():
+    later, earlier = Overrides(f_number=2.0, focus_distance=1.0), Overrides(aperture_radius=0.1, focus_on="x", fov=30.0)
+    assert later.over(earlier) == Overrides(f_number=2.0, focus_distance=1.0, fov=30.0)
+    assert Overrides(camera_target=(0.0, 0.0, 1.0)).over(Overrides(camera="a")) == Overrides(camera_target=(0.0, 0.0, 1.0))
