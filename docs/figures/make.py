@@ -300,6 +300,8 @@ def packages() -> plt.Figure:
     figure, axes = canvas(8.0, 4.3)
     box(axes, 3.0, 3.65, 2.0, 0.5, "cli", INK)
     box(axes, 3.0, 2.85, 2.0, 0.5, "evaluation", INK)
+    box(axes, 5.7, 2.85, 2.2, 0.5, "view", INK)
+    box(axes, 0.1, 2.85, 2.2, 0.5, "mitsuba", INK)
     box(axes, 3.0, 2.05, 2.0, 0.5, "train", INK)
     box(axes, 1.0, 1.25, 2.6, 0.5, "guiding", ORANGE)
     box(axes, 4.4, 1.25, 2.6, 0.5, "baselines/restir", GREEN)
@@ -309,6 +311,9 @@ def packages() -> plt.Figure:
     for start, end in (
         ((4.0, 3.65), (4.0, 3.35)),
         ((4.0, 2.85), (4.0, 2.55)),
+        ((4.7, 3.65), (6.2, 3.35)),
+        ((6.2, 2.85), (4.7, 2.55)),
+        ((1.2, 2.85), (1.9, 1.75)),
         ((3.6, 2.05), (2.6, 1.75)),
         ((4.4, 2.05), (5.4, 1.75)),
         ((1.8, 1.25), (1.3, 0.8)),
