@@ -49,11 +49,12 @@ class Display:
 def to_display(radiance: Tensor | np.ndarray, exposure: float = 0.0, view: str = VIEWS[0]) -> Tensor:
     """Linear Rec.709 radiance `[H, W, 3]` as sRGB display values in 0..1, float32 on the CPU.
 
-    exposure: EV, a factor 2^exposure; view: "photo", "aces" or "srgb", a clip of each channel. NaN becomes black.
-    Raises BokehguideError for an unknown view.
+    exposure: EV, a factor 2^exposure, rounded to single precision, in which files store exposures; view: "photo", "aces" or
+    "srgb", a clip of each channel. NaN becomes black. Raises BokehguideError for an unknown view.
     """
     if view not in VIEWS:
         raise BokehguideError(f"view: {view!r} is unknown; choose one of {', '.join(VIEWS)}")
+    exposure = float(np.float32(exposure))
     linear = torch.as_tensor(radiance).detach().cpu().float()
     linear = linear.nan_to_num(0.0, posinf=torch.finfo(torch.float32).max, neginf=0.0)
     if view == "srgb":

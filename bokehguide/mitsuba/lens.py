@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -33,6 +33,7 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.runtime.distributed import Ranks, available_cores
 from bokehguide.runtime.workers import Workers
+from bokehguide.scene.emitters import Emitters, find_emitters
 from bokehguide.scene.types import Scene
 
 MODES: dict[str, Callable[[ModeContext], LensSampler]] = {
@@ -88,6 +89,12 @@ class _Drawn:
     points: LensPoints
 
 
+class _SceneEmitters(NamedTuple):
+    """The part of a path tracer that lens samplers need without virtual images."""
+
+    emitters: Emitters
+
+
 class GuidedLens:
     """Draws lens points for the steps of a render, and learns from the reports.
 
@@ -100,7 +107,7 @@ class GuidedLens:
         self._seed, self._step, self._mean = seed, 0, 1.0
         self._light = self._count = 0.0
         everywhere = torch.ones(self._camera.width * self._camera.height, dtype=torch.bool)
-        tracer = cast(PathTracer, None)  # virtual images alone need one
+        tracer = cast(PathTracer, _SceneEmitters(find_emitters(scene)))
         size = scene.film.width, scene.film.height
         self._sampler = MODES[mode](ModeContext(scene, self._camera, tracer, *size, None, Ranks(), everywhere))
         self._by_epoch = not isinstance(self._sampler, GaussianGuide)

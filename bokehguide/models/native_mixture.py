@@ -85,7 +85,7 @@ class NativeEllipseMixture(LensMixture):
         """See `EllipseMixture`."""
         points = self.lens.sample(uniforms[1:3]).contiguous()
         candidate = torch.empty(points.shape[1], dtype=torch.int64)
-        self.core.sample(uniforms.contiguous(), points, candidate)
+        self.core.sample(uniforms[:3].contiguous(), points, candidate)
         return LensSample(points, candidate)
 
     def evaluate(self, points: Tensor) -> LensDensity:

@@ -24,6 +24,14 @@ def test_grey_stays_grey_and_grows(view):
     assert 0.3 < middle < 0.5
 
 
+@pytest.mark.parametrize("view", VIEWS)
+def test_an_exposure_from_a_file_gives_the_same_picture(view):
+    """Files store exposures in single precision."""
+    radiance = torch.rand(64, 64, 3, generator=torch.Generator().manual_seed(1))
+    for exposure in (2.38, -1.1, 0.07):
+        assert torch.equal(to_display(radiance, exposure, view), to_display(radiance, float(np.float32(exposure)), view))
+
+
 def test_srgb_is_the_clip_and_exposure_is_in_stops():
     picture = torch.rand(4, 5, 3) * 2.0
     torch.testing.assert_close(to_display(picture, 1.0, "srgb"), tone_map(2.0 * picture))
