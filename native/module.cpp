@@ -184,6 +184,7 @@ bool expose(const nb::dict& sums, const nb::dict& samples, const std::optional<n
 
 NB_MODULE(_native, m) {
     using namespace bokehguide;
+    nb::set_leak_warnings(false);  // scenes in caches of Python live until the process ends
     m.def("load_embree", &load_embree);
     m.def("use_avx2", &use_avx2);
     nb::class_<Triangles>(m, "Triangles")
