@@ -1,7 +1,7 @@
 """Reuse of primary hits in the native core: the same estimator as `PixelPathReuse.reuse`, in a few calls for each batch.
 
-`native/pixel_reuse.h` holds the formulas. Apertures that are no discs, and mixtures with exact densities, still need PyTorch for
-the transmission and the density at the lens points of the views.
+`native/pixel_reuse.h` holds the formulas. PyTorch computes the transmission of an aperture that is not a disc. PyTorch also
+computes the densities of a mixture that the core does not hold.
 """
 
 from __future__ import annotations

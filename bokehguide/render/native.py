@@ -85,7 +85,9 @@ class NativeTracer:
         return fields
 
     def record(self, hits: PrimaryHits | None) -> CoreRecord | None:
-        """The record of a trace's primary hits in the core, None if PyTorch has recorded them."""
+        """The record of a trace's primary hits in the core, None if PyTorch has recorded them or the core is switched off."""
+        if native.core() is None:
+            return None
         return CoreRecord({}, 0, 0) if hits is None else hits.core_record()
 
     def views(

@@ -1,4 +1,4 @@
-"""Pictures of a job: what the page shows, and what it saves."""
+"""Pictures of a job, for the page and for files."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True)
 class Sight:
-    """A picture that was published: its job, its number of steps, and what was wanted."""
+    """A published picture: its job, its number of steps, and the request."""
 
     job: Job
     step: int

@@ -91,7 +91,7 @@ class ViewServer:
         return f"http://{host}:{self._port}/" + (f"?token={self.token}" if self.token else "")
 
     def close(self) -> None:
-        """End the connections, the thread, and the work of what is shown."""
+        """End the connections, the thread, and the work of the exhibit."""
         self._loop.call_soon_threadsafe(self._end.set)
         self._thread.join()
         self.shown.close()

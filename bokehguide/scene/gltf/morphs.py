@@ -18,7 +18,7 @@ KINDS = {"POSITION": ("VEC3",), "NORMAL": ("VEC3",), "TANGENT": ("VEC3",), "COLO
 def morph_weights(node: Part, mesh: Part, pose: Pose) -> tuple[float, ...]:
     """The weights of the morph targets of `mesh` at `node`: those of the pose, of the node, or of the mesh.
 
-    Raises BokehguideError for weights that are no finite numbers.
+    Raises BokehguideError for weights that are not finite.
     """
     posed = pose.of(node).get("weights")
     if posed is not None:
