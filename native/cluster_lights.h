@@ -82,16 +82,16 @@ class ClusterSampler {
         return {kept.light.direction, kept.light.distance, value * scale, scattered, row, kept.cluster, contribution_rms};
     }
 
-    // Densities of light samples, for MIS: `environment_pdf` and `triangle_pdf` of `MixtureLights`.
+    // Densities of all light samples together, for MIS: `environment_pdf` and `triangle_pdf` of `MixtureLights` times `count`.
     Float environment_pdf(Vec3 direction) const {
         if (!t.has_far_power) return all(0.0f);
-        return density(direction, t.map_density == nullptr ? all(0) : texel_at(t, direction));
+        return float(c.candidates) * density(direction, t.map_density == nullptr ? all(0) : texel_at(t, direction));
     }
     Float triangle_pdf(Int triangle, Float distance, Float cosine) const {
         if (t.emitters == 0) return all(0.0f);
         const Int emitter = emitter_of(t, triangle), known = emitter < 0 ? all(0) : emitter;
         const Float chosen = share(gather(&t.emitter_rows[0].cluster, known * 16)) * one_if(emitter >= 0);
-        return chosen * emitter_field(t, known, 13) * distance * distance / divisor(abs(cosine), LEAST_COSINE);
+        return float(c.candidates) * chosen * emitter_field(t, known, 13) * distance * distance / divisor(abs(cosine), LEAST_COSINE);
     }
 
   private:
@@ -101,8 +101,8 @@ class ClusterSampler {
     Int row, active;
 
     // `mis.light_contribution`.
-    static Vec3 contribution(const LightSample& light, const Scattered& scattered) {
-        return scattered.value * light.radiance * (power_heuristic(light.pdf, scattered.pdf) / divisor(light.pdf));
+    Vec3 contribution(const LightSample& light, const Scattered& scattered) const {
+        return scattered.value * light.radiance * (power_heuristic(float(c.candidates) * light.pdf, scattered.pdf) / divisor(light.pdf));
     }
     Float visibility(Int cluster) const {
         return c.cumulative == nullptr ? all(1.0f) : gather(c.visibility, row * c.clusters + cluster);

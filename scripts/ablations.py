@@ -142,7 +142,7 @@ CHANGES = {
     "fixed-beta": values_of("fixed β", "blend", [0.5, 0.65, 0.9], "lis"),
     "guided": [guided_without(part) for part in PARTS],
     "alone": [guided_with("with none of its parts", ()), *map(alone, PARTS)],
-    "candidates": [Change("light candidates", str(count), "guided", {"light_candidates": count}) for count in (1, 3, 4)],
+    "candidates": [Change("light candidates", str(count), "guided", {"light_candidates": count}) for count in (1, 2, 8)],
     "parts": [split(count) for count in (1, 4, 8)],
     "group": [group(1, 1), group(2, 2), group(4, 4)],
     "spread": values_of("α of reused surfaces by the views' angle", "min_spread", [0.25, 1.0, 2.0], "guided"),

@@ -1,14 +1,15 @@
-"""Error over wall-clock time of bokehguide and Mitsuba 3: the same scene on the same machine.
+"""Error over wall-clock time of bokehguide and of a peer, which is Mitsuba 3 or another mode: the same scene on the same machine.
 
     pip install '.[peers]'
     python scripts/equal_time.py --seconds 60 --out out/equal-time
     python scripts/equal_time.py daylight --size 320x180 --seconds 20
+    python scripts/equal_time.py real-chess real-helmet --against uniform --size 320x180
 
-Both render the scene with materials that both have (`mitsuba_scene.comparable`), on all cores. They take turns of about a
-second, so that other load of the machine affects both alike. The clock starts with the scene in memory: it includes the
-acceleration structure and compilation, and excludes the measurement of errors. The reference is rendered in mode `guided`,
-in two halves, and kept in `--cache`. Writes equal_time.json, equal_time.md and equal_time.png: MAPE at 1, 2, 4, … seconds,
-and the ratio.
+Against Mitsuba, both render the scene with materials that both have (`mitsuba_scene.comparable`). The pictures of real models
+(`real_scenes.py`) have other materials, so that their peer is a mode. Both use all cores. They take turns of about a second, so
+that other load of the machine affects both alike. The clock starts with the scene in memory: it includes the acceleration
+structure and compilation, and excludes the measurement of errors. The reference is rendered in mode `guided`, in two halves, and
+kept in `--cache`. Writes equal_time.json, equal_time.md and equal_time.png: MAPE at 1, 2, 4, … seconds, and the ratio.
 """
 
 from __future__ import annotations
@@ -22,25 +23,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
+from experiments.options import known_scene
+from real_scenes import load_any
 from torch import Tensor
-
-if importlib.util.find_spec("mitsuba") is None:
-    sys.exit("equal_time: error: Mitsuba is not installed; pip install '.[peers]'")
-
-from experiments.mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer, comparable
 
 from bokehguide.cli.arguments import Parser, duration, positive, size, threads
 from bokehguide.cli.report import write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import errors, made_reference, markdown, progress, regions
 from bokehguide.image import check_writable, replacing
-from bokehguide.scene import Overrides, Scene, load_scene
+from bokehguide.scene import Scene
 from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
 
 SCENES = ("fairy-lights", "night-street", "chrome", "daylight")
 TURN = 1.0
 """Seconds of a turn."""
-PEER = "Mitsuba"
+MITSUBA = "mitsuba"
 SEED = 5_000_000
 """Seed of the measured renders; no reference has it."""
 
@@ -79,7 +77,8 @@ class Runner:
 def main() -> None:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
-    add("scenes", nargs="*", default=list(SCENES), metavar="SCENE", help=f"default: {', '.join(SCENES)}")
+    add("scenes", nargs="*", default=list(SCENES), type=known_scene, metavar="SCENE", help=f"default: {', '.join(SCENES)}")
+    add("--against", choices=(MITSUBA, *LENS_MODES), default=MITSUBA, help="the peer (default: mitsuba)")
     add("--mode", choices=LENS_MODES, default="guided", help="of bokehguide (default: guided)")
     add("--size", type=size, default="640x360", metavar="WxH", help="default: 640x360")
     add("--seconds", type=duration, default=60.0, metavar="S", help="seconds of each renderer (default: 60)")
@@ -88,12 +87,10 @@ def main() -> None:
     add("--cache", type=Path, metavar="DIR", help="folder of the references (default: the user's cache folder)")
     add("--out", type=Path, default=Path("out/equal-time"), metavar="DIR", help="folder of the results (default: out/equal-time)")
     args = parser.parse_args()
+    if args.against == MITSUBA and importlib.util.find_spec("mitsuba") is None:
+        sys.exit("equal_time: error: Mitsuba is not installed; pip install '.[peers]', or give --against a mode")
     check_writable(args.out / "equal_time.json")
-    races = {}
-    for name in args.scenes:
-        width, height = args.size
-        scene = comparable(load_scene(name, Overrides(width=width, height=height)))
-        races[scene.name] = race(scene, args)
+    races = {name: race(load_any(name, *args.size), args) for name in args.scenes}
     write_json(args.out / "equal_time.json", {name: {one.name: one.history for one in pair} for name, pair in races.items()})
     text = table(races, args.seconds)
     with replacing(args.out / "equal_time.md") as temporary:
@@ -103,11 +100,16 @@ def main() -> None:
 
 
 def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
-    """Both runners with their histories."""
+    """Both runners with their histories. Each inset has its own row if the peer is a mode."""
+    if args.against == MITSUBA:
+        from experiments.mitsuba_scene import comparable
+
+        scene = comparable(scene)
     settings = RenderSettings(spp=args.reference_spp, threads=args.threads)
     reference = made_reference(scene, settings, args.out / f"{scene.name}-reference.exr", args.cache).radiance
-    masks = {name: mask for name, mask in regions(scene).items() if name in ("frame", "insets")}
-    runners = [bokehguide_runner(scene, args), mitsuba_runner(scene)]
+    masks = {name: mask for name, mask in regions(scene).items() if args.against != MITSUBA or name in ("frame", "insets")}
+    own = mode_runner(scene, args.mode, args.threads)
+    runners = [own, mitsuba_runner(scene) if args.against == MITSUBA else mode_runner(scene, args.against, args.threads)]
     with progress(f"{scene.name}, {args.seconds:g} s of each", round(args.seconds / TURN)) as bar:
         while any(runner.seconds < args.seconds for runner in runners):
             for runner in (one for one in runners if one.seconds < args.seconds):
@@ -116,19 +118,21 @@ def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
     return runners
 
 
-def bokehguide_runner(scene: Scene, args: argparse.Namespace) -> Runner:
+def mode_runner(scene: Scene, mode: str, threads: int | None) -> Runner:
     start = time.perf_counter()
-    loop = RenderLoop(scene, RenderSettings(args.mode, 1 << 20, SEED, threads=args.threads))
+    loop = RenderLoop(scene, RenderSettings(mode, 1 << 20, SEED, threads=threads))
     built = time.perf_counter() - start
 
     def advance() -> int:
         loop.step()
         return 1
 
-    return Runner(args.mode, advance, lambda: loop.film.radiance().cpu(), built)
+    return Runner(mode, advance, lambda: loop.film.radiance().cpu(), built)
 
 
 def mitsuba_runner(scene: Scene) -> Runner:
+    from experiments.mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer
+
     start = time.perf_counter()
     renderer = MitsubaRenderer(scene)
     built = time.perf_counter() - start
@@ -143,13 +147,14 @@ def mitsuba_runner(scene: Scene) -> Runner:
         done += spp
         return spp
 
-    return Runner(PEER, advance, lambda: (total / done).float(), built)
+    return Runner("Mitsuba", advance, lambda: (total / done).float(), built)
 
 
 def table(races: dict[str, list[Runner]], seconds: float) -> str:
     """MAPE of both at 1, 2, 4, … seconds and at the end, in Markdown."""
     times = [2.0**power for power in range(20) if 2.0**power < seconds] + [seconds + 2.0 * TURN]
-    rows = [["scene", "region", "seconds", "MAPE", "SPP", f"{PEER}'s MAPE", "SPP", "ratio"]]
+    peer = next(iter(races.values()))[1].name
+    rows = [["scene", "region", "seconds", "MAPE", "SPP", f"MAPE of {peer}", "SPP", "ratio"]]
     for name, (own, peer) in races.items():
         for region in own.history[-1]["mape"]:
             for limit in times:

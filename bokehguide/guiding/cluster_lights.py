@@ -46,16 +46,16 @@ class VoxelLights:
     first_step = 1
 
     def __init__(self, power: PowerLightSampler, row: Tensor, candidates: int = GuidedConfig.light_candidates):
-        self._power, self._row, self._candidates = power, row, candidates
+        self._power, self._row, self.count = power, row, candidates
 
     def select(self, index: Tensor) -> VoxelLights:
         """See `LightDistribution`."""
-        return VoxelLights(self._power, self._row.index_select(0, index), self._candidates)
+        return VoxelLights(self._power, self._row.index_select(0, index), self.count)
 
     def sample(self, surface: Surface, scattering: Scattering, uniforms: Tensor, random: PixelRandom) -> DirectLight:
         """See `LightDistribution`."""
         draw = partial(self.draw, self._power.lights.query(surface.position))
-        return resampled(draw, self.expected_visibility, self._row, scattering, uniforms, random, self._candidates)
+        return resampled(draw, self.expected_visibility, self._row, scattering, uniforms, random, self.count)
 
     def expected_visibility(self, cluster: Tensor) -> Tensor:
         """1 for each cluster `[N]`: the visibility is unknown."""
@@ -121,7 +121,7 @@ class MixtureLights:
     def __init__(
         self, power: PowerLightSampler, row: Tensor, tables: ClusterTables, candidates: int = GuidedConfig.light_candidates
     ):
-        self._power, self._row, self._tables, self._candidates = power, row, tables, candidates
+        self._power, self._row, self._tables, self.count = power, row, tables, candidates
 
     @property
     def first_step(self) -> int:
@@ -130,12 +130,12 @@ class MixtureLights:
 
     def select(self, index: Tensor) -> MixtureLights:
         """See `LightDistribution`."""
-        return MixtureLights(self._power, self._row.index_select(0, index), self._tables, self._candidates)
+        return MixtureLights(self._power, self._row.index_select(0, index), self._tables, self.count)
 
     def sample(self, surface: Surface, scattering: Scattering, uniforms: Tensor, random: PixelRandom) -> DirectLight:
         """See `LightDistribution`."""
         draw = partial(self.draw, self._power.lights.query(surface.position))
-        return resampled(draw, self.expected_visibility, self._row, scattering, uniforms, random, self._candidates)
+        return resampled(draw, self.expected_visibility, self._row, scattering, uniforms, random, self.count)
 
     def expected_visibility(self, cluster: Tensor) -> Tensor:
         """Expected visible share of the light of each cluster `[N]`."""
@@ -252,13 +252,14 @@ def resampled(
 ) -> DirectLight:
     """One of several light samples, chosen in proportion to the targets by resampled importance sampling (Talbot et al. 2005).
 
-    Only the kept light sample needs a shadow ray. The MIS weights are those of a single light sample.
+    Only the kept light sample needs a shadow ray. The MIS weights count all light samples, because resampling draws
+    directions with a large contribution almost as often as all of them together.
 
     draw: function that makes light samples from uniform numbers `[6, N]`. uniforms: numbers of the first light sample.
     """
     light = draw(uniforms)
     scattered = scattering.evaluate(light.direction)
-    value, total = _target(light, scattered, expected_visibility(light.cluster))
+    value, total = _target(light, scattered, expected_visibility(light.cluster), candidates)
     kept = _Reservoir(light.direction, light.distance, value, light.share, total, light.cluster, scattered[1])
     for number in range(1, candidates):
         others = random.uniform(dimensions.candidate(number), dimensions.CANDIDATE_COUNT)
@@ -266,25 +267,30 @@ def resampled(
         others[0] = ((uniforms[0] + number / candidates) % 1.0).clamp(2.0**-24, 1.0 - 2.0**-24)
         light = draw(others)
         scattered = scattering.evaluate(light.direction)
-        kept, total = _updated(kept, total, light, scattered, expected_visibility(light.cluster), others[6])
+        target = _target(light, scattered, expected_visibility(light.cluster), candidates)
+        kept, total = _updated(kept, total, light, scattered, target, others[6])
     scale = total / (candidates * divisor(kept.target))
     contribution_rms = luminance(kept.value) * (kept.share * scale).sqrt()
     clusters = ClusterRecord(row, kept.cluster, contribution_rms)
     return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.bsdf_pdf, clusters)
 
 
-def _target(light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: Tensor) -> tuple[Tensor, Tensor]:
+def _target(light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: Tensor, candidates: int) -> tuple[Tensor, Tensor]:
     """Contributions `[3, N]` and targets `[N]` of samples."""
-    value = mis.light_contribution(light.radiance, light.pdf, *scattered)
+    value = mis.light_contribution(light.radiance, light.pdf, *scattered, candidates)
     return value, luminance(value) * visibility
 
 
 def _updated(
-    kept: _Reservoir, total: Tensor, light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: Tensor, uniform: Tensor
+    kept: _Reservoir,
+    total: Tensor,
+    light: ClusterSample,
+    scattered: tuple[Tensor, Tensor],
+    targets: tuple[Tensor, Tensor],
+    uniform: Tensor,
 ) -> tuple[_Reservoir, Tensor]:
-    """Reservoir after one more light sample, and the sum of the targets `[N]`."""
-    value = mis.light_contribution(light.radiance, light.pdf, *scattered)
-    target = luminance(value) * visibility
+    """Reservoir after one more light sample, and the sum of the targets `[N]`. targets: see `_target`."""
+    value, target = targets
     total = total + target
     changes = uniform * total < target
     new = (light.direction, light.distance, value, light.share, target, light.cluster, scattered[1])

@@ -109,5 +109,5 @@ class GuidedConfig:
     control_shrinkage: float = 64.0
 
     learn_lights: bool = True
-    light_candidates: int = 2
+    light_candidates: int = 4
     learn_visibility: bool = True

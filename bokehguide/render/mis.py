@@ -12,10 +12,10 @@ def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
     return 1.0 / (1.0 + (other / divisor(pdf)).square())
 
 
-def light_contribution(radiance: Tensor, pdf: Tensor, value: Tensor, bsdf_pdf: Tensor) -> Tensor:
+def light_contribution(radiance: Tensor, pdf: Tensor, value: Tensor, bsdf_pdf: Tensor, count: int = 1) -> Tensor:
     """Reflected radiance `[3, N]` of light samples, divided by the density and multiplied by the MIS weight.
 
     radiance `[3, N]`, pdf `[N]`: of the light samples; value: BSDF times cosine, `[3, N]`; bsdf_pdf: density with which BSDF
-    sampling finds the directions, `[N]`.
+    sampling finds the directions, `[N]`. count: see `LightDistribution`.
     """
-    return value * radiance * (power_heuristic(pdf, bsdf_pdf) / divisor(pdf))
+    return value * radiance * (power_heuristic(count * pdf, bsdf_pdf) / divisor(pdf))

@@ -183,7 +183,8 @@ class _Segment:
         """Add the radiance of the environment to paths that left the scene, with the MIS weight against light sampling."""
         environment = self._tracer.lights.environment
         if environment is not None:
-            weight = mis.power_heuristic(rays.pdf, paths.lights.environment_pdf(rays.vertex, rays.direction))
+            other = paths.lights.count * paths.lights.environment_pdf(rays.vertex, rays.direction)
+            weight = mis.power_heuristic(rays.pdf, other)
             arrived = paths.throughput * environment.radiance(rays.direction) * weight
             paths.radiance += arrived
             for observer in self._observers:
@@ -223,7 +224,8 @@ class _Segment:
         offset = surface.position.index_select(1, index) - rays.vertex
         distance = length(offset)
         cosine = dot(surface.geometric_normal.index_select(1, index), offset) / divisor(distance)
-        other = paths.lights.select(index).triangle_pdf(rays.vertex, emitter.triangle, distance, cosine)
+        lights = paths.lights.select(index)
+        other = lights.count * lights.triangle_pdf(rays.vertex, emitter.triangle, distance, cosine)
         arrived = emission * mis.power_heuristic(rays.pdf, other)
         paths.radiance.index_add_(1, index, arrived)
         for observer in self._observers:

@@ -6,18 +6,20 @@ import argparse
 import math
 from collections.abc import Callable
 
+from real_scenes import SCENE_NAMES, load_any
+
 from bokehguide.cli.arguments import Parser, size, threads
-from bokehguide.scene import BUILTIN, Overrides, Scene, load_scene
+from bokehguide.scene import BUILTIN, Scene
 from bokehguide.train import MODES
 
 
-def builtin(text: str) -> str:
-    if text not in BUILTIN:
-        raise argparse.ArgumentTypeError(f"{text!r} is not built in; choose from {', '.join(BUILTIN)}")
+def known_scene(text: str) -> str:
+    if text not in SCENE_NAMES:
+        raise argparse.ArgumentTypeError(f"{text!r} is no scene; choose from {', '.join(SCENE_NAMES)}")
     return text
 
 
-def experiment_parser(doc: str | None, frame: str, default_modes: str, scene: Callable[[str], str] = builtin) -> Parser:
+def experiment_parser(doc: str | None, frame: str, default_modes: str, scene: Callable[[str], str] = known_scene) -> Parser:
     """A parser with the options that all experiments share.
 
     frame, default_modes: defaults of `--size` and `--modes`; scene: reads the name of a scene.
@@ -44,4 +46,4 @@ def modes(text: str) -> list[str]:
 def load_scenes(args: argparse.Namespace) -> list[Scene]:
     """The scenes of the command line at its size."""
     width, height = args.size
-    return [load_scene(name, Overrides(width=width, height=height)) for name in args.scenes]
+    return [load_any(name, width, height) for name in args.scenes]

@@ -14,7 +14,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.image import read_metadata, read_rgb, write_exr
 from bokehguide.runtime import native
 from bokehguide.train import MODES
-from tests.support.paths import REPOSITORY
+from tests.support.paths import ASSETS, REPOSITORY
 
 SCRIPTS = REPOSITORY / "scripts"
 
@@ -150,6 +150,31 @@ def test_equal_time_gives_both_their_seconds(script, tmp_path):
         assert history[-1]["mape"]["frame"] < 1.0, "both show the same scene"
     assert "| daylight | frame | 2 |" in finished.stdout
     assert (tmp_path / "out/equal_time.png").stat().st_size > 10_000
+
+
+@pytest.mark.skipif(not ASSETS.is_dir(), reason="the real models are absent")
+def test_equal_time_measures_real_models_against_a_mode(script, tmp_path):
+    options = (
+        "--against",
+        "uniform",
+        "--size",
+        "32x18",
+        "--seconds",
+        1,
+        "--reference-spp",
+        16,
+        "--cache",
+        "cache",
+        "--out",
+        "out",
+    )
+    finished = script("equal_time.py", "real-truck", *options)
+    assert finished.returncode == 0, finished.stderr
+    histories = json.loads((tmp_path / "out/equal_time.json").read_text())["real-truck"]
+    assert histories.keys() == {"guided", "uniform"}
+    for history in histories.values():
+        assert history[-1]["mape"].keys() == {"frame", "insets", "inset-1", "inset-2", "inset-3"}
+    assert "| MAPE of uniform |" in finished.stdout
 
 
 def raising(error: BaseException):

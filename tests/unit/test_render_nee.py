@@ -39,6 +39,10 @@ class Spot:
     def sample(self) -> DirectLight:
         return self.lights.sample(self.surface, self.scattering, self.random.uniform(0, 6), self.random)
 
+    def weight(self, pdf: torch.Tensor, bsdf_pdf: torch.Tensor) -> torch.Tensor:
+        """Weight of the multi-sample power heuristic (Veach 1997), divided by the density of one candidate."""
+        return 1.0 / (1.0 + (bsdf_pdf / (self.count * pdf)).square()) / pdf
+
     def candidates(self) -> tuple[torch.Tensor, ...]:
         """Direction `[C, 3, COUNT]` of each of C candidates; luminance and resampling target, float64, and density of the BSDF,
         `[C, COUNT]`."""
@@ -49,7 +53,7 @@ class Spot:
             uniforms[0] = ((first[0] + number / self.count) % 1.0).clamp(2.0**-24, 1.0 - 2.0**-24)
             light = self.lights.draw(query, uniforms)
             value, pdf = self.scattering.evaluate(light.direction)
-            weight = 1.0 / (1.0 + (pdf / light.pdf).square()) / light.pdf
+            weight = self.weight(light.pdf, pdf)
             directions.append(light.direction)
             bright.append(luminance(value * light.radiance * weight).double())
             target.append(bright[-1] * self.lights.expected_visibility(light.cluster))
@@ -91,7 +95,7 @@ def test_squared_contributions_are_second_moments_by_cluster():
     query = spot.power.lights.query(spot.surface.position)
     light = spot.lights.draw(query, PixelRandom(9, 1, torch.arange(COUNT)).uniform(0, 6))
     value, pdf = spot.scattering.evaluate(light.direction)
-    weight = 1.0 / (1.0 + (pdf / light.pdf).square()) / light.pdf
+    weight = spot.weight(light.pdf, pdf)
     plain = (luminance(value * light.radiance * weight).square() * light.share).double()
     found = spot.sample()
     squared = found.clusters.contribution_rms.double().square()

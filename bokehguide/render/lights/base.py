@@ -58,11 +58,15 @@ class LightDistribution(Protocol):
     """Distribution of light samples at the vertices of N paths. All densities are per unit solid angle.
 
     first_step: step since which the distribution has not changed. Its random numbers may be stratified over the steps from this
-    step on.
+    step on. count: number of light samples from which `sample` makes one. The multi-sample power heuristic (Veach 1997)
+    multiplies their density by this number.
     """
 
     @property
     def first_step(self) -> int: ...
+
+    @property
+    def count(self) -> int: ...
 
     def select(self, index: Tensor) -> Self:
         """Distribution for the paths at `index`, int64 `[M]`."""
