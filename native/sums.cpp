@@ -31,11 +31,13 @@ void add_light_samples(Out<double> sums, const Ints& tile, const Ints& cluster, 
     }
 }
 
-// `ControlVariate.add`: adds samples of pixels, null for consecutive ones from `first` on, to sums `[8, cells]`.
-void add_control_samples(Out<double> sums, const std::optional<Out<const int64_t>>& pixels, int64_t first, int width, int cell,
-                         const Floats& radiance, const Floats& weight) {
-    const size_t count = weight.size(), cells = sums.size() / CONTROL_ROWS;
-    check(sums, CONTROL_ROWS * cells, "sums"), check(radiance, 3 * count, "radiance");
+// `ControlVariate.corrected`: corrects samples of pixels, null for consecutive ones from `first` on, and adds them to sums
+// `[8, cells]`. coefficients: `[3, cells]`; bound: `[3, film pixels]`.
+void correct_samples(Out<double> sums, const std::optional<Out<const int64_t>>& pixels, int64_t first, int width, int cell,
+                     const Floats& radiance, const Floats& weight, const Floats& coefficients, const Floats& bound, Out<float> corrected) {
+    const size_t count = weight.size(), cells = sums.size() / CONTROL_ROWS, film = bound.size() / 3;
+    check(sums, CONTROL_ROWS * cells, "sums"), check(radiance, 3 * count, "radiance"), check(coefficients, 3 * cells, "coefficients");
+    check(corrected, 3 * count, "corrected");
     if (pixels) check(*pixels, count, "pixels");
     nb::gil_scoped_release released;
     double* const total = sums.data();
@@ -43,7 +45,12 @@ void add_control_samples(Out<double> sums, const std::optional<Out<const int64_t
     for (size_t i = 0; i < count; ++i) {
         const int64_t pixel = pixels ? pixels->data()[i] : first + int64_t(i);
         const size_t place = size_t(pixel / width / cell * across + pixel % width / cell);
-        if (pixel < 0 || place >= cells) continue;
+        if (pixel < 0 || size_t(pixel) >= film || place >= cells) continue;
+        for (size_t channel = 0; channel < 3; ++channel) {
+            const float most = bound.data()[channel * film + size_t(pixel)], slope = coefficients.data()[channel * cells + place];
+            const float c = slope < -most ? -most : slope > most ? most : slope;
+            corrected.data()[channel * count + i] = radiance.data()[channel * count + i] - c * (weight.data()[i] - 1.0f);
+        }
         const double w = weight.data()[i], color[3] = {radiance.data()[i], radiance.data()[count + i], radiance.data()[2 * count + i]};
         const double light = 0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2];
         if (!std::isfinite(w + light)) continue;
@@ -56,7 +63,8 @@ void add_control_samples(Out<double> sums, const std::optional<Out<const int64_t
 
 void bind_sums(nb::module_& m) {
     m.def("add_light_samples", &add_light_samples);
-    m.def("add_control_samples", &add_control_samples, nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());
+    m.def("correct_samples", &correct_samples, nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
+          nb::arg(), nb::arg());
 }
 
 }  // namespace bokehguide

@@ -12,6 +12,7 @@ never negative where the mean weight is below 2.
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import ModuleType
 
 import torch
 from torch import Tensor, nn
@@ -21,7 +22,7 @@ from bokehguide.guiding.protocols import ModeContext
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
 from bokehguide.runtime.distributed import ROWS_PER_BAND, RankSums
-from bokehguide.runtime.indexing import Pixels, gather_pixels, pixel_numbers
+from bokehguide.runtime.indexing import Pixels, gather_pixels, pixel_numbers, tile_numbers
 
 CELL = 4
 """Side of a cell in pixels. Each cell has one coefficient, and a band of rows contains whole cells."""
@@ -65,12 +66,21 @@ class ControlVariate(RankSums):
 
     def corrected(self, places: Pixels, radiance: Tensor, weight: Tensor) -> Tensor:
         """Radiance less c (weight - 1), `[3, N]`; the samples are added to the sums."""
+        core = native.core()
+        if core is not None and radiance.device.type == "cpu":
+            return self._corrected_by_core(core, places, radiance.contiguous(), weight.contiguous())
         self.add(places, radiance, weight)
         return radiance - self.coefficient(places) * (weight - 1.0)
 
+    def _corrected_by_core(self, core: ModuleType, places: Pixels, radiance: Tensor, weight: Tensor) -> Tensor:
+        first, pixels = (places.start, None) if isinstance(places, slice) else (0, places.contiguous())
+        corrected = torch.empty_like(radiance)
+        geometry, learned = (first, self._width, CELL), (self.coefficients, self.bound)
+        core.correct_samples(self.mine, pixels, *geometry, radiance, weight, *learned, corrected)
+        return corrected
+
     def _cells(self, places: Pixels) -> Tensor:
-        numbers = pixel_numbers(places, self.coefficients.device)
-        return numbers // self._width // CELL * self._across + numbers % self._width // CELL
+        return tile_numbers(pixel_numbers(places, self.coefficients.device), self._width, CELL)
 
     def coefficient(self, places: Pixels) -> Tensor:
         """Coefficients c `[3, N]` of some pixels of the film, 0 in the first epoch."""
@@ -79,11 +89,6 @@ class ControlVariate(RankSums):
 
     def add(self, places: Pixels, radiance: Tensor, weight: Tensor) -> None:
         """Add samples `[3, N]` with their weights `[N]`. Samples that are not finite are ignored."""
-        core = native.core()
-        if core is not None and radiance.device.type == "cpu":
-            first, pixels = (places.start, None) if isinstance(places, slice) else (0, places.contiguous())
-            core.add_control_samples(self.mine, pixels, first, self._width, CELL, radiance.contiguous(), weight.contiguous())
-            return
         radiance, weight = radiance.double(), weight.double()  # squares of large float32 numbers overflow
         light = luminance(radiance)
         rows = torch.stack((torch.ones_like(light), weight, weight * weight, weight * light, light * light, *radiance))
