@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import gc
 
 import torch
 
@@ -13,18 +12,14 @@ TRIM_THRESHOLD, MMAP_THRESHOLD, ARENA_MAX = -1, -3, -8
 LARGEST = 32 << 20
 """Largest size in bytes of freed blocks that glibc reuses: the largest value that `mallopt` accepts."""
 NEVER = 2**31 - 1
-COLLECT_AFTER = 50_000
-"""New containers after which Python collects cyclic garbage."""
 
 
 def dedicate_process() -> None:
     """Use the whole process for rendering: the process keeps freed memory, and PyTorch uses one OpenMP thread.
 
-    Cyclic garbage is collected rarely, because a render makes hardly any. Call this function at the start of a program. The
-    memory setting cannot be undone.
+    Call this function at the start of a program. The memory setting cannot be undone.
     """
     torch.set_num_threads(1)
-    gc.set_threshold(COLLECT_AFTER)
     _keep_freed_memory()
 
 
