@@ -32,6 +32,8 @@ def label_patches(
 
     depth, width: depth and width of each cell, metres, `[K]`. depth_gap: see `HighlightConfig`.
     """
+    if len(cells) == 0:
+        return torch.zeros_like(cells)
     from kornia.contrib import connected_components_union_find  # the import takes half a second
 
     mask = torch.zeros(record.height * record.width, dtype=torch.bool, device=cells.device)
