@@ -40,10 +40,14 @@ def assert_unchanged() -> None:
     assert torch.get_num_threads() == in_new_thread(torch.get_num_threads) == OUTSIDE
 
 
+def started_since(earlier: set[threading.Thread]) -> set[threading.Thread]:
+    return set(threading.enumerate()) - earlier
+
+
 def test_the_process_is_the_same_before_during_and_after():
-    threads = threading.enumerate()
+    earlier = set(threading.enumerate())  # threads of an earlier test may still be ending
     workers = Workers(3, CPU)
-    assert threading.enumerate() == threads, "construction starts nothing"
+    assert not started_since(earlier), "construction starts nothing"
     barrier = threading.Barrier(4, timeout=30.0)
 
     def work(_: int) -> int:
@@ -53,13 +57,13 @@ def test_the_process_is_the_same_before_during_and_after():
 
     futures = [workers.submit(work, number) for number in range(3)]
     barrier.wait()
-    assert len(threading.enumerate()) == len(threads) + 3
+    assert len(started_since(earlier)) == 3
     assert_unchanged()
     barrier.wait()
     assert [future.result() for future in futures] == [1] * 3
     assert_unchanged()
     workers.close()
-    assert threading.enumerate() == threads
+    assert not started_since(earlier)
     assert_unchanged()
 
 
