@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from io import BytesIO
@@ -127,6 +128,7 @@ def render(
     time_limit: float | None = None,
     quiet: bool = False,
     allow_outside: bool = False,
+    on_step: Callable[[int, Callable[[], Picture]], object] | None = None,
     **options: Any,
 ) -> Picture:
     """Render a scene and return the picture.
@@ -135,7 +137,8 @@ def render(
     spp: samples per pixel. size: width and height in pixels, by default the scene's. denoise: also give the denoised picture, for
     which the extra `denoise` must be installed. time_limit: seconds from the call, after which no step begins; one step is
     always taken. quiet: show neither a progress bar nor warnings of the scene.
-    allow_outside: let a scene file name files outside its folder.
+    allow_outside: let a scene file name files outside its folder. on_step: called after each step with the samples per pixel so
+    far, and a function that returns the picture so far.
     options: fields of `Overrides`, such as `environment` and `focus_distance`, and of `RenderSettings`, such as `seed`,
     `target_noise` and `crop`.
 
@@ -156,7 +159,7 @@ def render(
     for warning in () if quiet else (*loaded.warnings, *loaded.likely_mistakes):
         warnings.warn(warning, stacklevel=2)
     with make_loop(loaded, settings) as loop:
-        _take_steps(loop, deadline, quiet)
+        _take_steps(loop, deadline, quiet, on_step)
         return _picture(loop)
 
 
@@ -207,7 +210,12 @@ def _deadline(time_limit: float | None) -> float:
     return time.monotonic() + time_limit
 
 
-def _take_steps(loop: RenderLoop | AdaptiveLoop, deadline: float, quiet: bool) -> None:
+def _take_steps(
+    loop: RenderLoop | AdaptiveLoop,
+    deadline: float,
+    quiet: bool,
+    on_step: Callable[[int, Callable[[], Picture]], object] | None,
+) -> None:
     """Take all steps, or those until an interruption or the deadline. A SIGTERM takes effect after the step."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # tqdm warns in notebooks without ipywidgets, and shows a bar of text
@@ -220,6 +228,8 @@ def _take_steps(loop: RenderLoop | AdaptiveLoop, deadline: float, quiet: bool) -
         while loop.step_number < spp and not (isinstance(loop, AdaptiveLoop) and loop.finished):
             loop.step()
             bar.update()
+            if on_step is not None:
+                on_step(loop.step_number, lambda: _picture(loop))
             if time.monotonic() > deadline or (interrupt is not None and interrupt.requested):
                 break
     if interrupt is not None and interrupt.signal == signal.SIGTERM:

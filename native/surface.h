@@ -268,7 +268,8 @@ inline Vec3 emission_share(const Tables& t, const Hits& hit, Vec3 direction, Int
     Vec3 share = grey(all(1.0f));
     if (t.cones != nullptr) {
         const auto row = [&](int number) { return gather(t.cones + number * t.materials, material); };
-        share = grey(square(clamp(dot({row(0), row(1), row(2)}, direction) * row(3) + row(4), 0.0f, 1.0f)));
+        const Float s = clamp(dot({row(0), row(1), row(2)}, direction) * row(3) + row(4), 0.0f, 1.0f);
+        share = grey(square(s) * (1.0f + row(5) * (2.0f - 2.0f * s)));
     }
     share = share * rgb(texels(t, bokehguide::EMISSION, hit, material, active));
     if (t.colors != nullptr) {

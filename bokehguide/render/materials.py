@@ -99,7 +99,8 @@ class Materials:
         if self.cones is None or direction is None:
             return torch.ones(material.shape, device=material.device)
         rows = self.cones.index_select(1, material)
-        return (dot(rows[0:3], direction) * rows[3] + rows[4]).clamp(0.0, 1.0).square()
+        t = (dot(rows[0:3], direction) * rows[3] + rows[4]).clamp(0.0, 1.0)
+        return t.square() * (1.0 + rows[5] * (2.0 - 2.0 * t))
 
     def opacity(self, material: Tensor, coverage: Tensor) -> Tensor:
         """Opacity `[N]` of `material` `[N]`, from the product `coverage` `[N]` of texture and vertex alpha."""
@@ -137,12 +138,12 @@ def _tilts_coats(materials: tuple[Material, ...], numbers: dict[str, list[int]])
 
 
 def _cone_row(cone: Cone | None) -> tuple[float, ...]:
-    """Axis, scale and offset of the angular falloff of KHR_lights_punctual."""
+    """Axis, scale and offset of t, and 1 for a smooth falloff (`Cone`)."""
     if cone is None:
-        return 0.0, 0.0, 0.0, 0.0, 1.0
+        return 0.0, 0.0, 0.0, 0.0, 1.0, 0.0
     inner, outer = math.cos(math.radians(cone.inner)), math.cos(math.radians(cone.outer))
     scale = 1.0 / max(1e-3, inner - outer)
-    return *cone.axis, scale, -outer * scale
+    return *cone.axis, scale, -outer * scale, float(cone.smooth)
 
 
 def _cutoff(material: Material) -> float:

@@ -164,17 +164,20 @@ class Texture:
 class Cone:
     """Angular falloff of a spotlight: full radiance within `inner` degrees of `axis`, none beyond `outer`.
 
-    The falloff in between follows KHR_lights_punctual. axis: unit, in world space.
+    With t from 0 at `outer` to 1 at `inner`, linear in the cosine, the falloff in between is t² as in KHR_lights_punctual, or
+    3t² - 2t³ for `smooth` cones, as in Blender. axis: unit, in world space.
     """
 
     axis: Vector
     inner: float
     outer: float
+    smooth: bool = False
 
     def __post_init__(self) -> None:
         fields = Fields(self)
         fields.check_direction("axis")
         fields.check_numbers(inner=CONE_ANGLE, outer=CONE_ANGLE)
+        fields.check_flags("smooth")
         if self.inner >= self.outer:
             fields.fail("outer", f"is not above inner, {self.inner:g}; give a larger angle")
 

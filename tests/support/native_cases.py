@@ -89,6 +89,7 @@ MATTE = Material("matte", (0.6, 0.6, 0.6), roughness=0.8)
 LAMPS = (
     emitter(4.0, emission_texture=texture(12, 3, 0.0), double_sided=True),
     emitter(9.0, emission_cone=Cone((0.0, -1.0, 0.0), 20.0, 50.0)),
+    emitter(7.0, emission_cone=Cone((0.0, -1.0, 0.0), 10.0, 60.0, smooth=True)),
     emitter(3.0, clearcoat=1.0, clearcoat_texture=texture(13, 3)),
     emitter(5.0, tint_emission=True, alpha_mode="blend", opacity=0.7),
 )

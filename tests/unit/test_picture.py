@@ -53,6 +53,16 @@ def test_the_files_are_those_of_the_command_line(lamps_file, tmp_path, monkeypat
     assert all(facts[key] == pytest.approx(value) for key, value in picture.metadata.items())
 
 
+def test_the_picture_after_each_step_is_that_of_a_shorter_render(lamps_file):
+    seen = {}
+    last = bokehguide.render(lamps_file, on_step=lambda spp, picture: seen.update({spp: picture()}), **SMALL)
+    assert list(seen) == [1, 2]
+    np.testing.assert_array_equal(seen[2].beauty, last.beauty)
+    shorter = bokehguide.render(lamps_file, **(SMALL | {"spp": 1}))
+    np.testing.assert_array_equal(seen[1].beauty, shorter.beauty)
+    assert seen[1].metadata["spp"] == 1
+
+
 def test_a_scene_from_memory():
     scene = triangle()
     picture = bokehguide.render(scene, size=(24, 16), **SMALL)

@@ -280,15 +280,16 @@ def test_materials_without_a_hole_are_opaque():
 
 
 def punctual_falloff(degrees: float, inner: float, outer: float) -> float:
-    """KHR_lights_punctual's reference code."""
+    """KHR_lights_punctual's reference code, before the square."""
     scale = 1.0 / max(0.001, math.cos(math.radians(inner)) - math.cos(math.radians(outer)))
     offset = -math.cos(math.radians(outer)) * scale
-    return min(1.0, max(0.0, math.cos(math.radians(degrees)) * scale + offset)) ** 2
+    return min(1.0, max(0.0, math.cos(math.radians(degrees)) * scale + offset))
 
 
-def test_a_cone_shapes_the_emission_by_its_direction():
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_cone_shapes_the_emission_by_its_direction(smooth):
     axis = np.array([0.3, -0.2, 1.0]) / np.linalg.norm([0.3, -0.2, 1.0])
-    spot = Material("spot", emission=(2.0, 4.0, 8.0), emission_cone=Cone(tuple(axis), 20.0, 35.0))
+    spot = Material("spot", emission=(2.0, 4.0, 8.0), emission_cone=Cone(tuple(axis), 20.0, 35.0, smooth))
     geometry = Geometry(scene([rectangle(0), rectangle(1, (5, 0, 0))], [spot, Material("bulb", emission=(1.0, 1.0, 1.0))]))
     side = np.cross(axis, [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
@@ -296,7 +297,9 @@ def test_a_cone_shapes_the_emission_by_its_direction():
     directions = np.cos(np.radians(angles))[:, None] * axis + np.sin(np.radians(angles))[:, None] * side
     targets = np.array([[0.1, 0.2, 0.0]] * 6 + [[5.1, 0.2, 0.0]])
     hit, surface = found(geometry, targets + 2.0 * directions, -directions)
-    expected = [np.array([2.0, 4.0, 8.0]) * punctual_falloff(angle, 20.0, 35.0) for angle in angles[:6]] + [np.ones(3)]
+    shares = [punctual_falloff(angle, 20.0, 35.0) for angle in angles[:6]]
+    shares = [3.0 * t**2 - 2.0 * t**3 if smooth else t**2 for t in shares]
+    expected = [np.array([2.0, 4.0, 8.0]) * share for share in shares] + [np.ones(3)]
     np.testing.assert_allclose(geometry.emission(hit, surface.front, surface.outgoing).T.numpy(), expected, rtol=1e-3, atol=1e-4)
     along = geometry.emission(hit, surface.front, None)
     np.testing.assert_allclose(along[0].numpy(), [2.0] * 6 + [1.0])

@@ -11,7 +11,7 @@ from bokehguide.color import LUMINANCE, blackbody
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.emitters import find_emitters
 from bokehguide.scene.strings import String
-from bokehguide.scene.types import Mesh, Scene
+from bokehguide.scene.types import Cone, Mesh, Scene
 from tests.support.scene_text import BALL, CAMERA, load
 from tests.support.statistical import SIGNIFICANCE
 from tests.support.tracing import estimates, mean_test
@@ -19,6 +19,7 @@ from tests.support.tracing import estimates, mean_test
 SHAPES = {
     "sphere": "radius = 0.03",
     "disc": 'shape = "disc"\nradius = 0.2\ndirection = [1.0, 2.0, -0.5]',
+    "ellipse": 'shape = "ellipse"\nsize = [0.4, 0.1]\ndirection = [0.0, 0.0, 3.0]',
     "rectangle": 'shape = "rectangle"\nsize = [0.4, 0.1]\ndirection = [0.0, 0.0, 3.0]',
 }
 
@@ -63,9 +64,7 @@ def test_photometric_units(tmp_path, shape):
     mesh, by_lumens = light_of(tmp_path, f"{text}lumens = 800.0")
     assert flux(mesh, by_lumens) == pytest.approx(800.0 / 683.0, rel=1e-5)
     mesh, by_candela = light_of(tmp_path, f"{text}candela = 50.0")
-    normal = {"sphere": (0.6, 0.0, 0.8), "disc": np.array((1.0, 2.0, -0.5)) / math.sqrt(5.25), "rectangle": (0.0, 0.0, 1.0)}[
-        shape
-    ]
+    normal = {"sphere": (0.6, 0.0, 0.8), "disc": np.array((1.0, 2.0, -0.5)) / math.sqrt(5.25)}.get(shape, (0.0, 0.0, 1.0))
     assert intensity(mesh, by_candela, np.array(normal)) == pytest.approx(50.0 / 683.0, rel=2e-3)
     solid = 4.0 * math.pi if shape == "sphere" else math.pi
     np.testing.assert_allclose(by_lumens / by_candela, 800.0 / (50.0 * solid), rtol=1e-5)
@@ -146,6 +145,21 @@ def test_a_hanging_string_is_a_catenary():
     np.testing.assert_allclose(curvature, curvature.mean(), rtol=2e-3)
 
 
+def test_an_ellipse_fills_the_rectangle_of_its_size(tmp_path):
+    mesh, radiance = light_of(tmp_path, f"{SHAPES['ellipse']}\nup = [0.0, 5.0, 0.0]\nposition = [1.0, 0.0, 2.0]\nradiance = 3.0")
+    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), (0.4, 0.1, 0.0), atol=2e-3)
+    assert flux(mesh, radiance) == pytest.approx(3.0 * math.pi * math.pi * 0.2 * 0.05, rel=3e-3)
+
+
+def test_a_cone_makes_a_spotlight_of_the_same_intensity_on_its_axis(tmp_path):
+    cone = "cone = { inner = 10.0, outer = 20.0, smooth = true }\ndirection = [0.0, -3.0, 4.0]"
+    light = "radius = 0.03\nposition = [0.0, 2.0, -3.0]\nwatts = 5.0"
+    scene = scene_with(tmp_path, f"{light}\n{cone}")
+    material = scene.materials[scene.meshes[-1].material]
+    assert material.emission_cone == Cone((0.0, -0.6, 0.8), 10.0, 20.0, smooth=True)
+    np.testing.assert_array_equal(material.emission, light_of(tmp_path, light)[1])
+
+
 def test_lights_on_a_string(tmp_path):
     text = "radius = 0.01\npath = [[0.0, 2.0, 0.0], [1.0, 2.0, 0.0]]\nsag = 0.25\nspacing = 0.1\nwatts = 0.5"
     scene = scene_with(tmp_path, text)
@@ -198,6 +212,18 @@ def test_the_colour_of_a_black_body():
         ("radius = 1e-6\nposition = [0, 1, 0]\nwatts = 1e9", "light[0].watts: 1000000000.0 makes a radiance of"),
         ("radius = 1e-6\nposition = [9e3, 9e3, 9e3]\nwatts = 1", "is too far from the origin"),
         ('shape = "cube"\nposition = [0, 1, 0]\nwatts = 1', "light[0].shape: 'cube' is not the shape of a light"),
+        (
+            'shape = "disc"\nradius = 0.1\ncone = {}\nposition = [0, 1, 0]\nwatts = 1',
+            "light[0].cone: {} has no effect on a disc; it is for a light of shape sphere; leave it out",
+        ),
+        (
+            "radius = 0.1\ncone = { inner = 50 }\nposition = [0, 1, 0]\nwatts = 1",
+            "light[0].cone.outer: 45 is not above inner, 50; give a larger angle",
+        ),
+        (
+            "radius = 0.1\ndirection = [1, 0, 0]\nposition = [0, 1, 0]\nwatts = 1",
+            "light[0].direction: [1, 0, 0] has no effect on a sphere",
+        ),
         ("radius = 0.1\nsize = [1, 1]\nposition = [0, 1, 0]\nwatts = 1", "light[0].size: [1, 1] has no effect on a sphere"),
         (
             'shape = "rectangle"\nsize = [1, 0]\nposition = [0, 1, 0]\nwatts = 1',

@@ -40,7 +40,7 @@ def test_every_term_reaches_the_material(folder):
         clearcoat = 0.75
         clearcoat_roughness = 0.125
         emission = [1.0, 2.0, 3.0]
-        emission_cone = { axis = [0.0, -2.0, 0.0], inner = 10.0, outer = 30 }
+        emission_cone = { axis = [0.0, -2.0, 0.0], inner = 10.0, outer = 30, smooth = true }
         opacity = 0.5
         alpha_mode = "mask"
         alpha_cutoff = 0.25
@@ -53,7 +53,7 @@ def test_every_term_reaches_the_material(folder):
     assert found.specular_color == (0.5, 1.5, 1.0) and found.transmission == 0.9
     assert found.attenuation_color == (0.1, 0.2, 0.3) and found.attenuation_distance == 0.25
     assert (found.clearcoat, found.clearcoat_roughness) == (0.75, 0.125)
-    assert found.emission_cone == Cone((0.0, -1.0, 0.0), 10.0, 30.0)
+    assert found.emission_cone == Cone((0.0, -1.0, 0.0), 10.0, 30.0, smooth=True)
     assert (found.opacity, found.alpha_mode, found.alpha_cutoff) == (0.5, "mask", 0.25)
     assert (found.normal_scale, found.clearcoat_normal_scale) == (-2.0, 3.0)
 

@@ -1,4 +1,4 @@
-"""The `[[light]]` tables of a scene file: emissive spheres, discs and rectangles, alone or in strings."""
+"""The `[[light]]` tables of a scene file: emissive spheres, discs, ellipses and rectangles, alone or in strings."""
 
 from __future__ import annotations
 
@@ -20,18 +20,20 @@ from bokehguide.scene.shapes import (
 )
 from bokehguide.scene.strings import String
 from bokehguide.scene.tables import EMITTER_RADIUS, KELVIN, NOT_NEGATIVE, POSITIVE, Table, did_you_mean, is_number
+from bokehguide.scene.toml.cones import read_cone
 from bokehguide.scene.types import Material, Mesh, Vector, as_vector
 
-LIGHT_SHAPES = {"sphere": unit_sphere, "disc": unit_disc, "rectangle": unit_rectangle}
+LIGHT_SHAPES = {"sphere": unit_sphere, "disc": unit_disc, "ellipse": unit_disc, "rectangle": unit_rectangle}
 MAX_LIGHTS = 10_000
 """Lights of a file, which bounds its memory."""
 COARSE_LIGHTS = 64
 """Spheres of a table beyond which each has 320 triangles in place of 1,280."""
 NEEDS = {
     "radius": ("sphere", "disc"),
-    "size": ("rectangle",),
-    "direction": ("disc", "rectangle"),
-    "up": ("rectangle",),
+    "size": ("ellipse", "rectangle"),
+    "direction": ("disc", "ellipse", "rectangle", "sphere with a cone"),
+    "up": ("ellipse", "rectangle"),
+    "cone": ("sphere",),
 }
 """Keys that have an effect on the listed shapes only."""
 PLACES = ("position", "positions", "path")
@@ -59,7 +61,8 @@ def read_light_tables(root: Table, first: int) -> tuple[list[Mesh], list[Materia
             mesh = repeated(shape, centres, first + len(meshes), name)
         emission = _emission(table, surface_area(mesh) / len(centres))
         meshes.append(mesh)
-        materials.append(Material(name, base_color=(0.0, 0.0, 0.0), specular=0.0, emission=emission))
+        cone = read_cone(table, "cone", _direction(table)) if "cone" in table else None
+        materials.append(Material(name, base_color=(0.0, 0.0, 0.0), specular=0.0, emission=emission, emission_cone=cone))
     return meshes, materials
 
 
@@ -68,11 +71,12 @@ def _shape(table: Table, count: int) -> Mesh:
     kind = table.text("shape") or "sphere"
     if kind not in LIGHT_SHAPES:
         table.fail("shape", f"is not the shape of a light; {did_you_mean(kind, LIGHT_SHAPES)}")
+    named = f"{kind} with a cone" if kind == "sphere" and "cone" in table else kind
     for key, kinds in NEEDS.items():
-        if key in table and kind not in kinds:
-            table.fail(key, f"has no effect on a {kind}; give it to a {' or a '.join(kinds)}, or leave it out")
+        if key in table and not {kind, named} & set(kinds):
+            table.fail(key, f"has no effect on a {kind}; it is for a light of shape {' or '.join(kinds)}; leave it out")
     matrix = np.eye(4)
-    if kind == "rectangle":
+    if kind in NEEDS["size"]:
         width, height = _size(table)
         matrix[:3, :3] = _axes(table) * (0.5 * width, 0.5 * height, 1.0)
     else:
@@ -83,7 +87,7 @@ def _shape(table: Table, count: int) -> Mesh:
 
 
 def _size(table: Table) -> tuple[float, float]:
-    """Width and height of a rectangle in metres."""
+    """Width and height of a rectangle or an ellipse in metres."""
     if "size" not in table:
         table.missing("size", "give [width, height] in metres")
     size = table.values["size"]
@@ -94,7 +98,7 @@ def _size(table: Table) -> tuple[float, float]:
 
 def _axes(table: Table) -> np.ndarray:
     """The directions of the width, of the height and of the light, as the columns of `[3, 3]`."""
-    forward = np.array(table.direction("direction") if "direction" in table else DOWN)
+    forward = np.array(_direction(table))
     upright = abs(forward[1]) > 1.0 - 1e-6
     up = np.array(table.direction("up") if "up" in table else (0.0, 0.0, -1.0) if upright else (0.0, 1.0, 0.0))
     right = np.cross(up, forward)
@@ -103,6 +107,11 @@ def _axes(table: Table) -> np.ndarray:
         table.fail("up", "is parallel to the direction of the light; give another")
     right /= length
     return np.stack((right, np.cross(forward, right), forward), axis=1)
+
+
+def _direction(table: Table) -> Vector:
+    """The unit vector along which a light shines."""
+    return table.direction("direction") if "direction" in table else DOWN
 
 
 def _centres(table: Table, most: int) -> np.ndarray:

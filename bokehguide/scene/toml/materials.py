@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from bokehguide.errors import BokehguideError
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
-from bokehguide.scene.tables import CONE_ANGLE, Table, did_you_mean
-from bokehguide.scene.types import ALPHA_MODES, MATERIAL_COLORS, MATERIAL_NUMBERS, Cone, Material, Texture, Vector
+from bokehguide.scene.tables import Table, did_you_mean
+from bokehguide.scene.toml.cones import read_cone
+from bokehguide.scene.types import ALPHA_MODES, MATERIAL_COLORS, MATERIAL_NUMBERS, Material, Texture, Vector
 
 ENCODED = {
     "base_color_texture": True,
@@ -80,7 +80,7 @@ def _material(table: Table, files: SceneFiles) -> Material:
         **{key: color(key) for key in MATERIAL_COLORS},
         **{key: table.flag(key) for key in ("thin", "double_sided")},
         alpha_mode=_alpha_mode(table),
-        emission_cone=_cone(table),
+        emission_cone=read_cone(table, "emission_cone") if "emission_cone" in table else None,
         **textures,
     )
 
@@ -103,16 +103,3 @@ def _alpha_mode(table: Table) -> str:
     if mode not in ALPHA_MODES:
         table.fail("alpha_mode", f"is not a mode; {did_you_mean(mode, ALPHA_MODES)}")
     return mode
-
-
-def _cone(table: Table) -> Cone | None:
-    """The emission cone of a material's table, None if absent."""
-    if "emission_cone" not in table:
-        return None
-    cone = Table(table.values["emission_cone"], table.file, f"{table.path}.emission_cone", ("axis", "inner", "outer"))
-    axis = cone.direction("axis")
-    outer = cone.number("outer", 45.0, CONE_ANGLE)
-    inner = cone.number("inner", 0.0, CONE_ANGLE)
-    if inner >= outer:
-        raise BokehguideError(f"{cone.place('outer')}: {outer:g} is not above inner, {inner:g}; give a larger angle")
-    return Cone(axis, inner, outer)
