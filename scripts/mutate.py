@@ -33,6 +33,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PASSED, FAILED = 0, 1
 """Exit codes of pytest."""
+RUN_PYTEST = """
+import sys, pytest
+sys.meta_path[:] = [finder for finder in sys.meta_path if not type(finder).__module__.startswith("_editable_")]
+sys.exit(pytest.main(sys.argv[1:]))
+"""
+"""Program of the tests. The finder of an editable installation would import the package of the repository, not the copy."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,7 @@ class Audit:
         """Exit code of pytest; None if it exceeds the time limit."""
         # Python would reuse the bytecode of the other text for a file that changes twice within a second.
         environment = os.environ | {"BOKEHGUIDE_NATIVE": "0", "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+        command = [sys.executable, "-c", RUN_PYTEST, "-x", "-q", "-p", "no:cacheprovider", *tests]
         try:
             return subprocess.run(command, cwd=copy, env=environment, capture_output=True, timeout=self._limit).returncode
         except subprocess.TimeoutExpired:
