@@ -1,6 +1,11 @@
 """The audit of the tests tells killed mutations from those that survive."""
 
+import subprocess
+import sys
+
 import pytest
+
+from tests.support.paths import REPOSITORY
 
 pytestmark = pytest.mark.slow
 
@@ -28,12 +33,11 @@ tests = ['tests/unit/test_runtime_indexing.py']
 """
 
 
-def test_outcomes_of_mutations(script, tmp_path):
+def test_outcomes_of_mutations(tmp_path):
     """The tests must import the mutated copy, also where the package is installed in editable mode."""
     (tmp_path / "list.toml").write_text(LIST)
-    finished = script("mutate.py", "--list", "list.toml")
-    assert finished.returncode == 1
-    assert "| rows count as tiles | bokehguide/runtime/indexing.py | killed |" in finished.stdout, (
-        finished.stdout + finished.stderr
-    )
+    command = [sys.executable, REPOSITORY / "scripts/mutate.py", "--list", tmp_path / "list.toml"]
+    finished = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert finished.returncode == 1, finished.stderr
+    assert "| rows count as tiles | bokehguide/runtime/indexing.py | killed |" in finished.stdout
     assert "3 mutations: 1 killed, 1 survived, 1 invalid" in finished.stdout
