@@ -222,10 +222,9 @@ def bright_and_even() -> Scene:
 def from_the_same_epoch(loop: RenderLoop) -> None:
     """Give the loop coefficients from the step's own samples alone."""
     control = loop.mode.reuse.control_variate
-    add, width = control.add, loop.film.width
+    corrected, width = control.corrected, loop.film.width
 
-    def added(places: slice, radiance: Tensor, weight: Tensor) -> None:
-        add(places, radiance, weight)
+    def corrected_by_itself(places: slice, radiance: Tensor, weight: Tensor) -> Tensor:
         light, numbers = luminance(radiance).double(), torch.arange(places.start, places.stop)
         cells = numbers // width // CELL * (width // CELL) + numbers % width // CELL
         for cell in cells.unique():
@@ -233,8 +232,9 @@ def from_the_same_epoch(loop: RenderLoop) -> None:
             w, v = weight[mine].double(), light[mine]
             w, v = w - w.mean(), v - v.mean()
             control.coefficients[:, cell] = (w * v).sum() / w.square().sum().clamp(min=1e-9)
+        return corrected(places, radiance, weight)
 
-    control.add = added
+    control.corrected = corrected_by_itself
 
 
 CONTROLLED, UNCONTROLLED = GuidedConfig(), GuidedConfig(control_variate=False)
