@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 Answer = TypeVar("Answer")
 LATEST = 0.25
 """Seconds after which a new picture is shown while steps go on."""
-FIRST = 0.09
+FIRST = 0.06
 """Seconds that the first picture after a change should take; its size follows from the last ones."""
 TRIMMED = 32
 """Number of changes after which freed memory is returned: pictures of many sizes leave gaps of many sizes."""
