@@ -1,4 +1,4 @@
-// Sums over samples that learning needs: guiding/light_sampler.py and control_variate.py.
+// Samples for learning: sums of guiding/light_sampler.py and control_variate.py, and records of guide.py.
 
 #include "sums.h"
 
@@ -47,7 +47,7 @@ void correct_samples(Out<double> sums, const std::optional<Out<const int64_t>>& 
     for (size_t i = 0; i < count; ++i) {
         const int64_t pixel = pixels ? pixels->data()[i] : first + int64_t(i);
         const size_t place = size_t(pixel / width / cell * across + pixel % width / cell);
-        if (pixel < 0 || size_t(pixel) >= film || place >= cells) continue;
+        if (pixel < 0 || size_t(pixel) >= film || place >= cells) throw std::out_of_range("pixel outside the film");
         for (size_t channel = 0; channel < 3; ++channel) {
             const float most = bound.data()[channel * film + size_t(pixel)], slope = coefficients.data()[channel * cells + place];
             const float c = slope < -most ? -most : slope > most ? most : slope;

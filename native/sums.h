@@ -1,4 +1,4 @@
-// Sums over samples, as functions of the module.
+// Samples for learning, as functions of the module.
 
 #pragma once
 

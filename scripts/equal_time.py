@@ -23,7 +23,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
-from experiments.options import known_scene
 from real_scenes import load_any
 from torch import Tensor
 
@@ -77,7 +76,7 @@ class Runner:
 def main() -> None:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
-    add("scenes", nargs="*", default=list(SCENES), type=known_scene, metavar="SCENE", help=f"default: {', '.join(SCENES)}")
+    add("scenes", nargs="*", default=list(SCENES), metavar="SCENE", help=f"default: {', '.join(SCENES)}")
     add("--against", choices=(MITSUBA, *LENS_MODES), default=MITSUBA, help="the peer (default: mitsuba)")
     add("--mode", choices=LENS_MODES, default="guided", help="of bokehguide (default: guided)")
     add("--size", type=size, default="640x360", metavar="WxH", help="default: 640x360")
@@ -90,7 +89,8 @@ def main() -> None:
     if args.against == MITSUBA and importlib.util.find_spec("mitsuba") is None:
         sys.exit("equal_time: error: Mitsuba is not installed; pip install '.[peers]', or give --against a mode")
     check_writable(args.out / "equal_time.json")
-    races = {name: race(load_any(name, *args.size), args) for name in args.scenes}
+    scenes = [load_any(name, *args.size) for name in args.scenes]
+    races = {scene.name: race(scene, args) for scene in scenes}
     write_json(args.out / "equal_time.json", {name: {one.name: one.history for one in pair} for name, pair in races.items()})
     text = table(races, args.seconds)
     with replacing(args.out / "equal_time.md") as temporary:

@@ -95,7 +95,7 @@ REAL_SCENES = {
 
 
 def load_any(name: str, width: int, height: int) -> Scene:
-    """The built-in scene or the picture of this name at this size."""
+    """The picture of this name at this size, or the scene that `load_scene` knows by this name."""
     if name in REAL_SCENES:
         return REAL_SCENES[name].load(name, width, height)
     return load_scene(name, Overrides(width=width, height=height))

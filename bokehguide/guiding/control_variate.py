@@ -22,7 +22,7 @@ from bokehguide.guiding.protocols import ModeContext
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
 from bokehguide.runtime.distributed import ROWS_PER_BAND, RankSums
-from bokehguide.runtime.indexing import Pixels, gather_pixels, pixel_numbers, tile_numbers
+from bokehguide.runtime.indexing import Pixels, gather_pixels, pixel_numbers
 
 CELL = 4
 """Side of a cell in pixels. Each cell has one coefficient, and a band of rows contains whole cells."""
@@ -80,7 +80,8 @@ class ControlVariate(RankSums):
         return corrected
 
     def _cells(self, places: Pixels) -> Tensor:
-        return tile_numbers(pixel_numbers(places, self.coefficients.device), self._width, CELL)
+        numbers = pixel_numbers(places, self.coefficients.device)
+        return numbers // self._width // CELL * self._across + numbers % self._width // CELL
 
     def coefficient(self, places: Pixels) -> Tensor:
         """Coefficients c `[3, N]` of some pixels of the film, 0 in the first epoch."""

@@ -12,7 +12,7 @@ from torch import Tensor
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.random import hash_tensor
 from bokehguide.runtime.distributed import Ranks, RankSums
-from bokehguide.runtime.indexing import Pixels, pixel_numbers, tile_numbers
+from bokehguide.runtime.indexing import Pixels, pixel_numbers
 
 TILE = 4
 """Pixels along the side of a tile."""
@@ -45,7 +45,9 @@ class SuccessRates(RankSums):
 
     def slots(self, pixels: Pixels, owner: Tensor, component: Tensor) -> Tensor:
         """Slots int32 `[M]` of components `[M]` of the field, each for the pixel `pixels[owner]`; owner: `[M]`."""
-        tile = tile_numbers(pixel_numbers(pixels, component.device), self._width, TILE).int()
+        numbers = pixel_numbers(pixels, component.device).int()
+        row = numbers // self._width
+        tile = row // TILE * (-(-self._width // TILE)) + (numbers - row * self._width) // TILE
         return _slots(tile, owner, component, self._bounds)
 
     def add(self, slots: Tensor, squared: Tensor) -> None:

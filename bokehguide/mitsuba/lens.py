@@ -32,7 +32,6 @@ from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.runtime.distributed import Ranks, available_cores
-from bokehguide.runtime.indexing import rows_and_columns
 from bokehguide.runtime.workers import Workers
 from bokehguide.scene.emitters import Emitters, find_emitters
 from bokehguide.scene.types import Scene
@@ -169,8 +168,7 @@ class GuidedLens:
     def _draw(self, pixels: Tensor) -> _Drawn:
         """One sample for each of the given pixels."""
         camera, random = self._camera, PixelRandom(self._seed, self._step, pixels)
-        rows, columns = rows_and_columns(pixels, camera.width)
-        corner = torch.stack((columns, rows))
+        corner = torch.stack((pixels % camera.width, pixels // camera.width))
         raster = corner + random.stratified(dimensions.FILM, 2)
         focus = camera.focus_points(raster)
         batch = PixelBatch(self._step, pixels, pixels, raster, raster - corner, focus, random, self._mean)

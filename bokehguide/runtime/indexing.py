@@ -20,21 +20,6 @@ def pixel_numbers(pixels: Pixels, device: torch.device | str = "cpu") -> Tensor:
     return torch.arange(pixels.start, pixels.stop, device=device) if isinstance(pixels, slice) else pixels
 
 
-def rows_and_columns(numbers: Tensor, width: int) -> tuple[Tensor, Tensor]:
-    """Rows and columns, int64 `[N]`, of pixels with the flat indices `numbers` in a frame of this width.
-
-    The quotient in double precision has the right floor below 2^50. PyTorch divides whole numbers ten times slower.
-    """
-    rows = (numbers.double() / width).long()
-    return rows, numbers - rows * width
-
-
-def tile_numbers(numbers: Tensor, width: int, side: int) -> Tensor:
-    """Numbers, int64 `[N]`, of the square tiles to which pixels with the flat indices `numbers` belong, row by row of tiles."""
-    (rows, _), (columns, _) = (rows_and_columns(places, side) for places in rows_and_columns(numbers, width))
-    return rows * -(-width // side) + columns
-
-
 def indices(mask: Tensor) -> Tensor:
     """The indices, int64 `[K]`, at which `mask` `[N]` is true. On a CPU, NumPy needs a quarter of the time of PyTorch."""
     if mask.device.type == "cpu":

@@ -23,7 +23,7 @@ from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.split_film import SplitFilm
 from bokehguide.runtime.distributed import Ranks, available_cores
-from bokehguide.runtime.indexing import Pixels, box_pixels, indices, pixel_numbers, rows_and_columns
+from bokehguide.runtime.indexing import Pixels, box_pixels, indices, pixel_numbers
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.runtime.workers import Workers
 from bokehguide.scene.types import Scene
@@ -150,8 +150,8 @@ class RenderLoop:
         pixels = places if self._frame_pixels is None else self._frame_pixels[places]
         numbers = pixel_numbers(pixels, self.settings.device)
         random = PixelRandom(self.settings.seed, self.step_number, numbers)
-        rows, columns = rows_and_columns(numbers, self.camera.width)
-        corner = torch.stack((columns, rows))
+        rows = numbers // self.camera.width
+        corner = torch.stack((numbers - rows * self.camera.width, rows))
         raster = corner + random.stratified(dimensions.FILM, 2)
         focus = self.camera.focus_points(raster)
         return PixelBatch(self.step_number, places, pixels, raster, raster - corner, focus, random, self._mean_luminance)

@@ -1,4 +1,4 @@
-"""The audit of the tests tells killed mutations from those that survive."""
+"""The audit of the tests distinguishes killed, surviving and invalid mutations."""
 
 import subprocess
 import sys
@@ -11,17 +11,17 @@ pytestmark = pytest.mark.slow
 
 LIST = """
 [[mutation]]
-name = 'rows count as tiles'
+name = 'indices of the other entries'
 file = 'bokehguide/runtime/indexing.py'
-old = 'return rows * -(-width // side) + columns'
-new = 'return rows * width + columns'
+old = 'np.flatnonzero(mask.numpy())'
+new = 'np.flatnonzero(~mask.numpy())'
 tests = ['tests/unit/test_runtime_indexing.py']
 
 [[mutation]]
 name = 'no change of meaning'
 file = 'bokehguide/runtime/indexing.py'
-old = 'return rows * -(-width // side) + columns'
-new = 'return columns + rows * -(-width // side)'
+old = 'np.flatnonzero(mask.numpy())'
+new = 'np.flatnonzero(mask.numpy() != 0)'
 tests = ['tests/unit/test_runtime_indexing.py']
 
 [[mutation]]
@@ -39,5 +39,5 @@ def test_outcomes_of_mutations(tmp_path):
     command = [sys.executable, REPOSITORY / "scripts/mutate.py", "--list", tmp_path / "list.toml"]
     finished = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert finished.returncode == 1, finished.stderr
-    assert "| rows count as tiles | bokehguide/runtime/indexing.py | killed |" in finished.stdout
+    assert "| indices of the other entries | bokehguide/runtime/indexing.py | killed |" in finished.stdout
     assert "3 mutations: 1 killed, 1 survived, 1 invalid" in finished.stdout

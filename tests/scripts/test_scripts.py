@@ -154,21 +154,8 @@ def test_equal_time_gives_both_their_seconds(script, tmp_path):
 
 @pytest.mark.skipif(not ASSETS.is_dir(), reason="the real models are absent")
 def test_equal_time_measures_real_models_against_a_mode(script, tmp_path):
-    options = (
-        "--against",
-        "uniform",
-        "--size",
-        "32x18",
-        "--seconds",
-        1,
-        "--reference-spp",
-        16,
-        "--cache",
-        "cache",
-        "--out",
-        "out",
-    )
-    finished = script("equal_time.py", "real-truck", *options)
+    options = ("--size", "32x18", "--seconds", 1, "--reference-spp", 16, "--cache", "cache", "--out", "out")
+    finished = script("equal_time.py", "real-truck", "--against", "uniform", *options)
     assert finished.returncode == 0, finished.stderr
     histories = json.loads((tmp_path / "out/equal_time.json").read_text())["real-truck"]
     assert histories.keys() == {"guided", "uniform"}

@@ -110,7 +110,7 @@ class EnvironmentMap:
         self.height, self.width = radiance.shape[:2]
         log.info("preparing the environment map of %d x %d texels", self.width, self.height)
         self.texels = torch.from_numpy(radiance.reshape(-1, 3)).contiguous().to(device)
-        """Radiance, `[texels, 3]`: the channels of a texel and of its neighbour share a line of a cache."""
+        """Radiance, `[texels, 3]`. Channels lie side by side, so that a lookup reads few parts of the memory."""
         self.layout = Equirectangular(self.height, self.width, environment.rotation, device)
         rows = np.cos(np.pi * np.arange(self.height + 1) / self.height)
         self._solid_angle = torch.from_numpy((rows[:-1] - rows[1:]) * 2.0 * math.pi / self.width).float().to(device)
