@@ -109,7 +109,8 @@ inline Vec3 map_radiance(const Tables& t, Vec3 direction) {
         return within(to_int(place - floor(place / float(t.map_width)) * float(t.map_width)), 0, t.map_width - 1);
     };
     const Int upper = row(top), lower = row(top + 1.0f), first = column(left), second = column(left + 1.0f);
-    const auto at = [&](Int texel) { return gather3(t.map_texels, 1, 3 * texel); };
+    const int64_t size = int64_t(t.map_width) * t.map_height;
+    const auto at = [&](Int texel) { return gather3(t.map_texels, size, texel); };
     const Vec3 above = (1.0f - across) * at(upper + first) + across * at(upper + second);
     const Vec3 below = (1.0f - across) * at(lower + first) + across * at(lower + second);
     return (1.0f - down) * above + down * below;

@@ -1,11 +1,9 @@
-// Samples for learning: sums of guiding/light_sampler.py and control_variate.py, and records of guide.py.
+// Sums over samples that learning needs: guiding/light_sampler.py and control_variate.py.
 
 #include "sums.h"
 
-#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 
-#include <array>
 #include <cmath>
 
 #include "arrays.h"
@@ -61,34 +59,9 @@ void correct_samples(Out<double> sums, const std::optional<Out<const int64_t>>& 
     }
 }
 
-// `Guide.records`: positions in the camera frame, `[3, N]`, and cells of the record, -1 for none, of light at `distance` along rays
-// from lens points `[2, N]` in camera-frame directions `[3, N]`. raster: half the width and height of the frame, width of a pixel at
-// unit distance. size: border, width and height of the record.
-void record_cells(const Floats& points, const Floats& directions, const Floats& distance, const Floats& weight, float far, float miss,
-                  std::array<float, 3> raster, std::array<int64_t, 3> size, Out<float> position, Out<int64_t> cells) {
-    const size_t count = distance.size();
-    check(points, 2 * count, "points"), check(directions, 3 * count, "directions"), check(weight, count, "weight");
-    check(position, 3 * count, "position"), check(cells, count, "cells");
-    nb::gil_scoped_release released;
-    const auto [border, width, height] = size;
-    for (size_t i = 0; i < count; ++i) {
-        const bool hit = distance.data()[i] < miss;
-        const float along = hit ? distance.data()[i] : far;
-        const auto at = [&](size_t axis) {
-            const float origin = axis < 2 ? points.data()[axis * count + i] * float(hit) : 0.0f;
-            return position.data()[axis * count + i] = origin + directions.data()[axis * count + i] * along;
-        };
-        const float x = at(0), y = at(1), depth = at(2), scale = 1.0f / (depth * raster[2]);
-        const float column = std::floor(raster[0] + x * scale + float(border)), row = std::floor(raster[1] - y * scale + float(border));
-        const bool inside = depth > 0.0f && column >= 0.0f && column < float(width) && row >= 0.0f && row < float(height);
-        cells.data()[i] = inside && weight.data()[i] > 0.0f ? int64_t(row) * width + int64_t(column) : -1;
-    }
-}
-
 }  // namespace
 
 void bind_sums(nb::module_& m) {
-    m.def("record_cells", &record_cells);
     m.def("add_light_samples", &add_light_samples);
     m.def("correct_samples", &correct_samples, nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
           nb::arg(), nb::arg());

@@ -1,4 +1,4 @@
-// Samples for learning, as functions of the module.
+// Sums over samples, as functions of the module.
 
 #pragma once
 

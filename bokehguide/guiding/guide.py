@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import torch
@@ -20,7 +19,6 @@ from bokehguide.models.kl import one_sample_kl
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
-from bokehguide.runtime import native
 from bokehguide.runtime.device import to_device
 
 
@@ -96,23 +94,10 @@ class Guide(LensSampler):
     def records(self, points: Tensor, directions: Tensor, distance: Tensor, light: Tensor, weight: Tensor) -> Records:
         """Records of `light` `[N]` at `distance` `[N]`, metres, along rays from lens points `[2, N]` in camera-frame directions
         `[3, N]`; weight: of the samples, `[N]`, 0 for those to leave out."""
-        core = native.core()
-        if core is not None and distance.device.type == "cpu":
-            return self._records_by_core(core, points, directions, distance, light, weight)
         far = to_device(FAR * self.camera.lens.focus_distance, distance.device, torch.float32)
         position = _positions(points, directions, distance, far)
         cells = self.record_buffer.cells(self.camera, position)
         return Records(torch.where(weight > 0.0, cells, -1), position, light)
-
-    def _records_by_core(self, core: ModuleType, *arrays: Tensor) -> Records:
-        points, directions, distance, light, weight = (values.contiguous() for values in arrays)
-        camera, record = self.camera, self.record_buffer
-        position, cells = torch.empty_like(directions), torch.empty(distance.shape, dtype=torch.int64)
-        raster = (0.5 * camera.width, 0.5 * camera.height, camera.pixel_slope)
-        far = FAR * camera.lens.focus_distance
-        size = (record.border, record.width, record.height)
-        core.record_cells(points, directions, distance, weight, far, MISS_DISTANCE, raster, size, position, cells)
-        return Records(cells, position, light)
 
     def images(self, beta: Tensor) -> dict[str, Tensor]:
         """Images of β, the record and its highlight cells. The last two images include the margin of the record."""

@@ -13,7 +13,6 @@ from bokehguide.guiding.light_sampler import LearnedLightSampler
 from bokehguide.guiding.pixel_reuse import PixelPathReuse, PixelReuse
 from bokehguide.models.ellipse_mixture import EllipseMixture
 from bokehguide.models.native_mixture import NativeEllipseMixture
-from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.runtime import native
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene import Overrides, load_scene
@@ -197,20 +196,3 @@ def test_pytorch_takes_over_where_the_core_is_switched_off(monkeypatch):
             loop.step()
         guide = loop.mode.lens
         assert isinstance(guide, EmitterGuide) and isinstance(mixture_of(guide), EllipseMixture)
-
-
-def test_records_of_primary_hits_have_the_same_bits(monkeypatch):
-    """Positions and cells, with misses, rays that leave the record, points behind the lens, and samples to leave out."""
-    guide, count, generator = guide_of("fairy-lights"), 4000, torch.Generator().manual_seed(4)
-    points, directions = torch.randn(2, count, generator=generator), torch.randn(3, count, generator=generator)
-    directions[2] = 3.0 * directions[2].abs() * (torch.rand(count, generator=generator) - 0.1).sign()
-    distance = (4.0 * torch.rand(count, generator=generator)).exp()
-    distance[::5], weight = MISS_DISTANCE, torch.rand(count, generator=generator).round()
-    points[0, 1], directions[1, 2], directions[2, 3] = torch.nan, torch.inf, 0.0
-    results = []
-    for form in ("1", "0"):
-        monkeypatch.setenv(native.SWITCH, form)
-        results.append(guide.records(points, directions, distance, distance, weight))
-    (cells, position, _), (expected, place, _) = results
-    assert torch.equal(cells, expected) and torch.equal(position.nan_to_num(7.0), place.nan_to_num(7.0))
-    assert 100 < int((cells < 0).sum()) < count - 100

@@ -109,8 +109,7 @@ class EnvironmentMap:
         radiance = np.asarray(environment.radiance, np.float32)
         self.height, self.width = radiance.shape[:2]
         log.info("preparing the environment map of %d x %d texels", self.width, self.height)
-        self.texels = torch.from_numpy(radiance.reshape(-1, 3)).contiguous().to(device)
-        """Radiance, `[texels, 3]`. Channels lie side by side, so that a lookup reads few parts of the memory."""
+        self.texels = torch.from_numpy(radiance.reshape(-1, 3)).T.contiguous().to(device)
         self.layout = Equirectangular(self.height, self.width, environment.rotation, device)
         rows = np.cos(np.pi * np.arange(self.height + 1) / self.height)
         self._solid_angle = torch.from_numpy((rows[:-1] - rows[1:]) * 2.0 * math.pi / self.width).float().to(device)
@@ -124,7 +123,7 @@ class EnvironmentMap:
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
         texels, across, down = _texels_about(self.layout, directions)
-        return _blended(tuple(self.texels.index_select(0, texel).T for texel in texels), across, down)
+        return _blended(tuple(self.texels.index_select(1, texel) for texel in texels), across, down)
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         """Unit directions `[3, N]` and their solid-angle densities `[N]` from uniform numbers `[4, N]`."""
