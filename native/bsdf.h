@@ -13,11 +13,17 @@ inline Float ggx_density(Vec3 half, Float alpha) {
     return 1.0f / (PI * a2 * t * t);
 }
 
-inline Vec3 sample_visible_normal(Vec3 outgoing, Float alpha, Float u, Float sine, Float cosine) {
-    const Vec3 stretched = normalize({outgoing.x * alpha, outgoing.y * alpha, outgoing.z});
+// along: α along x.
+inline Float ggx_density(Vec3 half, Float alpha, Float along) {
+    const Float t = square(half.x / along) + square(half.y / alpha) + half.z * half.z;
+    return 1.0f / (PI * alpha * along * t * t);
+}
+
+inline Vec3 sample_visible_normal(Vec3 outgoing, Float alpha, Float along, Float u, Float sine, Float cosine) {
+    const Vec3 stretched = normalize({outgoing.x * along, outgoing.y * alpha, outgoing.z});
     const Float z = (1.0f - u) * (1.0f + stretched.z) - stretched.z, radius = sqrt(at_least(1.0f - z * z, 0.0f));
     const Vec3 half = Vec3{radius * cosine, radius * sine, z} + stretched;
-    return normalize({half.x * alpha, half.y * alpha, at_least(half.z, 1e-12f)});
+    return normalize({half.x * along, half.y * alpha, at_least(half.z, 1e-12f)});
 }
 
 inline Float coat_spread(Float alpha) {
@@ -32,15 +38,33 @@ struct Scattered {
 };
 
 struct Microfacets {
-    Float cosine, alpha, root;
+    bool isotropic;
+    Float cosine, alpha, along, root;
 
     Microfacets() = default;
-    Microfacets(Float cosine, Float alpha) : cosine(cosine), alpha(alpha), root(smith_root(cosine, alpha * alpha)) {}
+    Microfacets(Vec3 outgoing, Float alpha) : isotropic(true), alpha(alpha), along(alpha) { see(outgoing); }
+    Microfacets(Vec3 outgoing, Float alpha, Float along) : isotropic(false), alpha(alpha), along(along) { see(outgoing); }
+    void see(Vec3 outgoing) {
+        cosine = at_least(outgoing.z, MIN_COSINE);
+        root = masking_root(outgoing, cosine);
+    }
+    Float masking_root(Vec3 direction, Float towards) const {
+        if (isotropic) return smith_root(towards, alpha * alpha);
+        return sqrt(square(along * direction.x) + square(alpha * direction.y) + towards * towards);
+    }
+
+    // α in the plane of the normal and a direction.
+    Float facing(Vec3 direction) const {
+        if (isotropic) return alpha;
+        const Float x = square(direction.x), y = square(direction.y) + 1e-12f;
+        return sqrt((square(along) * x + square(alpha) * y) / (x + y));
+    }
 
     // G2 D / (4 cos cos) and the density G1 D / (4 cos).
-    void evaluate(Vec3 half, Float incoming, Float& visibility, Float& pdf) const {
-        const Float distribution = 0.5f * ggx_density(half, alpha), other = smith_root(incoming, alpha * alpha);
-        visibility = distribution / (incoming * root + cosine * other);
+    void evaluate(Vec3 half, Vec3 incoming, Float& visibility, Float& pdf) const {
+        const Float towards = at_least(incoming.z, MIN_COSINE), other = masking_root(incoming, towards);
+        const Float distribution = 0.5f * (isotropic ? ggx_density(half, alpha) : ggx_density(half, alpha, along));
+        visibility = distribution / (towards * root + cosine * other);
         pdf = distribution / (cosine + root);
     }
 };
@@ -58,7 +82,7 @@ struct Clearcoat {
         outgoing = to_own(seen_from);
         const Float cosine = at_least(outgoing.z, MIN_COSINE);
         weight = s.clearcoat;
-        facets = Microfacets(cosine, s.clearcoat_alpha);
+        facets = Microfacets(outgoing, s.clearcoat_alpha);
         minimum = weight * (CLEARCOAT_F0 + TRACE * (1.0f - CLEARCOAT_F0));
         spread = weight * coat_spread(s.clearcoat_alpha) * (1.0f - CLEARCOAT_F0);
         leaving = passing(cosine);
@@ -73,19 +97,63 @@ struct Clearcoat {
         above = one_if(incoming.z > all(0.0f));
         const Float cosine = at_least(incoming.z, MIN_COSINE);
         Float visibility;
-        facets.evaluate(half, cosine, visibility, pdf);
+        facets.evaluate(half, incoming, visibility, pdf);
         value = weight * visibility * (CLEARCOAT_F0 + (1.0f - CLEARCOAT_F0) * grazing) * (cosine * above);
         pdf = pdf * one_if(half.z > all(0.0f));
         beneath = min(leaving, passing(cosine));
+    }
+    // Weight of light from below the surface, and 1 below the clearcoat's horizon, else 0.
+    Float transmitted(Vec3 incoming, Float& below) const {
+        const Float towards = to_own(incoming).z;
+        below = one_if(towards <= all(0.0f));
+        return min(leaving, passing(at_most(abs(towards), 1.0f)));
+    }
+};
+
+// `Sheen` of sheen.py.
+struct Sheen {
+    static constexpr float MIN_ROUGHNESS = 0.07f;
+    static constexpr int ROWS = 32, COLUMNS = 64;
+    const float* table;
+    Vec3 color;
+    Float cosine, roughness, alpha, peak, leaving, reflectance;
+
+    Sheen() = default;
+    Sheen(const Tables& t, Float cosine, const Surface& s)
+        : table(t.sheen_albedo), color(s.sheen_color), cosine(cosine), roughness(s.sheen_roughness),
+          alpha(square(at_least(s.sheen_roughness, MIN_ROUGHNESS))), peak(largest(s.sheen_color)) {
+        leaving = albedo(cosine);
+        reflectance = peak * at_most(leaving, 1.0f);
+    }
+    Float albedo(Float towards) const {
+        const Float x = sqrt(clamp(towards, 0.0f, 1.0f)) * float(COLUMNS - 1);
+        const Float y = at_least(roughness - MIN_ROUGHNESS, 0.0f) * (float(ROWS - 1) / (1.0f - MIN_ROUGHNESS));
+        const Float column = at_most(floor(x), float(COLUMNS - 2)), row = at_most(floor(y), float(ROWS - 2));
+        const Int place = to_int(row) * COLUMNS + to_int(column);
+        const auto line = [&](int down) {
+            return (1.0f - (x - column)) * gather(table, place + down) + (x - column) * gather(table, place + down + 1);
+        };
+        return (1.0f - (y - row)) * line(0) + (y - row) * line(COLUMNS);
+    }
+    Float bound(Float towards) const { return max(leaving, albedo(towards)); }
+    Float beneath(Float towards) const { return 1.0f - peak * at_most(bound(towards), 1.0f); }
+    Vec3 evaluate(Vec3 half, Float towards) const {
+        const Float sine2 = at_most(square(half.x) + square(half.y), 1.0f);
+        const Float lobe = (2.0f + 1.0f / alpha) * power_of_fraction(sine2, 0.5f / alpha);
+        const Float value = lobe / (8.0f * PI * (towards + cosine - towards * cosine));
+        return color * (value / at_least(bound(towards), 1.0f));
     }
 };
 
 struct Opaque {
     Vec3 outgoing, base_color, f0;
-    bool coated;
-    Float cosine, metallic, f90, minimum, spread, leaving, specular_share, clearcoat_share;
+    bool coated, shines, transmits;
+    Float cosine, metallic, f90, minimum, rise, spread, leaving, specular_share, clearcoat_share, sheen_share, below_share;
     Microfacets facets;
     Clearcoat clearcoat;
+    Sheen sheen;
+    Float diffuse_transmission;
+    Vec3 transmission_color;
 
     Opaque(const Tables& t, Vec3 seen_from, const Surface& s, const Frame& frame) {
         outgoing = seen_from, base_color = s.base_color, metallic = s.metallic;
@@ -99,22 +167,39 @@ struct Opaque {
             peak = largest(f0);
         }
         f90 = s.specular;
-        facets = Microfacets(cosine, s.alpha);
-        coated = t.clearcoat != nullptr;
+        facets = t.anisotropy != nullptr ? Microfacets(outgoing, s.alpha, s.alpha_along) : Microfacets(outgoing, s.alpha);
+        coated = t.clearcoat != nullptr, shines = t.sheen != nullptr, transmits = t.diffuse_transmission != nullptr;
+        if (shines) sheen = Sheen(t, cosine, s);
+        if (transmits) diffuse_transmission = s.diffuse_transmission, transmission_color = s.transmission_color;
         if (coated) clearcoat = Clearcoat(outgoing, s, t.tilts_coats, to_local(s.clearcoat_normal, frame));
         choose_shares(peak);
-        const Float rise = f90 - peak;
-        minimum = peak + TRACE * rise, spread = coat_spread(s.alpha) * rise;
+        rise = f90 - peak;
+        minimum = peak + TRACE * rise, spread = coat_spread(facets.along) * rise;
         const Float entering = at_least(1.0f - minimum - spread * (1.0f / 21.0f), 1e-4f);
-        leaving = (1.0f - metallic) * passing(cosine) / (PI * entering);
+        leaving = (1.0f - metallic) * passing(outgoing, cosine) / (PI * entering);
     }
-    Float passing(Float towards) const { return at_least(1.0f - minimum - spread * fifth_power(1.0f - towards), 0.0f); }
+    // spread: of isotropic coats, the same for all directions.
+    Float passing(Vec3 direction, Float towards) const {
+        const Float share = facets.isotropic ? spread : coat_spread(facets.facing(direction)) * rise;
+        return at_least(1.0f - minimum - share * fifth_power(1.0f - towards), 0.0f);
+    }
 
     void choose_shares(Float peak) {
         const Float grazing = fifth_power(1.0f - cosine), base = luminance(base_color);
         const Float coat = peak + (f90 - peak) * grazing;
-        const Float specular = metallic * (base + (1.0f - base) * grazing) + (1.0f - metallic) * coat;
-        const Float diffuse = (1.0f - metallic) * (1.0f - peak) * base;
+        Float specular = metallic * (base + (1.0f - base) * grazing) + (1.0f - metallic) * coat;
+        Float diffuse = (1.0f - metallic) * (1.0f - peak) * base;
+        if (transmits) {
+            const Float below = diffuse_transmission * luminance(transmission_color);
+            const Float both = (1.0f - diffuse_transmission) * base + below;
+            below_share = (below + 1e-9f) / (both + 1e-9f);
+            diffuse = (1.0f - metallic) * (1.0f - peak) * both;
+        }
+        if (shines) {
+            const Float over = sheen.reflectance;
+            specular = specular * (1.0f - over), diffuse = diffuse * (1.0f - over) + over;
+            sheen_share = (over + 1e-9f) / (diffuse + 1e-9f);
+        }
         specular_share = (specular + 1e-9f) / (specular + diffuse + 1e-9f);
         if (coated) {
             const Float over = clearcoat.reflectance;
@@ -122,19 +207,43 @@ struct Opaque {
         }
     }
 
-    // BRDF times cosine, and the density of `sample`.
+    // Density of the lobes of sheen and base above the surface, without a clearcoat. above: 1 there, else 0.
+    Float diffuse_pdf(Float towards, Float above) const {
+        Float pdf = (1.0f - specular_share) * towards * (1.0f / PI);
+        if (transmits) pdf = pdf * (1.0f - below_share);
+        return shines ? pdf + ((1.0f - specular_share) * above * (0.5f / PI) - pdf) * sheen_share : pdf;
+    }
+
+    // BTDF times cosine, and density, of diffuse transmission; 0 above the surface.
+    Scattered transmitted(Vec3 incoming) const {
+        const Float below = one_if(incoming.z < all(0.0f)), towards = clamp(abs(incoming.z), MIN_COSINE, 1.0f);
+        Float factor = leaving * passing(incoming, towards) * diffuse_transmission * towards * below;
+        Float pdf = (1.0f - specular_share) * below_share * towards * below * (1.0f / PI);
+        if (shines) factor = factor * sheen.beneath(towards), pdf = pdf * (1.0f - sheen_share);
+        if (coated) {
+            Float below_coat;
+            const Float weight = clearcoat.transmitted(incoming, below_coat);
+            factor = factor * weight * below_coat, pdf = pdf * (1.0f - clearcoat_share);
+        }
+        return {transmission_color * factor, pdf};
+    }
+
+    // BSDF times cosine, and the density of `sample`.
     Scattered evaluate(Vec3 incoming) const {
         Float above = one_if(incoming.z > all(0.0f));
         const Float towards = at_least(incoming.z, MIN_COSINE);
         const Vec3 half = normalize(outgoing + incoming);
         const Float grazing = fifth_power(1.0f - clamp(dot(outgoing, half), 0.0f, 1.0f));
         Float visibility, microfacet;
-        facets.evaluate(half, towards, visibility, microfacet);
+        facets.evaluate(half, incoming, visibility, microfacet);
         const Vec3 coat = f0 + (grey(f90) - f0) * grazing;
-        const Float scaled = leaving * passing(towards) + metallic * visibility * (1.0f - grazing);
+        Float diffuse = leaving * passing(incoming, towards);
+        if (transmits) diffuse = diffuse * (1.0f - diffuse_transmission);
+        const Float scaled = diffuse + metallic * visibility * (1.0f - grazing);
         const Vec3 white = visibility * ((1.0f - metallic) * coat + grey(metallic * grazing));
         Vec3 value = base_color * scaled + white;
-        Float pdf = specular_share * microfacet + (1.0f - specular_share) * towards * (1.0f / PI);
+        if (shines) value = value * sheen.beneath(towards) + sheen.evaluate(half, towards);
+        Float pdf = specular_share * microfacet + diffuse_pdf(towards, above);
         value = value * (towards * above);
         if (coated) {
             Float over, of_coat, beneath, above_coat;
@@ -144,7 +253,9 @@ struct Opaque {
             pdf = pdf + (of_coat - pdf) * clearcoat_share;
             above = max(above, above_coat);
         }
-        return {value, pdf * above};
+        if (!transmits) return {value, pdf * above};
+        const Scattered through = transmitted(incoming);
+        return {value + through.value, pdf * one_if(half.z > all(0.0f)) + through.pdf};
     }
 
     Vec3 sample(Float u0, Float u1, Float u2) const {
@@ -153,17 +264,25 @@ struct Opaque {
         Float share = specular_share;
         Vec3 half;
         if (!coated) {
-            half = sample_visible_normal(outgoing, facets.alpha, u2, sine, cosine_of_angle);
+            half = sample_visible_normal(outgoing, facets.alpha, facets.along, u2, sine, cosine_of_angle);
         } else {
             const Float over = one_if(u0 < clearcoat_share);
             share = clearcoat_share + (1.0f - clearcoat_share) * share;
             const Float alpha = facets.alpha + (clearcoat.facets.alpha - facets.alpha) * over;
+            const Float along = facets.along + (clearcoat.facets.alpha - facets.along) * over;
             const Vec3 seen = outgoing + (clearcoat.outgoing - outgoing) * over;
-            half = sample_visible_normal(seen, alpha, u2, sine, cosine_of_angle);
+            half = sample_visible_normal(seen, alpha, along, u2, sine, cosine_of_angle);
             half = half + (clearcoat.from_own(half) - half) * over;
         }
         const Vec3 mirrored = 2.0f * dot(outgoing, half) * half - outgoing;
-        const Float radius = sqrt(u2), height = sqrt(1.0f - u2);
+        Float radius = sqrt(u2), height = sqrt(1.0f - u2), rest = 1.0f - share;
+        if (shines) rest = rest * (1.0f - sheen_share);
+        if (transmits) height = u0 >= 1.0f - rest * below_share ? -height : height;
+        if (shines) {
+            const Int chosen = u0 < 1.0f - rest;
+            height = chosen ? at_least(1.0f - u2, MIN_COSINE) : height;
+            radius = chosen ? sqrt(at_least(1.0f - square(1.0f - u2), 0.0f)) : radius;
+        }
         const Vec3 diffuse = {radius * cosine_of_angle, radius * sine, height};
         return choose(u0 < share, mirrored, diffuse);
     }
@@ -224,7 +343,7 @@ struct Dielectric {
     Vec3 sample(Float u0, Float u1, Float u2, Vec3& weight, Float& pdf) const {
         Float sine, cosine_of_angle;
         sincos(2.0f * PI * u1, sine, cosine_of_angle);
-        const Vec3 rough = sample_visible_normal(outgoing, alpha, u2, sine, cosine_of_angle);
+        const Vec3 rough = sample_visible_normal(outgoing, alpha, alpha, u2, sine, cosine_of_angle);
         const Vec3 upright = {all(0.0f), all(0.0f), all(1.0f)};
         const Vec3 half = rough + (upright - rough) * smooth;
         const Float towards = dot(outgoing, half);
@@ -254,7 +373,7 @@ struct Scattering {
     Int glass;
 
     Scattering(const Tables& t, const Surface& s, Float choice)
-        : surface(s), frame(frame_about(s.normal)), local_outgoing(to_local(s.outgoing, frame)),
+        : surface(s), frame(t.anisotropy != nullptr ? aligned_frame(s.normal, s.tangent) : frame_about(s.normal)), local_outgoing(to_local(s.outgoing, frame)),
           opaque(t, local_outgoing, s, frame), tilts_coats(t.clearcoat != nullptr && t.tilts_coats) {
         glass = t.has_transmission ? choice < s.transmission * (1.0f - s.metallic) : all(0);
     }

@@ -39,9 +39,9 @@ struct Columns {
         for (int lane = 0; lane < LANES && first + lane < count; ++lane) rows[row * count + first + lane] = values[lane];
     }
     void put(float* rows, int row, Vec3 v) const { put(rows, row, v.x), put(rows, row + 1, v.y), put(rows, row + 2, v.z); }
-    Surface surface(const float* rows) const {
+    Surface surface(const Tables& t, const float* rows) const {
         Surface s;
-        for (int row = 0; row < SURFACE_ROWS; ++row) reinterpret_cast<Float*>(&s)[row] = (*this)(rows, row);
+        for (int row = 0; row < t.surface_rows; ++row) reinterpret_cast<Float*>(&s)[row] = (*this)(rows, row);
         return s;
     }
     Hits hits(const int32_t* triangle, const float* rows) const {
@@ -99,13 +99,13 @@ void surfaces(const Tables& t, int64_t count, const float* origin, const float* 
               float* rows) {
     for (Columns at(count); at.first < count; at.first += LANES) {
         const Surface s = surface_at(t, at.vector(origin, 0), at.vector(direction, 0), at.hits(triangle, hits), at.active());
-        for (int row = 0; row < SURFACE_ROWS; ++row) at.put(rows, row, reinterpret_cast<const Float*>(&s)[row]);
+        for (int row = 0; row < t.surface_rows; ++row) at.put(rows, row, reinterpret_cast<const Float*>(&s)[row]);
     }
 }
 
 void evaluate(const Tables& t, int64_t count, const float* rows, const float* choice, const float* direction, float* out) {
     for (Columns at(count); at.first < count; at.first += LANES) {
-        const Surface s = at.surface(rows);
+        const Surface s = at.surface(t, rows);
         const Scattered found = Scattering(t, s, at(choice, 0)).evaluate(at.vector(direction, 0));
         at.put(out, 0, found.value), at.put(out, 3, found.pdf);
     }
@@ -113,7 +113,7 @@ void evaluate(const Tables& t, int64_t count, const float* rows, const float* ch
 
 void sample(const Tables& t, int64_t count, const float* rows, const float* choice, const float* uniforms, float* out) {
     for (Columns at(count); at.first < count; at.first += LANES) {
-        const Surface s = at.surface(rows);
+        const Surface s = at.surface(t, rows);
         Vec3 weight, value;
         Float pdf;
         const Scattering scattering(t, s, at(choice, 0));

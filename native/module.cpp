@@ -101,7 +101,7 @@ Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index) {
 }
 
 // The arrays of a record of split paths, by the names of `SplitRecord`.
-SplitRecord split_record(const nb::dict& arrays, size_t rays, bool with_lights) {
+SplitRecord split_record(const nb::dict& arrays, size_t surface_rows, size_t rays, bool with_lights) {
     SplitRecord record{};
     const size_t paths = nb::cast<Out<int64_t>>(arrays["owner"], false).size();
     const auto of_hits = [&](const char* name, size_t rows) { return entry<FloatsOut>(arrays, name, rows * rays).data(); };
@@ -111,7 +111,7 @@ SplitRecord split_record(const nb::dict& arrays, size_t rays, bool with_lights) 
     record.counts = of_hits("counts", 1), record.ray = whole("ray", rays), record.triangle = whole("triangle", rays);
     record.paths = whole("paths", rays), record.owner = nb::cast<Out<int64_t>>(arrays["owner"], false).data();
     record.distance = of_hits("distance", 1), record.u = of_hits("u", 1), record.v = of_hits("v", 1);
-    record.surface = of_hits("surface", 32), record.emission = of_hits("emission", 3);
+    record.surface = of_hits("surface", surface_rows), record.emission = of_hits("emission", 3);
     record.light_direction = of_paths("light_direction", 3), record.scattered_direction = of_paths("scattered_direction", 3);
     record.direct = of_paths("reflected", 6), record.indirect = record.direct + 3 * paths, record.bsdf = of_paths("bsdf", 6);
     if (with_lights) {
@@ -134,7 +134,7 @@ nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& directio
     if (!split && (lights != nullptr || images)) throw std::invalid_argument("cluster lights and images need a record of splits");
     Trace arguments{};
     SplitRecord record{};
-    if (split) record = split_record(*split, count, lights != nullptr), arguments.split = &record;
+    if (split) record = split_record(*split, size_t(scene.t.surface_rows), count, lights != nullptr), arguments.split = &record;
     arguments.count = int64_t(count);
     arguments.origin = origin.data(), arguments.direction = direction.data(), arguments.alive = alive ? alive->data() : nullptr;
     arguments.pixel_keys = pixel_keys.data(), arguments.random = random, arguments.max_depth = max_depth;
@@ -222,7 +222,7 @@ NB_MODULE(_native, m) {
     // Stages of a trace, for tests.
     m.def("surfaces", [](const Scene& scene, const Floats& origin, const Floats& direction, const Ints& triangle, const Floats& hits,
                          FloatsOut rows) {
-        check(rows, 32 * triangle.size(), "rows");
+        check(rows, size_t(scene.t.surface_rows) * triangle.size(), "rows");
         kernels().surfaces(scene.t, int64_t(triangle.size()), origin.data(), direction.data(), triangle.data(), hits.data(), rows.data());
     });
     m.def("evaluate", [](const Scene& scene, const Floats& rows, const Floats& choice, const Floats& direction, FloatsOut out) {

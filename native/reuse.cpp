@@ -7,14 +7,14 @@
 
 namespace bokehguide {
 
-PathLight path_light(const nb::dict& arrays, int64_t paths) {
+PathLight path_light(const Tables& t, const nb::dict& arrays, int64_t paths) {
     PathLight of{};
     of.hit_columns = int64_t(nb::cast<Ints>(arrays["paths"], false).size()), of.path_columns = int64_t(nb::cast<Out<const int64_t>>(arrays["owner"], false).size());
     of.path_count = paths;
     if (paths < 0 || paths > of.path_columns) throw std::invalid_argument("more paths than the record has entries");
     const auto rows = [&](const char* name, size_t size) { return entry<Floats>(arrays, name, size).data(); };
     const size_t columns = size_t(of.path_columns);
-    of.surface = rows("surface", 32 * size_t(of.hit_columns));
+    of.surface = rows("surface", size_t(t.surface_rows) * size_t(of.hit_columns));
     of.light_direction = rows("light_direction", 3 * columns), of.scattered_direction = rows("scattered_direction", 3 * columns);
     of.paths = nb::cast<Ints>(arrays["paths"], false).data();
     return of;
@@ -122,7 +122,7 @@ class Views {
         groups_.right = whole("right"), groups_.below = whole("below");
     }
     void set_record(const nb::dict& record, int64_t hits, int64_t paths) {
-        record_.light = path_light(record, paths);
+        record_.light = path_light(scene_.t, record, paths);
         record_.light.incident = entry<Floats>(record, "incident", 6 * size_t(record_.light.path_columns)).data();
         record_.light.first_path = nb::cast<Ints>(record["first_path"], false).data();
         const size_t columns = size_t(record_.light.hit_columns);

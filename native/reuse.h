@@ -8,7 +8,7 @@
 namespace bokehguide {
 
 // The light of recorded paths, by the names of `PathLight`; `paths` of them are in use.
-PathLight path_light(const nb::dict& arrays, int64_t paths);
+PathLight path_light(const Tables& t, const nb::dict& arrays, int64_t paths);
 
 void bind_reuse(nb::module_& m);
 

@@ -132,6 +132,9 @@ class Scene : Named {
         t.materials = int64_t(size / 9);
         t.emission = array<float>("emission"), t.specular_color = array<float>("specular_color");
         t.clearcoat = array<float>("clearcoat"), t.cones = array<float>("cones");
+        t.sheen = array<float>("sheen"), t.sheen_albedo = array<float>("sheen_albedo");
+        t.anisotropy = array<float>("anisotropy"), t.diffuse_transmission = array<float>("diffuse_transmission");
+        t.surface_rows = int32_t(number("surface_rows"));
         t.opacity = array<float>("opacity"), t.absorption = array<float>("absorption");
         t.emissive = array<int32_t>("emissive"), t.tinted = array<int32_t>("tinted");
         t.is_translucent = array<int32_t>("is_translucent");

@@ -156,6 +156,25 @@ inline Float exp_of_negative(Float x) {
     return x < all(-87.0f) ? all(0.0f) : mantissa * scale;
 }
 
+// Natural logarithm of positive normal numbers, to about an ulp (Cephes).
+inline Float logarithm(Float x) {
+    const Int word = bits<Int>(x), raw = (word >> 23) - 126;
+    const Float mantissa = bits<Float>((word & 0x007fffff) | 0x3f000000);
+    const Int small = mantissa < all(0.70710678118654752440f);
+    const Float r = small ? mantissa + mantissa - 1.0f : mantissa - 1.0f, power = to_float(small ? raw - 1 : raw), z = r * r;
+    Float p = 7.0376836292e-2f * r - 1.1514610310e-1f;
+    p = p * r + 1.1676998740e-1f;
+    p = p * r - 1.2420140846e-1f;
+    p = p * r + 1.4249322787e-1f;
+    p = p * r - 1.6668057665e-1f;
+    p = p * r + 2.0000714765e-1f;
+    p = p * r - 2.4999993993e-1f;
+    p = p * r + 3.3333331174e-1f;
+    return r + (p * r * z - 2.12194440e-4f * power - 0.5f * z) + 0.693359375f * power;
+}
+// Power of numbers from 0 to 1 with a positive exponent.
+inline Float power_of_fraction(Float x, Float exponent) { return exp_of_negative(exponent * logarithm(at_least(x, 1e-37f))); }
+
 struct Vec3 {
     Float x, y, z;
 };
@@ -183,6 +202,12 @@ struct Frame {
 inline Frame frame_about(Vec3 n) {
     const Float sign = copysign(all(1.0f), n.z), a = -1.0f / (sign + n.z), b = n.x * n.y * a;
     return {{1.0f + sign * n.x * n.x * a, sign * b, -sign * n.x}, {b, sign + n.y * n.y * a, -n.y}, n};
+}
+// `aligned_frame` of render/vector.py.
+inline Frame aligned_frame(Vec3 n, Vec3 along) {
+    const Vec3 projected = along - n * dot(n, along);
+    const Vec3 tangent = choose(dot(projected, projected) > all(1e-12f), normalize(projected), frame_about(n).tangent);
+    return {tangent, cross(n, tangent), n};
 }
 inline Vec3 to_world(Vec3 local, const Frame& f) { return local.x * f.tangent + local.y * f.bitangent + local.z * f.normal; }
 inline Vec3 to_local(Vec3 world, const Frame& f) { return {dot(world, f.tangent), dot(world, f.bitangent), dot(world, f.normal)}; }

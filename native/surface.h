@@ -31,19 +31,25 @@ struct Surface {
     Vec3 specular_color;
     Float clearcoat, clearcoat_alpha;
     Vec3 clearcoat_normal;
+    Vec3 sheen_color;
+    Float sheen_roughness;
+    Vec3 tangent;
+    Float alpha_along, diffuse_transmission;
+    Vec3 transmission_color;
 };
 constexpr int SURFACE_ROWS = sizeof(Surface) / sizeof(Float);
-static_assert(SURFACE_ROWS == 32, "as many as bokehguide/render/native.py names");
+static_assert(SURFACE_ROWS == 44, "as many as bokehguide/render/native.py names");
 
-inline Surface load_surface(const float* rows, int64_t stride) {
+// rows: of the scene (`Tables::surface_rows`); fields beyond them are undefined.
+inline Surface load_surface(const float* values, int64_t stride, int rows) {
     Surface s;
     Float* fields = reinterpret_cast<Float*>(&s);
-    for (int row = 0; row < SURFACE_ROWS; ++row) fields[row] = load<Float>(rows + row * stride);
+    for (int row = 0; row < rows; ++row) fields[row] = load<Float>(values + row * stride);
     return s;
 }
-inline void store_surface(float* rows, int64_t stride, const Surface& s) {
+inline void store_surface(float* values, int64_t stride, const Surface& s, int rows) {
     const Float* fields = reinterpret_cast<const Float*>(&s);
-    for (int row = 0; row < SURFACE_ROWS; ++row) store(rows + row * stride, fields[row]);
+    for (int row = 0; row < rows; ++row) store(values + row * stride, fields[row]);
 }
 
 inline Vec3 gather3(const float* table, int64_t columns, Int index) {
@@ -215,10 +221,38 @@ inline void apply_textures(const Tables& t, const Hits& hit, Int material, Surfa
     if (t.numbers[bokehguide::CLEARCOAT_ROUGHNESS]) {
         s.clearcoat_alpha = s.clearcoat_alpha * square(slot(bokehguide::CLEARCOAT_ROUGHNESS).rgba[1]);
     }
+    if (t.numbers[bokehguide::SHEEN_COLOR]) s.sheen_color = s.sheen_color * rgb(slot(bokehguide::SHEEN_COLOR));
+    if (t.numbers[bokehguide::SHEEN_ROUGHNESS]) s.sheen_roughness = s.sheen_roughness * slot(bokehguide::SHEEN_ROUGHNESS).rgba[3];
+    if (t.numbers[bokehguide::DIFFUSE_TRANSMISSION]) {
+        s.diffuse_transmission = s.diffuse_transmission * slot(bokehguide::DIFFUSE_TRANSMISSION).rgba[3];
+    }
+    if (t.numbers[bokehguide::DIFFUSE_TRANSMISSION_COLOR]) {
+        s.transmission_color = s.transmission_color * rgb(slot(bokehguide::DIFFUSE_TRANSMISSION_COLOR));
+    }
     if (t.numbers[bokehguide::NORMAL]) apply_normal_map(t, bokehguide::NORMAL, hit, material, s, s.normal, active);
     if (t.numbers[bokehguide::CLEARCOAT_NORMAL]) {
         apply_normal_map(t, bokehguide::CLEARCOAT_NORMAL, hit, material, s, s.clearcoat_normal, active);
     }
+}
+
+// `Geometry._apply_anisotropy`.
+inline void apply_anisotropy(const Tables& t, const Hits& hit, Int material, Surface& s, Int active) {
+    const auto parameter = [&](int row) { return gather(t.anisotropy + row * t.materials, material); };
+    Float strength = parameter(0), x = all(1.0f), y = all(0.0f);
+    const Texels texel = texels(t, bokehguide::ANISOTROPY, hit, material, active);
+    if (any(texel.textured)) {
+        const Float size = 1.0f / sqrt(at_least(square(texel.rgba[0]) + square(texel.rgba[1]), 1e-12f));
+        x = texel.textured ? texel.rgba[0] * size : x;
+        y = texel.textured ? texel.rgba[1] * size : y;
+        strength = texel.textured ? strength * (0.5f * texel.rgba[2] + 0.5f) : strength;
+    }
+    const Float cosine = parameter(1), sine = parameter(2), along = x * cosine - y * sine, across = x * sine + y * cosine;
+    const float* rows = t.tangents[bokehguide::ANISOTROPY];
+    Vec3 tangent = interpolated3(rows, t.triangle_count, 3, hit.triangle, hit.u, hit.v);
+    tangent = normalize(tangent - s.normal * dot(s.normal, tangent));
+    const Float side = 2.0f * s.front - 1.0f, up = gather(rows + 9 * t.triangle_count, hit.triangle);
+    s.tangent = along * side * tangent + across * up * cross(s.normal, tangent);
+    s.alpha_along = s.alpha + (1.0f - s.alpha) * square(strength);
 }
 
 // `Geometry.surface`. active: lanes with a valid hit.
@@ -246,9 +280,17 @@ inline Surface surface_at(const Tables& t, Vec3 origin, Vec3 direction, const Hi
     s.clearcoat = t.clearcoat ? gather(t.clearcoat, material) : all(0.0f);
     s.clearcoat_alpha = t.clearcoat ? gather(t.clearcoat + t.materials, material) : all(1.0f);
     s.clearcoat_normal = s.normal;
+    if (t.sheen != nullptr) {
+        s.sheen_color = gather3(t.sheen, t.materials, material), s.sheen_roughness = gather(t.sheen + 3 * t.materials, material);
+    }
+    if (t.diffuse_transmission != nullptr) {
+        s.diffuse_transmission = gather(t.diffuse_transmission, material);
+        s.transmission_color = gather3(t.diffuse_transmission + t.materials, t.materials, material);
+    }
     if (t.colors != nullptr || t.textures > 0) apply_textures(t, hit, material, s, active);
     s.alpha = at_least(s.alpha, MIN_ALPHA);
     s.clearcoat_alpha = at_least(s.clearcoat_alpha, MIN_ALPHA);
+    if (t.anisotropy != nullptr) apply_anisotropy(t, hit, material, s, active);
     return s;
 }
 

@@ -160,7 +160,7 @@ class Tracing {
         const int64_t hits = record.hit_count;
         std::memcpy(record.triangle + hits, b.triangle, size), std::memcpy(record.distance + hits, b.distance, size);
         std::memcpy(record.u + hits, b.u, size), std::memcpy(record.v + hits, b.v, size);
-        for (int row = 0; row < SURFACE_ROWS; ++row) std::memcpy(record.surface + row * record.hit_columns + hits, b.surface[row], size);
+        for (int row = 0; row < t.surface_rows; ++row) std::memcpy(record.surface + row * record.hit_columns + hits, b.surface[row], size);
         for (int row = 0; row < 3; ++row) std::memcpy(record.emission + row * record.hit_columns + hits, b.radiance[row], size);
         for (int i = 0; i < paths; ++i) {
             const int64_t hit = record.hit_count++, ray = first + b.slot[i];
@@ -199,7 +199,7 @@ class Tracing {
         const Float share = to_float(gather(record.paths + first_hit, hit)), distance = gather(record.distance + first_hit, hit);
         store(b.triangle + i, gather(record.triangle + first_hit, hit));
         store(b.distance + i, distance), store(b.primary_distance + i, distance);
-        for (int row = 0; row < SURFACE_ROWS; ++row) {
+        for (int row = 0; row < t.surface_rows; ++row) {
             store(b.surface[row] + i, gather(record.surface + row * record.hit_columns + first_hit, hit));
         }
         store3(b.throughput, i, gather3(b.hit_throughput, hit) / share), store3(b.radiance, i, grey(all(0.0f)));
@@ -354,7 +354,7 @@ class Tracing {
         const Int active = first_lanes(paths - i);
         const Hits hit = valid({load<Int>(b.triangle + i), load<Float>(b.distance + i), load<Float>(b.u + i), load<Float>(b.v + i)}, active);
         const Surface s = surface_at(t, load3(b.origin, i), load3(b.direction, i), hit, active);
-        store_surface(b.surface[0] + i, ROW, s);
+        store_surface(b.surface[0] + i, ROW, s, t.surface_rows);
         Vec3 throughput = load3(b.throughput, i);
         if (t.absorption != nullptr) {
             throughput = throughput * transmittance(t, hit, s.front);
@@ -407,7 +407,7 @@ class Tracing {
         Block& b = block;
         const Int active = first_lanes(paths - i);
         const Bits key = bits<Bits>(load<Int>(b.key + i));
-        const Surface s = load_surface(b.surface[0] + i, ROW);
+        const Surface s = load_surface(b.surface[0] + i, ROW, t.surface_rows);
         Vec3 throughput = load3(b.throughput, i);
         Float part[1] = {all(0.0f)};
         if (t.has_transmission) numbers(depth, PART, key, part);

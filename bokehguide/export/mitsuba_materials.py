@@ -118,6 +118,9 @@ def lost_terms(material: Material) -> Sequence[str]:
         "specular texture": material.specular_texture is not None,
         "clear coat textures": material.clearcoat > 0.0
         and any((material.clearcoat_texture, material.clearcoat_roughness_texture, material.clearcoat_normal_texture)),
+        "sheen": any(material.sheen_color),
+        "anisotropy": material.anisotropy > 0.0,
+        "diffuse transmission": material.diffuse_transmission > 0.0,
         "emission cone": material.emission_cone is not None,
         "wrap modes that differ along u and v": any(t is not None and len(set(t.wrap)) > 1 for t in textures),
     }

@@ -15,7 +15,7 @@ from bokehguide.render.materials import CLEARCOAT_F0, Materials
 from bokehguide.render.tracer import Hit, Tracer
 from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
 from bokehguide.runtime.indexing import ActiveEntries
-from bokehguide.scene.types import Scene
+from bokehguide.scene.types import Material, Scene, Texture
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +35,10 @@ TARGETS = {
     "transmission": (("transmission", 0, False),),
     "clearcoat": (("clearcoat", 0, False),),
     "clearcoat_roughness": (("clearcoat_alpha", 1, True),),
+    "sheen_color": (("sheen_color", slice(0, 3), False),),
+    "sheen_roughness": (("sheen_roughness", 3, False),),
+    "diffuse_transmission": (("diffuse_transmission", 3, False),),
+    "diffuse_transmission_color": (("transmission_color", slice(0, 3), False),),
 }
 """For each texture slot: the fields of `Surface` that the texture multiplies, the channels of the texture, and whether the
 channels are squared, because α = roughness²."""
@@ -47,10 +51,11 @@ class Surface:
     outgoing: unit direction back along the ray. geometric_normal, normal (shading normal): on the side of `outgoing`. front: 1 if
     the ray meets the front of the triangle, else 0, float32. offset: distance of the origins of new rays from the surface, along
     ±geometric_normal. facing: 0 if the shading normal faced away from `outgoing`, so that another normal replaced it, else 1,
-    float32. alpha, clearcoat_alpha: GGX α.
+    float32. alpha, clearcoat_alpha: GGX α. tangent: the direction, not always perpendicular to the normal, along which
+    anisotropic microfacets have the larger α `alpha_along`; 0 if unknown. transmission_color: of the diffuse transmission.
 
-    Optional fields are None if no material of the scene needs them: specular colours other than white, and clearcoats.
-    clearcoat_normal is also None if every clearcoat has the normal of the layers beneath.
+    Optional fields are None if no material of the scene needs them: specular colours other than white, clearcoats, sheens,
+    anisotropy, and diffuse transmission. clearcoat_normal is also None if every clearcoat has the normal of the layers beneath.
     """
 
     position: Tensor
@@ -71,6 +76,12 @@ class Surface:
     clearcoat: Tensor | None = None
     clearcoat_alpha: Tensor | None = None
     clearcoat_normal: Tensor | None = None
+    sheen_color: Tensor | None = None
+    sheen_roughness: Tensor | None = None
+    tangent: Tensor | None = None
+    alpha_along: Tensor | None = None
+    diffuse_transmission: Tensor | None = None
+    transmission_color: Tensor | None = None
 
     def select(self, index: Tensor) -> Surface:
         """Surfaces at `index`, int64 `[M]`."""
@@ -112,6 +123,8 @@ class Geometry:
         for slot in self.materials.normal_scales:
             normal_maps = [getattr(material, f"{slot}_texture") for material in scene.materials]
             self.tangents[slot] = self._rows(triangles.tangent_rows(meshes, normal_maps))
+        if self.materials.anisotropy is not None:
+            self.tangents["anisotropy"] = self._rows(triangles.tangent_rows(meshes, list(map(_brushed, scene.materials))))
 
     def _rows(self, rows: np.ndarray) -> Tensor:
         return torch.from_numpy(rows).to(self.device)
@@ -153,10 +166,18 @@ class Geometry:
             surface.clearcoat, surface.clearcoat_alpha = self.materials.clearcoat.index_select(1, material)
         if self.materials.tilts_coats:
             surface.clearcoat_normal = surface.normal.clone()
+        if self.materials.sheen is not None:
+            rows = self.materials.sheen.index_select(1, material)
+            surface.sheen_color, surface.sheen_roughness = rows[0:3], rows[3]
+        if self.materials.diffuse_transmission is not None:
+            rows = self.materials.diffuse_transmission.index_select(1, material)
+            surface.diffuse_transmission, surface.transmission_color = rows[0], rows[1:4]
         self._apply_textures(surface, hit, material)
         surface.alpha.clamp_(min=MIN_ALPHA)
         if surface.clearcoat_alpha is not None:
             surface.clearcoat_alpha.clamp_(min=MIN_ALPHA)
+        if self.materials.anisotropy is not None:
+            self._apply_anisotropy(surface, hit, material)
         return surface
 
     def _apply_textures(self, surface: Surface, hit: Hit, material: Tensor) -> None:
@@ -188,6 +209,26 @@ class Geometry:
         facing = (dot(bent, mapped.select(surface.outgoing)) > MIN_FACING).to(torch.float32)
         mapped.scatter(surface.facing, mapped.select(surface.facing) * facing)
         mapped.scatter(getattr(surface, slot), bent * facing + normal * (1.0 - facing))
+
+    def _apply_anisotropy(self, surface: Surface, hit: Hit, material: Tensor) -> None:
+        """Set the direction of the larger roughness, and this roughness (KHR_materials_anisotropy)."""
+        assert self.materials.anisotropy is not None
+        strength, cosine, sine = self.materials.anisotropy.index_select(1, material)
+        x, y = torch.ones_like(hit.u), torch.zeros_like(hit.u)
+        textured, texel = self._texels("anisotropy", hit, material)
+        if len(textured) > 0:
+            size = (texel[0].square() + texel[1].square()).clamp(min=1e-12).rsqrt()
+            textured.scatter(x, texel[0] * size)
+            textured.scatter(y, texel[1] * size)
+            textured.scatter(strength, textured.select(strength) * (0.5 * texel[2] + 0.5))
+        x, y = x * cosine - y * sine, x * sine + y * cosine
+        rows = self.tangents["anisotropy"].index_select(1, hit.triangle)
+        normal = surface.normal
+        tangent = _interpolate(rows[0:9], hit.u, hit.v)
+        tangent = normalize(tangent - normal * dot(normal, tangent))
+        side = 2.0 * surface.front - 1.0  # on the back, the normal is reversed, and with it the bitangent
+        surface.tangent = x * side * tangent + y * rows[9] * cross(normal, tangent)
+        surface.alpha_along = surface.alpha + (1.0 - surface.alpha) * strength.square()
 
     def own_normals(self, surface: Surface, hit: Hit) -> list[Tensor]:
         """All shading normals `[3, N]` at hits that face the viewer, and that another view may have to replace."""
@@ -276,6 +317,13 @@ class Geometry:
         if not self.materials.absorbs:
             return None
         return self.materials.transmittance(self.material.index_select(0, hit.triangle), front, hit.distance)
+
+
+def _brushed(material: Material) -> Texture | None:
+    """The texture by which the tangents of an anisotropic material run, None for another material."""
+    if material.anisotropy == 0.0:
+        return None
+    return material.anisotropy_texture or material.normal_texture or Texture(np.ones((1, 1, 3), np.float32))
 
 
 def _sides(rows: Tensor, origins: Tensor, directions: Tensor, hit: Hit) -> tuple[Tensor, ...]:

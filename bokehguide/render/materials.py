@@ -24,10 +24,17 @@ SLOTS = (
     "clearcoat",
     "clearcoat_roughness",
     "clearcoat_normal",
+    "sheen_color",
+    "sheen_roughness",
+    "anisotropy",
+    "diffuse_transmission",
+    "diffuse_transmission_color",
 )
 """Parameters of a material that may have a texture."""
 NORMAL_MAPS = ("normal", "clearcoat_normal")
 """Slots whose textures are normal maps; `Surface` has fields of the same names."""
+SIGNED = (*NORMAL_MAPS, "anisotropy")
+"""Slots whose textures hold vectors."""
 WHITE = (1.0, 1.0, 1.0)
 CLEARCOAT_F0 = 0.04
 """Reflectance at normal incidence of a clearcoat with the refractive index 1.5."""
@@ -47,7 +54,7 @@ class Materials:
             return table(rows) if needed else None
 
         atlas = TextureAtlas()
-        numbers = {slot: [atlas.add(_texture(m, slot), signed=slot in NORMAL_MAPS) for m in materials] for slot in SLOTS}
+        numbers = {slot: [atlas.add(_texture(m, slot), signed=slot in SIGNED) for m in materials] for slot in SLOTS}
         self.tilts_coats = _tilts_coats(materials, numbers)
         """Whether some clearcoat has normals other than those of the layers beneath."""
         if not self.tilts_coats:
@@ -64,6 +71,15 @@ class Materials:
         self.specular_color = optional([m.specular_color for m in materials], colored)
         coated = any(m.clearcoat > 0.0 for m in materials)
         self.clearcoat = optional([(m.clearcoat, m.clearcoat_roughness**2) for m in materials], coated)
+        shines = any(any(m.sheen_color) for m in materials)
+        self.sheen = optional([(*m.sheen_color, m.sheen_roughness) for m in materials], shines)
+        self.anisotropy = optional([_anisotropy(m) for m in materials], any(m.anisotropy > 0.0 for m in materials))
+        """Strength, and cosine and sine of the rotation."""
+        transmits = any(m.diffuse_transmission > 0.0 for m in materials)
+        self.diffuse_transmission = optional(
+            [(m.diffuse_transmission, *m.diffuse_transmission_color) for m in materials], transmits
+        )
+        """Factor and colour of the diffuse transmission."""
         bending = [slot for slot in NORMAL_MAPS if slot in self.numbers]
         self.normal_scales = {slot: table([(getattr(m, f"{slot}_scale"),) for m in materials]) for slot in bending}
         """Scales of x and y of the normal maps, by slot in use."""
@@ -126,8 +142,19 @@ def _texture(material: Material, slot: str) -> Texture | None:
         "clearcoat": material.clearcoat == 0.0,
         "clearcoat_roughness": material.clearcoat == 0.0,
         "clearcoat_normal": material.clearcoat == 0.0,
+        "sheen_color": not any(material.sheen_color),
+        "sheen_roughness": not any(material.sheen_color),
+        "anisotropy": material.anisotropy == 0.0,
+        "diffuse_transmission": material.diffuse_transmission == 0.0,
+        "diffuse_transmission_color": material.diffuse_transmission == 0.0,
     }
     return None if unseen.get(slot, False) else getattr(material, f"{slot}_texture")
+
+
+def _anisotropy(material: Material) -> tuple[float, float, float]:
+    """Strength, and cosine and sine of the rotation."""
+    angle = math.radians(material.anisotropy_rotation)
+    return material.anisotropy, math.cos(angle), math.sin(angle)
 
 
 def _tilts_coats(materials: tuple[Material, ...], numbers: dict[str, list[int]]) -> bool:
@@ -172,7 +199,8 @@ def _is_translucent(material: Material, least: float) -> bool:
 
 def _absorption(material: Material) -> tuple[float, float, float]:
     """Absorption coefficients, 1/m; 0 for materials that do not absorb."""
-    if material.transmission == 0.0 or material.thin or math.isinf(material.attenuation_distance):
+    opaque = material.transmission == 0.0 and material.diffuse_transmission == 0.0
+    if opaque or material.thin or math.isinf(material.attenuation_distance):
         return 0.0, 0.0, 0.0
     red, green, blue = (-math.log(max(channel, 1e-30)) / material.attenuation_distance for channel in material.attenuation_color)
     return red, green, blue

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.render.bsdf.sheen import albedo_table
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.lights.base import LightSampler
 from bokehguide.render.lights.light_clusters import LightClusters
@@ -111,7 +112,11 @@ class NativeTracer:
         alive, count = given.alive, given.origin.shape[1]
         counts = torch.ones(count) if counts is None else counts
         paths = int((counts if alive is None else counts * (alive > 0.0)).sum(dtype=torch.float64))
-        arrays = {"counts": counts.float().contiguous(), **_hit_arrays(count), **_path_arrays(paths, lights is not None)}
+        arrays = {
+            "counts": counts.float().contiguous(),
+            **_hit_arrays(count, self._geometry.materials),
+            **_path_arrays(paths, lights is not None),
+        }
         images = torch.empty(3, count)
         fields, (hits, paths) = self._trace(given, timer, arrays, lights, images)
         samples = None
@@ -139,15 +144,23 @@ class NativeTracer:
 
 LIGHT_ROWS = ("light_row", "light_cluster", "light_rms", "light_visibility")
 """Arrays of the light samples of a trace: see `CoreReport.light_samples`."""
-SURFACE_ROWS = (3, 3, 3, 3, 1, 1, 1, 3, 1, 1, 1, 1, 1, 1, 3, 1, 1, 3)
+SURFACE_ROWS = (3, 3, 3, 3, 1, 1, 1, 3, 1, 1, 1, 1, 1, 1, 3, 1, 1, 3, 3, 1, 3, 1, 1, 3)
 """Rows of the fields of `Surface` in the native core."""
+PLAIN_FIELDS = 18
+"""Fields of `Surface` without those of sheen, anisotropy and diffuse transmission."""
 
 
-def _hit_arrays(count: int) -> dict[str, Tensor]:
+def surface_fields(materials: Materials) -> tuple[int, ...]:
+    """Rows of each field of `Surface` that records of the native core hold. The last fields are rare."""
+    plain = materials.sheen is None and materials.anisotropy is None and materials.diffuse_transmission is None
+    return SURFACE_ROWS[:PLAIN_FIELDS] if plain else SURFACE_ROWS
+
+
+def _hit_arrays(count: int, materials: Materials) -> dict[str, Tensor]:
     """Arrays for at most `count` primary hits, by the names of `SplitRecord` in `native/tables.h`."""
     arrays = {name: torch.empty(count, dtype=torch.int32) for name in ("ray", "triangle", "paths")}
     arrays |= {name: torch.empty(count) for name in ("distance", "u", "v")}
-    return {**arrays, "surface": torch.empty(sum(SURFACE_ROWS), count), "emission": torch.empty(3, count)}
+    return {**arrays, "surface": torch.empty(sum(surface_fields(materials)), count), "emission": torch.empty(3, count)}
 
 
 def _path_arrays(count: int, with_lights: bool) -> dict[str, Tensor]:
@@ -173,8 +186,8 @@ def _recorded(geometry: Geometry, arrays: dict[str, Tensor], hits: int, paths: i
 
 
 def surface_of(materials: Materials, rows: Tensor) -> Surface:
-    """Surfaces from the rows `[32, K]` of the native core, without the fields that no material needs."""
-    parts = [part if len(part) > 1 else part[0] for part in rows.split(SURFACE_ROWS)]
+    """Surfaces from the rows `[R, K]` of the native core, without the fields that no material needs."""
+    parts = [part if len(part) > 1 else part[0] for part in rows.split(surface_fields(materials))]
     values: dict[str, Any] = {field.name: part for field, part in zip(dataclasses.fields(Surface), parts)}
     if materials.specular_color is None:
         values["specular_color"] = None
@@ -182,6 +195,12 @@ def surface_of(materials: Materials, rows: Tensor) -> Surface:
         values |= {"clearcoat": None, "clearcoat_alpha": None}
     if not materials.tilts_coats:
         values["clearcoat_normal"] = None
+    if materials.sheen is None:
+        values |= {"sheen_color": None, "sheen_roughness": None}
+    if materials.anisotropy is None:
+        values |= {"tangent": None, "alpha_along": None}
+    if materials.diffuse_transmission is None:
+        values |= {"diffuse_transmission": None, "transmission_color": None}
     return Surface(**values)
 
 
@@ -259,13 +278,19 @@ def _material_tables(materials: Materials) -> Tables:
         "emission": materials.emission,
         "specular_color": materials.specular_color,
         "clearcoat": materials.clearcoat,
+        "sheen": materials.sheen,
+        "sheen_albedo": None if materials.sheen is None else albedo_table(),
+        "anisotropy": materials.anisotropy,
+        "diffuse_transmission": materials.diffuse_transmission,
         "cones": materials.cones,
         "opacity": materials.opacities,
         "absorption": materials.absorption,
     }
     facts = ("tilts_coats", "has_transmission", "plain_emission")
     integers = {name: flag.int() for name, flag in flags.items()}
-    return {**tables, **numbers, **scales, **integers}, {name: getattr(materials, name) for name in facts}
+    known = {name: float(getattr(materials, name)) for name in facts}
+    known["surface_rows"] = float(sum(surface_fields(materials)))
+    return {**tables, **numbers, **scales, **integers}, known
 
 
 def _texture_tables(atlas: TextureAtlas) -> Tables:

@@ -73,6 +73,18 @@ def tangent_frame(normal: Tensor) -> tuple[Tensor, Tensor]:
     return tangent, bitangent
 
 
+def aligned_frame(normal: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
+    """Two unit tangents `[3, N]` as of `tangent_frame`; the first is `along` `[3, N]`, projected along the normal.
+
+    Where the projection is 0, the first tangent is arbitrary.
+    """
+    projected = along - normal * dot(normal, along)
+    known = (dot(projected, projected) > 1e-12).to(torch.float32)
+    tangent = tangent_frame(normal)[0]
+    tangent = tangent + (normalize(projected) - tangent) * known
+    return tangent, cross(normal, tangent)
+
+
 def to_world(local: Tensor, tangent: Tensor, bitangent: Tensor, normal: Tensor) -> Tensor:
     """Local `[3, N]` coordinates (z along the normal) to world space."""
     return local[0] * tangent + local[1] * bitangent + local[2] * normal

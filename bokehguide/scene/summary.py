@@ -49,6 +49,9 @@ def _materials(scene: Scene) -> str:
         "masked": sum(material.alpha_mode == "mask" for material in scene.materials),
         "blended": sum(material.alpha_mode == "blend" for material in scene.materials),
         "clear-coated": sum(material.clearcoat > 0.0 for material in scene.materials),
+        "with a sheen": sum(any(material.sheen_color) for material in scene.materials),
+        "anisotropic": sum(material.anisotropy > 0.0 for material in scene.materials),
+        "diffusely transmitting": sum(material.diffuse_transmission > 0.0 for material in scene.materials),
         "absorbing": sum(math.isfinite(material.attenuation_distance) for material in scene.materials),
     }
     return "; ".join([f"{len(names)} ({shown})", *(f"{count} {name}" for name, count in counts.items() if count)])

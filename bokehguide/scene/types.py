@@ -188,9 +188,14 @@ class Material:
 
     Each texture multiplies its factors: base colour (RGB, and opacity by A if there are four
     channels), (unused, roughness, metallic) as in glTF, emission (RGB), specular (A), specular
-    colour (RGB), transmission (R), clearcoat (R) and clearcoat roughness (G). Texels of a normal map
+    colour (RGB), transmission (R), clearcoat (R), clearcoat roughness (G), sheen colour (RGB), sheen
+    roughness (A), diffuse transmission (A) and its colour (RGB). Texels of a normal map
     are tangent-space normals mapped to [0, 1]; `normal_scale` multiplies x and y. The clearcoat has
     its own normal map; without one, its normal is the geometry's.
+
+    anisotropy: strength by which the roughness α grows to 1 along the tangent, turned by `anisotropy_rotation` degrees
+    anticlockwise; its texture holds a direction (RG, mapped to [0, 1]) and a strength (B), as in KHR_materials_anisotropy.
+    diffuse_transmission: share of the diffuse light that leaves on the other side.
 
     alpha_mode: "opaque" ignores opacity; "mask" removes points with opacity below `alpha_cutoff`;
     "blend" transmits the fraction 1 - opacity without refraction. attenuation_color: transmittance of
@@ -212,6 +217,12 @@ class Material:
     attenuation_distance: float = math.inf
     clearcoat: float = 0.0
     clearcoat_roughness: float = 0.0
+    sheen_color: Vector = (0.0, 0.0, 0.0)
+    sheen_roughness: float = 0.0
+    anisotropy: float = 0.0
+    anisotropy_rotation: float = 0.0
+    diffuse_transmission: float = 0.0
+    diffuse_transmission_color: Vector = (1.0, 1.0, 1.0)
     emission: Vector = (0.0, 0.0, 0.0)
     emission_cone: Cone | None = None
     tint_emission: bool = False
@@ -231,6 +242,11 @@ class Material:
     clearcoat_texture: Texture | None = None
     clearcoat_roughness_texture: Texture | None = None
     clearcoat_normal_texture: Texture | None = None
+    sheen_color_texture: Texture | None = None
+    sheen_roughness_texture: Texture | None = None
+    anisotropy_texture: Texture | None = None
+    diffuse_transmission_texture: Texture | None = None
+    diffuse_transmission_color_texture: Texture | None = None
 
     def __post_init__(self) -> None:
         fields = Fields(self)
@@ -257,6 +273,10 @@ MATERIAL_NUMBERS: dict[str, Limits] = {
     "attenuation_distance": replace(POSITIVE, infinity=True),
     "clearcoat": FRACTION,
     "clearcoat_roughness": FRACTION,
+    "sheen_roughness": FRACTION,
+    "anisotropy": FRACTION,
+    "anisotropy_rotation": ANY,
+    "diffuse_transmission": FRACTION,
     "opacity": FRACTION,
     "alpha_cutoff": NOT_NEGATIVE,
     "normal_scale": ANY,
@@ -267,6 +287,8 @@ MATERIAL_COLORS: dict[str, Limits] = {
     "base_color": FRACTION,
     "specular_color": NOT_NEGATIVE,
     "attenuation_color": FRACTION,
+    "sheen_color": FRACTION,
+    "diffuse_transmission_color": FRACTION,
     "emission": NOT_NEGATIVE,
 }
 """Limits of the colours of a `Material`, channel by channel."""

@@ -65,6 +65,9 @@ def gltf_scene() -> dict:
         "KHR_materials_volume": {"thicknessFactor": 1.0, "attenuationDistance": 0.5, "attenuationColor": [0.9, 1, 1]},
         "KHR_materials_clearcoat": {"clearcoatFactor": 1.0},
         "KHR_materials_specular": {"specularFactor": 0.5},
+        "KHR_materials_sheen": {"sheenColorFactor": [1, 0.5, 0.2], "sheenRoughnessFactor": 0.5},
+        "KHR_materials_anisotropy": {"anisotropyStrength": 0.5, "anisotropyRotation": 1.0},
+        "KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": 0.5},
     }
     return {
         "asset": {"version": "2.0"},

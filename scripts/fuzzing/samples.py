@@ -54,6 +54,9 @@ normal_texture = "wood.png"
 normal_scale = 0.5
 roughness = 0.3
 clearcoat = 0.5
+sheen_color = [0.5, 0.4, 0.3]
+anisotropy = 0.5
+diffuse_transmission = 0.25
 alpha_mode = "blend"
 opacity = 0.8
 [materials.emitter]

@@ -24,6 +24,9 @@ SURFACES = [
     (75.0, 1.0, {"roughness": 0.6, "metallic": 0.5, "specular_color": (1.0, 0.5, 0.2), "clearcoat": 0.0}),
     (60.0, 1.0, {"roughness": 0.8, "clearcoat": 0.8, "clearcoat_roughness": 0.4}),
     (40.0, 1.0, {"roughness": 0.6, "clearcoat": 1.0, "clearcoat_roughness": 0.6, "clearcoat_normal": (0.2, 0.0, 0.98)}),
+    (60.0, 1.0, {"roughness": 0.7, "sheen_color": (0.9, 0.5, 0.2), "sheen_roughness": 0.5}),
+    (50.0, 1.0, {"roughness": 0.5, "metallic": 1.0, "anisotropy": 0.8}),
+    (30.0, 1.0, {"roughness": 0.6, "diffuse_transmission": 0.6, "transmission_color": (0.9, 0.5, 0.2)}),
     (20.0, 0.0, {"roughness": 0.5, "transmission": 1.0}),
     (60.0, 0.0, {"roughness": 0.6, "transmission": 1.0, "front": 0.0}),
     (50.0, 0.0, {"roughness": 0.6, "transmission": 1.0, "thin": 1.0}),
@@ -37,7 +40,8 @@ def uniforms(count: int, numbers: int) -> torch.Tensor:
 @pytest.mark.parametrize("degrees, choice, parameters", SURFACES)
 def test_directions_follow_their_density(degrees, choice, parameters):
     """Draws of `sample` follow the density of `evaluate`; the rest falls below the surface and has no weight."""
-    found, scene_tables = core(), tables("textures")
+    layered = any(name in parameters for name in ("sheen_color", "anisotropy", "diffuse_transmission"))
+    found, scene_tables = core(), tables("layers" if layered else "textures")
 
     def rows(count: int) -> torch.Tensor:
         return rows_of(surface(count, outgoing=tilted(degrees, count).contiguous(), **parameters))

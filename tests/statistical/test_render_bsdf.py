@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from bokehguide.render.bsdf.opaque import OpaqueBSDF, ggx_density, sample_visible_normal
+from bokehguide.render.bsdf.microfacets import ggx_density, sample_visible_normal
+from bokehguide.render.bsdf.opaque import OpaqueBSDF
 from bokehguide.render.geometry import MIN_ALPHA
 from bokehguide.render.random import PixelRandom
 from tests.support.scattering_formulas import brdf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 from functools import cache
 from types import ModuleType
@@ -13,7 +14,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.geometry import Surface
-from bokehguide.render.native import native_scene
+from bokehguide.render.native import PLAIN_FIELDS, native_scene
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.runtime import native
@@ -23,7 +24,7 @@ from tests.support.tracing import DOWN, UP, emitter, rectangle, scene, sphere
 
 BUILT_IN = ("fairy-lights", "night-street", "chrome", "daylight", "cutout", "glitter", "occluded")
 SUNS = (Sun((0.6, 0.8, 0.0), 3.0, (2.0, 1.5, 1.0)), Sun((0.0, 0.6, 0.8), 20.0, (0.3, 0.4, 0.5)))
-FEATURES = ("textures", "coats", "glass", "sheets", "sky", "hidden sky", "suns", "lamps", "spot in the dark", "dark")
+FEATURES = ("textures", "coats", "layers", "glass", "sheets", "sky", "hidden sky", "suns", "lamps", "spot in the dark", "dark")
 
 
 def core() -> ModuleType:
@@ -73,6 +74,35 @@ TEXTURED = Material(
 COATS = Material(
     "coat", (0.3, 0.5, 0.8), roughness=0.5, clearcoat=0.9, clearcoat_roughness=0.2, clearcoat_normal_texture=bumps(9)
 )
+LAYERS = (
+    Material(
+        "cloth",
+        (0.3, 0.2, 0.6),
+        sheen_color=(0.9, 0.8, 1.0),
+        sheen_roughness=0.8,
+        sheen_color_texture=texture(14, 3),
+        sheen_roughness_texture=texture(15),
+        clearcoat=0.4,
+        clearcoat_roughness=0.5,
+        clearcoat_normal_texture=bumps(16),
+    ),
+    Material("brushed", (0.9, 0.7, 0.5), metallic=1.0, roughness=0.4, anisotropy=0.9, anisotropy_rotation=30.0),
+    Material(
+        "scratched", (0.6, 0.6, 0.6), roughness=0.3, anisotropy=1.0, anisotropy_texture=texture(17, 3), normal_texture=bumps(8)
+    ),
+    Material(
+        "leaf",
+        (0.2, 0.6, 0.1),
+        roughness=0.4,
+        sheen_color=(0.2, 0.2, 0.2),
+        diffuse_transmission=0.8,
+        diffuse_transmission_color=(0.7, 0.9, 0.3),
+        diffuse_transmission_texture=texture(18),
+        diffuse_transmission_color_texture=texture(19, 3),
+        attenuation_color=(0.7, 0.8, 0.9),
+        attenuation_distance=2.0,
+    ),
+)
 GLASS = (
     Material(
         "frosted", (0.9, 0.9, 0.8), roughness=0.5, transmission=1.0, attenuation_color=(0.4, 0.7, 0.9), attenuation_distance=0.5
@@ -120,6 +150,7 @@ def feature_scene(name: str) -> Scene:
     scenes = {
         "textures": lambda: room((TEXTURED, COATS), lamp, sky()),
         "coats": lambda: room((COATS, replace(COATS, normal_texture=bumps(2))), lamp),
+        "layers": lambda: room(LAYERS, lamp, sky()),
         "glass": lambda: room(GLASS, lamp, sky()),
         "sheets": lambda: room(SHEETS, LAMPS),
         "sky": lambda: room((MATTE,), (), sky(), SUNS),
@@ -166,9 +197,14 @@ def rays(name: str, count: int, seed: int = 0) -> tuple[Tensor, Tensor, PixelRan
 
 
 def rows_of(surface: Surface) -> Tensor:
-    """The surfaces as the native core has them, `[32, N]`."""
+    """The surfaces as the native core has them, `[32, N]`, or `[44, N]` with a field that is rare."""
     count = surface.position.shape[1]
     defaults = {"specular_color": torch.ones(3, count), "clearcoat": torch.zeros(count), "clearcoat_alpha": torch.ones(count)}
     defaults["clearcoat_normal"] = surface.normal
-    fields = {name: defaults.get(name) if value is None else value for name, value in vars(surface).items()}
+    defaults |= {"sheen_color": torch.zeros(3, count), "sheen_roughness": torch.zeros(count), "tangent": torch.zeros(3, count)}
+    defaults |= {"alpha_along": surface.alpha, "diffuse_transmission": torch.zeros(count)}
+    defaults["transmission_color"] = torch.ones(3, count)
+    rare = [getattr(surface, field.name) is not None for field in dataclasses.fields(Surface)[PLAIN_FIELDS:]]
+    kept = list(vars(surface).items())[: None if any(rare) else PLAIN_FIELDS]
+    fields = {name: defaults.get(name) if value is None else value for name, value in kept}
     return torch.cat([cast(Tensor, value).reshape(-1, count) for value in fields.values()]).contiguous()

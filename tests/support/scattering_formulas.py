@@ -8,24 +8,36 @@ from __future__ import annotations
 
 import numpy as np
 
-
-def ggx(half: np.ndarray, alpha: float) -> np.ndarray:
-    """D, `[N]`, in tan² θ as Walter et al. have it."""
-    tangent2 = (half[0] ** 2 + half[1] ** 2) / half[2] ** 2
-    return alpha**2 / (np.pi * half[2] ** 4 * (alpha**2 + tangent2) ** 2)
+Alpha = float | tuple[float, float]
+"""α of GGX, or α along x and along y."""
 
 
-def smith_lambda(directions: np.ndarray, alpha: float) -> np.ndarray:
+def ggx(half: np.ndarray, alpha: Alpha) -> np.ndarray:
+    """D, `[N]`, in slopes as Heitz 2014 has it."""
+    x, y = np.broadcast_to(alpha, 2)
+    slopes = (half[0] / (x * half[2])) ** 2 + (half[1] / (y * half[2])) ** 2
+    return 1.0 / (np.pi * x * y * half[2] ** 4 * (1.0 + slopes) ** 2)
+
+
+def smith_lambda(directions: np.ndarray, alpha: Alpha) -> np.ndarray:
     """Λ of Smith's masking for GGX, `[N]`: G₁ = 1 / (1 + Λ) and G₂ = 1 / (1 + Λ + Λ)."""
-    return 0.5 * (np.sqrt(1.0 + alpha**2 * (1.0 / directions[2] ** 2 - 1.0)) - 1.0)
+    x, y = np.broadcast_to(alpha, 2)
+    return 0.5 * (np.sqrt(1.0 + ((x * directions[0]) ** 2 + (y * directions[1]) ** 2) / directions[2] ** 2) - 1.0)
 
 
-def mirrors(outgoing: np.ndarray, incoming: np.ndarray, alpha: float) -> np.ndarray:
+def mirrors(outgoing: np.ndarray, incoming: np.ndarray, alpha: Alpha) -> np.ndarray:
     """D G₂ / (4 cos cos), `[N]`."""
     half = outgoing + incoming
     half = half / np.linalg.norm(half, axis=0)
     masking = 1.0 / (1.0 + smith_lambda(outgoing, alpha) + smith_lambda(incoming, alpha))
     return ggx(half, alpha) * masking / (4.0 * outgoing[2] * incoming[2])
+
+
+def facing(directions: np.ndarray, alpha: Alpha) -> np.ndarray:
+    """α in the plane of the normal and `directions`, `[N]`."""
+    x, y = np.broadcast_to(alpha, 2)
+    azimuth = np.arctan2(directions[1], directions[0])
+    return np.sqrt((x * np.cos(azimuth)) ** 2 + (y * np.sin(azimuth)) ** 2)
 
 
 def stopped(cosine: np.ndarray, f0: float, f90: float, alpha: float) -> np.ndarray:
@@ -45,29 +57,74 @@ def brdf(
     specular_color=(1.0, 1.0, 1.0),
     clearcoat=0.0,
     clearcoat_roughness=0.0,
+    sheen_color=(0.0, 0.0, 0.0),
+    sheen_roughness=0.0,
+    anisotropy=0.0,
+    diffuse_transmission=0.0,
+    transmission_color=(1.0, 1.0, 1.0),
 ) -> np.ndarray:
-    """The opaque BRDF `[3, N]` towards directions above the surface.
+    """The opaque BSDF `[3, N]` towards directions above the surface or, of diffuse transmission alone, below.
 
-    The base lies under a coat that light passes twice, and all of it under the clearcoat.
+    The base lies under a coat that light passes twice, and both under a sheen and a clearcoat. x is the direction of larger
+    roughness.
     """
     alpha = max(roughness**2, 1e-3)
+    below = incoming[2] < 0.0
+    light = np.stack((incoming[0], incoming[1], np.abs(incoming[2])))
+    alphas = (alpha + (1.0 - alpha) * anisotropy**2, alpha)
     half = outgoing + incoming
     schlick = (1.0 - (outgoing * half).sum(0) / np.linalg.norm(half, axis=0)) ** 5
     f0 = np.minimum(((ior - 1.0) / (ior + 1.0)) ** 2 * np.asarray(specular_color), 1.0) * specular
     peak, base = f0.max(), np.asarray(base_color)[:, None]
     coat = f0[:, None] + (specular - f0[:, None]) * schlick
-    cosines = (outgoing[2], incoming[2])
-    under = np.multiply(*[1.0 - stopped(cosine, peak, specular, alpha) for cosine in cosines])
+    cosines = (outgoing[2], light[2])
+    planes = [facing(direction, alphas) for direction in (outgoing, light)]
+    under = np.multiply(*[1.0 - stopped(cosine, peak, specular, plane) for cosine, plane in zip(cosines, planes)])
     angle = (np.arange(4096) + 0.5) / 4096
-    entering = 2.0 * ((1.0 - stopped(angle, peak, specular, alpha)) * angle).mean()
-    facets = mirrors(outgoing, incoming, alpha)
-    dielectric = base / np.pi * under / max(entering, 1e-9) + coat * facets
+    entering = 2.0 * ((1.0 - stopped(angle, peak, specular, max(alphas))) * angle).mean()
+    facets = np.where(below, 0.0, mirrors(outgoing, light, alphas))
+    through = np.asarray(transmission_color)[:, None] * diffuse_transmission
+    lambertian = np.where(below, through, base * (1.0 - diffuse_transmission))
+    dielectric = lambertian / np.pi * under / max(entering, 1e-9) + coat * facets
     metal = (base + (1.0 - base) * schlick) * facets
     beneath = (1.0 - metallic) * dielectric + metallic * metal
+    if any(sheen_color):
+        passing, over = sheen_layer(outgoing, light, sheen_color, sheen_roughness)
+        beneath = beneath * passing + np.where(below, 0.0, over)
     if clearcoat == 0.0:
         return beneath
-    passing, over = clearcoat_layer(outgoing, incoming, clearcoat, clearcoat_roughness)
-    return beneath * passing + over
+    passing, over = clearcoat_layer(outgoing, light, clearcoat, clearcoat_roughness)
+    return beneath * passing + np.where(below, 0.0, over)
+
+
+def charlie(sine2: np.ndarray, cosines: tuple[np.ndarray, np.ndarray], alpha: float) -> np.ndarray:
+    """D V of KHR_materials_sheen, with the visibility of Ashikhmin and Premože."""
+    inverse = 1.0 / alpha
+    distribution = (2.0 + inverse) * np.power(sine2, inverse * 0.5) / (2.0 * np.pi)
+    return distribution / (4.0 * (cosines[0] + cosines[1] - cosines[0] * cosines[1]))
+
+
+def sheen_albedos(cosines: np.ndarray, roughness: float) -> np.ndarray:
+    """Directional albedos of a white sheen by a midpoint rule, for cosines `[N]`."""
+    known = (np.arange(257) / 256.0) ** 2
+    z, azimuth = ((np.arange(400) + 0.5)[:, None] / 400.0) ** 2, (np.arange(200) + 0.5) / 200.0 * np.pi
+    found = []
+    for cosine in np.maximum(known, 1e-5):
+        x = np.sqrt(1.0 - cosine**2) + np.sqrt(1.0 - z**2) * np.cos(azimuth)
+        y = np.sqrt(1.0 - z**2) * np.sin(azimuth)
+        sine2 = (x**2 + y**2) / (x**2 + y**2 + (z + cosine) ** 2)
+        found.append((charlie(sine2, (z, cosine), roughness**2) * z * np.sqrt(z) * 2.0 / 400.0 * 2.0 * np.pi / 200.0).sum())
+    return np.interp(np.sqrt(cosines), np.sqrt(known), found)
+
+
+def sheen_layer(outgoing: np.ndarray, incoming: np.ndarray, color, roughness: float) -> tuple[np.ndarray, np.ndarray]:
+    """What counts of the layers beneath a sheen `[N]`, and its own BRDF `[3, N]`, which no albedo above 1 is left of."""
+    roughness = max(roughness, 0.07)
+    half = outgoing + incoming
+    half = half / np.linalg.norm(half, axis=0)
+    albedo = np.maximum(sheen_albedos(outgoing[2], roughness), sheen_albedos(incoming[2], roughness))
+    value = charlie(half[0] ** 2 + half[1] ** 2, (outgoing[2], incoming[2]), roughness**2) / np.maximum(albedo, 1.0)
+    return 1.0 - max(color) * np.minimum(albedo, 1.0), np.asarray(color)[:, None] * value
 
 
 def clearcoat_layer(outgoing: np.ndarray, incoming: np.ndarray, weight: float, roughness: float) -> tuple[np.ndarray, np.ndarray]:

@@ -136,12 +136,20 @@ def surface(
     clearcoat=None,
     clearcoat_roughness=0.0,
     clearcoat_normal=None,
+    sheen_color=None,
+    sheen_roughness=0.0,
+    anisotropy=None,
+    tangent=(1.0, 0.0, 0.0),
+    diffuse_transmission=None,
+    transmission_color=(1.0, 1.0, 1.0),
     front=1.0,
     outgoing: Tensor | None = None,
     normal=(0.0, 0.0, 1.0),
     geometric_normal=(0.0, 0.0, 1.0),
 ) -> Surface:
     """`count` copies of a surface at the origin with these parameters."""
+
+    alpha = max(roughness * roughness, MIN_ALPHA)
 
     def whole(value: float) -> Tensor:
         return torch.full((count,), float(value))
@@ -159,7 +167,7 @@ def surface(
         facing=whole(1.0),
         base_color=vector(base_color),
         metallic=whole(metallic),
-        alpha=whole(max(roughness * roughness, MIN_ALPHA)),
+        alpha=whole(alpha),
         specular=whole(specular),
         transmission=whole(transmission),
         thin=whole(thin),
@@ -168,4 +176,10 @@ def surface(
         clearcoat=None if clearcoat is None else whole(clearcoat),
         clearcoat_alpha=None if clearcoat is None else whole(max(clearcoat_roughness**2, MIN_ALPHA)),
         clearcoat_normal=None if clearcoat_normal is None else vector(clearcoat_normal),
+        sheen_color=None if sheen_color is None else vector(sheen_color),
+        sheen_roughness=None if sheen_color is None else whole(sheen_roughness),
+        tangent=None if anisotropy is None else vector(tangent),
+        alpha_along=None if anisotropy is None else whole(alpha + (1.0 - alpha) * anisotropy**2),
+        diffuse_transmission=None if diffuse_transmission is None else whole(diffuse_transmission),
+        transmission_color=None if diffuse_transmission is None else vector(transmission_color),
     )

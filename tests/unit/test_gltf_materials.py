@@ -62,6 +62,23 @@ def test_every_term_of_the_extensions(tmp_path):
             "KHR_materials_transmission": {"transmissionFactor": 0.6, "transmissionTexture": texture},
             "KHR_materials_volume": {"thicknessFactor": 1, "attenuationDistance": 3, "attenuationColor": [1, 0.5, 0]},
             "KHR_materials_ior": {"ior": 1.7},
+            "KHR_materials_sheen": {
+                "sheenColorFactor": [0.1, 0.2, 0.3],
+                "sheenRoughnessFactor": 0.35,
+                "sheenColorTexture": texture,
+                "sheenRoughnessTexture": texture,
+            },
+            "KHR_materials_anisotropy": {
+                "anisotropyStrength": 0.45,
+                "anisotropyRotation": math.pi / 6.0,
+                "anisotropyTexture": texture,
+            },
+            "KHR_materials_diffuse_transmission": {
+                "diffuseTransmissionFactor": 0.55,
+                "diffuseTransmissionColorFactor": [0.7, 0.8, 0.9],
+                "diffuseTransmissionTexture": texture,
+                "diffuseTransmissionColorTexture": texture,
+            },
         },
     )
     scene = load_scene(square(builder).save(tmp_path / "all.glb"))
@@ -72,6 +89,14 @@ def test_every_term_of_the_extensions(tmp_path):
     assert (m.clearcoat, m.clearcoat_roughness, m.specular, m.specular_color) == (0.5, 0.1, 0.4, (1.5, 0.5, 0.0))
     assert (m.transmission, m.thin, m.ior) == (0.6, False, 1.7)
     assert (m.attenuation_distance, m.attenuation_color) == (3.0, (1.0, 0.5, 0.0))
+    assert (m.sheen_color, m.sheen_roughness, m.anisotropy) == ((0.1, 0.2, 0.3), 0.35, 0.45)
+    assert m.anisotropy_rotation == pytest.approx(30.0)
+    assert (m.diffuse_transmission, m.diffuse_transmission_color) == (0.55, (0.7, 0.8, 0.9))
+    for texture in (m.sheen_color_texture, m.diffuse_transmission_color_texture):
+        np.testing.assert_allclose(texture.image, GREY, atol=1e-4)
+    for texture in (m.sheen_roughness_texture, m.diffuse_transmission_texture):
+        np.testing.assert_allclose(texture.image[..., 3], 0.2, rtol=1e-6)
+    np.testing.assert_allclose(m.anisotropy_texture.image, 188 / 255, rtol=1e-6)
     coat = (m.clearcoat_texture, m.clearcoat_roughness_texture, m.clearcoat_normal_texture)
     for texture in (m.normal_texture, *coat, m.transmission_texture):
         np.testing.assert_allclose(texture.image, 188 / 255, rtol=1e-6)

@@ -13,7 +13,8 @@ from tests.support.scene_text import BALL, CAMERA, load
 
 TEXTURES = (
     *("base_color", "metallic_roughness", "emission", "normal", "specular", "specular_color"),
-    *("transmission", "clearcoat", "clearcoat_roughness", "clearcoat_normal"),
+    *("transmission", "clearcoat", "clearcoat_roughness", "clearcoat_normal", "sheen_color", "sheen_roughness", "anisotropy"),
+    *("diffuse_transmission", "diffuse_transmission_color"),
 )
 
 
@@ -48,6 +49,12 @@ def test_every_term_reaches_the_material(folder):
         normal_texture = "plain.png"
         clearcoat_normal_scale = 3.0
         clearcoat_normal_texture = "plain.png"
+        sheen_color = [0.25, 0.5, 1.0]
+        sheen_roughness = 0.6
+        anisotropy = 0.7
+        anisotropy_rotation = -20.0
+        diffuse_transmission = 0.3
+        diffuse_transmission_color = [0.1, 0.9, 0.4]
         """,
     )
     assert found.specular_color == (0.5, 1.5, 1.0) and found.transmission == 0.9
@@ -56,6 +63,9 @@ def test_every_term_reaches_the_material(folder):
     assert found.emission_cone == Cone((0.0, -1.0, 0.0), 10.0, 30.0, smooth=True)
     assert (found.opacity, found.alpha_mode, found.alpha_cutoff) == (0.5, "mask", 0.25)
     assert (found.normal_scale, found.clearcoat_normal_scale) == (-2.0, 3.0)
+    assert (found.sheen_color, found.sheen_roughness) == ((0.25, 0.5, 1.0), 0.6)
+    assert (found.anisotropy, found.anisotropy_rotation) == (0.7, -20.0)
+    assert (found.diffuse_transmission, found.diffuse_transmission_color) == (0.3, (0.1, 0.9, 0.4))
 
 
 def test_terms_that_are_left_out_have_their_defaults(folder):
@@ -67,11 +77,12 @@ def test_every_texture_is_read_as_it_is_encoded(folder):
     found = material(folder, lines + "\nemission = [1, 1, 1]")
     for name in TEXTURES:
         image = getattr(found, f"{name}_texture").image
-        encoded = name in ("base_color", "emission", "specular_color")
+        encoded = name in ("base_color", "emission", "specular_color", "sheen_color", "diffuse_transmission_color")
         assert image[0, 0, 0] == pytest.approx(0.5029 if encoded else 188 / 255, abs=1e-4), name
-        assert image.shape[2] == (4 if name == "specular" else 3), name
+        assert image.shape[2] == (4 if name in ("specular", "sheen_roughness", "diffuse_transmission") else 3), name
     assert found.specular_texture.image[0, 1, 3] == pytest.approx(0.2)
     assert (found.transmission, found.clearcoat, found.clearcoat_roughness, found.specular) == (1.0,) * 4
+    assert (found.sheen_roughness, found.anisotropy, found.diffuse_transmission, *found.sheen_color) == (1.0,) * 6
 
 
 @pytest.mark.parametrize("mode, channels", [("opaque", 3), ("mask", 4), ("blend", 4)])

@@ -11,7 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from bokehguide.render.bsdf.opaque import MIN_COSINE, ggx_density, sample_visible_normal, smith_root
+from bokehguide.render.bsdf.microfacets import MIN_COSINE, ggx_density, sample_visible_normal, smith_root
 from bokehguide.render.geometry import SMOOTH_ALPHA, Surface
 from bokehguide.render.vector import divisor, dot, normalize
 from bokehguide.runtime.device import to_device

@@ -8,7 +8,7 @@ from torch import Tensor
 from bokehguide.render.bsdf.dielectric import DielectricBSDF
 from bokehguide.render.bsdf.opaque import OpaqueBSDF
 from bokehguide.render.geometry import Surface
-from bokehguide.render.vector import divisor, dot, tangent_frame, to_local, to_world
+from bokehguide.render.vector import aligned_frame, divisor, dot, tangent_frame, to_local, to_world
 from bokehguide.runtime.indexing import ActiveEntries
 
 Frame = tuple[Tensor, Tensor, Tensor]
@@ -65,7 +65,8 @@ def opaque_values(surface: Surface, outgoing: Tensor, directions: tuple[Tensor, 
 
 def _opaque(surface: Surface, outgoing: Tensor) -> tuple[Frame, OpaqueBSDF]:
     """The shading frame, and the opaque part of the BSDF as seen from world directions `outgoing` `[3, N]`."""
-    frame = (*tangent_frame(surface.normal), surface.normal)
+    normal, along = surface.normal, surface.tangent
+    frame = (*(tangent_frame(normal) if along is None else aligned_frame(normal, along)), normal)
     coat = surface.clearcoat_normal
     return frame, OpaqueBSDF(to_local(outgoing, *frame), surface, None if coat is None else to_local(coat, *frame))
 

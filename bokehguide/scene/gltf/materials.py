@@ -43,6 +43,9 @@ def _material(part: Part, textures: Textures) -> Material:
         normal_texture=textures.read(part, "normalTexture"),
         **model(part, textures, alpha=mode != "OPAQUE"),
         **_clearcoat(part, textures),
+        **_sheen(part, textures),
+        **_anisotropy(part, textures),
+        **_diffuse_transmission(part, textures),
         **_transmission(part, textures),
     )
     return _unlit(material) if "KHR_materials_unlit" in part.extensions else material
@@ -108,6 +111,38 @@ def _clearcoat(part: Part, textures: Textures) -> dict[str, Any]:
         "clearcoat_texture": textures.read(coat, "clearcoatTexture"),
         "clearcoat_roughness_texture": textures.read(coat, "clearcoatRoughnessTexture"),
         "clearcoat_normal_texture": textures.read(coat, "clearcoatNormalTexture"),
+    }
+
+
+def _sheen(part: Part, textures: Textures) -> dict[str, Any]:
+    """The fields of `Material` from KHR_materials_sheen."""
+    sheen = part.extension("KHR_materials_sheen")
+    return {
+        "sheen_color": sheen.vector("sheenColorFactor", (0.0, 0.0, 0.0), FRACTION),
+        "sheen_roughness": sheen.number("sheenRoughnessFactor", 0.0, FRACTION),
+        "sheen_color_texture": textures.read(sheen, "sheenColorTexture", srgb=True),
+        "sheen_roughness_texture": textures.read(sheen, "sheenRoughnessTexture", alpha=True),
+    }
+
+
+def _anisotropy(part: Part, textures: Textures) -> dict[str, Any]:
+    """The fields of `Material` from KHR_materials_anisotropy."""
+    brushed = part.extension("KHR_materials_anisotropy")
+    return {
+        "anisotropy": brushed.number("anisotropyStrength", 0.0, FRACTION),
+        "anisotropy_rotation": math.degrees(brushed.number("anisotropyRotation", 0.0, ANY)),
+        "anisotropy_texture": textures.read(brushed, "anisotropyTexture"),
+    }
+
+
+def _diffuse_transmission(part: Part, textures: Textures) -> dict[str, Any]:
+    """The fields of `Material` from KHR_materials_diffuse_transmission."""
+    leaf = part.extension("KHR_materials_diffuse_transmission")
+    return {
+        "diffuse_transmission": leaf.number("diffuseTransmissionFactor", 0.0, FRACTION),
+        "diffuse_transmission_color": leaf.vector("diffuseTransmissionColorFactor", WHITE, FRACTION),
+        "diffuse_transmission_texture": textures.read(leaf, "diffuseTransmissionTexture", alpha=True),
+        "diffuse_transmission_color_texture": textures.read(leaf, "diffuseTransmissionColorTexture", srgb=True),
     }
 
 

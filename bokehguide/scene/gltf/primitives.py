@@ -43,7 +43,8 @@ def read_primitive(
         document.note("points and lines: left out", name)
         return None
     wanted = KINDS | {f"TEXCOORD_{set_}": ("VEC2",) for set_ in range(max(uv_sets(material), 1))}
-    if material.normal_texture is not None or material.clearcoat_normal_texture is not None:
+    bent = material.normal_texture is not None or material.clearcoat_normal_texture is not None
+    if bent or material.anisotropy > 0.0:
         wanted |= {"TANGENT": ("VEC4",)}
     if deformation.joints is not None:
         wanted |= SKINNING

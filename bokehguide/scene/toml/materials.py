@@ -21,13 +21,25 @@ ENCODED = {
     "clearcoat_texture": False,
     "clearcoat_roughness_texture": False,
     "clearcoat_normal_texture": False,
+    "sheen_color_texture": True,
+    "sheen_roughness_texture": False,
+    "anisotropy_texture": False,
+    "diffuse_transmission_texture": False,
+    "diffuse_transmission_color_texture": True,
 }
 """The textures, and whether their colours are sRGB."""
+ALPHA_TEXTURES = {
+    "specular_texture": "the specular factor",
+    "sheen_roughness_texture": "the roughness of the sheen",
+    "diffuse_transmission_texture": "the share of light that passes",
+}
+"""Textures whose values are alpha, and the meaning of the values."""
 KEYS = (
     *("base_color", "metallic", "roughness", "specular", "specular_color", "transmission", "thin", "ior"),
     *("attenuation_color", "attenuation_distance", "clearcoat", "clearcoat_roughness", "emission"),
     *("emission_cone", "double_sided", "opacity", "alpha_mode", "alpha_cutoff", "normal_scale"),
-    *("clearcoat_normal_scale", *ENCODED),
+    *("clearcoat_normal_scale", "sheen_color", "sheen_roughness", "anisotropy", "anisotropy_rotation"),
+    *("diffuse_transmission", "diffuse_transmission_color", *ENCODED),
 )
 NEEDS = {
     "emission_texture": ("emission",),
@@ -39,6 +51,11 @@ NEEDS = {
     "clearcoat_roughness": ("clearcoat", "clearcoat_texture"),
     "clearcoat_roughness_texture": ("clearcoat", "clearcoat_texture"),
     "clearcoat_normal_texture": ("clearcoat", "clearcoat_texture"),
+    "sheen_roughness": ("sheen_color", "sheen_color_texture"),
+    "sheen_roughness_texture": ("sheen_color", "sheen_color_texture"),
+    "anisotropy_rotation": ("anisotropy", "anisotropy_texture"),
+    "diffuse_transmission_color": ("diffuse_transmission", "diffuse_transmission_texture"),
+    "diffuse_transmission_color_texture": ("diffuse_transmission", "diffuse_transmission_texture"),
     "opacity": ("alpha_mode",),
     "alpha_cutoff": ("alpha_mode",),
 }
@@ -90,10 +107,11 @@ def _textures(table: Table, files: SceneFiles) -> dict[str, Any]:
     textures: dict[str, Any] = {}
     for key, encoded in ENCODED.items():
         if key in table:
-            alpha = key == "specular_texture" or (key == "base_color_texture" and _alpha_mode(table) != "opaque")
+            alpha = key in ALPHA_TEXTURES or (key == "base_color_texture" and _alpha_mode(table) != "opaque")
             textures[key] = Texture(load_texture(files.named(table, key), files, encoded, alpha))
-    if "specular_texture" in textures and textures["specular_texture"].image.shape[2] < 4:
-        table.fail("specular_texture", "has no alpha channel, which holds the specular factor; give an image with alpha")
+    for key, meaning in ALPHA_TEXTURES.items():
+        if key in textures and textures[key].image.shape[2] < 4:
+            table.fail(key, f"has no alpha channel, which holds {meaning}; give an image with alpha")
     return textures
 
 
