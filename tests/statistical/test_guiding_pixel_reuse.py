@@ -195,8 +195,12 @@ def test_reused_samples_are_those_of_plain_loops(sheet, sky, steps):
     assert different == 0 and seen > 80
 
 
+LAYERED = replace(COATED, sheen_color=(1.0, 0.6, 0.3), sheen_roughness=0.5, anisotropy=0.7, diffuse_transmission=0.4)
+
+
 @pytest.mark.parametrize(
-    "material", [FLOOR, replace(FLOOR, normal_texture=bumpy()), replace(COATED, clearcoat_normal_texture=bumpy())]
+    "material",
+    [FLOOR, replace(FLOOR, normal_texture=bumpy()), replace(COATED, clearcoat_normal_texture=bumpy()), LAYERED],
 )
 def test_plain_loops_agree_where_shading_normals_are_replaced(material):
     """They are for half of the lens points, which then see another surface."""

@@ -16,6 +16,11 @@ MATERIALS = {
     "coated": Material("coated", (0.6, 0.5, 0.4), roughness=0.4),
     "glossy metal": Material("metal", (0.9, 0.7, 0.4), metallic=1.0, roughness=0.3),
     "mixed": Material("mixed", (0.9, 0.7, 0.4), metallic=0.5, roughness=0.6),
+    "cloth": Material("cloth", (0.3, 0.2, 0.5), roughness=0.8, sheen_color=(1.0, 0.8, 0.6), sheen_roughness=0.4),
+    "brushed metal": Material("brushed", (0.9, 0.7, 0.4), metallic=1.0, roughness=0.4, anisotropy=0.8),
+    "leaf": Material(
+        "leaf", (0.3, 0.6, 0.2), roughness=0.5, diffuse_transmission=0.6, diffuse_transmission_color=(0.7, 0.9, 0.3)
+    ),
     "frosted sheet": Material("sheet", (0.9, 0.9, 0.8), roughness=0.5, transmission=0.8, thin=True),
     "frosted solid": Material("solid", (0.9, 0.9, 0.8), roughness=0.5, transmission=1.0),
 }
