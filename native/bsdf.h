@@ -145,15 +145,81 @@ struct Sheen {
     }
 };
 
+// Thin films, of `thin_film.py`.
+inline Float film_index(Float ior, Float thickness) {
+    const Float t = clamp(thickness / 0.03f, 0.0f, 1.0f);
+    return 1.0f + (ior - 1.0f) * t * t * (3.0f - 2.0f * t);
+}
+inline Float base_index(Float f0) {
+    const Float root = sqrt(at_most(f0 + 1e-4f, 0.9999f));
+    return (1.0f + root) / (1.0f - root);
+}
+inline Float in_phase(Float first, Float second) {
+    return square((sqrt(first) + sqrt(second)) / (1.0f + sqrt(first * second)));
+}
+// `_interfaces`, for a film of the index `ior`.
+struct FilmInterfaces {
+    Float first, second[3], inside;
+
+    FilmInterfaces(Vec3 f0, Float ior, Float cosine) {
+        inside = sqrt(at_least(1.0f - (1.0f - square(cosine)) / square(ior), 0.0f));
+        const Float outer = square((ior - 1.0f) / (ior + 1.0f)), steep = fifth_power(1.0f - inside);
+        first = outer + (1.0f - outer) * fifth_power(1.0f - cosine);
+        for (int channel = 0; channel < 3; ++channel) {
+            const Float base = base_index((&f0.x)[channel]), lower = square((base - ior) / (base + ior));
+            second[channel] = lower + (1.0f - lower) * steep;
+        }
+    }
+};
+inline Float film_bound(Vec3 f0, Float ior, Float thickness, Float cosine) {
+    const FilmInterfaces faces(f0, film_index(ior, thickness), cosine);
+    return largest({in_phase(faces.first, faces.second[0]), in_phase(faces.first, faces.second[1]), in_phase(faces.first, faces.second[2])});
+}
+inline Float fringe(Float phase, float amplitude, float position, float variance, Float shift) {
+    const float height = float(double(amplitude) * __builtin_sqrt(2.0 * 3.14159265358979323846 * double(variance)) / 1.0685e-7);
+    Float sine, cosine;
+    sincos(position * phase + shift, sine, cosine);
+    return height * cosine * exp_of_negative(-variance * square(phase));
+}
+inline Vec3 film_sensitivity(Float difference, Vec3 shift) {
+    const Float phase = float(2.0e-9 * 3.14159265358979323846) * difference;
+    const Float x = fringe(phase, 5.4856e-13f, 1.6810e6f, 4.3278e9f, shift.x) + fringe(phase, 9.7470e-14f, 2.2399e6f, 4.5282e9f, shift.x);
+    const Float y = fringe(phase, 4.4201e-13f, 1.7953e6f, 9.3046e9f, shift.y), z = fringe(phase, 5.2481e-13f, 2.2084e6f, 6.6121e9f, shift.z);
+    return {3.2404542f * x - 1.5371385f * y - 0.4985314f * z, -0.9692660f * x + 1.8760108f * y + 0.0415560f * z,
+            0.0556434f * x - 0.2040259f * y + 1.0572252f * z};
+}
+inline Vec3 film_reflectance(Vec3 f0, Float ior, Float thickness, Float cosine) {
+    ior = film_index(ior, thickness);
+    const FilmInterfaces faces(f0, ior, cosine);
+    const Float passed = 1.0f - faces.first, denser = one_if(ior >= all(1.0f));
+    Float both[3], returned[3], shift[3];
+    for (int channel = 0; channel < 3; ++channel) {
+        shift[channel] = PI * (denser + one_if(base_index((&f0.x)[channel]) < ior));
+        both[channel] = clamp(faces.first * faces.second[channel], 1e-5f, 0.9999f);
+        returned[channel] = square(passed) * faces.second[channel] / (1.0f - both[channel]);
+    }
+    const Vec3 root = {sqrt(both[0]), sqrt(both[1]), sqrt(both[2])}, back = {returned[0], returned[1], returned[2]};
+    Vec3 total = grey(faces.first) + back, order = back - grey(passed);
+    const Float difference = 2.0f * ior * thickness * faces.inside;
+    for (int number = 1; number <= 2; ++number) {
+        const Vec3 shifts = {shift[0] * float(number), shift[1] * float(number), shift[2] * float(number)};
+        order = order * root;
+        total = total + all(2.0f) * order * film_sensitivity(difference * float(number), shifts);
+    }
+    const auto bounded = [&](Float x, int channel) { return min(at_least(x, 0.0f), in_phase(faces.first, faces.second[channel])); };
+    return {bounded(total.x, 0), bounded(total.y, 1), bounded(total.z, 2)};
+}
+
 struct Opaque {
     Vec3 outgoing, base_color, f0;
-    bool coated, shines, transmits;
+    bool coated, shines, transmits, filmed;
     Float cosine, metallic, f90, minimum, rise, spread, leaving, specular_share, clearcoat_share, sheen_share, below_share;
     Microfacets facets;
     Clearcoat clearcoat;
     Sheen sheen;
-    Float diffuse_transmission;
+    Float diffuse_transmission, specular;
     Vec3 transmission_color;
+    Float iridescence, film_ior, film_thickness;
 
     Opaque(const Tables& t, Vec3 seen_from, const Surface& s, const Frame& frame) {
         outgoing = seen_from, base_color = s.base_color, metallic = s.metallic;
@@ -166,7 +232,11 @@ struct Opaque {
             f0 = s.specular * Vec3{at_most(tinted.x, 1.0f), at_most(tinted.y, 1.0f), at_most(tinted.z, 1.0f)};
             peak = largest(f0);
         }
-        f90 = s.specular;
+        f90 = specular = s.specular;
+        filmed = t.film != nullptr;
+        if (filmed) {
+            iridescence = s.iridescence, film_ior = s.film_ior, film_thickness = s.film_thickness;
+        }
         facets = t.anisotropy != nullptr ? Microfacets(outgoing, s.alpha, s.alpha_along) : Microfacets(outgoing, s.alpha);
         coated = t.clearcoat != nullptr, shines = t.sheen != nullptr, transmits = t.diffuse_transmission != nullptr;
         if (shines) sheen = Sheen(t, cosine, s);
@@ -175,19 +245,34 @@ struct Opaque {
         choose_shares(peak);
         rise = f90 - peak;
         minimum = peak + TRACE * rise, spread = coat_spread(facets.along) * rise;
-        const Float entering = at_least(1.0f - minimum - spread * (1.0f / 21.0f), 1e-4f);
+        Float entering = at_least(1.0f - minimum - spread * (1.0f / 21.0f), 1e-4f);
+        if (filmed) entering = at_least(entering + (passing_film(all(1.0f)) * (20.0f / 21.0f) - entering) * iridescence, 1e-4f);
         leaving = (1.0f - metallic) * passing(outgoing, cosine) / (PI * entering);
     }
     // spread: of isotropic coats, the same for all directions.
     Float passing(Vec3 direction, Float towards) const {
         const Float share = facets.isotropic ? spread : coat_spread(facets.facing(direction)) * rise;
-        return at_least(1.0f - minimum - share * fifth_power(1.0f - towards), 0.0f);
+        const Float passed = at_least(1.0f - minimum - share * fifth_power(1.0f - towards), 0.0f);
+        return filmed ? passed + (passing_film(towards) - passed) * iridescence : passed;
+    }
+    Float passing_film(Float towards) const { return (1.0f - TRACE) * (1.0f - film_bound(f0, film_ior, film_thickness, towards)); }
+
+    // `_fresnel`: reflectances of coat and metal with a film.
+    void film_fresnel(Float towards, Float grazing, Vec3& coat, Vec3& metal) const {
+        coat = f0 + (grey(specular) - f0) * grazing, metal = base_color + (grey(all(1.0f)) - base_color) * grazing;
+        coat = coat + (film_reflectance(f0, film_ior, film_thickness, towards) - coat) * iridescence;
+        metal = metal + (film_reflectance(base_color, film_ior, film_thickness, towards) - metal) * iridescence;
     }
 
     void choose_shares(Float peak) {
         const Float grazing = fifth_power(1.0f - cosine), base = luminance(base_color);
         const Float coat = peak + (f90 - peak) * grazing;
         Float specular = metallic * (base + (1.0f - base) * grazing) + (1.0f - metallic) * coat;
+        if (filmed) {
+            Vec3 of_coat, of_metal;
+            film_fresnel(cosine, grazing, of_coat, of_metal);
+            specular = metallic * luminance(of_metal) + (1.0f - metallic) * luminance(of_coat);
+        }
         Float diffuse = (1.0f - metallic) * (1.0f - peak) * base;
         if (transmits) {
             const Float below = diffuse_transmission * luminance(transmission_color);
@@ -233,7 +318,7 @@ struct Opaque {
         Float above = one_if(incoming.z > all(0.0f));
         const Float towards = at_least(incoming.z, MIN_COSINE);
         const Vec3 half = normalize(outgoing + incoming);
-        const Float grazing = fifth_power(1.0f - clamp(dot(outgoing, half), 0.0f, 1.0f));
+        const Float facing = clamp(dot(outgoing, half), 0.0f, 1.0f), grazing = fifth_power(1.0f - facing);
         Float visibility, microfacet;
         facets.evaluate(half, incoming, visibility, microfacet);
         const Vec3 coat = f0 + (grey(f90) - f0) * grazing;
@@ -242,6 +327,11 @@ struct Opaque {
         const Float scaled = diffuse + metallic * visibility * (1.0f - grazing);
         const Vec3 white = visibility * ((1.0f - metallic) * coat + grey(metallic * grazing));
         Vec3 value = base_color * scaled + white;
+        if (filmed) {
+            Vec3 of_coat, of_metal;
+            film_fresnel(facing, grazing, of_coat, of_metal);
+            value = base_color * diffuse + visibility * ((1.0f - metallic) * of_coat + metallic * of_metal);
+        }
         if (shines) value = value * sheen.beneath(towards) + sheen.evaluate(half, towards);
         Float pdf = specular_share * microfacet + diffuse_pdf(towards, above);
         value = value * (towards * above);
@@ -299,25 +389,46 @@ inline Float fresnel(Float cosine, Float eta) {
 struct Dielectric {
     Vec3 outgoing, base_color;
     Float cosine, thin, solid, eta, smooth, alpha, root;
+    bool filmed;
+    Float ior, front, iridescence, film_ior, film_thickness;
 
-    Dielectric(Vec3 seen_from, const Surface& s) {
+    // ior: of the surface, or of a channel of a dispersive solid.
+    Dielectric(const Tables& t, Vec3 seen_from, const Surface& s, Float ior) : filmed(t.film != nullptr), ior(ior), front(s.front) {
+        if (filmed) iridescence = s.iridescence, film_ior = s.film_ior, film_thickness = s.film_thickness;
         outgoing = seen_from, base_color = s.base_color, thin = s.thin;
         cosine = at_least(outgoing.z, MIN_COSINE);
         solid = 1.0f - thin;
-        const Float inside = s.front * s.ior + (1.0f - s.front) / s.ior;
-        eta = inside * solid + s.ior * thin;
+        const Float inside = s.front * ior + (1.0f - s.front) / ior;
+        eta = inside * solid + ior * thin;
         const Int straight = (abs(eta - 1.0f) < all(1e-4f)) & (thin == all(0.0f));
         smooth = one_if((s.alpha < all(SMOOTH_ALPHA)) | straight);
         alpha = at_least(s.alpha, SMOOTH_ALPHA);
         root = smith_root(cosine, alpha * alpha);
     }
     Float reflectance(Float towards) const {
-        const Float single = fresnel(towards, eta);
-        return single * solid + 2.0f * single / (1.0f + single) * thin;
+        if (!filmed) return both_faces(fresnel(towards, eta));
+        const Vec3 colored = colored_reflectance(towards);
+        return (colored.x + colored.y + colored.z) * (1.0f / 3.0f);
     }
-    Vec3 tint(Float below) const {
+    Float both_faces(Float single) const { return single * solid + 2.0f * single / (1.0f + single) * thin; }
+    // `_colored_reflectance`.
+    Vec3 colored_reflectance(Float towards) const {
+        const Float inner = at_most(abs(towards), 1.0f), squared = 1.0f - (1.0f - square(inner)) * square(ior);
+        const Float leaves = (1.0f - front) * solid, outside = inner + (sqrt(at_least(squared, 0.0f)) - inner) * leaves;
+        const Vec3 found = film_reflectance(grey(square((ior - 1.0f) / (ior + 1.0f))), film_ior, film_thickness, outside);
+        const Float plain = fresnel(inner, eta);
+        const Int total = (squared < all(0.0f)) & (leaves > all(0.0f));
+        const auto mixed = [&](Float film) { return both_faces(plain + ((total ? all(1.0f) : film) - plain) * iridescence); };
+        return {mixed(found.x), mixed(found.y), mixed(found.z)};
+    }
+    Vec3 tint(Float below, Float towards) const {
         const Float scale = below * solid / square(eta) + below * thin;
-        return base_color * scale + grey(1.0f - below);
+        const Vec3 plain = base_color * scale + grey(1.0f - below);
+        if (!filmed) return plain;
+        const Vec3 colored = colored_reflectance(towards);
+        const Float mean = (colored.x + colored.y + colored.z) * (1.0f / 3.0f);
+        const Vec3 reflected = colored / divisor(mean, 1e-6f), transmitted = (grey(all(1.0f)) - colored) / divisor(1.0f - mean, 1e-6f);
+        return plain * (reflected + (transmitted - reflected) * below);
     }
     Float masking(Float towards) const {
         const Float other = smith_root(towards, alpha * alpha);
@@ -337,7 +448,7 @@ struct Dielectric {
         const Float jacobian = refracts * square(eta) * abs(toward_light) * toward_viewer / bend + 0.25f * (1.0f - refracts);
         const Float reflected = reflectance(toward_viewer), share = reflected + below * (1.0f - 2.0f * reflected);
         const Float pdf = valid > all(0.0f) ? share * visible * jacobian : all(0.0f);
-        return {tint(below) * (pdf * masking(towards)), pdf};
+        return {tint(below, toward_viewer) * (pdf * masking(towards)), pdf};
     }
     // Direction, weight and density.
     Vec3 sample(Float u0, Float u1, Float u2, Vec3& weight, Float& pdf) const {
@@ -358,25 +469,43 @@ struct Dielectric {
         pdf = evaluate(incoming).pdf + smooth * DELTA_PDF;
         Float masked = masking(at_least(abs(incoming.z), MIN_COSINE));
         masked = masked + (1.0f - masked) * smooth;
-        weight = tint(below) * (masked * right_side);
+        weight = tint(below, towards) * (masked * right_side);
         return incoming;
     }
 };
 
 // `Scattering` of mixture.py: the BSDF in world space. choice: uniform numbers that choose the opaque or the transmissive part.
 struct Scattering {
+    const Tables& t;
     const Surface& surface;
     Frame frame;
     Vec3 local_outgoing;
     Opaque opaque;
     bool tilts_coats;
     Int glass;
+    Vec3 channel;  // factor of transmissive parts
+    Float ior;
 
-    Scattering(const Tables& t, const Surface& s, Float choice)
-        : surface(s), frame(t.anisotropy != nullptr ? aligned_frame(s.normal, s.tangent) : frame_about(s.normal)), local_outgoing(to_local(s.outgoing, frame)),
-          opaque(t, local_outgoing, s, frame), tilts_coats(t.clearcoat != nullptr && t.tilts_coats) {
-        glass = t.has_transmission ? choice < s.transmission * (1.0f - s.metallic) : all(0);
+    // throughput: of the paths.
+    Scattering(const Tables& tables, const Surface& s, Float choice, Vec3 throughput = grey(all(1.0f)))
+        : t(tables), surface(s), frame(t.anisotropy != nullptr ? aligned_frame(s.normal, s.tangent) : frame_about(s.normal)),
+          local_outgoing(to_local(s.outgoing, frame)), opaque(t, local_outgoing, s, frame), tilts_coats(t.clearcoat != nullptr && t.tilts_coats) {
+        const Float share = s.transmission * (1.0f - s.metallic);
+        glass = t.has_transmission ? choice < share : all(0);
+        ior = s.ior;
+        if (t.dispersion != nullptr && any(glass)) disperse(throughput, choice / divisor(share));
     }
+    // `disperse` of mixture.py.
+    void disperse(Vec3 throughput, Float number) {
+        const Vec3 raised = throughput + grey(all(1e-9f)), share = raised / (raised.x + raised.y + raised.z);
+        const Float red = one_if(number < share.x), blue = one_if(number >= share.x + share.y) * (1.0f - red), green = 1.0f - red - blue;
+        const Float disperses = one_if((surface.dispersion > all(0.0f)) & (surface.thin == all(0.0f)));
+        const Float spread = (surface.ior - 1.0f) * (0.025f * surface.dispersion) * disperses;
+        ior = at_least(surface.ior + spread * (blue - red), 1.0f);
+        const auto factor = [&](Float chosen, Float probability) { return 1.0f + (chosen / probability - 1.0f) * disperses; };
+        channel = {factor(red, share.x), factor(green, share.y), factor(blue, share.z)};
+    }
+    Vec3 dispersed(Vec3 value) const { return t.dispersion != nullptr ? value * channel : value; }
     Float agree(Vec3 direction, Float above) const {
         return one_if((dot(surface.geometric_normal, direction) > all(0.0f)) == (above > all(0.0f)));
     }
@@ -388,8 +517,8 @@ struct Scattering {
         Scattered found = opaque.evaluate(local);
         found.value = found.value * allowed(direction, local.z);
         if (any(glass)) {
-            const Scattered other = Dielectric(local_outgoing, surface).evaluate(local);
-            found.value = choose(glass, other.value * agree(direction, local.z), found.value);
+            const Scattered other = Dielectric(t, local_outgoing, surface, ior).evaluate(local);
+            found.value = choose(glass, dispersed(other.value) * agree(direction, local.z), found.value);
             found.pdf = glass ? other.pdf : found.pdf;
         }
         return found;
@@ -404,9 +533,9 @@ struct Scattering {
         if (any(glass)) {
             Vec3 other_weight;
             Float other_pdf;
-            const Vec3 other = Dielectric(local_outgoing, surface).sample(u0, u1, u2, other_weight, other_pdf);
+            const Vec3 other = Dielectric(t, local_outgoing, surface, ior).sample(u0, u1, u2, other_weight, other_pdf);
             const Vec3 towards = to_world(other, frame);
-            weight = choose(glass, other_weight * agree(towards, other.z), weight);
+            weight = choose(glass, dispersed(other_weight) * agree(towards, other.z), weight);
             pdf = glass ? other_pdf : pdf;
             direction = choose(glass, towards, direction);
         }

@@ -24,7 +24,7 @@ inline Surface recorded_surface(const Tables& t, const PathLight& of, Int hit) {
     fill(of, hit, s, &s.base_color.x, 6), fill(of, hit, s, &s.ior);
     if (t.specular_color != nullptr) fill(of, hit, s, &s.specular_color.x, 3);
     if (t.clearcoat != nullptr) fill(of, hit, s, &s.clearcoat, 5);
-    if (t.surface_rows == SURFACE_ROWS) fill(of, hit, s, &s.sheen_color.x, 12);
+    if (t.surface_rows == SURFACE_ROWS) fill(of, hit, s, &s.sheen_color.x, 16);
     return s;
 }
 

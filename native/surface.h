@@ -36,9 +36,10 @@ struct Surface {
     Vec3 tangent;
     Float alpha_along, diffuse_transmission;
     Vec3 transmission_color;
+    Float iridescence, film_ior, film_thickness, dispersion;
 };
 constexpr int SURFACE_ROWS = sizeof(Surface) / sizeof(Float);
-static_assert(SURFACE_ROWS == 44, "as many as bokehguide/render/native.py names");
+static_assert(SURFACE_ROWS == 48, "as many as bokehguide/render/native.py names");
 
 // rows: of the scene (`Tables::surface_rows`); fields beyond them are undefined.
 inline Surface load_surface(const float* values, int64_t stride, int rows) {
@@ -229,6 +230,12 @@ inline void apply_textures(const Tables& t, const Hits& hit, Int material, Surfa
     if (t.numbers[bokehguide::DIFFUSE_TRANSMISSION_COLOR]) {
         s.transmission_color = s.transmission_color * rgb(slot(bokehguide::DIFFUSE_TRANSMISSION_COLOR));
     }
+    if (t.numbers[bokehguide::IRIDESCENCE]) s.iridescence = s.iridescence * slot(bokehguide::IRIDESCENCE).rgba[0];
+    if (t.numbers[bokehguide::IRIDESCENCE_THICKNESS]) {
+        const Texels texel = slot(bokehguide::IRIDESCENCE_THICKNESS);
+        const Float least = gather(t.film + 2 * t.materials, material), most = gather(t.film + 3 * t.materials, material);
+        s.film_thickness = texel.textured ? least + (most - least) * texel.rgba[1] : s.film_thickness;
+    }
     if (t.numbers[bokehguide::NORMAL]) apply_normal_map(t, bokehguide::NORMAL, hit, material, s, s.normal, active);
     if (t.numbers[bokehguide::CLEARCOAT_NORMAL]) {
         apply_normal_map(t, bokehguide::CLEARCOAT_NORMAL, hit, material, s, s.clearcoat_normal, active);
@@ -253,6 +260,12 @@ inline void apply_anisotropy(const Tables& t, const Hits& hit, Int material, Sur
     const Float side = 2.0f * s.front - 1.0f, up = gather(rows + 9 * t.triangle_count, hit.triangle);
     s.tangent = along * side * tangent + across * up * cross(s.normal, tangent);
     s.alpha_along = s.alpha + (1.0f - s.alpha) * square(strength);
+}
+
+// The last fields as without the terms.
+inline void clear_rare_fields(Surface& s) {
+    s.sheen_color = s.tangent = grey(all(0.0f)), s.transmission_color = grey(all(1.0f)), s.film_ior = all(1.0f);
+    s.sheen_roughness = s.diffuse_transmission = s.iridescence = s.film_thickness = s.dispersion = all(0.0f);
 }
 
 // `Geometry.surface`. active: lanes with a valid hit.
@@ -280,6 +293,7 @@ inline Surface surface_at(const Tables& t, Vec3 origin, Vec3 direction, const Hi
     s.clearcoat = t.clearcoat ? gather(t.clearcoat, material) : all(0.0f);
     s.clearcoat_alpha = t.clearcoat ? gather(t.clearcoat + t.materials, material) : all(1.0f);
     s.clearcoat_normal = s.normal;
+    if (t.surface_rows == SURFACE_ROWS) clear_rare_fields(s);
     if (t.sheen != nullptr) {
         s.sheen_color = gather3(t.sheen, t.materials, material), s.sheen_roughness = gather(t.sheen + 3 * t.materials, material);
     }
@@ -287,8 +301,13 @@ inline Surface surface_at(const Tables& t, Vec3 origin, Vec3 direction, const Hi
         s.diffuse_transmission = gather(t.diffuse_transmission, material);
         s.transmission_color = gather3(t.diffuse_transmission + t.materials, t.materials, material);
     }
+    if (t.film != nullptr) {
+        s.iridescence = gather(t.film, material), s.film_ior = gather(t.film + t.materials, material);
+        s.film_thickness = gather(t.film + 3 * t.materials, material);
+    }
+    if (t.dispersion != nullptr) s.dispersion = gather(t.dispersion, material);
     if (t.colors != nullptr || t.textures > 0) apply_textures(t, hit, material, s, active);
-    s.alpha = at_least(s.alpha, MIN_ALPHA);
+    s.alpha = at_least(s.alpha, MIN_ALPHA), s.alpha_along = s.alpha;
     s.clearcoat_alpha = at_least(s.clearcoat_alpha, MIN_ALPHA);
     if (t.anisotropy != nullptr) apply_anisotropy(t, hit, material, s, active);
     return s;

@@ -14,7 +14,8 @@ double seconds();  // of a steady clock
 
 // Texture slots, in the order of `SLOTS` in render/materials.py.
 enum Slot { BASE_COLOR, METALLIC_ROUGHNESS, EMISSION, NORMAL, SPECULAR, SPECULAR_COLOR, TRANSMISSION, CLEARCOAT, CLEARCOAT_ROUGHNESS,
-            CLEARCOAT_NORMAL, SHEEN_COLOR, SHEEN_ROUGHNESS, ANISOTROPY, DIFFUSE_TRANSMISSION, DIFFUSE_TRANSMISSION_COLOR, SLOTS };
+            CLEARCOAT_NORMAL, SHEEN_COLOR, SHEEN_ROUGHNESS, ANISOTROPY, DIFFUSE_TRANSMISSION, DIFFUSE_TRANSMISSION_COLOR,
+            IRIDESCENCE, IRIDESCENCE_THICKNESS, SLOTS };
 
 // What the renderer needs of a triangle at a hit, in one line of the cache.
 struct alignas(64) TriangleRow {
@@ -58,7 +59,7 @@ struct Tables {
     const float *parameters, *emission, *specular_color, *clearcoat, *cones, *opacity, *absorption, *normal_scales[SLOTS];
     const int32_t *emissive, *tinted, *is_translucent;
     const int64_t* numbers[SLOTS];
-    const float *sheen, *sheen_albedo, *anisotropy, *diffuse_transmission;
+    const float *sheen, *sheen_albedo, *anisotropy, *diffuse_transmission, *film, *dispersion;
     bool tilts_coats, has_transmission, plain_emission;
     int32_t surface_rows;  // of records: `Surface` in surface.h without the last fields, where no material needs them
 

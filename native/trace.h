@@ -411,7 +411,7 @@ class Tracing {
         Vec3 throughput = load3(b.throughput, i);
         Float part[1] = {all(0.0f)};
         if (t.has_transmission) numbers(depth, PART, key, part);
-        const Scattering scattering(t, s, part[0]);
+        const Scattering scattering(t, s, part[0], throughput);
         if (lit()) {
             Float of_light[6];
             numbers(depth, LIGHT, key, of_light);

@@ -121,6 +121,8 @@ def lost_terms(material: Material) -> Sequence[str]:
         "sheen": any(material.sheen_color),
         "anisotropy": material.anisotropy > 0.0,
         "diffuse transmission": material.diffuse_transmission > 0.0,
+        "iridescence": material.iridescence > 0.0,
+        "dispersion": material.dispersion > 0.0,
         "emission cone": material.emission_cone is not None,
         "wrap modes that differ along u and v": any(t is not None and len(set(t.wrap)) > 1 for t in textures),
     }

@@ -37,6 +37,7 @@ TARGETS = {
     "clearcoat_roughness": (("clearcoat_alpha", 1, True),),
     "sheen_color": (("sheen_color", slice(0, 3), False),),
     "sheen_roughness": (("sheen_roughness", 3, False),),
+    "iridescence": (("iridescence", 0, False),),
     "diffuse_transmission": (("diffuse_transmission", 3, False),),
     "diffuse_transmission_color": (("transmission_color", slice(0, 3), False),),
 }
@@ -53,9 +54,11 @@ class Surface:
     ±geometric_normal. facing: 0 if the shading normal faced away from `outgoing`, so that another normal replaced it, else 1,
     float32. alpha, clearcoat_alpha: GGX α. tangent: the direction, not always perpendicular to the normal, along which
     anisotropic microfacets have the larger α `alpha_along`; 0 if unknown. transmission_color: of the diffuse transmission.
+    iridescence: share of the thin film with `film_ior` and `film_thickness` (nm). dispersion: 20 / Abbe number.
 
     Optional fields are None if no material of the scene needs them: specular colours other than white, clearcoats, sheens,
-    anisotropy, and diffuse transmission. clearcoat_normal is also None if every clearcoat has the normal of the layers beneath.
+    anisotropy, diffuse transmission, films, and dispersion. clearcoat_normal is also None if every clearcoat has the normal of
+    the layers beneath.
     """
 
     position: Tensor
@@ -82,6 +85,10 @@ class Surface:
     alpha_along: Tensor | None = None
     diffuse_transmission: Tensor | None = None
     transmission_color: Tensor | None = None
+    iridescence: Tensor | None = None
+    film_ior: Tensor | None = None
+    film_thickness: Tensor | None = None
+    dispersion: Tensor | None = None
 
     def select(self, index: Tensor) -> Surface:
         """Surfaces at `index`, int64 `[M]`."""
@@ -172,6 +179,11 @@ class Geometry:
         if self.materials.diffuse_transmission is not None:
             rows = self.materials.diffuse_transmission.index_select(1, material)
             surface.diffuse_transmission, surface.transmission_color = rows[0], rows[1:4]
+        if self.materials.film is not None:
+            rows = self.materials.film.index_select(1, material)
+            surface.iridescence, surface.film_ior, surface.film_thickness = rows[0], rows[1], rows[3]
+        if self.materials.dispersion is not None:
+            surface.dispersion = self.materials.dispersion[0].index_select(0, material)
         self._apply_textures(surface, hit, material)
         surface.alpha.clamp_(min=MIN_ALPHA)
         if surface.clearcoat_alpha is not None:
@@ -190,6 +202,11 @@ class Geometry:
                 factor = texel[channels].square() if squared else texel[channels]
                 values = getattr(surface, field)
                 textured.scatter(values, textured.select(values) * factor)
+        if surface.film_thickness is not None and self.materials.film is not None:
+            textured, texel = self._texels("iridescence_thickness", hit, material)
+            if len(textured) > 0:
+                least, most = self.materials.film[2:4].index_select(1, textured.select(material))
+                textured.scatter(surface.film_thickness, least + (most - least) * texel[1])
         for slot, scales in self.materials.normal_scales.items():
             mapped, texel = self._texels(slot, hit, material)
             if len(mapped) > 0:

@@ -29,6 +29,8 @@ SLOTS = (
     "anisotropy",
     "diffuse_transmission",
     "diffuse_transmission_color",
+    "iridescence",
+    "iridescence_thickness",
 )
 """Parameters of a material that may have a texture."""
 NORMAL_MAPS = ("normal", "clearcoat_normal")
@@ -80,6 +82,10 @@ class Materials:
             [(m.diffuse_transmission, *m.diffuse_transmission_color) for m in materials], transmits
         )
         """Factor and colour of the diffuse transmission."""
+        films = [(m.iridescence, m.iridescence_ior, *m.iridescence_thickness) for m in materials]
+        self.film = optional(films, any(m.iridescence > 0.0 for m in materials))
+        """Iridescence, index of refraction, and least and largest thickness in nm, of thin films."""
+        self.dispersion = optional([(m.dispersion,) for m in materials], any(m.dispersion > 0.0 for m in materials))
         bending = [slot for slot in NORMAL_MAPS if slot in self.numbers]
         self.normal_scales = {slot: table([(getattr(m, f"{slot}_scale"),) for m in materials]) for slot in bending}
         """Scales of x and y of the normal maps, by slot in use."""
@@ -145,6 +151,8 @@ def _texture(material: Material, slot: str) -> Texture | None:
         "sheen_color": not any(material.sheen_color),
         "sheen_roughness": not any(material.sheen_color),
         "anisotropy": material.anisotropy == 0.0,
+        "iridescence": material.iridescence == 0.0,
+        "iridescence_thickness": material.iridescence == 0.0,
         "diffuse_transmission": material.diffuse_transmission == 0.0,
         "diffuse_transmission_color": material.diffuse_transmission == 0.0,
     }

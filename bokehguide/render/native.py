@@ -144,16 +144,16 @@ class NativeTracer:
 
 LIGHT_ROWS = ("light_row", "light_cluster", "light_rms", "light_visibility")
 """Arrays of the light samples of a trace: see `CoreReport.light_samples`."""
-SURFACE_ROWS = (3, 3, 3, 3, 1, 1, 1, 3, 1, 1, 1, 1, 1, 1, 3, 1, 1, 3, 3, 1, 3, 1, 1, 3)
+SURFACE_ROWS = (3, 3, 3, 3, 1, 1, 1, 3, 1, 1, 1, 1, 1, 1, 3, 1, 1, 3, 3, 1, 3, 1, 1, 3, 1, 1, 1, 1)
 """Rows of the fields of `Surface` in the native core."""
 PLAIN_FIELDS = 18
-"""Fields of `Surface` without those of sheen, anisotropy and diffuse transmission."""
+"""Fields of `Surface` before those of sheens and of the other rare terms."""
 
 
 def surface_fields(materials: Materials) -> tuple[int, ...]:
     """Rows of each field of `Surface` that records of the native core hold. The last fields are rare."""
-    plain = materials.sheen is None and materials.anisotropy is None and materials.diffuse_transmission is None
-    return SURFACE_ROWS[:PLAIN_FIELDS] if plain else SURFACE_ROWS
+    rare = materials.sheen, materials.anisotropy, materials.diffuse_transmission, materials.film, materials.dispersion
+    return SURFACE_ROWS[:PLAIN_FIELDS] if all(table is None for table in rare) else SURFACE_ROWS
 
 
 def _hit_arrays(count: int, materials: Materials) -> dict[str, Tensor]:
@@ -201,6 +201,10 @@ def surface_of(materials: Materials, rows: Tensor) -> Surface:
         values |= {"tangent": None, "alpha_along": None}
     if materials.diffuse_transmission is None:
         values |= {"diffuse_transmission": None, "transmission_color": None}
+    if materials.film is None:
+        values |= {"iridescence": None, "film_ior": None, "film_thickness": None}
+    if materials.dispersion is None:
+        values["dispersion"] = None
     return Surface(**values)
 
 
@@ -282,6 +286,8 @@ def _material_tables(materials: Materials) -> Tables:
         "sheen_albedo": None if materials.sheen is None else albedo_table(),
         "anisotropy": materials.anisotropy,
         "diffuse_transmission": materials.diffuse_transmission,
+        "film": materials.film,
+        "dispersion": materials.dispersion,
         "cones": materials.cones,
         "opacity": materials.opacities,
         "absorption": materials.absorption,

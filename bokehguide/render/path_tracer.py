@@ -242,7 +242,7 @@ class _Segment:
         """Sample lights and the BSDF; from ROULETTE_DEPTH on, play Russian roulette."""
         draw, first = self._uniforms(paths), dimensions.vertex(self._depth)
         part = draw(first + dimensions.PART, 1)[0] if self._tracer.geometry.materials.has_transmission else None
-        scattering = Scattering(surface, part)
+        scattering = Scattering(surface, part, paths.throughput)
         if not self._tracer.lights.empty:
             self._sample_light(paths, surface, scattering, draw(first + dimensions.LIGHT, dimensions.LIGHT_COUNT))
         uniforms = draw(first + dimensions.BSDF, 4 if self._depth >= ROULETTE_DEPTH else 3)

@@ -103,13 +103,13 @@ class Fields(Table):
             if not (isinstance(value, kind) or (optional and value is None)):
                 self.fail(key, f"is no {kind.__name__}; give {kind.__name__}(…){' or None' if optional else ''}")
 
-    def check_tuple(self, key: str, count: int) -> None:
-        """So many numbers; becomes a tuple."""
+    def check_tuple(self, key: str, count: int, limits: Limits = ANY) -> None:
+        """So many numbers within limits; becomes a tuple."""
         values = self.values[key]
         if not (isinstance(values, (list, tuple)) and len(values) == count and all(map(is_number, values))):
             self.fail(key, f"is not {count} numbers; give them in brackets")
-        if not all(map(ANY.contains, values)):
-            self.fail(key, f"is out of range; give {count} values, each {ANY.remedy}")
+        if not all(map(limits.contains, values)):
+            self.fail(key, f"is out of range; give {count} values, each {limits.remedy}")
         self.keep(key, tuple(map(float, values)))
 
     def check_sequence(self, key: str, kind: type) -> None:

@@ -52,6 +52,8 @@ def _materials(scene: Scene) -> str:
         "with a sheen": sum(any(material.sheen_color) for material in scene.materials),
         "anisotropic": sum(material.anisotropy > 0.0 for material in scene.materials),
         "diffusely transmitting": sum(material.diffuse_transmission > 0.0 for material in scene.materials),
+        "iridescent": sum(material.iridescence > 0.0 for material in scene.materials),
+        "dispersive": sum(material.dispersion > 0.0 for material in scene.materials),
         "absorbing": sum(math.isfinite(material.attenuation_distance) for material in scene.materials),
     }
     return "; ".join([f"{len(names)} ({shown})", *(f"{count} {name}" for name, count in counts.items() if count)])

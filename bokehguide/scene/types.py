@@ -195,7 +195,9 @@ class Material:
 
     anisotropy: strength by which the roughness α grows to 1 along the tangent, turned by `anisotropy_rotation` degrees
     anticlockwise; its texture holds a direction (RG, mapped to [0, 1]) and a strength (B), as in KHR_materials_anisotropy.
-    diffuse_transmission: share of the diffuse light that leaves on the other side.
+    diffuse_transmission: share of the diffuse light that leaves on the other side. iridescence: share of a thin film of the
+    index `iridescence_ior`. Its thickness in nm is the second number of `iridescence_thickness`; a texture (G) mixes the first
+    and the second. dispersion: 20 divided by the Abbe number of a transmissive solid.
 
     alpha_mode: "opaque" ignores opacity; "mask" removes points with opacity below `alpha_cutoff`;
     "blend" transmits the fraction 1 - opacity without refraction. attenuation_color: transmittance of
@@ -223,6 +225,10 @@ class Material:
     anisotropy_rotation: float = 0.0
     diffuse_transmission: float = 0.0
     diffuse_transmission_color: Vector = (1.0, 1.0, 1.0)
+    iridescence: float = 0.0
+    iridescence_ior: float = 1.3
+    iridescence_thickness: tuple[float, float] = (100.0, 400.0)
+    dispersion: float = 0.0
     emission: Vector = (0.0, 0.0, 0.0)
     emission_cone: Cone | None = None
     tint_emission: bool = False
@@ -247,12 +253,15 @@ class Material:
     anisotropy_texture: Texture | None = None
     diffuse_transmission_texture: Texture | None = None
     diffuse_transmission_color_texture: Texture | None = None
+    iridescence_texture: Texture | None = None
+    iridescence_thickness_texture: Texture | None = None
 
     def __post_init__(self) -> None:
         fields = Fields(self)
         fields.check_texts("name")
         fields.check_numbers(**MATERIAL_NUMBERS)
         fields.check_vectors(**MATERIAL_COLORS)
+        fields.check_tuple("iridescence_thickness", 2, NOT_NEGATIVE)
         fields.check_flags("thin", "tint_emission", "double_sided")
         fields.check_choice("alpha_mode", ALPHA_MODES)
         fields.check_instances(Cone, "emission_cone")
@@ -277,6 +286,9 @@ MATERIAL_NUMBERS: dict[str, Limits] = {
     "anisotropy": FRACTION,
     "anisotropy_rotation": ANY,
     "diffuse_transmission": FRACTION,
+    "iridescence": FRACTION,
+    "iridescence_ior": IOR,
+    "dispersion": NOT_NEGATIVE,
     "opacity": FRACTION,
     "alpha_cutoff": NOT_NEGATIVE,
     "normal_scale": ANY,

@@ -67,6 +67,8 @@ def gltf_scene() -> dict:
         "KHR_materials_specular": {"specularFactor": 0.5},
         "KHR_materials_sheen": {"sheenColorFactor": [1, 0.5, 0.2], "sheenRoughnessFactor": 0.5},
         "KHR_materials_anisotropy": {"anisotropyStrength": 0.5, "anisotropyRotation": 1.0},
+        "KHR_materials_iridescence": {"iridescenceFactor": 1, "iridescenceThicknessMaximum": 500},
+        "KHR_materials_dispersion": {"dispersion": 0.5},
         "KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": 0.5},
     }
     return {

@@ -24,7 +24,20 @@ from tests.support.tracing import DOWN, UP, emitter, rectangle, scene, sphere
 
 BUILT_IN = ("fairy-lights", "night-street", "chrome", "daylight", "cutout", "glitter", "occluded")
 SUNS = (Sun((0.6, 0.8, 0.0), 3.0, (2.0, 1.5, 1.0)), Sun((0.0, 0.6, 0.8), 20.0, (0.3, 0.4, 0.5)))
-FEATURES = ("textures", "coats", "layers", "glass", "sheets", "sky", "hidden sky", "suns", "lamps", "spot in the dark", "dark")
+FEATURES = (
+    "textures",
+    "coats",
+    "layers",
+    "films",
+    "glass",
+    "sheets",
+    "sky",
+    "hidden sky",
+    "suns",
+    "lamps",
+    "spot in the dark",
+    "dark",
+)
 
 
 def core() -> ModuleType:
@@ -103,6 +116,24 @@ LAYERS = (
         attenuation_distance=2.0,
     ),
 )
+FILMS = (
+    Material(
+        "oil",
+        (0.1, 0.1, 0.1),
+        roughness=0.4,
+        iridescence=1.0,
+        iridescence_ior=1.8,
+        iridescence_thickness=(200.0, 900.0),
+        iridescence_texture=texture(20, 3),
+        iridescence_thickness_texture=texture(21, 3),
+    ),
+    Material("steel", (0.7, 0.6, 0.5), metallic=1.0, roughness=0.3, iridescence=0.7, iridescence_ior=2.0),
+    Material("bubble", roughness=0.4, transmission=1.0, thin=True, iridescence=1.0, iridescence_ior=1.4),
+    Material(
+        "gem", (0.9, 1.0, 0.9), roughness=0.4, transmission=1.0, ior=1.8, dispersion=2.0, iridescence=0.8, iridescence_ior=2.2
+    ),
+    Material("prism", roughness=0.0, transmission=1.0, ior=1.6, dispersion=3.0),
+)
 GLASS = (
     Material(
         "frosted", (0.9, 0.9, 0.8), roughness=0.5, transmission=1.0, attenuation_color=(0.4, 0.7, 0.9), attenuation_distance=0.5
@@ -151,6 +182,7 @@ def feature_scene(name: str) -> Scene:
         "textures": lambda: room((TEXTURED, COATS), lamp, sky()),
         "coats": lambda: room((COATS, replace(COATS, normal_texture=bumps(2))), lamp),
         "layers": lambda: room(LAYERS, lamp, sky()),
+        "films": lambda: room(FILMS, lamp, sky()),
         "glass": lambda: room(GLASS, lamp, sky()),
         "sheets": lambda: room(SHEETS, LAMPS),
         "sky": lambda: room((MATTE,), (), sky(), SUNS),
@@ -197,13 +229,14 @@ def rays(name: str, count: int, seed: int = 0) -> tuple[Tensor, Tensor, PixelRan
 
 
 def rows_of(surface: Surface) -> Tensor:
-    """The surfaces as the native core has them, `[32, N]`, or `[44, N]` with a field that is rare."""
+    """The surfaces as the native core has them, `[32, N]`, or `[48, N]` with a field that is rare."""
     count = surface.position.shape[1]
     defaults = {"specular_color": torch.ones(3, count), "clearcoat": torch.zeros(count), "clearcoat_alpha": torch.ones(count)}
     defaults["clearcoat_normal"] = surface.normal
     defaults |= {"sheen_color": torch.zeros(3, count), "sheen_roughness": torch.zeros(count), "tangent": torch.zeros(3, count)}
     defaults |= {"alpha_along": surface.alpha, "diffuse_transmission": torch.zeros(count)}
-    defaults["transmission_color"] = torch.ones(3, count)
+    defaults |= {name: torch.zeros(count) for name in ("iridescence", "film_thickness", "dispersion")}
+    defaults |= {"transmission_color": torch.ones(3, count), "film_ior": torch.ones(count)}
     rare = [getattr(surface, field.name) is not None for field in dataclasses.fields(Surface)[PLAIN_FIELDS:]]
     kept = list(vars(surface).items())[: None if any(rare) else PLAIN_FIELDS]
     fields = {name: defaults.get(name) if value is None else value for name, value in kept}

@@ -97,6 +97,41 @@ def brdf(
     return beneath * passing + np.where(below, 0.0, over)
 
 
+def iridescent(f0: np.ndarray, ior: float, thickness: float, cosine: np.ndarray) -> np.ndarray:
+    """Reflectance `[3, N]` of a film of `thickness` nm in air, by the steps of KHR_materials_iridescence; f0: `[3, 1]`.
+
+    At most what both interfaces reflect in phase.
+    """
+    inside = np.sqrt(1.0 - (1.0 - cosine**2) / ior**2)
+    r0 = ((ior - 1.0) / (ior + 1.0)) ** 2
+    r12 = r0 + (1.0 - r0) * (1.0 - cosine) ** 5
+    base = (1.0 + np.sqrt(f0 + 1e-4)) / (1.0 - np.sqrt(f0 + 1e-4))
+    r1 = ((base - ior) / (base + ior)) ** 2
+    r23 = r1 + (1.0 - r1) * (1.0 - inside) ** 5
+    phi = np.pi + np.where(base < ior, np.pi, 0.0)
+    r123 = np.clip(r12 * r23, 1e-5, 0.9999)
+    rs = (1.0 - r12) ** 2 * r23 / (1.0 - r123)
+    total, order = r12 + rs, rs - (1.0 - r12)
+    for m in (1, 2):
+        order = order * np.sqrt(r123)
+        phase = 2.0 * np.pi * m * 2.0 * ior * thickness * inside * 1e-9
+        xyz = []
+        for value, position, variance in (
+            (5.4856e-13, 1.6810e6, 4.3278e9),
+            (4.4201e-13, 1.7953e6, 9.3046e9),
+            (5.2481e-13, 2.2084e6, 6.6121e9),
+        ):
+            shift = m * phi[len(xyz)]
+            xyz.append(value * np.sqrt(2.0 * np.pi * variance) * np.cos(position * phase + shift) * np.exp(-variance * phase**2))
+        extra = (
+            9.7470e-14 * np.sqrt(2.0 * np.pi * 4.5282e9) * np.cos(2.2399e6 * phase + m * phi[0]) * np.exp(-4.5282e9 * phase**2)
+        )
+        xyz[0] = xyz[0] + extra
+        matrix = [[3.2404542, -1.5371385, -0.4985314], [-0.9692660, 1.8760108, 0.0415560], [0.0556434, -0.2040259, 1.0572252]]
+        total = total + order * 2.0 * (np.array(matrix) @ (np.stack(xyz) / 1.0685e-7))
+    return np.clip(total, 0.0, ((np.sqrt(r12) + np.sqrt(r23)) / (1.0 + np.sqrt(r12 * r23))) ** 2)
+
+
 def charlie(sine2: np.ndarray, cosines: tuple[np.ndarray, np.ndarray], alpha: float) -> np.ndarray:
     """D V of KHR_materials_sheen, with the visibility of Ashikhmin and Premože."""
     inverse = 1.0 / alpha

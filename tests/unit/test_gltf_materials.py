@@ -73,6 +73,15 @@ def test_every_term_of_the_extensions(tmp_path):
                 "anisotropyRotation": math.pi / 6.0,
                 "anisotropyTexture": texture,
             },
+            "KHR_materials_iridescence": {
+                "iridescenceFactor": 0.65,
+                "iridescenceIor": 1.55,
+                "iridescenceThicknessMinimum": 150.0,
+                "iridescenceThicknessMaximum": 650.0,
+                "iridescenceTexture": texture,
+                "iridescenceThicknessTexture": texture,
+            },
+            "KHR_materials_dispersion": {"dispersion": 1.25},
             "KHR_materials_diffuse_transmission": {
                 "diffuseTransmissionFactor": 0.55,
                 "diffuseTransmissionColorFactor": [0.7, 0.8, 0.9],
@@ -91,6 +100,9 @@ def test_every_term_of_the_extensions(tmp_path):
     assert (m.attenuation_distance, m.attenuation_color) == (3.0, (1.0, 0.5, 0.0))
     assert (m.sheen_color, m.sheen_roughness, m.anisotropy) == ((0.1, 0.2, 0.3), 0.35, 0.45)
     assert m.anisotropy_rotation == pytest.approx(30.0)
+    assert (m.iridescence, m.iridescence_ior, m.iridescence_thickness, m.dispersion) == (0.65, 1.55, (150.0, 650.0), 1.25)
+    for texture in (m.iridescence_texture, m.iridescence_thickness_texture):
+        np.testing.assert_allclose(texture.image, 188 / 255, rtol=1e-6)
     assert (m.diffuse_transmission, m.diffuse_transmission_color) == (0.55, (0.7, 0.8, 0.9))
     for texture in (m.sheen_color_texture, m.diffuse_transmission_color_texture):
         np.testing.assert_allclose(texture.image, GREY, atol=1e-4)

@@ -70,7 +70,7 @@ def test_surfaces_emission_and_opacity_agree(name):
     assert passed is None or differing(out[5:8], passed, 1e-4) == 0.0
 
 
-@pytest.mark.parametrize("name", ("textures", "coats", "glass", "layers"))
+@pytest.mark.parametrize("name", ("textures", "coats", "glass", "layers", "films"))
 def test_bsdfs_agree(name):
     _, reference = both_tracers(name)
     origin, direction, random = rays(name, COUNT, 1)

@@ -14,7 +14,7 @@ from tests.support.scene_text import BALL, CAMERA, load
 TEXTURES = (
     *("base_color", "metallic_roughness", "emission", "normal", "specular", "specular_color"),
     *("transmission", "clearcoat", "clearcoat_roughness", "clearcoat_normal", "sheen_color", "sheen_roughness", "anisotropy"),
-    *("diffuse_transmission", "diffuse_transmission_color"),
+    *("diffuse_transmission", "diffuse_transmission_color", "iridescence", "iridescence_thickness"),
 )
 
 
@@ -55,6 +55,10 @@ def test_every_term_reaches_the_material(folder):
         anisotropy_rotation = -20.0
         diffuse_transmission = 0.3
         diffuse_transmission_color = [0.1, 0.9, 0.4]
+        iridescence = 0.6
+        iridescence_ior = 1.7
+        iridescence_thickness = [50, 950]
+        dispersion = 1.5
         """,
     )
     assert found.specular_color == (0.5, 1.5, 1.0) and found.transmission == 0.9
@@ -64,6 +68,8 @@ def test_every_term_reaches_the_material(folder):
     assert (found.opacity, found.alpha_mode, found.alpha_cutoff) == (0.5, "mask", 0.25)
     assert (found.normal_scale, found.clearcoat_normal_scale) == (-2.0, 3.0)
     assert (found.sheen_color, found.sheen_roughness) == ((0.25, 0.5, 1.0), 0.6)
+    assert (found.iridescence, found.iridescence_ior, found.iridescence_thickness) == (0.6, 1.7, (50.0, 950.0))
+    assert found.dispersion == 1.5
     assert (found.anisotropy, found.anisotropy_rotation) == (0.7, -20.0)
     assert (found.diffuse_transmission, found.diffuse_transmission_color) == (0.3, (0.1, 0.9, 0.4))
 

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.bsdf.microfacets import MIN_COSINE, ggx_density, sample_visible_normal, smith_root
+from bokehguide.render.bsdf.thin_film import film_reflectance
 from bokehguide.render.geometry import SMOOTH_ALPHA, Surface
 from bokehguide.render.vector import divisor, dot, normalize
 from bokehguide.runtime.device import to_device
@@ -49,9 +50,26 @@ class DielectricBSDF:
         self._root = smith_root(self._cosine, self._alpha * self._alpha)
 
     def _reflectance(self, cosine: Tensor) -> Tensor:
-        """Fresnel reflectance `[N]` of the boundary, or of both faces of a thin sheet."""
-        single = fresnel(cosine, self._eta)
+        """Fresnel reflectance `[N]` of the boundary, or of both faces of a thin sheet; the mean of the channels with a film."""
+        if self._surface.iridescence is not None:
+            return self._colored_reflectance(cosine).mean(0)
+        return self._both_faces(fresnel(cosine, self._eta))
+
+    def _both_faces(self, single: Tensor) -> Tensor:
         return single * self._solid + 2.0 * single / (1.0 + single) * self._surface.thin
+
+    def _colored_reflectance(self, cosine: Tensor) -> Tensor:
+        """Reflectances `[3, N]` of a boundary with a film. From inside, they are those from outside at the refracted angle."""
+        surface, cosine = self._surface, cosine.abs().clamp(max=1.0)
+        assert surface.iridescence is not None and surface.film_ior is not None and surface.film_thickness is not None
+        squared = 1.0 - (1.0 - cosine.square()) * surface.ior.square()
+        leaves = (1.0 - surface.front) * self._solid
+        outside = cosine + (squared.clamp(min=0.0).sqrt() - cosine) * leaves
+        f0 = ((surface.ior - 1.0) / (surface.ior + 1.0)).square().expand(3, -1)
+        film = film_reflectance(f0, surface.film_ior, surface.film_thickness, outside)
+        plain = fresnel(cosine, self._eta)
+        film = torch.where((squared < 0.0) & (leaves > 0.0), 1.0, film)
+        return self._both_faces(plain + (film - plain) * surface.iridescence)
 
     def _half(self, incoming: Tensor, below: Tensor) -> Tensor:
         """Microfacet normals `[3, N]`, on the upper side, that reflect or refract `incoming` to `outgoing`."""
@@ -76,7 +94,7 @@ class DielectricBSDF:
         reflectance = self._reflectance(toward_viewer)
         share = reflectance + below * (1.0 - 2.0 * reflectance)
         pdf = torch.where(valid > 0.0, share * visible * jacobian, 0.0)
-        return self._tint(below) * (pdf * self._masking(cosine)), pdf
+        return self._tint(below, toward_viewer) * (pdf * self._masking(cosine)), pdf
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Incoming directions `[3, N]`, weights BSDF·|cos|/pdf `[3, N]` and densities `[N]`, from uniforms `[3, N]`."""
@@ -96,15 +114,22 @@ class DielectricBSDF:
         pdf = pdf + self._smooth * DELTA_PDF
         masking = self._masking(incoming[2].abs().clamp(min=MIN_COSINE))
         masking = masking + (1.0 - masking) * self._smooth
-        return incoming, self._tint(below) * (masking * right_side), pdf
+        return incoming, self._tint(below, cosine) * (masking * right_side), pdf
 
     def _refract(self, half: Tensor, cosine: Tensor) -> Tensor:
         transmitted = (1.0 - (1.0 - cosine * cosine) / self._eta.square()).clamp(min=0.0).sqrt()
         return (cosine / self._eta - transmitted) * half - self._outgoing / self._eta
 
-    def _tint(self, below: Tensor) -> Tensor:
+    def _tint(self, below: Tensor, cosine: Tensor) -> Tensor:
+        """Value over the density's reflectance or transmittance `[3, N]`; cosine: between viewer and half vector, `[N]`."""
         scale = below * self._solid / self._eta.square() + below * self._surface.thin
-        return self._surface.base_color * scale + (1.0 - below)
+        tint = self._surface.base_color * scale + (1.0 - below)
+        if self._surface.iridescence is None:
+            return tint
+        colored = self._colored_reflectance(cosine)
+        mean = colored.mean(0)
+        reflected, transmitted = colored / divisor(mean, 1e-6), (1.0 - colored) / divisor(1.0 - mean, 1e-6)
+        return tint * (reflected + (transmitted - reflected) * below)
 
     def _masking(self, cosine: Tensor) -> Tensor:
         """G2 / G1(outgoing), height-correlated Smith."""

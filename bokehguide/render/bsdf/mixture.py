@@ -19,16 +19,23 @@ class Scattering:
     """The BSDF at the surfaces of a batch; densities are per unit solid angle.
 
     choice: uniform numbers `[N]` that choose the opaque or the transmissive part for each path; the choice does not change the
-    mean. None if no material of the scene transmits light.
+    mean. None if no material of the scene transmits light. throughput: of the paths, `[3, N]`, None for white. It chooses the
+    channel that refracts in dispersive solids.
     """
 
-    def __init__(self, surface: Surface, choice: Tensor | None):
+    def __init__(self, surface: Surface, choice: Tensor | None, throughput: Tensor | None = None):
         self._frame, self._opaque = _opaque(surface, surface.outgoing)
         self._glass: DielectricBSDF | None = None
         if choice is not None:
-            self._chosen = ActiveEntries(choice < surface.transmission * (1.0 - surface.metallic))
+            share = surface.transmission * (1.0 - surface.metallic)
+            self._chosen = ActiveEntries(choice < share)
             if len(self._chosen) > 0:
                 self._glass_surface = surface.select(self._chosen.index)
+                self._channel: Tensor | None = None
+                if surface.dispersion is not None:
+                    throughput = torch.ones_like(surface.base_color) if throughput is None else throughput
+                    number = self._chosen.select(choice) / divisor(self._chosen.select(share))
+                    self._channel = disperse(self._glass_surface, self._chosen.select(throughput), number)
                 tangent, bitangent, normal = map(self._chosen.select, self._frame)
                 self._glass_frame: Frame = tangent, bitangent, normal
                 self._glass = DielectricBSDF(to_local(self._glass_surface.outgoing, *self._glass_frame), self._glass_surface)
@@ -40,6 +47,7 @@ class Scattering:
             towards = self._chosen.select(direction)
             local = to_local(towards, *self._glass_frame)
             of_glass, density = self._glass.evaluate(local)
+            of_glass = of_glass if self._channel is None else of_glass * self._channel
             self._chosen.scatter(pdf, density)
             self._chosen.scatter(value, of_glass * _agree(self._glass_surface, towards, local[2]))
         return value, pdf
@@ -49,11 +57,30 @@ class Scattering:
         direction, weight, pdf = _sampled(self._frame, self._opaque, uniforms)
         if self._glass is not None:
             local, of_glass, density = self._glass.sample(self._chosen.select(uniforms))
+            of_glass = of_glass if self._channel is None else of_glass * self._channel
             towards = to_world(local, *self._glass_frame)
             self._chosen.scatter(pdf, density)
             self._chosen.scatter(direction, towards)
             self._chosen.scatter(weight, of_glass * _agree(self._glass_surface, towards, local[2]))
         return direction, weight, pdf
+
+
+def disperse(surface: Surface, throughput: Tensor, uniform: Tensor) -> Tensor:
+    """Choose a channel for each path at solids with dispersion, and set their index of refraction to that of the channel.
+
+    The probability of a channel is its share of the `throughput` `[3, N]`, so that paths keep their channel. Returns factors
+    `[3, N]` of the BSDF: 1 / probability in the channel, 0 in the others, and 1 without dispersion. The indices are those of
+    KHR_materials_dispersion: Abbe's definition, linear over the channels.
+    """
+    assert surface.dispersion is not None
+    share = (throughput + 1e-9) / (throughput + 1e-9).sum(0)
+    red = (uniform < share[0]).to(torch.float32)
+    blue = (uniform >= share[0] + share[1]).to(torch.float32) * (1.0 - red)
+    chosen = torch.stack((red, 1.0 - red - blue, blue))
+    disperses = ((surface.dispersion > 0.0) & (surface.thin == 0.0)).to(torch.float32)
+    spread = (surface.ior - 1.0) * (0.025 * surface.dispersion) * disperses
+    surface.ior = (surface.ior + spread * (blue - red)).clamp(min=1.0)
+    return 1.0 + (chosen / share - 1.0) * disperses
 
 
 def opaque_values(surface: Surface, outgoing: Tensor, directions: tuple[Tensor, ...]) -> list[Tensor]:

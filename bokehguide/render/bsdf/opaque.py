@@ -16,6 +16,9 @@ A clearcoat covers base and coat. The weight of the layers beneath is min(1 - T(
 clearcoat. The weight is reciprocal and conserves energy. Over a mirror, it equals the weight of glTF. Cosines and horizon refer
 to the clearcoat's normal.
 
+A thin film (KHR_materials_iridescence) changes the reflectances of coat and metal. T then bounds what both
+interfaces reflect in phase.
+
 A sheen (KHR_materials_sheen) lies between clearcoat and coat. Diffuse transmission (KHR_materials_diffuse_transmission) replaces
 a share of the Lambertian base by a Lambertian lobe below the surface. All layers weigh the light from below like the light from
 above, by the absolute cosine.
@@ -31,6 +34,7 @@ from torch import Tensor
 from bokehguide.render.bsdf.clearcoat import Clearcoat
 from bokehguide.render.bsdf.microfacets import MIN_COSINE, TRACE, Microfacets, coat_spread, sample_visible_normal
 from bokehguide.render.bsdf.sheen import Sheen, sample_hemisphere
+from bokehguide.render.bsdf.thin_film import film_bound, film_reflectance
 from bokehguide.render.geometry import Surface
 from bokehguide.render.vector import dot, fifth_power, luminance, normalize
 
@@ -61,12 +65,37 @@ class OpaqueBSDF:
         # Normalisation: mean transmittance of the coat under uniform illumination, or a bound of the mean with anisotropy.
         roughest = surface.alpha if surface.alpha_along is None else surface.alpha_along
         entering = (1.0 - self._minimum - coat_spread(roughest) * rise * (1.0 / 21.0)).clamp(min=1e-4)
+        if surface.iridescence is not None:
+            steepest = self._passing_film(torch.ones_like(self._cosine)) * (20.0 / 21.0)
+            entering = (entering + (steepest - entering) * surface.iridescence).clamp(min=1e-4)
         self._leaving = (1.0 - surface.metallic) * self._passing(self._outgoing, self._cosine) / (math.pi * entering)
+
+    def _film(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Share, index of refraction and thickness `[N]` of the film."""
+        share, ior, thickness = self.surface.iridescence, self.surface.film_ior, self.surface.film_thickness
+        assert share is not None and ior is not None and thickness is not None
+        return share, ior, thickness
+
+    def _fresnel(self, cosine: Tensor, grazing: Tensor) -> tuple[Tensor, Tensor]:
+        """Reflectances of coat and metal `[3, N]` with a film, at cosines `[N]` to the half vector; grazing: (1 - cosine)⁵."""
+        share, ior, thickness = self._film()
+        base = self.surface.base_color
+        coat, metal = self._f0 + (self.surface.specular - self._f0) * grazing, base + (1.0 - base) * grazing
+        coat = coat + (film_reflectance(self._f0.expand(3, -1), ior, thickness, cosine) - coat) * share
+        return coat, metal + (film_reflectance(base, ior, thickness, cosine) - metal) * share
 
     def _passing(self, direction: Tensor, cosine: Tensor) -> Tensor:
         """Transmittance 1 - T of the coat for directions `[3, N]` with the cosine `cosine` `[N]` to the normal."""
         spread = coat_spread(self._facets.facing(direction)) * self._rise
-        return (1.0 - self._minimum - spread * fifth_power(1.0 - cosine)).clamp(min=0.0)
+        passing = (1.0 - self._minimum - spread * fifth_power(1.0 - cosine)).clamp(min=0.0)
+        if self.surface.iridescence is None:
+            return passing
+        return passing + (self._passing_film(cosine) - passing) * self.surface.iridescence
+
+    def _passing_film(self, cosine: Tensor) -> Tensor:
+        """Transmittance 1 - T of a coat that the film covers, for cosines `[N]` to the normal."""
+        _, ior, thickness = self._film()
+        return (1.0 - TRACE) * (1.0 - film_bound(self._f0.expand(3, -1), ior, thickness, cosine))
 
     def _choose_shares(self, peak: Tensor) -> None:
         """Set the probabilities of sampling the clearcoat, the microfacets beneath it, the sheen, and the lobe below the surface:
@@ -81,6 +110,9 @@ class OpaqueBSDF:
         base, metal = luminance(surface.base_color), surface.metallic
         coat = peak + (self._f90 - peak) * grazing
         specular = metal * (base + (1.0 - base) * grazing) + (1.0 - metal) * coat
+        if surface.iridescence is not None:
+            coat, metallic = map(luminance, self._fresnel(self._cosine, grazing))
+            specular = metal * metallic + (1.0 - metal) * coat
         diffuse = (1.0 - metal) * (1.0 - peak) * base
         if surface.diffuse_transmission is not None and surface.transmission_color is not None:
             factor = surface.diffuse_transmission
@@ -103,16 +135,21 @@ class OpaqueBSDF:
         above = (incoming[2] > 0.0).to(torch.float32)
         cosine = incoming[2].clamp(min=MIN_COSINE)
         half = normalize(self._outgoing + incoming)
-        grazing = fifth_power(1.0 - dot(self._outgoing, half).clamp(0.0, 1.0))
+        towards = dot(self._outgoing, half).clamp(0.0, 1.0)
+        grazing = fifth_power(1.0 - towards)
         visibility, microfacet = self._facets.evaluate(half, incoming)
         metal = surface.metallic
         coat = self._f0 + (self._f90 - self._f0) * grazing
         diffuse = self._leaving * self._passing(incoming, cosine)
         if surface.diffuse_transmission is not None:
             diffuse = diffuse * (1.0 - surface.diffuse_transmission)
-        scaled = diffuse + metal * visibility * (1.0 - grazing)
-        white = visibility * ((1.0 - metal) * coat + metal * grazing)
-        value = surface.base_color * scaled + white
+        if surface.iridescence is None:
+            scaled = diffuse + metal * visibility * (1.0 - grazing)
+            white = visibility * ((1.0 - metal) * coat + metal * grazing)
+            value = surface.base_color * scaled + white
+        else:
+            coat, metallic = self._fresnel(towards, grazing)
+            value = surface.base_color * diffuse + visibility * ((1.0 - metal) * coat + metal * metallic)
         if self._sheen is not None:
             value = value * self._sheen.beneath(cosine) + self._sheen.evaluate(half, cosine)
         share = self._specular_share

@@ -18,7 +18,8 @@ from bokehguide.scene.gltf.variants import EXTENSION as VARIANTS
 MATERIAL_EXTENSIONS = (
     *("KHR_materials_emissive_strength", "KHR_materials_transmission", "KHR_materials_ior"),
     *("KHR_materials_volume", "KHR_materials_clearcoat", "KHR_materials_specular", "KHR_materials_unlit", GLOSSINESS),
-    *("KHR_materials_sheen", "KHR_materials_anisotropy", "KHR_materials_diffuse_transmission"),
+    *("KHR_materials_sheen", "KHR_materials_anisotropy", "KHR_materials_diffuse_transmission", "KHR_materials_iridescence"),
+    "KHR_materials_dispersion",
 )
 SUPPORTED = {*MATERIAL_EXTENSIONS, *MESHOPT, *FORMATS, DRACO, LIGHTS, INSTANCING, TRANSFORM, VARIANTS, "KHR_mesh_quantization"}
 HARMLESS = {POINTER}

@@ -46,6 +46,8 @@ def _material(part: Part, textures: Textures) -> Material:
         **_sheen(part, textures),
         **_anisotropy(part, textures),
         **_diffuse_transmission(part, textures),
+        **_iridescence(part, textures),
+        dispersion=part.extension("KHR_materials_dispersion").number("dispersion", 0.0, NOT_NEGATIVE),
         **_transmission(part, textures),
     )
     return _unlit(material) if "KHR_materials_unlit" in part.extensions else material
@@ -143,6 +145,20 @@ def _diffuse_transmission(part: Part, textures: Textures) -> dict[str, Any]:
         "diffuse_transmission_color": leaf.vector("diffuseTransmissionColorFactor", WHITE, FRACTION),
         "diffuse_transmission_texture": textures.read(leaf, "diffuseTransmissionTexture", alpha=True),
         "diffuse_transmission_color_texture": textures.read(leaf, "diffuseTransmissionColorTexture", srgb=True),
+    }
+
+
+def _iridescence(part: Part, textures: Textures) -> dict[str, Any]:
+    """The fields of `Material` from KHR_materials_iridescence."""
+    film = part.extension("KHR_materials_iridescence")
+    least, most = Material.iridescence_thickness
+    least = film.number("iridescenceThicknessMinimum", least, NOT_NEGATIVE)
+    return {
+        "iridescence": film.number("iridescenceFactor", 0.0, FRACTION),
+        "iridescence_ior": film.number("iridescenceIor", Material.iridescence_ior, IOR),
+        "iridescence_thickness": (least, film.number("iridescenceThicknessMaximum", most, NOT_NEGATIVE)),
+        "iridescence_texture": textures.read(film, "iridescenceTexture"),
+        "iridescence_thickness_texture": textures.read(film, "iridescenceThicknessTexture"),
     }
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
-from bokehguide.scene.tables import Table, did_you_mean
+from bokehguide.scene.tables import NOT_NEGATIVE, Table, did_you_mean
 from bokehguide.scene.toml.cones import read_cone
 from bokehguide.scene.types import ALPHA_MODES, MATERIAL_COLORS, MATERIAL_NUMBERS, Material, Texture, Vector
 
@@ -26,8 +26,11 @@ ENCODED = {
     "anisotropy_texture": False,
     "diffuse_transmission_texture": False,
     "diffuse_transmission_color_texture": True,
+    "iridescence_texture": False,
+    "iridescence_thickness_texture": False,
 }
 """The textures, and whether their colours are sRGB."""
+THICKNESS = "iridescence_thickness"
 ALPHA_TEXTURES = {
     "specular_texture": "the specular factor",
     "sheen_roughness_texture": "the roughness of the sheen",
@@ -39,7 +42,8 @@ KEYS = (
     *("attenuation_color", "attenuation_distance", "clearcoat", "clearcoat_roughness", "emission"),
     *("emission_cone", "double_sided", "opacity", "alpha_mode", "alpha_cutoff", "normal_scale"),
     *("clearcoat_normal_scale", "sheen_color", "sheen_roughness", "anisotropy", "anisotropy_rotation"),
-    *("diffuse_transmission", "diffuse_transmission_color", *ENCODED),
+    *("diffuse_transmission", "diffuse_transmission_color", "iridescence", "iridescence_ior"),
+    *("iridescence_thickness", "dispersion", *ENCODED),
 )
 NEEDS = {
     "emission_texture": ("emission",),
@@ -56,6 +60,10 @@ NEEDS = {
     "anisotropy_rotation": ("anisotropy", "anisotropy_texture"),
     "diffuse_transmission_color": ("diffuse_transmission", "diffuse_transmission_texture"),
     "diffuse_transmission_color_texture": ("diffuse_transmission", "diffuse_transmission_texture"),
+    "iridescence_ior": ("iridescence", "iridescence_texture"),
+    "iridescence_thickness": ("iridescence", "iridescence_texture"),
+    "iridescence_thickness_texture": ("iridescence", "iridescence_texture"),
+    "dispersion": ("transmission", "transmission_texture"),
     "opacity": ("alpha_mode",),
     "alpha_cutoff": ("alpha_mode",),
 }
@@ -96,6 +104,7 @@ def _material(table: Table, files: SceneFiles) -> Material:
         **{key: number(key) for key in MATERIAL_NUMBERS},
         **{key: color(key) for key in MATERIAL_COLORS},
         **{key: table.flag(key) for key in ("thin", "double_sided")},
+        iridescence_thickness=table.pair(THICKNESS, NOT_NEGATIVE) if THICKNESS in table else Material.iridescence_thickness,
         alpha_mode=_alpha_mode(table),
         emission_cone=read_cone(table, "emission_cone") if "emission_cone" in table else None,
         **textures,
