@@ -110,6 +110,8 @@ def _add_render_options(render: argparse.ArgumentParser) -> None:
     add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
     _add_display(add)
     add("--denoise", action="store_true", help="also write a denoised picture into the EXR, and show it in the PNG")
+    mattes = "also write mattes of objects and materials through the lens into the EXR, as Cryptomatte layers"
+    add("--cryptomatte", action="store_true", help=mattes)
     box = "render only this box: in pixels from the top left, or in fractions of the frame if W and H are at most 1"
     add("--crop", type=crop, metavar="X,Y,W,H", help=box)
     limit = "stop before a step that would exceed this time, loading included; at least one step is taken"

@@ -13,7 +13,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, write_exr, write_png
 from bokehguide.render import Film
 from bokehguide.scene.overrides import OVERRIDES, option_text
-from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render
+from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render, matte_attributes, matte_layers
 from bokehguide.train.adaptive import HalvesFilm
 
 
@@ -42,6 +42,9 @@ class Pictures:
         self.exposure = display.exposure or 0.0
         facts = describe_render(loop.scene, loop.settings, loop.step_number)
         facts |= {"command": command_line(self._options, loop.step_number), "exposure": self.exposure, "view": display.view}
+        if self._options.cryptomatte:
+            layers |= matte_layers(loop.scene, picture)
+            facts |= matte_attributes(loop.scene)
         frame = (loop.camera.width, loop.camera.height)
         write_exr(self.path, layers, facts, corner=picture.corner, frame=frame)
         write_png(self.png, display.show(self.delivered))
@@ -70,4 +73,5 @@ def command_line(options: argparse.Namespace, spp: int) -> str:
     for name, value in (kept | size | {"spp": spp}).items():
         if value is not None:
             words.append(f"--{name.replace('_', '-')}={option_text(value)}")
-    return shlex.join(words + ["--denoise"] * options.denoise + ["--allow-outside"] * options.allow_outside)
+    flags = ("denoise", "cryptomatte", "allow_outside")
+    return shlex.join(words + [f"--{name.replace('_', '-')}" for name in flags if getattr(options, name)])

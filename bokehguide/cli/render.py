@@ -19,6 +19,7 @@ from bokehguide.cli.steps import measure, take_steps
 from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, check_writable, remove_abandoned
+from bokehguide.image.cryptomatte import require_hash
 from bokehguide.image.oidn import require_denoiser
 from bokehguide.metrics import read_reference
 from bokehguide.render import Film
@@ -40,6 +41,8 @@ def run(options: argparse.Namespace) -> int:
     check_device(settings.device)
     if settings.denoise:
         require_denoiser()
+    if settings.cryptomatte:
+        require_hash()
     window = settings.window(scene.film.width, scene.film.height)
     reference = read_window(options.reference, scene, window) if options.reference else None
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
@@ -121,7 +124,7 @@ def final_errors(pictures: Pictures, options: argparse.Namespace, reference: Ten
 
 def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
     """The settings of the command line. Raises BokehguideError for a value out of range."""
-    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "denoise")
+    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "denoise", "cryptomatte")
     crop = options.crop and crop_pixels(options.crop, scene.film)
     return RenderSettings(**{name: getattr(options, name) for name in names}, crop=crop)
 
