@@ -90,7 +90,7 @@ def test_more_objects_than_slots_keep_the_largest():
     assert int((found.numbers > 0).sum(0).min()) == SLOTS < len(OBJECTS.unique())
     assert bool((found.share.sum(0) < 1.0).all())  # samples of replaced objects are lost
     for number in (1, 3):
-        exact = torch.from_numpy(np.isin(triangles, np.flatnonzero(OBJECTS == number)).mean(0))
+        exact = torch.from_numpy(np.isin(triangles, np.flatnonzero(number == OBJECTS)).mean(0))
         torch.testing.assert_close((found.share * (found.numbers == number)).sum(0), exact)
     assert {1, 3} == set(found.ranked(2).numbers.unique().tolist())
 
