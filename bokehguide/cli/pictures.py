@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import time
 from pathlib import Path
 
 import numpy as np
 
 from bokehguide.cli.terminal import say
+from bokehguide.cli.tev import TevViewer
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, write_exr, write_png
 from bokehguide.render import Film
@@ -20,12 +22,13 @@ from bokehguide.train.adaptive import HalvesFilm
 class Pictures:
     """Writes the images of one render. path: the EXR; the PNG goes beside it.
 
-    display: of the PNG. Of the last images: `delivered`, the radiance `[H, W, 3]` of the PNG, denoised or not; its
-    `estimated_mape`, None where unknown; `exposure` in EV.
+    display: of the PNG. viewer: also shows the radiance, None for no viewer. Of the last images: `delivered`, the radiance
+    `[H, W, 3]` of the PNG, denoised or not; its `estimated_mape`, None where unknown; `exposure` in EV.
     """
 
-    def __init__(self, path: Path, options: argparse.Namespace, display: Display):
+    def __init__(self, path: Path, options: argparse.Namespace, display: Display, viewer: TevViewer | None = None):
         self.path, self.png, self.display, self._options = path, path.with_suffix(".png"), display, options
+        self._viewer = viewer
         self.delivered: np.ndarray | None = None
         self.estimated_mape: float | None = None
         self.exposure = 0.0
@@ -38,6 +41,8 @@ class Pictures:
         else:
             self.estimated_mape = picture.relative_noise() if loop.step_number > 1 else None
         self.delivered = layers.get("denoised", layers["beauty"])
+        if self._viewer:
+            self._viewer.show(layers)
         display = self.display.metered(self.delivered, layers["alpha"])
         self.exposure = display.exposure or 0.0
         facts = describe_render(loop.scene, loop.settings, loop.step_number)
@@ -48,6 +53,17 @@ class Pictures:
         frame = (loop.camera.width, loop.camera.height)
         write_exr(self.path, layers, facts, corner=picture.corner, frame=frame)
         write_png(self.png, display.show(self.delivered))
+
+    def due(self) -> bool:
+        """Whether the viewer should get a new picture now."""
+        return self._viewer is not None and self._viewer.due()
+
+    def show(self, loop: RenderLoop | AdaptiveLoop) -> None:
+        """Show the radiance so far in the viewer; collective."""
+        start = time.monotonic()
+        radiance = loop.picture().radiance().cpu().numpy()
+        if self._viewer:
+            self._viewer.show({"beauty": radiance}, time.monotonic() - start)
 
     def refresh(self, loop: RenderLoop | AdaptiveLoop) -> None:
         """Write the images so far; collective. Warns if they cannot be written, as the render can still succeed."""

@@ -109,6 +109,7 @@ def test_the_mean_of_two_pictures_has_the_objects_of_both():
     mean = one.mean(two)
     assert as_dictionary(mean.numbers[:, 0], mean.share[:, 0]) == {1: 0.25, 3: 0.375, 4: 0.25}
     assert as_dictionary(mean.numbers[:, 1], mean.share[:, 1]) == {2: 0.75, 1: 0.125}
+    assert not mean.share[mean.numbers == 0].any()  # it would take a rank
 
 
 def test_a_state_with_an_unknown_object_is_refused():

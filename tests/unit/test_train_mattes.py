@@ -16,6 +16,7 @@ from bokehguide.runtime import native
 from bokehguide.runtime.distributed import Ranks
 from bokehguide.scene.types import Aperture, Material, Scene
 from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, make_loop, matte_layers
+from bokehguide.train.adaptive import HalfLoop
 from bokehguide.train.mattes import triangle_objects
 from tests.support.sharing_cases import CAMERA, FLOOR, SHEET, scene_of, terrace
 from tests.support.thread_ranks import job
@@ -188,3 +189,18 @@ def test_a_film_without_coverage_has_no_mattes():
     loop = rendered(named(), 1, RenderSettings("uniform", threads=1))
     with pytest.raises(BokehguideError, match="the film has no coverage"):
         layers_of(loop)
+
+
+@pytest.mark.parametrize("mode", ["uniform", "guided"])
+def test_samples_outside_the_picture_do_not_count(mode):
+    """The left half of a film gets no samples in the second half of the steps, as in `AdaptiveLoop`."""
+    scene, settings = named(), RenderSettings(mode, threads=1, cryptomatte=True)
+    left = torch.arange(24 * 24) % 24 < 12
+    with HalfLoop(scene, settings, None) as loop:
+        for step in range(8):
+            if step == 4:
+                loop.count_only(~left)
+            loop.step()
+    film = loop.film
+    assert set(film.layers()["sample_count"].reshape(-1)[left.numpy()]) == {4.0}
+    np.testing.assert_allclose(coverage(loop).sum(0), film.layers()["alpha"].reshape(-1), atol=2e-6)
