@@ -8,11 +8,22 @@ import torch
 
 from bokehguide.render.coverage import SLOTS, Coverage, Covered
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
+from bokehguide.runtime import native
 
 PIXELS, STEPS = 50, 40
 OBJECTS = torch.tensor([1, 1, 2, 3, 3, 3, 4, 5, 6, 7, 8, 9, 10], dtype=torch.int32)
 """Objects of 13 triangles."""
 ESTIMATORS = (MeanFeatures, RatioFeatures, ControlVariateFeatures)
+
+
+@pytest.fixture(autouse=True, params=["native", "PyTorch"])
+def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Each test runs with both forms of the sums."""
+    if request.param == "PyTorch":
+        monkeypatch.setattr(native, "core", lambda: None)
+    elif native.core() is None:
+        pytest.skip("the native core is not built")
+    return request.param
 
 
 def draws(triangles: int, seed: int = 3) -> list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
@@ -69,6 +80,24 @@ def test_coverage_is_the_estimate_of_each_object_by_itself(features):
         own = expected(features, steps, pixel)
         assert found.keys() == own.keys() and len(own) > 3
         assert list(found.values()) == pytest.approx([own[number] for number in found], abs=1e-5)
+
+
+@pytest.mark.parametrize("features", ESTIMATORS)
+@pytest.mark.parametrize("recenter", [True, False])
+def test_both_forms_are_equal_but_for_rounding(features, recenter, monkeypatch):
+    """With more objects than slots, misses, and samples that do not count."""
+
+    def sums() -> dict[str, torch.Tensor]:
+        coverage = Coverage(OBJECTS, PIXELS, features)
+        for number, (triangle, weight, kept) in enumerate(draws(len(OBJECTS))):
+            coverage.add(slice(0, PIXELS), triangle, weight, kept, recenter or number % 4 == 0)
+        return coverage.sums()
+
+    one = sums()
+    monkeypatch.setattr(native, "core", lambda: None)
+    for name, value in sums().items():
+        assert bool(value.any())
+        torch.testing.assert_close(one[name], value, rtol=1e-6, atol=1e-6, msg=lambda text, name=name: f"{name}: {text}")
 
 
 @pytest.mark.parametrize("features", ESTIMATORS)
