@@ -9,9 +9,9 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,13 +21,23 @@ from PIL import Image
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, to_8_bit, write_exr, write_png
+from bokehguide.image.cryptomatte import require_hash
 from bokehguide.image.oidn import require_denoiser
 from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.overrides import OVERRIDES
 from bokehguide.scene.tables import did_you_mean, shown
-from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, denoise_picture, describe_render, make_loop
+from bokehguide.train import (
+    AdaptiveLoop,
+    RenderLoop,
+    RenderSettings,
+    denoise_picture,
+    describe_render,
+    make_loop,
+    matte_attributes,
+    matte_layers,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -40,7 +50,8 @@ class Picture:
     """A rendered picture. The arrays are the layers of the EXR file: float32, top row first, colours in linear Rec.709.
 
     beauty, normal, albedo, emission: `[H, W, 3]`; beauty is the radiance. alpha, depth (metres along the axis), variance
-    (estimated, of the luminance) and sample_count: `[H, W]`. denoised: `[H, W, 3]`, None where it was not asked for.
+    (estimated, of the luminance) and sample_count: `[H, W]`. denoised: `[H, W, 3]`, None where it was not asked for. mattes:
+    Cryptomatte layers `[H, W, 4]` by the keys of `bokehguide.image.cryptomatte.CHANNELS`, empty where they were not asked for.
     metadata: scene, mode, samples per pixel, seed, size, software, settings, exposure and view, as in the EXR's header.
     estimated_mape: estimated error of the denoised picture, or of beauty without one, relative to the radiance; None after a
     single step. display: how the picture is shown. corner: column and row of the first pixel in the frame. frame: width and
@@ -61,12 +72,13 @@ class Picture:
     display: Display = Display()
     corner: tuple[int, int] = (0, 0)
     frame: tuple[int, int] | None = None
+    mattes: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def layers(self) -> dict[str, np.ndarray]:
         """The layers by the names that `bokehguide.image.write_exr` takes."""
         arrays = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
+        return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)} | dict(self.mattes)
 
     def developed(self, exposure: float | None = None, view: str | None = None) -> Picture:
         """The same picture, shown with another exposure in EV or another view ("photo", "aces" or "srgb")."""
@@ -155,6 +167,8 @@ def render(
     check_device(settings.device)
     if denoise:
         require_denoiser()
+    if settings.cryptomatte:
+        require_hash()
     loaded = load_scene(scene, overrides, allow_outside)
     for warning in () if quiet else (*loaded.warnings, *loaded.likely_mistakes):
         warnings.warn(warning, stacklevel=2)
@@ -172,7 +186,10 @@ def _picture(loop: RenderLoop | AdaptiveLoop) -> Picture:
     elif loop.step_number > 1:
         error = film.relative_noise()
     display = Display(loop.scene.film.exposure).metered(layers.get("denoised", layers["beauty"]), layers["alpha"])
-    facts = describe_render(loop.scene, loop.settings, loop.step_number)
+    facts, mattes = describe_render(loop.scene, loop.settings, loop.step_number), {}
+    if loop.settings.cryptomatte:
+        facts |= matte_attributes(loop.scene)
+        mattes = matte_layers(loop.scene, film)
     return Picture(
         **layers,
         metadata={**facts, "exposure": display.exposure or 0.0, "view": display.view},
@@ -180,6 +197,7 @@ def _picture(loop: RenderLoop | AdaptiveLoop) -> Picture:
         display=display,
         corner=film.corner,
         frame=(loop.camera.width, loop.camera.height),
+        mattes=mattes,
     )
 
 

@@ -1,4 +1,4 @@
-// Sums over samples that learning needs: guiding/light_sampler.py and control_variate.py.
+// Sums over samples: guiding/light_sampler.py, guiding/control_variate.py and render/coverage.py.
 
 #include "sums.h"
 
@@ -59,12 +59,101 @@ void correct_samples(Out<double> sums, const std::optional<Out<const int64_t>>& 
     }
 }
 
+// The tensors of `Coverage.sums`, rows of `pixels` each. passed is null except with `RatioFeatures`, moments and center are null
+// except with `ControlVariateFeatures`.
+struct CoverageSums {
+    size_t slots, pixels;
+    int32_t* numbers;
+    double *features, *passed;
+    float *moments, *center;
+
+    // The slot of an object at a pixel, -1 for none. A pixel fills its slots in order.
+    int find(int32_t number, size_t pixel) const {
+        for (size_t slot = 0; slot < slots && numbers[slot * pixels + pixel] > 0; ++slot) {
+            if (numbers[slot * pixels + pixel] == number) return int(slot);
+        }
+        return -1;
+    }
+    // `Coverage._least`, and the new object in this slot.
+    int insert(int32_t number, size_t pixel) const {
+        size_t least = 0;
+        for (size_t slot = 0; slot < slots; ++slot) {
+            const size_t place = slot * pixels + pixel;
+            if (numbers[place] == 0) {
+                least = slot;
+                break;
+            }
+            if (features[place] < features[least * pixels + pixel]) least = slot;
+        }
+        const size_t place = least * pixels + pixel;
+        numbers[place] = number, features[place] = 0.0;
+        if (moments != nullptr) moments[place + pixels] = center[place] = 0.0f;
+        return int(least);
+    }
+    // `MeanFeatures.add` and its other forms, for a sample in one slot, or in none.
+    void add(int slot, size_t pixel, float weight, float kept, bool recenter) const {
+        if (moments == nullptr) {
+            const float factor = passed == nullptr ? kept : weight * kept;
+            if (slot >= 0) features[size_t(slot) * pixels + pixel] += factor;
+            if (passed != nullptr) passed[pixel] += factor;
+            return;
+        }
+        const float total = moments[pixel], square = weight * weight;
+        for (size_t each = 0; each < slots && numbers[each * pixels + pixel] > 0; ++each) {
+            const size_t place = each * pixels + pixel;
+            float& moment = moments[place + pixels];
+            if (recenter) center[place] = moment / (total > 1e-30f ? total : 1e-30f);
+            const float start = center[place], end = int(each) == slot ? 1.0f : 0.0f, difference = end - start;
+            features[place] += (weight < 0.5f ? start + weight * difference : end - difference * (1.0f - weight)) * kept;
+            moment += end * square;
+        }
+        moments[pixel] = total + square;
+    }
+};
+
+CoverageSums coverage_sums(const nb::dict& arrays) {
+    CoverageSums sums{};
+    const auto numbers = nb::cast<IntsOut>(arrays["objects"], false);
+    sums.slots = numbers.shape(0), sums.pixels = numbers.shape(1), sums.numbers = numbers.data();
+    const size_t size = numbers.size();
+    sums.features = entry<Out<double>>(arrays, "features", size).data();
+    if (arrays.contains("passed")) sums.passed = entry<Out<double>>(arrays, "passed", sums.pixels).data();
+    if (arrays.contains("control")) {
+        sums.moments = entry<FloatsOut>(arrays, "control", size + sums.pixels).data();
+        sums.center = entry<FloatsOut>(arrays, "center", size).data();
+    }
+    return sums;
+}
+
+// `Coverage.add` of samples of pixels, null for consecutive ones from `first` on. objects: number of the object of each triangle.
+void cover(const nb::dict& arrays, const Ints& objects, const std::optional<Out<const int64_t>>& pixels, int64_t first,
+           const Ints& triangle, const Floats& weight, const Floats& kept, bool recenter) {
+    const size_t count = triangle.size();
+    check(weight, count, "weight"), check(kept, count, "kept");
+    if (pixels) check(*pixels, count, "pixels");
+    const CoverageSums sums = coverage_sums(arrays);
+    nb::gil_scoped_release released;
+    for (size_t i = 0; i < count; ++i) {
+        const int64_t pixel = pixels ? pixels->data()[i] : first + int64_t(i);
+        const int32_t hit = triangle.data()[i];
+        if (pixel < 0 || size_t(pixel) >= sums.pixels || hit >= int64_t(objects.size())) throw std::out_of_range("no such pixel or triangle");
+        int slot = -1;
+        if (hit >= 0) {
+            const int32_t number = objects.data()[hit];
+            slot = sums.find(number, size_t(pixel));
+            if (slot < 0) slot = sums.insert(number, size_t(pixel));
+        }
+        sums.add(slot, size_t(pixel), weight.data()[i], kept.data()[i], recenter);
+    }
+}
+
 }  // namespace
 
 void bind_sums(nb::module_& m) {
     m.def("add_light_samples", &add_light_samples);
     m.def("correct_samples", &correct_samples, nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
           nb::arg(), nb::arg());
+    m.def("cover", &cover, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());
 }
 
 }  // namespace bokehguide

@@ -17,6 +17,8 @@ SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml or Mitsuba .xm
 REUSE_HELP = "radius in pixels in which area-restir reuses samples (default: 50, for images 1920 wide)"
 
 
+TEV_PORT = 14158
+"""Port on which tev listens by default."""
 MODE_NAMES = "uniform|lis|lis-b|lis-o|guided|area-restir|area-restir+lis"
 
 
@@ -64,6 +66,8 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     render = commands.add_parser("render", help="render a scene to an EXR and a PNG")
     _add_render_options(render)
     render.add_argument("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as a JSON object")
+    live = f"show the picture during the render in the image viewer tev (default port: {TEV_PORT})"
+    render.add_argument("--tev", type=address, metavar="HOST[:PORT]", help=live)
 
 
 def _add_view(commands: argparse._SubParsersAction) -> None:
@@ -110,6 +114,8 @@ def _add_render_options(render: argparse.ArgumentParser) -> None:
     add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
     _add_display(add)
     add("--denoise", action="store_true", help="also write a denoised picture into the EXR, and show it in the PNG")
+    mattes = "also write mattes of objects and materials through the lens into the EXR, as Cryptomatte layers"
+    add("--cryptomatte", action="store_true", help=mattes)
     box = "render only this box: in pixels from the top left, or in fractions of the frame if W and H are at most 1"
     add("--crop", type=crop, metavar="X,Y,W,H", help=box)
     limit = "stop before a step that would exceed this time, loading included; at least one step is taken"
@@ -239,6 +245,14 @@ def threads(text: str) -> int:
 
 def port(text: str) -> int:
     return _whole(text, 0, 65535)
+
+
+def address(text: str) -> tuple[str, int]:
+    """Host and port, from `HOST` or `HOST:PORT`."""
+    host, colon, number = text.partition(":")
+    if not host.strip():
+        raise argparse.ArgumentTypeError(f"{text!r} names no host; give HOST or HOST:PORT, such as 127.0.0.1")
+    return host, _whole(number, 1, 65535) if colon else TEV_PORT
 
 
 def modes(text: str) -> tuple[str, ...]:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 PIXEL_BYTES, TRIANGLE_BYTES, TEXEL_BYTES, MAP_TEXEL_BYTES = 250, 250, 20, 60
 """Least memory of a render for each pixel of the film, triangle, texel of a texture, and texel of the environment map."""
+MATTE_BYTES = 190
+"""Least memory of the mattes for each pixel of the film."""
 EXHAUSTED = ("allocate memory", "out of memory", "bad_alloc", "start new thread")
 """Parts of the messages of PyTorch, C++ and Python where memory has run out."""
 
@@ -68,4 +70,5 @@ def least_memory(scene: Scene, settings: RenderSettings) -> int:
     images = {id(texture.image): texture.image.size // 3 for texture in textures}
     sky = 0 if scene.environment is None else scene.environment.radiance.size // 3
     surfaces = TRIANGLE_BYTES * triangles + TEXEL_BYTES * sum(images.values())
-    return PIXEL_BYTES * width * height * films + surfaces + MAP_TEXEL_BYTES * sky
+    pixel_bytes = PIXEL_BYTES + MATTE_BYTES * settings.cryptomatte
+    return pixel_bytes * width * height * films + surfaces + MAP_TEXEL_BYTES * sky

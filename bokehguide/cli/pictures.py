@@ -4,28 +4,31 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import time
 from pathlib import Path
 
 import numpy as np
 
 from bokehguide.cli.terminal import say
+from bokehguide.cli.tev import TevViewer
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, write_exr, write_png
 from bokehguide.render import Film
 from bokehguide.scene.overrides import OVERRIDES, option_text
-from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render
+from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render, matte_attributes, matte_layers
 from bokehguide.train.adaptive import HalvesFilm
 
 
 class Pictures:
     """Writes the images of one render. path: the EXR; the PNG goes beside it.
 
-    display: of the PNG. Of the last images: `delivered`, the radiance `[H, W, 3]` of the PNG, denoised or not; its
-    `estimated_mape`, None where unknown; `exposure` in EV.
+    display: of the PNG. viewer: also shows the radiance, None for no viewer. Of the last images: `delivered`, the radiance
+    `[H, W, 3]` of the PNG, denoised or not; its `estimated_mape`, None where unknown; `exposure` in EV.
     """
 
-    def __init__(self, path: Path, options: argparse.Namespace, display: Display):
+    def __init__(self, path: Path, options: argparse.Namespace, display: Display, viewer: TevViewer | None = None):
         self.path, self.png, self.display, self._options = path, path.with_suffix(".png"), display, options
+        self._viewer = viewer
         self.delivered: np.ndarray | None = None
         self.estimated_mape: float | None = None
         self.exposure = 0.0
@@ -38,13 +41,29 @@ class Pictures:
         else:
             self.estimated_mape = picture.relative_noise() if loop.step_number > 1 else None
         self.delivered = layers.get("denoised", layers["beauty"])
+        if self._viewer:
+            self._viewer.show(layers)
         display = self.display.metered(self.delivered, layers["alpha"])
         self.exposure = display.exposure or 0.0
         facts = describe_render(loop.scene, loop.settings, loop.step_number)
         facts |= {"command": command_line(self._options, loop.step_number), "exposure": self.exposure, "view": display.view}
+        if self._options.cryptomatte:
+            layers |= matte_layers(loop.scene, picture)
+            facts |= matte_attributes(loop.scene)
         frame = (loop.camera.width, loop.camera.height)
         write_exr(self.path, layers, facts, corner=picture.corner, frame=frame)
         write_png(self.png, display.show(self.delivered))
+
+    def due(self) -> bool:
+        """Whether the viewer should get a new picture now."""
+        return self._viewer is not None and self._viewer.due()
+
+    def show(self, loop: RenderLoop | AdaptiveLoop) -> None:
+        """Show the radiance so far in the viewer; collective."""
+        start = time.monotonic()
+        radiance = loop.picture().radiance().cpu().numpy()
+        if self._viewer:
+            self._viewer.show({"beauty": radiance}, time.monotonic() - start)
 
     def refresh(self, loop: RenderLoop | AdaptiveLoop) -> None:
         """Write the images so far; collective. Warns if they cannot be written, as the render can still succeed."""
@@ -70,4 +89,5 @@ def command_line(options: argparse.Namespace, spp: int) -> str:
     for name, value in (kept | size | {"spp": spp}).items():
         if value is not None:
             words.append(f"--{name.replace('_', '-')}={option_text(value)}")
-    return shlex.join(words + ["--denoise"] * options.denoise + ["--allow-outside"] * options.allow_outside)
+    flags = ("denoise", "cryptomatte", "allow_outside")
+    return shlex.join(words + [f"--{name.replace('_', '-')}" for name in flags if getattr(options, name)])

@@ -17,8 +17,10 @@ from bokehguide.cli.pictures import Pictures, chosen_exposure
 from bokehguide.cli.report import write_json
 from bokehguide.cli.steps import measure, take_steps
 from bokehguide.cli.terminal import say
+from bokehguide.cli.tev import TevViewer, require_client
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, check_writable, remove_abandoned
+from bokehguide.image.cryptomatte import require_hash
 from bokehguide.image.oidn import require_denoiser
 from bokehguide.metrics import read_reference
 from bokehguide.render import Film
@@ -40,6 +42,10 @@ def run(options: argparse.Namespace) -> int:
     check_device(settings.device)
     if settings.denoise:
         require_denoiser()
+    if settings.cryptomatte:
+        require_hash()
+    if options.tev:
+        require_client()
     window = settings.window(scene.film.width, scene.film.height)
     reference = read_window(options.reference, scene, window) if options.reference else None
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
@@ -58,11 +64,14 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
     checkpoints = Checkpoints(out.with_suffix(".ckpt"), options.checkpoint_every, silent=not first)
     earlier = checkpoints.begin(loop, options.resume or restarts() > 0)
     display = Display(chosen_exposure(options.exposure, loop.scene.film.exposure), options.view)
-    pictures = Pictures(out, options, display)
+    viewer = make_viewer(loop, options) if first and options.tev else None
+    pictures = Pictures(out, options, display, viewer)
     with Interrupt() as interrupt:  # a signal ends the render in order until its files are written
         end, report = take_steps(loop, options, reference, checkpoints, pictures, earlier, interrupt)
         picture = loop.picture()
         write_pictures(loop, pictures, picture, checkpoints, report.seconds)
+        if viewer:
+            viewer.finish()
         if first:
             summary = report.finish(loop, picture, final_errors(pictures, options, reference))
             if not isinstance(end, int):
@@ -75,6 +84,12 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
             print_problems(loop, picture, checkpoints, end)
     number = end if isinstance(end, int) else interrupt.signal
     return 0 if number is None else 128 + number
+
+
+def make_viewer(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace) -> TevViewer:
+    """The connection to tev that the options ask for."""
+    *_, width, height = loop.settings.window(loop.camera.width, loop.camera.height)
+    return TevViewer(options.tev, f"{loop.scene.name} {loop.settings.mode}", (width, height), options.denoise)
 
 
 def write_pictures(
@@ -121,7 +136,7 @@ def final_errors(pictures: Pictures, options: argparse.Namespace, reference: Ten
 
 def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
     """The settings of the command line. Raises BokehguideError for a value out of range."""
-    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "denoise")
+    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "denoise", "cryptomatte")
     crop = options.crop and crop_pixels(options.crop, scene.film)
     return RenderSettings(**{name: getattr(options, name) for name in names}, crop=crop)
 

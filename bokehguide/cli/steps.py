@@ -48,7 +48,7 @@ def take_steps(
         stats = loop.step()
         report_step(loop, stats, reference, report, logger)
         late = time.monotonic() + stats.seconds > deadline
-        interrupted, late, due = ranks.any(interrupt.requested, late, checkpoints.due())
+        interrupted, late, due, shown = ranks.any(interrupt.requested, late, checkpoints.due(), pictures.due())
         if due:
             if logger:
                 logger.flush()  # the log must not end before the saved state
@@ -60,6 +60,8 @@ def take_steps(
                 end = time_is_up(options, stats, loop.step_number == done + 1)
             elif (due or loop.step_number == done + 1) and not checkpoints.ahead(loop):
                 pictures.refresh(loop)
+            elif shown:
+                pictures.show(loop)
     checkpoints.end(loop, report.seconds, isinstance(end, int))
     if logger:
         logger.finish(loop, loop.step_number, loop.picture())

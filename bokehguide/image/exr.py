@@ -10,6 +10,7 @@ import numpy as np
 import OpenEXR
 
 from bokehguide.errors import BokehguideError, printable
+from bokehguide.image import cryptomatte
 from bokehguide.image.files import replacing, unwritable
 from bokehguide.image.reading import read_channels
 
@@ -27,6 +28,7 @@ CHANNELS = {
     "emission": ("emission.R", "emission.G", "emission.B"),
     "variance": ("variance.Y",),
     "sample_count": ("samples.Y",),
+    **cryptomatte.CHANNELS,
 }
 
 
@@ -40,7 +42,7 @@ def write_exr(
 ) -> None:
     """Write layers in 32-bit float or, with `half`, in 16-bit float. The file appears only when it is complete.
 
-    layers: by the keys of `CHANNELS`, `[H, W]` for one channel, `[H, W, 3]` for three; metadata: header attributes, of which
+    layers: by the keys of `CHANNELS`, `[H, W]` for one channel, `[H, W, C]` for C; metadata: header attributes, of which
     OpenEXR reserves names such as `version` and `type`; corner, frame: position (column, row) of the layers in a larger frame
     and its (width, height), which become data window and display window.
 
@@ -71,7 +73,7 @@ def read_exr(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def read_layers(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The complete layers of a file by the keys of `CHANNELS`, `[H, W]` or `[H, W, 3]`, and its header. Raises as `read_exr`."""
+    """The complete layers of a file by the keys of `CHANNELS`, `[H, W]` or `[H, W, C]`, and its header. Raises as `read_exr`."""
     read = read_channels(path)
     planes = {name: read.pixels[..., index] for index, name in enumerate(read.names)}
     layers = {}

@@ -1,4 +1,6 @@
-"""Estimators of the means of a pixel's features (alpha, hit, depth, normal and albedo) from weighted samples.
+"""Estimators of the means of a pixel's features from weighted samples.
+
+The features are rows of numbers: alpha, hit, depth, normal and albedo of a `Film`, or the objects that a `Coverage` has found.
 
 The weights w of lens samples vary more than the features x, so that the plain mean of w x is noisy. All estimators are sums over
 samples, in double precision.
@@ -13,14 +15,14 @@ from bokehguide.render.vector import divisor
 from bokehguide.runtime.indexing import Pixels, gather_pixels, scatter, scatter_add
 
 FEATURES = 9
-"""Alpha, hit, depth times hit, normal and albedo."""
+"""Alpha, hit, depth times hit, normal and albedo of a film."""
 
 
 class MeanFeatures:
-    """Estimator for samples with weights of 1: the mean of x."""
+    """Estimator for samples with weights of 1: the mean of x. rows: number of features, F."""
 
-    def __init__(self, pixels: int, device: torch.device | str = "cpu"):
-        self._sum = torch.zeros(FEATURES, pixels, dtype=torch.float64, device=device)
+    def __init__(self, pixels: int, device: torch.device | str = "cpu", rows: int = FEATURES):
+        self._sum = torch.zeros(rows, pixels, dtype=torch.float64, device=device)
 
     def sums(self) -> dict[str, Tensor]:
         """Running sums by name. A film saves these sums."""
@@ -29,15 +31,19 @@ class MeanFeatures:
     def recenter(self, pixels: Pixels) -> None:
         """Compute the control variate of the given pixels again, from all samples so far."""
 
+    def forget(self, row: Tensor, pixels: Tensor) -> None:
+        """Set a feature of each of K pixels back to 0, as before the first sample; row, pixels: int64 `[K]`."""
+        self._sum[row, pixels] = 0.0
+
     def initialise(self, pixels: Pixels, features: Tensor) -> None:
-        """Compute the first control variate from samples `[9, N]` of weight 1 that are not in the picture."""
+        """Compute the first control variate from samples `[F, N]` of weight 1 that are not in the picture."""
 
     def add(self, pixels: Pixels, features: Tensor, weight: Tensor, kept: Tensor) -> None:
-        """Add samples `[9, N]` with weights `[N]`; kept: 1 for samples in the picture, else 0, `[N]`."""
+        """Add samples `[F, N]` with weights `[N]`; kept: 1 for samples in the picture, else 0, `[N]`."""
         scatter_add(self._sum, pixels, features * kept)
 
     def means(self, count: Tensor) -> Tensor:
-        """Estimates `[9, pixels]`; count: number of samples in the picture, at least 1, `[pixels]`."""
+        """Estimates `[F, pixels]`; count: number of samples in the picture, at least 1, `[pixels]`."""
         return self._sum / count
 
 
@@ -47,8 +53,8 @@ class RatioFeatures(MeanFeatures):
     With vignetting, the mean of w is below 1. The ratio keeps the features from darkening towards the corners of the frame.
     """
 
-    def __init__(self, pixels: int, device: torch.device | str = "cpu"):
-        super().__init__(pixels, device)
+    def __init__(self, pixels: int, device: torch.device | str = "cpu", rows: int = FEATURES):
+        super().__init__(pixels, device, rows)
         self._weight = torch.zeros(pixels, dtype=torch.float64, device=device)
 
     def sums(self) -> dict[str, Tensor]:
@@ -73,15 +79,21 @@ class ControlVariateFeatures(MeanFeatures):
     optimum (E[w² x] - E[x]) / (E[w²] - 1). `initialise` provides c if the weight of the first sample may differ from 1.
     """
 
-    def __init__(self, pixels: int, device: torch.device | str = "cpu"):
-        super().__init__(pixels, device)
-        self._moments = torch.zeros(1 + FEATURES, pixels, device=device)
+    def __init__(self, pixels: int, device: torch.device | str = "cpu", rows: int = FEATURES):
+        super().__init__(pixels, device, rows)
+        self._moments = torch.zeros(1 + rows, pixels, device=device)
         """Σ w² and Σ w² x."""
-        self._center = torch.zeros(FEATURES, pixels, device=device)
+        self._center = torch.zeros(rows, pixels, device=device)
 
     def sums(self) -> dict[str, Tensor]:
         """See `MeanFeatures`."""
         return {**super().sums(), "control": self._moments, "center": self._center}
+
+    def forget(self, row: Tensor, pixels: Tensor) -> None:
+        """See `MeanFeatures`."""
+        super().forget(row, pixels)
+        self._moments[1 + row, pixels] = 0.0
+        self._center[row, pixels] = 0.0
 
     def recenter(self, pixels: Pixels) -> None:
         """See `MeanFeatures`."""

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.render.coverage import Coverage, Covered
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
@@ -40,7 +41,8 @@ class FilmSamples:
 
     weight: W / (A q) of Eq. 11, 0 for a lens point outside the aperture, `[N]`. radiance: `[3, N]`. alpha: `[N]`; normal, albedo,
     emission: `[3, N]`; all of the primary hit, 0 without a hit. depth: along the axis, metres, `[N]`, NO_DEPTH without a hit.
-    radiance_weight: weight of the radiance, `[N]`, None for `weight`.
+    radiance_weight: weight of the radiance, `[N]`, None for `weight`. triangle: of the primary hit, int32 `[N]`, -1 without a
+    hit; needed by films with coverage.
     """
 
     weight: Tensor
@@ -51,6 +53,7 @@ class FilmSamples:
     albedo: Tensor
     emission: Tensor
     radiance_weight: Tensor | None = None
+    triangle: Tensor | None = None
 
     def value(self) -> Tensor:
         """Radiance times its weight, `[3, N]`."""
@@ -69,7 +72,8 @@ class Film:
     because float32 sums would lose accuracy after some thousand samples.
 
     seed: for reports of bad samples. features: class of the estimator, which depends on the weights of the samples. corner:
-    column and row, in the frame, of the first pixel of the film.
+    column and row, in the frame, of the first pixel of the film. objects: for each kind of coverage, the number of the object of
+    each triangle, as `Coverage` takes it.
     """
 
     def __init__(
@@ -80,6 +84,7 @@ class Film:
         device: torch.device | str = "cpu",
         features: type[MeanFeatures] = ControlVariateFeatures,
         corner: tuple[int, int] = (0, 0),
+        objects: Mapping[str, Tensor] | None = None,
     ):
         self.width, self.height, self.seed, self.corner = width, height, seed, corner
         pixels = width * height
@@ -88,6 +93,7 @@ class Film:
         self._square = torch.zeros(pixels, dtype=torch.float64, device=device)
         self._count = torch.zeros(pixels, device=device)
         self._features = features(pixels, device)
+        self._coverage = {kind: Coverage(of, pixels, features, device) for kind, of in (objects or {}).items()}
         self._nearest = torch.full((pixels,), NO_DEPTH, device=device)
         self._farthest = torch.zeros(pixels, device=device)
         self._bad_count = 0
@@ -98,7 +104,10 @@ class Film:
 
     def _sums(self) -> dict[str, Tensor]:
         names = ("radiance", "emission", "square", "count", "nearest", "farthest")
-        return {name: getattr(self, f"_{name}") for name in names} | self._features.sums()
+        sums = {name: getattr(self, f"_{name}") for name in names} | self._features.sums()
+        for kind, coverage in self._coverage.items():
+            sums |= {f"{kind} {name}": value for name, value in coverage.sums().items()}
+        return sums
 
     def state_dict(self) -> dict[str, object]:
         """All sums and the bad samples; the tensors are those of the film."""
@@ -110,6 +119,8 @@ class Film:
             if state[name].shape != tensor.shape:
                 raise ValueError(f"{name} has the shape {tuple(state[name].shape)}, not {tuple(tensor.shape)}")
             tensor.copy_(state[name])
+        for coverage in self._coverage.values():
+            coverage.check()
         self._bad_count, self._suspects = state["bad_count"], []
         self._bad_samples = [BadSample(*bad) for bad in state["bad_samples"]]
 
@@ -123,7 +134,14 @@ class Film:
         """
         core = native.core()
         if core is not None and counted is None and self._count.device.type == "cpu":
-            return self._add_natively(core, pixels, samples, step, recenter)
+            good = self._add_natively(core, pixels, samples, step, recenter)
+        else:
+            good = self._add(pixels, samples, step, recenter, counted)
+        self._add_coverage(pixels, samples, good if counted is None else good & counted, recenter)
+        return good
+
+    def _add(self, pixels: Pixels, samples: FilmSamples, step: int, recenter: bool, counted: Tensor | None) -> Tensor:
+        """`add` without the native core."""
         weight, emission = samples.weight, samples.emission
         value, features = samples.value(), samples.features()
         good = value.sum(0).isfinite() & weight.isfinite()
@@ -153,9 +171,18 @@ class Film:
             self._suspects.append((pixels, good, step))
         return good
 
+    def _add_coverage(self, pixels: Pixels, samples: FilmSamples, kept: Tensor, recenter: bool) -> None:
+        for coverage in self._coverage.values():
+            assert samples.triangle is not None
+            weight = samples.weight.nan_to_num(0.0, 0.0, 0.0)
+            coverage.add(pixels, samples.triangle, weight, kept.to(torch.float32), recenter)
+
     def initialise(self, pixels: Pixels, samples: FilmSamples) -> None:
         """Initialise the features of N different pixels with samples of weight 1 that are not in the picture."""
         self._features.initialise(pixels, samples.features().nan_to_num(0.0, 0.0, 0.0))
+        for coverage in self._coverage.values():
+            assert samples.triangle is not None
+            coverage.initialise(pixels, samples.triangle)
         self._add_range(pixels, samples)
 
     def _add_range(self, pixels: Pixels, samples: FilmSamples) -> None:
@@ -225,6 +252,10 @@ class Film:
         """Estimated standard error of the mean, relative to the mean plus 0.01, averaged over the frame."""
         mean = luminance(self.radiance().reshape(-1, 3).T).clamp(min=0.0)
         return float((self.variance().reshape(-1).sqrt() / (mean + 0.01)).mean())
+
+    def covered(self) -> dict[str, Covered]:
+        """Objects and their coverage by kind, of all pixels in the order of rows."""
+        return {kind: coverage.covered(self._count.clamp(min=1.0)) for kind, coverage in self._coverage.items()}
 
     def layers(self) -> dict[str, np.ndarray]:
         """Layers of the frame by name, contiguous float32 arrays `[H, W]` or `[H, W, 3]`.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.scene.emitters import Emitters
+from bokehguide.scene.names import object_names
 from bokehguide.scene.sight import Sight, coc_diameter, frame_grid, frame_rays, to_raster
 from bokehguide.scene.types import Camera, FilmSettings, Scene, Vector, as_vector
 
@@ -77,8 +78,8 @@ def inspect(scene: Scene, emitters: Emitters) -> Inspection:
 def objects(scene: Scene) -> tuple[SceneObject, ...]:
     """The objects by name, in the order of the scene."""
     named: dict[str, list[int]] = {}
-    for number, mesh in enumerate(scene.meshes):
-        named.setdefault(mesh.name or f"mesh {number}", []).append(number)
+    for number, name in enumerate(object_names(scene)):
+        named.setdefault(name, []).append(number)
     found = []
     for name, numbers in named.items():
         meshes = [scene.meshes[number] for number in numbers]

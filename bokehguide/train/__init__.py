@@ -7,6 +7,7 @@ from bokehguide.train.checkpoint import load_checkpoint, save_checkpoint, saved_
 from bokehguide.train.denoising import DenoisedPicture, denoise_picture
 from bokehguide.train.logger import RenderLogger
 from bokehguide.train.loop import RenderLoop
+from bokehguide.train.mattes import matte_attributes, matte_layers
 from bokehguide.train.metadata import describe_render
 from bokehguide.train.settings import LENS_MODES, RenderSettings
 from bokehguide.train.step_stats import StepStats
@@ -25,6 +26,8 @@ __all__ = [
     "describe_render",
     "load_checkpoint",
     "make_loop",
+    "matte_attributes",
+    "matte_layers",
     "restarts",
     "save_checkpoint",
     "saved_state",

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from bokehguide.render.coverage import Covered
 from bokehguide.render.film import NO_DEPTH, BadSample, Film, FilmSamples, earliest
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import hash_int
@@ -266,6 +267,11 @@ class HalvesFilm:
         """Estimated MAPE of the mean: `relative_error` of the halves, averaged over the frame."""
         first, second = (film.radiance().permute(2, 0, 1) for film in self._films)
         return float(relative_error(first, second).mean())
+
+    def covered(self) -> dict[str, Covered]:
+        """As `Film.covered`: the means of both films."""
+        first, second = (film.covered() for film in self._films)
+        return {kind: first[kind].mean(second[kind]) for kind in first}
 
     def layers(self) -> dict[str, np.ndarray]:
         """As `Film.layers`: the means of both films, the sum of the sample counts, and the variance of the mean."""

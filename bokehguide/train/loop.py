@@ -27,6 +27,7 @@ from bokehguide.runtime.indexing import Pixels, box_pixels, indices, pixel_numbe
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.runtime.workers import Workers
 from bokehguide.scene.types import Scene
+from bokehguide.train.mattes import triangle_objects
 from bokehguide.train.scheduler import Batches
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.step_stats import BatchResult, StepStats, step_stats
@@ -93,7 +94,8 @@ class RenderLoop:
         elif self.mode.weighted:
             features = ControlVariateFeatures
         kind = SplitFilm if self.settings.denoise else Film
-        return kind(width, height, self.settings.seed, self.camera.position.device, features, (left, top))
+        objects = triangle_objects(self.scene) if self.settings.cryptomatte else None
+        return kind(width, height, self.settings.seed, self.camera.position.device, features, (left, top), objects)
 
     def render_only(self, active: Tensor) -> None:
         """From now on, render only the `active` pixels of the film, bool `[pixels]`."""
@@ -187,7 +189,8 @@ class RenderLoop:
 
     def _film_samples(self, paths: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
         depth = self.camera.depth(paths.distance, directions)
-        return FilmSamples(weight, paths.radiance, paths.alpha, depth, paths.normal, paths.albedo, paths.emission)
+        found = weight, paths.radiance, paths.alpha, depth, paths.normal, paths.albedo, paths.emission
+        return FilmSamples(*found, triangle=paths.triangle)
 
     def _film_sink(self, timer: PhaseTimer) -> Callable[[Pixels, FilmSamples], Tensor]:
         """The function that puts samples on the film and returns the finite ones, bool `[N]`."""

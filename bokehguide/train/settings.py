@@ -46,6 +46,7 @@ class RenderSettings:
     crop: x, y, width, height in pixels from the top left, of the part of the frame to render.
     target_noise: estimated relative error at which a block of pixels ends; None: all pixels get spp samples.
     denoise: whether the film keeps two halves, which `bokehguide.train.denoise_picture` needs; the samples are the same.
+    cryptomatte: whether the film keeps the coverage of objects and materials, which `bokehguide.train.matte_layers` needs.
     gaussian: settings of the paper's modes. guided: settings of the mode `guided`.
     Raises BokehguideError for a value out of range.
     """
@@ -59,6 +60,7 @@ class RenderSettings:
     crop: tuple[int, int, int, int] | None = None
     target_noise: float | None = None
     denoise: bool = False
+    cryptomatte: bool = False
     gaussian: GaussianConfig = field(default_factory=GaussianConfig)
     guided: GuidedConfig = field(default_factory=GuidedConfig)
 
@@ -71,7 +73,7 @@ class RenderSettings:
         absent = {key for key in ("threads", "target_noise") if getattr(self, key) is None}
         fields.check_wholes(**{key: limits for key, limits in WHOLE.items() if key not in absent})
         fields.check_numbers(**{key: limits for key, limits in NUMBERS.items() if key not in absent})
-        fields.check_flags("denoise")
+        fields.check_flags("denoise", "cryptomatte")
         if self.crop is not None:
             fields.check_tuple("crop", 4)
             fields.keep("crop", tuple(map(int, self.crop)))

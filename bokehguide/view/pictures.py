@@ -75,6 +75,7 @@ def finished(job: Job, state: ViewState, source: Source) -> Picture:
         display=display,
         corner=film.corner,
         frame=(loop.camera.width, loop.camera.height),
+        mattes={},
     )
 
 

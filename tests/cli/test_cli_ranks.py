@@ -41,7 +41,7 @@ def logged_blend_weights(folder):
 
 
 OPTIONS = {
-    "uniform": (2, ("--mode", "uniform")),
+    "uniform": (2, ("--mode", "uniform", "--cryptomatte")),
     "guided": (2, ("--mode", "guided", "--logdir", "logs", "--reference", "reference.exr")),
     "lis-b": (3, ("--mode", "lis-b", "--crop", "3,2,25,17", "--target-noise", 0.2, "--logdir", "logs")),
 }
