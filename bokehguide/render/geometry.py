@@ -131,7 +131,9 @@ class Geometry:
             normal_maps = [getattr(material, f"{slot}_texture") for material in scene.materials]
             self.tangents[slot] = self._rows(triangles.tangent_rows(meshes, normal_maps))
         if self.materials.anisotropy is not None:
-            self.tangents["anisotropy"] = self._rows(triangles.tangent_rows(meshes, list(map(_brushed, scene.materials))))
+            self.tangents["anisotropy"] = self._rows(
+                triangles.tangent_rows(meshes, list(map(_brushed, scene.materials)), smooth=True)
+            )
 
     def _rows(self, rows: np.ndarray) -> Tensor:
         return torch.from_numpy(rows).to(self.device)

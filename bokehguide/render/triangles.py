@@ -68,21 +68,26 @@ def color_rows(meshes: Sequence[Mesh]) -> np.ndarray:
     return rows
 
 
-def tangent_rows(meshes: Sequence[Mesh], normal_maps: list[Texture | None]) -> np.ndarray:
-    """Tangents to interpolate and the sign of the bitangent for the `normal_maps` of the materials: `[10, T]`.
+def tangent_rows(meshes: Sequence[Mesh], maps: list[Texture | None], smooth: bool = False) -> np.ndarray:
+    """Tangents to interpolate and the sign of the bitangent for the `maps` of the materials: `[10, T]`.
 
-    A tangent is 0 without a normal map, or where its u is constant.
+    A tangent is 0 without a map, or where its u is constant. smooth: tangents derived from the uvs are means at the vertices of a
+    mesh with normals, as in MikkTSpace; else each triangle has its own.
     """
     rows = np.zeros((10, sum(len(mesh.triangles) for mesh in meshes)), np.float32)
     for mesh, span in spans(meshes):
-        texture = normal_maps[mesh.material]
+        texture = maps[mesh.material]
         if texture is None:
             continue
         if mesh.tangents is not None:
             rows[0:9, span] = np.concatenate(_differences(mesh.tangents[:, :3], mesh.triangles))
             rows[9, span] = mesh.tangents[mesh.triangles[:, 0], 3]
         elif mesh.uvs is not None and texture.uv_set < mesh.uvs.shape[1]:
-            rows[0:3, span], rows[9, span] = _tangents_from_uvs(mesh, texture.uv_set, texture.transform)
+            tangents, rows[9, span] = _tangents_from_uvs(mesh, texture.uv_set, texture.transform)
+            if smooth and mesh.normals is not None:
+                rows[0:9, span] = np.concatenate(_differences(_vertex_means(mesh, tangents), mesh.triangles))
+            else:
+                rows[0:3, span] = tangents
     return rows
 
 
@@ -100,6 +105,16 @@ def _tangents_from_uvs(mesh: Mesh, uv_set: int, transform: tuple[float, ...]) ->
     up = sign * (u2 * first - u1 * second)
     side = np.einsum("ij,ij->j", _cross(_cross(first, second), tangent), up)
     return tangent, np.sign(side)
+
+
+def _vertex_means(mesh: Mesh, values: np.ndarray) -> np.ndarray:
+    """Means at vertices `[V, 3]` of values `[3, T]` of triangles, weighted by area."""
+    _, first, second = _differences(mesh.vertices, mesh.triangles)
+    area = np.sqrt((_cross(first, second) ** 2).sum(0))
+    sums = np.zeros((len(mesh.vertices), 3))
+    for corner in range(3):
+        np.add.at(sums, mesh.triangles[:, corner], (values * area).T)
+    return sums / np.maximum(np.sqrt((sums**2).sum(1)), SHORTEST)[:, None]
 
 
 def _differences(values: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
