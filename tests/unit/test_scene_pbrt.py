@@ -281,7 +281,7 @@ def test_cameras_without_a_counterpart(tmp_path):
 
 
 def test_instances_are_bounded(tmp_path):
-    body = 'ObjectBegin "ball"\nShape "sphere"\nObjectEnd\n' + 'ObjectInstance "ball"\n' * 4000
+    body = 'ObjectBegin "ball"\nShape "sphere"\nObjectEnd\n' + 'ObjectInstance "ball"\n' * 40_000
     assert "triangles in all" in message(tmp_path, body)
 
 

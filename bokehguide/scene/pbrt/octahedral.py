@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 MAX_HEIGHT = 2048
-"""Rows of an equirectangular map."""
-SMALL = 512
-"""Rows up to which each texel is the mean of 4 × 4 samples; beyond, of 2 × 2."""
+"""Rows of an equirectangular map; that of a small one has twice the rows of the square, so that its peaks stay sharp."""
+STEPS = 2
+"""Samples along the side of each texel."""
 
 
 def square_from_sphere(directions: np.ndarray) -> np.ndarray:
@@ -47,10 +47,9 @@ def equirectangular(image: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
     turn: the matrix `[3, 3]` from directions of the world to those of the map.
     """
-    height = min(max(len(image), 16), MAX_HEIGHT)
-    steps = 4 if height <= SMALL else 2
+    height = min(max(2 * len(image), 16), MAX_HEIGHT)
     found = np.zeros((height, 2 * height, 3), np.float64)
-    offsets = (np.arange(steps) + 0.5) / steps
+    offsets = (np.arange(STEPS) + 0.5) / STEPS
     phi = 2.0 * np.pi * (np.arange(2 * height)[:, None] + offsets).reshape(-1) / (2 * height) - np.pi
     for row in range(height):
         theta = np.pi * (row + offsets[:, None]) / height
@@ -59,7 +58,7 @@ def equirectangular(image: np.ndarray, turn: np.ndarray) -> np.ndarray:
         )
         local = directions @ turn.T
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
-        found[row] = bilinear(image, square_from_sphere(local)).reshape(steps, 2 * height, steps, 3).mean(axis=(0, 2))
+        found[row] = bilinear(image, square_from_sphere(local)).reshape(STEPS, 2 * height, STEPS, 3).mean(axis=(0, 2))
     weights = np.sin(np.pi * (np.arange(height) + 0.5) / height)
     means = np.average(found.mean(axis=1), axis=0, weights=weights)
     wanted = image.mean(axis=(0, 1))

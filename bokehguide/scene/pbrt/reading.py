@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,9 +18,10 @@ from bokehguide.scene.pbrt.contents import Contents, Shape
 from bokehguide.scene.pbrt.lights import Lights, area_emission
 from bokehguide.scene.pbrt.materials import Materials, Opacity
 from bokehguide.scene.pbrt.parser import parse
-from bokehguide.scene.pbrt.shapes import read_shape, reversed_mesh
+from bokehguide.scene.pbrt.quadrics import SEGMENTS
+from bokehguide.scene.pbrt.shapes import QUADRICS, read_shape, reversed_mesh
 from bokehguide.scene.pbrt.textures import Textures, constant
-from bokehguide.scene.shapes import instanced, surface_area, transformed
+from bokehguide.scene.shapes import MOST_SPHERES, instanced, surface_area, transformed
 from bokehguide.scene.tables import did_you_mean
 from bokehguide.scene.types import Mesh, Scene
 from bokehguide.scene.validation import check_meshes, check_triangles
@@ -77,6 +79,10 @@ class _Shapes:
         self.textures = Textures(self.contents, folder, self.files)
         self.materials = Materials(self.contents, self.textures, folder, self.files)
         self._triangles = 0
+        uses = Counter(instance.name for instance in self.contents.instances)
+        used = [(self.contents.shapes, 1), *((shapes, uses[name]) for name, shapes in self.contents.objects.items())]
+        quadrics = sum(number * sum(shape.parameters.kind in QUADRICS for shape in shapes) for shapes, number in used)
+        self._segments = SEGMENTS >> sum(quadrics > most for most in MOST_SPHERES)
 
     def placed(self, world: np.ndarray) -> list[Mesh]:
         """All shapes and instances in the scene's space. world: from pbrt's world."""
@@ -119,7 +125,7 @@ class _Shapes:
         if opacity is not None and opacity.value.constant and not opacity.value.image.max() > 0.0:
             return None
         with located(str(parameters.place)):
-            read = read_shape(parameters, self.path.parent, self.files)
+            read = read_shape(parameters, self.path.parent, self.files, self._segments)
             if read is None:
                 self.contents.lose(f"shapes of the type {printable(parameters.kind)}: left out", parameters.place.short)
                 return None

@@ -28,8 +28,13 @@ class Read:
     count: int
 
 
-def read_shape(parameters: Parameters, folder: Path, files: SceneFiles) -> Read | None:
-    """The mesh of a shape, None for a kind without a counterpart. Raises BokehguideError for missing and damaged data."""
+def read_shape(parameters: Parameters, folder: Path, files: SceneFiles, segments: int) -> Read | None:
+    """The mesh of a shape, None for a kind without a counterpart. segments: of a full turn of a quadric.
+
+    Raises BokehguideError for missing and damaged data.
+    """
+    if parameters.kind in QUADRICS:
+        return Read(QUADRICS[parameters.kind](parameters, segments), 1)
     read = READERS.get(parameters.kind)
     return None if read is None else read(parameters, folder, files)
 
@@ -140,8 +145,7 @@ READERS: dict[str, Reader] = {
     "bilinearmesh": _bilinear_mesh,
     "loopsubdiv": _loop_mesh,
     "plymesh": _ply_mesh,
-    "sphere": lambda parameters, folder, files: Read(sphere(parameters), 1),
-    "disk": lambda parameters, folder, files: Read(disk(parameters), 1),
-    "cylinder": lambda parameters, folder, files: Read(cylinder(parameters), 1),
 }
-"""Readers of shapes by the name of the plugin, before their transform."""
+"""Readers of meshes by the name of the plugin, before their transform."""
+QUADRICS = {"sphere": sphere, "disk": disk, "cylinder": cylinder}
+"""Makers of quadrics, which may have fewer triangles in scenes of many."""
