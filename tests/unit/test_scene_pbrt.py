@@ -118,6 +118,29 @@ def test_lens_film_and_integrator(tmp_path):
     assert read(tmp_path, SQUARE).film.exposure is None and read(tmp_path, SQUARE).film.max_depth == 6
 
 
+def test_realistic_cameras_become_thin_lenses(tmp_path):
+    """A biconvex lens of index 1.5 and radii of 50 mm has the focal length 50 mm (lensmaker's equation); then a telephoto pair."""
+    head = (
+        'Camera "realistic" "string lensfile" "lens.dat" "float aperturediameter" 20 "float focusdistance" 5\n'
+        'Film "rgb" "integer xresolution" 30 "integer yresolution" 20 "float diagonal" 43.2666\nWorldBegin\n'
+    )
+    (tmp_path / "lens.dat").write_text("# radius thickness eta diameter\n50 0.001 1.5 30\n-50 0.001 1 30\n0 50 0 30\n")
+    scene = read(tmp_path, SQUARE, head)
+    front = (5.0 + math.sqrt(25.0 - 20.0 * 0.05)) / 2.0
+    assert 1.0 / front + 1.0 / (5.0 - front) == pytest.approx(20.0)
+    assert scene.camera.focus_distance == pytest.approx(front, rel=1e-4)
+    assert scene.camera.aperture_radius == pytest.approx(0.01, rel=1e-3)
+    assert scene.camera.fov == pytest.approx(2.0 * math.degrees(math.atan(0.018 / (5.0 - front))), rel=1e-4)
+    assert scene.warnings == ("scene.pbrt: realistic cameras: a thin lens of the same focal length (lens.dat)",)
+    # A lens of 100 mm and 50 mm behind it the stop, where the cone of light has half of its width, and a lens of -100 mm.
+    (tmp_path / "lens.dat").write_text("100 0 1.5 60\n-100 50 1 60\n0 0 0 60\n-100 0 1.5 60\n100 90 1 60\n")
+    pair = read(tmp_path, SQUARE, head.replace('distance" 5', 'distance" 5000')).camera
+    assert pair.aperture_radius == pytest.approx(0.02, rel=1e-3)
+    assert pair.fov == pytest.approx(2.0 * math.degrees(math.atan(18.0 / 200.0)), rel=1e-3)  # 1/100 - 1/100 + 50/100² = 1/200
+    (tmp_path / "lens.dat").write_text("50 1 1.5")
+    assert "four numbers" in message(tmp_path, SQUARE, head)
+
+
 def test_tokens_and_parameters(tmp_path):
     body = (
         '# a comment with "quotes" [and brackets]\n'

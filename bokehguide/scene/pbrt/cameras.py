@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,10 @@ import numpy as np
 from bokehguide.errors import printable
 from bokehguide.limits import FARTHEST_FOCUS, MAX_EXPOSURE, NEAREST_FOCUS
 from bokehguide.scene.checks import located
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.pbrt.contents import Contents
 from bokehguide.scene.pbrt.parameters import Parameters
+from bokehguide.scene.pbrt.realistic import ThinLens, thin_lens
 from bokehguide.scene.pbrt.transforms import MIRROR, inverse
 from bokehguide.scene.types import FilmSettings
 
@@ -58,8 +61,8 @@ def _exposure(contents: Contents) -> float | None:
     return min(max(math.log2(ratio), -MAX_EXPOSURE), MAX_EXPOSURE)
 
 
-def read_camera(contents: Contents, film: FilmSettings) -> dict[str, Any]:
-    """The camera as a table of a scene file. Raises BokehguideError for a missing camera and for a kind that is no lens."""
+def read_camera(contents: Contents, film: FilmSettings, folder: Path, files: SceneFiles) -> dict[str, Any]:
+    """The camera as a table of a scene file. Raises BokehguideError for a camera of a kind that is no lens."""
     camera = contents.camera
     assert camera is not None
     if camera.kind not in ("perspective", "realistic"):
@@ -69,16 +72,30 @@ def read_camera(contents: Contents, film: FilmSettings) -> dict[str, Any]:
     sizes = np.linalg.norm(axes, axis=0)
     axes = axes / sizes
     _check_axes(contents, camera, axes, sizes)
-    focus = camera.number("focaldistance", 1e6) * sizes[2]
-    focus = min(max(focus, NEAREST_FOCUS), FARTHEST_FOCUS)
+    if camera.kind == "realistic":
+        lens = _realistic(contents, camera, film, folder, files)
+    else:
+        fov = _horizontal_fov(contents, camera, film, sizes[2] / sizes[0])
+        lens = ThinLens(fov, max(camera.number("lensradius", 0.0), 0.0), camera.number("focaldistance", 1e6))
     return {
         "position": position.tolist(),
         "target": (position + axes[:, 2] * max(1.0, 1e-3 * float(np.abs(position).max()))).tolist(),
         "up": axes[:, 1].tolist(),
-        "fov": _horizontal_fov(contents, camera, film, sizes[2] / sizes[0]),
-        "aperture_radius": max(camera.number("lensradius", 0.0), 0.0) * float(sizes[0]),
-        "focus_distance": focus,
+        "fov": lens.fov,
+        "aperture_radius": lens.radius * float(sizes[0]),
+        "focus_distance": min(max(lens.focus * float(sizes[2]), NEAREST_FOCUS), FARTHEST_FOCUS),
     }
+
+
+def _realistic(contents: Contents, camera: Parameters, film: FilmSettings, folder: Path, files: SceneFiles) -> ThinLens:
+    """The thin lens of a realistic camera."""
+    contents.lose("realistic cameras: a thin lens of the same focal length", printable(camera.text("lensfile")))
+    if "aperture" in camera:
+        contents.lose("shapes of apertures: round ones in their place", printable(camera.text("aperture")))
+    diagonal = 35.0 if contents.film is None else contents.film.number("diagonal", 35.0)
+    if not diagonal > 0.0:
+        camera.place.fail('"float diagonal" of the film is out of range; give millimetres above 0')
+    return thin_lens(camera, film, diagonal, folder, files)
 
 
 def _check_axes(contents: Contents, camera: Parameters, axes: np.ndarray, sizes: np.ndarray) -> None:

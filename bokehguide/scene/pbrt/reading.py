@@ -43,7 +43,7 @@ def read_pbrt(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scen
         raise BokehguideError(f"{path}: holds no shapes that can be drawn; give a scene with some")
     lights = Lights(contents, shapes.materials, shapes.textures, world, default_radius(meshes))
     lights.read(path.parent, files)
-    chosen = override_camera(read_camera(contents, film), overrides, str(path), files, written=True)
+    chosen = override_camera(read_camera(contents, film, path.parent, files), overrides, str(path), files, written=True)
     scene = Scene(
         name=path.name.partition(".")[0],
         camera=chosen.camera,
