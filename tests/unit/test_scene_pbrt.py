@@ -119,7 +119,7 @@ def test_lens_film_and_integrator(tmp_path):
 
 
 def test_realistic_cameras_become_thin_lenses(tmp_path):
-    """A biconvex lens of index 1.5 and radii of 50 mm has the focal length 50 mm (lensmaker's equation); then a telephoto pair."""
+    """A biconvex lens of index 1.5 and radii of 50 mm has f = 50 mm (lensmaker's equation); then a telephoto pair."""
     head = (
         'Camera "realistic" "string lensfile" "lens.dat" "float aperturediameter" 20 "float focusdistance" 5\n'
         'Film "rgb" "integer xresolution" 30 "integer yresolution" 20 "float diagonal" 43.2666\nWorldBegin\n'
