@@ -264,6 +264,7 @@ KINDS: dict[str, tuple[Callable[[bytes, int, int], bytes], ...]] = {
     ".toml": (*BYTES, *TEXT * 4),
     ".xml": (*BYTES, *TEXT * 2, *[attribute] * 6),
     ".pbrt": (*BYTES, *TEXT * 2, *[exchange] * 6),
+    ".dat": (*BYTES, *TEXT * 4),
     ".hdr": (*BYTES, *TEXT),
     ".exr": (*BYTES, word, word),
     ".png": (*BYTES, *[png_checksums] * 4),

@@ -60,6 +60,8 @@ Shape "loopsubdiv" "integer levels" 1 "point3 P" [0 0 0 1 0 0 0 1 0 0 0 1] "inte
 Material "diffusetransmission" "float scale" 0.8
 Shape "disk" "float radius" 0.4 "texture alpha" "rough"
 """
+REALISTIC = SCENE.replace('"perspective"', '"realistic" "string lensfile" "lens.dat" "float aperturediameter" 9')
+LENS = b"# radius thickness eta diameter\n50 2 1.5 30\n-50 5 1 30\n0 50 0 30\n"
 
 
 def octahedral_sky(folder: Path) -> bytes:

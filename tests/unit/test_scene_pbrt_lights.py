@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from bokehguide.color import LUMINANCE, blackbody
+from bokehguide.errors import BokehguideError
 from bokehguide.image.exr import write_exr
 from bokehguide.render.lights.environment import EnvironmentLight
 from bokehguide.scene import load_scene
@@ -202,3 +203,18 @@ def test_losses_are_told(tmp_path):
         "scene.pbrt: media: left out (fog)",
         "scene.pbrt: light sources of the type projection: left out (scene.pbrt:8)",
     )
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_maps_in_pfm(tmp_path, order):
+    """The rows of a PFM file go from the bottom to the top."""
+    image = np.random.default_rng(1).random((8, 8, 3)).astype(np.float32)
+    header = f"PF\n8 8\n{'-' if order == '<' else ''}1.0\n".encode()
+    (tmp_path / "sky.pfm").write_bytes(header + image[::-1].astype(f"{order}f4").tobytes())
+    scene = read(tmp_path, 'LightSource "infinite" "string filename" "sky.pfm"\n')
+    assert scene.environment is not None
+    np.testing.assert_allclose(scene.environment.radiance, equirectangular(image.astype(np.float64), np.diag((1.0, 1.0, 1.0))))
+    for damage in (b"P6\n8 8\n255\n", header + b"\0" * 100, header + np.full((8, 8, 3), np.nan, f"{order}f4").tobytes()):
+        (tmp_path / "sky.pfm").write_bytes(damage)
+        with pytest.raises(BokehguideError, match=r"sky\.pfm"):
+            load_scene(str(tmp_path / "scene.pbrt"))

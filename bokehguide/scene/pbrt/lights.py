@@ -134,7 +134,7 @@ class Lights:
         if name.lower().endswith((".exr", ".hdr")):
             path = files.find(folder, name, str(parameters.place))
             return load_environment_map(path)[0].astype(np.float64)
-        return self._textures.load(name, str(parameters.place), True)
+        return self._textures.load(name, str(parameters.place), True).clip(min=0.0)
 
 
 def _scale(parameters: Parameters, key: str, unit: float) -> float:

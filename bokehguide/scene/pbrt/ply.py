@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,9 @@ from bokehguide.errors import BokehguideError, reason
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.pbrt.tokens import read_bytes
 from bokehguide.stopping import default_signals
+
+# Without a handler, Python prints the log of trimesh, which includes tracebacks, to the terminal.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 UV_NAMES = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 """Names of the properties that hold texture coordinates."""

@@ -13,6 +13,7 @@ from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.images import load_texture
 from bokehguide.scene.pbrt.contents import Contents
 from bokehguide.scene.pbrt.parameters import Parameters
+from bokehguide.scene.pbrt.pfm import read_pfm
 from bokehguide.scene.pbrt.spectra import reflectance
 from bokehguide.scene.tables import did_you_mean
 from bokehguide.scene.types import Texture
@@ -75,6 +76,8 @@ class Textures:
     def load(self, name: str, place: str, srgb: bool) -> np.ndarray:
         """The pixels of an image file, linear `[H, W, 3]`."""
         path = self._files.find(self._folder, name, place)
+        if path.suffix.lower() == ".pfm":
+            return read_pfm(path, self._files, place)
         if path.suffix.lower() not in (".exr", ".hdr"):
             require_file(path, "texture", place)
             return load_texture(path, self._files, srgb).astype(np.float64)
@@ -128,8 +131,6 @@ class Textures:
 
     def _imagemap(self, parameters: Parameters, value: str) -> Value:
         name = parameters.text("filename")
-        if name.lower().endswith((".pfm", ".qoi")):
-            return self._lost(parameters, value)
         encoding = parameters.text("encoding", "sRGB").lower().split()
         png = name.lower().endswith(".png")
         srgb = not png or encoding[:1] == ["srgb"]
