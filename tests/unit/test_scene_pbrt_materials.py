@@ -71,6 +71,16 @@ def test_glass(tmp_path):
     assert (thin.transmission, thin.ior, thin.thin) == (1.0, 1.4, True)
 
 
+def test_the_denser_medium_in_front(tmp_path):
+    """A sphere of air in water, seen from the water, is a sphere of index 4/3 turned inside out."""
+    scene = read(tmp_path, 'Material "dielectric" "float eta" 0.75\nShape "sphere"\nMaterial "dielectric"\nShape "sphere"\n')
+    assert [scene.materials[mesh.material].ior for mesh in scene.meshes] == pytest.approx([4.0 / 3.0, 1.5])
+    for mesh, side in zip(scene.meshes, (-1.0, 1.0)):
+        a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+        facing = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1)
+        assert (side * facing[np.abs(facing) > 1e-6] > 0.0).all()
+
+
 def test_coated_diffuse_surfaces_keep_light_inside(tmp_path):
     """The share of diffuse light that a boundary of index 1.5 reflects inside is 0.596 (Judd 1942)."""
     assert internal_reflectance(1.5) == pytest.approx(0.596, abs=2e-3)

@@ -38,7 +38,6 @@ class Materials:
     def __init__(self, contents: Contents, textures: Textures, folder: Path, files: SceneFiles):
         self._contents, self._textures, self._folder, self._files = contents, textures, folder, files
         self._known: dict[object, int | None] = {}
-        self._kept: list[object] = []
         self.all: list[Material] = []
 
     def index(self, shape: Shape, opacity: Opacity | None, emission: dict[str, Any]) -> int | None:
@@ -50,7 +49,6 @@ class Materials:
         key = (source if isinstance(source, str) else id(source), None if opacity is None else opacity.key)
         if not emission and key in self._known:
             return self._known[key]
-        self._kept.append(source)  # its id stays its own
         material = self._material(source, shape.parameters.place, 0)
         if material is not None and opacity is not None:
             material = self._translucent(material, opacity.value)
@@ -60,6 +58,11 @@ class Materials:
         if not emission:
             self._known[key] = number
         return number
+
+    def turned(self, shape: Shape) -> bool:
+        """Whether the medium behind a shape is the thinner one, so that the material suits the other side of the surface."""
+        source = self._contents.materials.get(shape.material) if isinstance(shape.material, str) else shape.material
+        return source is not None and source.kind == "dielectric" and self._eta(source) < 1.0
 
     def add(self, material: Material) -> int:
         """The index of another material."""
@@ -136,14 +139,17 @@ class Materials:
         channels = value.map(lambda texels: np.concatenate([np.ones_like(texels), texels, np.ones_like(texels)], axis=2))
         return {"roughness": 1.0, "metallic_roughness_texture": channels.texture()}
 
-    def _ior(self, source: Parameters, key: str = "eta") -> float:
-        """A refractive index of at least 1; the reciprocal of a smaller one."""
-        value = index(source, key, 1.5, self._folder, self._files)
+    def _eta(self, source: Parameters) -> float:
+        """The refractive index behind a surface, relative to that in front."""
+        value = index(source, "eta", 1.5, self._folder, self._files)
         if not value > 0.0:
-            source.fail(key, "is no refractive index; give a number above 0")
-        if value < 1.0:
-            self._contents.lose("refractive indices below 1: their reciprocals", printable(source.kind))
-        return max(value, 1.0 / value)
+            source.fail("eta", "is no refractive index; give a number above 0")
+        return value
+
+    def _ior(self, source: Parameters) -> float:
+        """The refractive index of the denser medium, relative to that of the thinner one."""
+        eta = self._eta(source)
+        return max(eta, 1.0 / eta)
 
     def _diffuse(self, source: Parameters, name: str, depth: int) -> Material:
         return Material(name, specular=0.0, **self._colored(self._textures.color(source, "reflectance", 0.5)))

@@ -131,7 +131,8 @@ class _Shapes:
                 return None
             if "displacement" in parameters:
                 self.contents.lose("displacement and bump maps: left out", parameters.place.short)
-            mesh = transformed(reversed_mesh(read.mesh) if shape.reverse else read.mesh, matrix)
+            turned = shape.reverse != self.materials.turned(shape)
+            mesh = transformed(reversed_mesh(read.mesh) if turned else read.mesh, matrix)
         emission = {}
         if emits and shape.light is not None:
             if shape.light.kind != "diffuse":
