@@ -265,6 +265,7 @@ KINDS: dict[str, tuple[Callable[[bytes, int, int], bytes], ...]] = {
     ".xml": (*BYTES, *TEXT * 2, *[attribute] * 6),
     ".pbrt": (*BYTES, *TEXT * 2, *[exchange] * 6),
     ".dat": (*BYTES, *TEXT * 4),
+    ".pfm": (*BYTES, *TEXT),
     ".hdr": (*BYTES, *TEXT),
     ".exr": (*BYTES, word, word),
     ".png": (*BYTES, *[png_checksums] * 4),

@@ -61,6 +61,8 @@ Material "diffusetransmission" "float scale" 0.8
 Shape "disk" "float radius" 0.4 "texture alpha" "rough"
 """
 REALISTIC = SCENE.replace('"perspective"', '"realistic" "string lensfile" "lens.dat" "float aperturediameter" 9')
+REALISTIC = REALISTIC.replace("sky.exr", "sky.pfm")
+PFM = b"PF\n4 4\n-1.0\n" + np.full(48, 0.5, "<f4").tobytes()
 LENS = b"# radius thickness eta diameter\n50 2 1.5 30\n-50 5 1 30\n0 50 0 30\n"
 
 

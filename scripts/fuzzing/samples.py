@@ -15,7 +15,7 @@ import numpy as np
 import OpenEXR
 from fuzzing.gltf_samples import SQUARE, draco_glb, glb, glossy_gltf, gltf_parts, meshopt_glb
 from fuzzing.ktx2_samples import ETC1S, UASTC
-from fuzzing.pbrt_samples import LENS, PART, REALISTIC, SCENE, octahedral_sky
+from fuzzing.pbrt_samples import LENS, PART, PFM, REALISTIC, SCENE, octahedral_sky
 from PIL import Image
 
 from bokehguide.scene import load_scene
@@ -224,7 +224,8 @@ def pbrt_scenes(folder: Path) -> list[Sample]:
     """A pbrt scene with a kind of each thing that is read, and the same scene with another camera."""
     parts = {"part.pbrt": PART.encode(), "square.ply": binary_ply(), "wood.png": image("PNG"), "sky.exr": octahedral_sky(folder)}
     damaged = ("scene.pbrt", "scene.pbrt", "scene.pbrt", "part.pbrt", "part.pbrt", "square.ply", "sky.exr")
-    realistic = Sample(parts | {"scene.pbrt": REALISTIC.encode(), "lens.dat": LENS}, ("scene.pbrt", "lens.dat"), "scene.pbrt")
+    other = parts | {"scene.pbrt": REALISTIC.encode(), "lens.dat": LENS, "sky.pfm": PFM, "square.ply": PLY.encode()}
+    realistic = Sample(other, ("scene.pbrt", "lens.dat", "sky.pfm", "square.ply"), "scene.pbrt")
     return [Sample(parts | {"scene.pbrt": SCENE.encode()}, damaged, "scene.pbrt"), realistic]
 
 

@@ -2,6 +2,7 @@
 
 import gzip
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -244,6 +245,38 @@ def test_ply_files_with_uvs(tmp_path):
     assert [mesh.name for mesh in scene.meshes] == ["a", "b"]
 
 
+MIXED = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0)], np.float32)
+
+
+@pytest.mark.parametrize("format_", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply_files_of_triangles_and_quadrilaterals(tmp_path, format_):
+    """A triangle and a quadrilateral with other properties around them, between two other elements."""
+    head = f"ply\nformat {format_} 1.0\ncomment a file\nelement extra 2\nproperty uchar a\nelement vertex 5\nproperty double x\n"
+    head += "property float y\nproperty float z\nproperty uchar red\nelement face 2\nproperty float w\n"
+    head += (
+        "property list uchar int vertex_indices\nproperty list ushort float more\nelement edge 1\nproperty int b\nend_header\n"
+    )
+    order = ">" if "big" in format_ else "<"
+    faces = [(0.5, (1, 4, 2), (7.0, 8.0)), (0.25, (0, 1, 2, 3), ())]
+    if format_ == "ascii":
+        body = "1\n2\n" + "".join(f"{x} {y} {z} 9\n" for x, y, z in MIXED)
+        body += "".join(f"{w} {len(i)} {' '.join(map(str, i))} {len(m)} {' '.join(map(str, m))}\n" for w, i, m in faces) + "3\n"
+        data = body.encode()
+    else:
+        data = b"\1\2" + b"".join(struct.pack(order + "dffB", *row, 9) for row in MIXED)
+        for w, i, m in faces:
+            data += struct.pack(f"{order}fB{len(i)}iH{len(m)}f", w, len(i), *i, len(m), *m)
+        data += struct.pack(order + "i", 3)
+    (tmp_path / "a.ply").write_bytes(head.encode() + data)
+    text = 'Shape "plymesh" "string filename" "a.ply"'
+    mesh = read(tmp_path, text, "Scale -1 1 1\n" + HEAD).meshes[0]
+    np.testing.assert_array_equal(mesh.vertices, MIXED)
+    assert mesh.triangles.tolist() == [[1, 4, 2], [0, 1, 2], [0, 2, 3]]
+    for cut in (30, len(head) + 3, len(head) + len(data) - 12):
+        (tmp_path / "a.ply").write_bytes((head.encode() + data)[:cut])
+        assert "a.ply: not a readable .ply model" in message(tmp_path, text)
+
+
 ERRORS = [
     ('Shape "sphere', ["scene.pbrt:4", "closing quote"]),
     ("\n\nShap\n", ["scene.pbrt:6", "'Shap'", "did you mean 'Shape'?"]),
@@ -268,6 +301,7 @@ ERRORS = [
     ('ObjectBegin "x"', ["scene.pbrt:4", "without ObjectEnd"]),
     ("AttributeEnd", ["without its AttributeBegin"]),
     ('ObjectBegin "x" ObjectInstance "x" ObjectEnd', ["within an object"]),
+    ('MakeNamedMaterial "x"', ["'x'", "without a type"]),
     ('NamedMaterial "x" Shape "sphere"', ["'x'"]),
     ('Material "matte" Shape "sphere"', ["'matte'", "unknown in pbrt-v4"]),
     ('Material "diffuse" "texture reflectance" "x" Shape "sphere"', ["no spectrum texture 'x'"]),

@@ -151,4 +151,4 @@ def area_emission(parameters: Parameters, area: float, textures: Textures, folde
     unit = (2.0 if both else 1.0) * area * math.pi * (1.0 if image is None else max(float((image @ LUMINANCE).mean()), 1e-12))
     color = (emission(parameters, "L", folder, files) if image is None else np.ones(3)) * _scale(parameters, "power", unit)
     fields: dict[str, Any] = {"emission": as_vector(np.minimum(color, LARGEST)), "double_sided": both}
-    return fields if image is None else fields | {"emission_texture": Value(image).texture()}
+    return fields if image is None else fields | {"emission_texture": textures.on_surface(Value(image))}

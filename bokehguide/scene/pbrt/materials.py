@@ -98,7 +98,9 @@ class Materials:
         name = source.text("normalmap")
         if not name:
             return material
-        return replace(material, normal_texture=Value(self._textures.load(name, str(source.place), False)).texture())
+        return replace(
+            material, normal_texture=self._textures.on_surface(Value(self._textures.load(name, str(source.place), False)))
+        )
 
     def _translucent(self, material: Material, opacity: Value) -> Material:
         """`material` with the opacity of a shape."""
@@ -112,14 +114,14 @@ class Materials:
             Value(np.ones((1, 1, 3))) if texture is None else Value(texture.image[..., :3], texture.wrap[0], texture.transform)
         )
         both = self._textures.combined(color, alpha, _with_alpha)
-        return replace(material, alpha_mode="blend", base_color_texture=both.texture())
+        return replace(material, alpha_mode="blend", base_color_texture=self._textures.on_surface(both))
 
     def _colored(self, value: Value) -> dict[str, Any]:
         """The fields of a base colour."""
         value = value.map(lambda texels: np.broadcast_to(texels, (*texels.shape[:2], 3)).clip(0.0, 1.0))
         if value.constant:
             return {"base_color": as_vector(value.image[0, 0])}
-        return {"base_color": (1.0, 1.0, 1.0), "base_color_texture": value.texture()}
+        return {"base_color": (1.0, 1.0, 1.0), "base_color_texture": self._textures.on_surface(value)}
 
     def _alpha(self, source: Parameters, prefix: str = "") -> Value:
         """α of pbrt, the mean of both directions."""
@@ -137,7 +139,7 @@ class Materials:
         if value.constant:
             return {"roughness": float(value.image.mean())}
         channels = value.map(lambda texels: np.concatenate([np.ones_like(texels), texels, np.ones_like(texels)], axis=2))
-        return {"roughness": 1.0, "metallic_roughness_texture": channels.texture()}
+        return {"roughness": 1.0, "metallic_roughness_texture": self._textures.on_surface(channels)}
 
     def _eta(self, source: Parameters) -> float:
         """The refractive index behind a surface, relative to that in front."""

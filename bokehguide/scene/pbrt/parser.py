@@ -205,8 +205,9 @@ class _Parser:
 
     def make_named_material(self, tokens: Tokens, at: Place) -> None:
         read = self._parameters(tokens, at, "material")
-        named = replace(read, kind=read.text("type", ""))
-        self.contents.materials[read.kind] = named
+        if "type" not in read:
+            at.fail(f'MakeNamedMaterial {printable(read.kind)!r} without a type; give one, as in "string type" "diffuse"')
+        self.contents.materials[read.kind] = replace(read, kind=read.text("type"))
 
     def named_material(self, tokens: Tokens, at: Place) -> None:
         self._state = replace(self._state, material=tokens.text("the name of a material"))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bokehguide.errors import BokehguideError, printable
+from bokehguide.limits import LARGEST
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.images import load_texture
 from bokehguide.scene.pbrt.contents import Contents
@@ -28,7 +29,10 @@ WRAPS = {"repeat": "repeat", "clamp": "clamp", "black": "clamp", "octahedralsphe
 
 @dataclass(frozen=True)
 class Value:
-    """An image, linear float64 `[H, W, C]` with 1 or 3 channels; constants have one texel. wrap, transform: as in `Texture`."""
+    """An image, linear `[H, W, C]` with 1 or 3 channels, float32; constants have one texel, float64.
+
+    wrap, transform: as in `Texture`.
+    """
 
     image: np.ndarray
     wrap: str = "repeat"
@@ -42,10 +46,6 @@ class Value:
     def map(self, function: Callable[[np.ndarray], np.ndarray]) -> Value:
         """The value after a function of the texels."""
         return replace(self, image=function(self.image))
-
-    def texture(self) -> Texture:
-        """The image on a surface."""
-        return Texture(self.image.astype(np.float32), wrap=(self.wrap, self.wrap), transform=self.transform)
 
 
 def constant(*channels: float) -> Value:
@@ -73,6 +73,11 @@ class Textures:
         name = parameters.texture(key)
         return constant(parameters.number(key, default)) if name is None else self._named("float", name, parameters)
 
+    def on_surface(self, value: Value) -> Texture:
+        """A value as the texture of a material. Raises BokehguideError if the scene's images exceed their budget."""
+        self._files.reserve(value.image.size, 0, str(self._folder))
+        return Texture(np.asarray(value.image, np.float32), wrap=(value.wrap, value.wrap), transform=value.transform)
+
     def load(self, name: str, place: str, srgb: bool) -> np.ndarray:
         """The pixels of an image file, linear `[H, W, 3]`."""
         path = self._files.find(self._folder, name, place)
@@ -80,7 +85,7 @@ class Textures:
             return read_pfm(path, self._files, place)
         if path.suffix.lower() not in (".exr", ".hdr"):
             require_file(path, "texture", place)
-            return load_texture(path, self._files, srgb).astype(np.float64)
+            return load_texture(path, self._files, srgb)
         from bokehguide.image.reading import read_channels  # imports torch
 
         require_file(path, "texture", place)
@@ -88,7 +93,7 @@ class Textures:
         names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3
         image = np.stack([read.pixels[..., read.names.index(channel)] for channel in names], axis=-1)
         self._files.reserve(image.size, path.stat().st_size, str(path))
-        return np.nan_to_num(image.astype(np.float64), posinf=0.0, neginf=0.0)
+        return np.nan_to_num(image, posinf=0.0, neginf=0.0).clip(-LARGEST, LARGEST)
 
     def _named(self, value: str, name: str, parameters: Parameters) -> Value:
         """A texture by name."""
@@ -107,6 +112,7 @@ class Textures:
             make = MAKERS.get(found.parameters.kind)
             self._known[key] = self._lost(found.parameters, value) if make is None else make(self, found.parameters, value)
             self._open.pop()
+            self._files.reserve(self._known[key].image.size, 0, str(found.parameters.place))
         return self._known[key]
 
     def _lost(self, parameters: Parameters, value: str) -> Value:
@@ -185,6 +191,8 @@ class Textures:
                 f"{self._folder}: textures of {width}x{height} pixels from smaller ones; give images of one size"
             )
         images = [_resized(each.image, height, width) for each in (first, second)]
+        if not (first.constant and second.constant):
+            images = [np.asarray(each, np.float32) for each in images]
         return replace(placed, image=function(*images))
 
 

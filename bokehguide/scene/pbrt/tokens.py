@@ -5,7 +5,9 @@ from __future__ import annotations
 import gzip
 import re
 import zlib
+from bisect import bisect_left
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -30,6 +32,11 @@ class Source:
     path: Path
     text: str
 
+    @cached_property
+    def line_ends(self) -> list[int]:
+        """Offsets of the ends of all lines."""
+        return [found.start() for found in re.finditer("\n", self.text)]
+
 
 @dataclass(frozen=True)
 class Place:
@@ -39,7 +46,7 @@ class Place:
     offset: int
 
     def __str__(self) -> str:
-        return f"{self.source.path}:{self.source.text.count(chr(10), 0, self.offset) + 1}"
+        return f"{self.source.path}:{bisect_left(self.source.line_ends, self.offset) + 1}"
 
     @property
     def short(self) -> str:
