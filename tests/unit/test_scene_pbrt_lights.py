@@ -11,7 +11,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.image.exr import write_exr
 from bokehguide.render.lights.environment import EnvironmentLight
 from bokehguide.scene import load_scene
-from bokehguide.scene.pbrt.octahedral import equirectangular, sphere_from_square, square_from_sphere
+from bokehguide.scene.pbrt.octahedral import bilinear, equirectangular, sphere_from_square, square_from_sphere
 from bokehguide.scene.types import Scene
 from tests.support.statistical import SIGNIFICANCE
 from tests.support.tracing import estimates, mean_test
@@ -195,7 +195,22 @@ def test_edges_of_the_map_meet(tmp_path):
     np.testing.assert_allclose(found, 1.0 + 0.5 * np.stack(axes, axis=-1), atol=0.02)
 
 
+def test_neighbours_across_an_edge():
+    """The edge points at t and 1 - t are one direction: both texels count half there."""
+    image = np.random.default_rng(2).random((4, 4, 3))
+    for point, first, second in (((1.0, 0.375), (1, 3), (2, 3)), ((0.375, 0.0), (0, 1), (0, 2))):
+        np.testing.assert_allclose(bilinear(image, np.array(point)), 0.5 * (image[first] + image[second]))
+
+
+def test_shapes_with_the_same_light_share_a_material(tmp_path):
+    both = square(1.0, 2.0) + square(1.0, 3.0)
+    scene = read(tmp_path, f'AreaLightSource "diffuse" "rgb L" [2 1 1]\n{both}AreaLightSource "diffuse" "rgb L" [1 1 1]\n{both}')
+    assert [mesh.material for mesh in scene.meshes] == [0, 1, 1, 2, 2]
+
+
 def test_losses_are_told(tmp_path):
+    hidden = f'AreaLightSource "diffuse"\nAttribute "shape" "float alpha" 0\n{square(1.0, 2.0)}'
+    assert read(tmp_path, hidden).warnings == ("scene.pbrt: invisible area lights: visible ones in their place (scene.pbrt:10)",)
     scene = read(
         tmp_path, 'LightSource "projection"\nMakeNamedMedium "fog" "string type" "homogeneous"\nMediumInterface "fog" ""\n'
     )

@@ -46,8 +46,10 @@ class Materials:
         Raises BokehguideError for an unknown kind or name of a material.
         """
         source = shape.material
-        key = (source if isinstance(source, str) else id(source), None if opacity is None else opacity.key)
-        if not emission and key in self._known:
+        shared = "emission_texture" not in emission
+        light = tuple(emission.items()) if shared else ()
+        key = (source if isinstance(source, str) else id(source), None if opacity is None else opacity.key, light)
+        if shared and key in self._known:
             return self._known[key]
         material = self._material(source, shape.parameters.place, 0)
         if material is not None and opacity is not None:
@@ -55,7 +57,7 @@ class Materials:
         if material is None and emission:
             material = Material("light", (0.0, 0.0, 0.0), specular=0.0)
         number = None if material is None else self.add(replace(material, **emission))
-        if not emission:
+        if shared:
             self._known[key] = number
         return number
 

@@ -123,7 +123,10 @@ class _Shapes:
         parameters = shape.parameters
         opacity = self._opacity(shape)
         if opacity is not None and opacity.value.constant and not opacity.value.image.max() > 0.0:
-            return None
+            if not emits:
+                return None
+            self.contents.lose("invisible area lights: visible ones in their place", parameters.place.short)
+            opacity = None
         with located(str(parameters.place)):
             read = read_shape(parameters, self.path.parent, self.files, self._segments)
             if read is None:
