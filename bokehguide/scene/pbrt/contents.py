@@ -1,4 +1,4 @@
-"""What a pbrt file describes, before its conversion."""
+"""What a pbrt file describes, before its conversion, and the graphics state while it is read."""
 
 from __future__ import annotations
 
@@ -6,8 +6,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bokehguide.scene.pbrt.parameters import Parameters
+from bokehguide.scene.pbrt.parameters import Parameter, Parameters
 from bokehguide.scene.pbrt.tokens import Place
+
+
+@dataclass(frozen=True)
+class State:
+    """The graphics state. matrix: world from object. moving: whether transforms of this moment count, as those at the start of
+    the exposure do. attributes: default parameters by target."""
+
+    matrix: np.ndarray = field(default_factory=lambda: np.eye(4))
+    reverse: bool = False
+    material: str | Parameters | None = None
+    light: Parameters | None = None
+    space: str = "srgb"
+    active: bool = True
+    attributes: dict[str, dict[str, Parameter]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from bokehguide.errors import printable
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.pbrt.contents import Contents, Instance, Light, Shape, Texture
-from bokehguide.scene.pbrt.parameters import Parameter, Parameters, read_parameters
+from bokehguide.scene.pbrt.contents import Contents, Instance, Light, Shape, State, Texture
+from bokehguide.scene.pbrt.parameters import Parameters, read_parameters
 from bokehguide.scene.pbrt.spectra import COLOR_SPACES
 from bokehguide.scene.pbrt.tokens import MOST_TEXT, Place, Tokens, read_source
 from bokehguide.scene.pbrt.transforms import inverse, look_at, rotation, translation
@@ -24,20 +24,6 @@ MAX_FILES = 10_000
 MAX_STATES = 1000
 """Nested AttributeBegin."""
 TARGETS = ("shape", "light", "material", "medium", "texture")
-
-
-@dataclass(frozen=True)
-class State:
-    """The graphics state. matrix: world from object. moving: whether transforms of this moment count, as those at the start of
-    the exposure do. attributes: default parameters by target."""
-
-    matrix: np.ndarray = field(default_factory=lambda: np.eye(4))
-    reverse: bool = False
-    material: str | Parameters | None = None
-    light: Parameters | None = None
-    space: str = "srgb"
-    active: bool = True
-    attributes: dict[str, dict[str, Parameter]] = field(default_factory=dict)
 
 
 def parse(path: Path, files: SceneFiles) -> Contents:
