@@ -126,6 +126,17 @@ def test_tokens_and_parameters(tmp_path):
     np.testing.assert_allclose(scene.meshes[3].vertices.mean(axis=0) * (-1, 1, 1), (1, 2, 3), atol=0.05)
 
 
+def test_long_lists_of_numbers(tmp_path):
+    """Lists above and below the length from which they are read at once."""
+    points = np.random.default_rng(3).random((300, 3)).round(6)
+    text = "\n".join(" ".join(f"{value:g}" for value in row) for row in points)
+    shape = 'Shape "trianglemesh" "point3 P" [{}] "integer indices" [' + " ".join(map(str, range(300))) + "]"
+    mesh = read(tmp_path, shape.format(text), "Scale -1 1 1\n" + HEAD).meshes[0]
+    np.testing.assert_array_equal(mesh.vertices, points.astype(np.float32))
+    for wrong, problem in (("x", "'x'"), ("nan", "not finite"), ("1e30", "beyond"), ("1e400", "not finite")):
+        assert problem in message(tmp_path, shape.format(f"{text} 1 2 {wrong}"))
+
+
 def test_includes_and_compressed_files(tmp_path):
     (tmp_path / "part.pbrt").write_text("Translate 0 0 2\n" + SQUARE)
     (tmp_path / "packed.pbrt.gz").write_bytes(gzip.compress(b'AttributeBegin Include "part.pbrt" AttributeEnd\n'))

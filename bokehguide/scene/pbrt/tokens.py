@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import re
+import warnings
 import zlib
 from bisect import bisect_left
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ TOKEN = re.compile(r'(?:[\s\ufeff]|#[^\n\r]*)*+("(?:[^"\\\n]|\\.)*"|[\[\]]|[^\s"
 """Blanks and comments, then one token: a quoted text, a bracket or a word; a quote alone begins an unterminated text."""
 ESCAPED = re.compile(r"\\(.)")
 ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f"}
+LONG_TEXT = 1000
+"""Characters of a list from which its numbers are read without strings."""
 MOST_TEXT = 2**30
 """Characters of all files of a scene, counted each time that a file is included."""
 
@@ -143,7 +146,8 @@ class Tokens:
         if end >= 0 and '"' not in inside and "#" not in inside and "[" not in inside:
             self._offset = end + 1
             self._advance()
-            return _plain(inside.split(), place, what)
+            numbers = _numbers(inside)
+            return _plain(inside.split(), place, what) if numbers is None else _in_range(numbers, place, what)
         self.take("[")
         words: list[str] = []
         while (word := self.take(f"] after the values of {what}")) != "]":
@@ -179,6 +183,23 @@ def _plain(words: list[str], place: Place, what: str) -> list[Any] | np.ndarray:
         values = np.array(words, np.float64)
     except ValueError:
         values = np.array([number(word, place, what) for word in words])
+    return _in_range(values, place, what)
+
+
+def _numbers(text: str) -> np.ndarray | None:
+    """A long text of numbers as an array, without a string for each number; None for a short or other text."""
+    if len(text) < LONG_TEXT:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            return np.fromstring(text, np.float64, sep=" ")
+        except (DeprecationWarning, ValueError):  # a word that is no number
+            return None
+
+
+def _in_range(values: np.ndarray, place: Place, what: str) -> np.ndarray:
+    """`values`. Raises BokehguideError, naming `place`, for one that is not finite or too large."""
     if values.size and not np.abs(values).max() <= LARGEST:
         place.fail(f"{what} has a number that is not finite or beyond {LARGEST:g}; repair it")
     return values
