@@ -24,7 +24,7 @@ from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 
-FORMATS = ("glb", "gltf", "meshopt", "glossy", "toml", "hdr", "exr", "images", "obj", "ply", "stl", "ckpt")
+FORMATS = ("glb", "gltf", "meshopt", "glossy", "toml", "hdr", "exr", "images", "obj", "ply", "stl", "pbrt", "ckpt")
 FORMATS += ("xml",) if find_spec("mitsuba") else ()
 BATCH = 500
 """Cases in one process."""

@@ -13,7 +13,8 @@ from bokehguide import __version__
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS, VIEWS
 
-SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml or Mitsuba .xml file, or a .glb .gltf .obj .ply .stl model"
+SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml, Mitsuba .xml or pbrt-v4 .pbrt file, "
+SCENE_HELP += "or a .glb .gltf .obj .ply .stl model"
 REUSE_HELP = "radius in pixels in which area-restir reuses samples (default: 50, for images 1920 wide)"
 
 

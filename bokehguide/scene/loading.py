@@ -41,9 +41,8 @@ MODEL_OVERRIDES = ("camera", "variant", "time")
 def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> Scene:
     """The scene that `spec` names, ready to render.
 
-    spec: the name of a built-in scene, the path of a `.toml` scene file or of a Mitsuba `.xml` file, the path of a model, or a
-    scene itself. A
-    model without a camera gets one that frames it; a model without lights gets a sky.
+    spec: the name of a built-in scene, the path of a `.toml` scene file, of a Mitsuba `.xml` or a pbrt-v4 `.pbrt` file, the
+    path of a model, or a scene itself. A model without a camera gets one that frames it; a model without lights gets a sky.
     overrides: replace the scene's own values. allow_outside: permits paths that leave the file's folder.
     The scene's `likely_mistakes` say what the user may not have meant.
 
@@ -107,6 +106,12 @@ def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0) ->
         _check_model(spec, "", overrides)
         scene, chosen = read_mitsuba(Path(spec), overrides, files)
         return override_environment(scene, overrides), chosen
+    if spec.lower().endswith((".pbrt", ".pbrt.gz")):
+        from bokehguide.scene.pbrt import read_pbrt
+
+        _check_model(spec, "", overrides)
+        scene, chosen = read_pbrt(Path(spec), overrides, files)
+        return override_environment(scene, overrides), chosen
     if suffix in MODEL_SUFFIXES:
         from bokehguide.scene.framing import model_scene
 
@@ -115,7 +120,7 @@ def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0) ->
     near = difflib.get_close_matches(spec, BUILTIN, n=1)
     raise BokehguideError(
         f"{spec}: no such scene" + (f"; did you mean {near[0]!r}?" if near else "") + "\n"
-        f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, a Mitsuba .xml file, "
+        f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, a Mitsuba .xml or pbrt-v4 .pbrt file, "
         f"or a model ({' '.join(MODEL_SUFFIXES)})"
     )
 

@@ -13,7 +13,6 @@ FOREIGN = {
     ".blend": "export it from Blender as glTF (File > Export > glTF 2.0) and give the .glb",
     ".fbx": "convert it to glTF, with Blender for example, and give the .glb",
     ".dae": "convert it to glTF, with Blender for example, and give the .glb",
-    ".pbrt": "a pbrt scene is not read; write a .toml scene file with its meshes as .ply",
 } | dict.fromkeys(
     (".usd", ".usda", ".usdc", ".usdz"), "USD is not read; convert it to glTF, with Blender for example, and give the .glb"
 )

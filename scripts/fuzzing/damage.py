@@ -118,6 +118,15 @@ def token(data: bytes, where: int, what: int) -> bytes:
     return data[:start] + TOKENS[what % len(TOKENS)].encode("utf-8", "surrogatepass") + data[end:]
 
 
+def exchange(data: bytes, where: int, what: int) -> bytes:
+    """A word of a text in the place of another one."""
+    found = list(re.finditer(rb'"[^"\n]*"|[^\s\[\]"]+', data))
+    if not found:
+        return flip(data, where, what)
+    start, end = found[where % len(found)].span()
+    return data[:start] + found[what % len(found)].group() + data[end:]
+
+
 def line(data: bytes, where: int, what: int) -> bytes:
     """A line again somewhere else, or many times, or the value after its = replaced."""
     lines = data.split(b"\n")
@@ -254,6 +263,9 @@ KINDS: dict[str, tuple[Callable[[bytes, int, int], bytes], ...]] = {
     ".gltf": (*BYTES, *TEXT, *[json_value] * 6),
     ".toml": (*BYTES, *TEXT * 4),
     ".xml": (*BYTES, *TEXT * 2, *[attribute] * 6),
+    ".pbrt": (*BYTES, *TEXT * 2, *[exchange] * 6),
+    ".dat": (*BYTES, *TEXT * 4),
+    ".pfm": (*BYTES, *TEXT),
     ".hdr": (*BYTES, *TEXT),
     ".exr": (*BYTES, word, word),
     ".png": (*BYTES, *[png_checksums] * 4),

@@ -15,6 +15,7 @@ import numpy as np
 import OpenEXR
 from fuzzing.gltf_samples import SQUARE, draco_glb, glb, glossy_gltf, gltf_parts, meshopt_glb
 from fuzzing.ktx2_samples import ETC1S, UASTC
+from fuzzing.pbrt_samples import LENS, PART, PFM, REALISTIC, SCENE, octahedral_sky
 from PIL import Image
 
 from bokehguide.scene import load_scene
@@ -222,6 +223,15 @@ def mitsuba_scene() -> Sample:
     return Sample(files, ("scene.xml", "scene.xml", "square.ply"), "scene.xml")
 
 
+def pbrt_scenes(folder: Path) -> list[Sample]:
+    """A pbrt scene with a kind of each thing that is read, and the same scene with another camera."""
+    parts = {"part.pbrt": PART.encode(), "square.ply": binary_ply(), "wood.png": image("PNG"), "sky.exr": octahedral_sky(folder)}
+    damaged = ("scene.pbrt", "scene.pbrt", "scene.pbrt", "part.pbrt", "part.pbrt", "square.ply", "sky.exr")
+    other = parts | {"scene.pbrt": REALISTIC.encode(), "lens.dat": LENS, "sky.pfm": PFM, "square.ply": PLY.encode()}
+    realistic = Sample(other, ("scene.pbrt", "lens.dat", "sky.pfm", "square.ply"), "scene.pbrt")
+    return [Sample(parts | {"scene.pbrt": SCENE.encode()}, damaged, "scene.pbrt"), realistic]
+
+
 def scene_with(sky: str, data: bytes) -> Sample:
     """A scene file whose sky is to be damaged."""
     files = {"scene.toml": LIT.replace("NAME", sky).encode(), "wood.png": image("PNG"), "square.stl": binary_stl()}
@@ -258,6 +268,7 @@ SAMPLES: dict[str, Callable[[Path], list[Sample]]] = {
     "meshopt": lambda folder: [Sample(MESHOPT_FILES, ("square.glb",), name) for name in ("square.glb", "scene.toml")],
     "glossy": lambda folder: [glossy(ETC1S), glossy(UASTC)],
     "xml": lambda folder: [mitsuba_scene()],
+    "pbrt": lambda folder: pbrt_scenes(folder),
     "toml": lambda folder: [Sample(scene_with("hdr", hdr()).files, ("scene.toml",), "scene.toml")],
     "hdr": lambda folder: [scene_with("hdr", hdr())],
     "exr": lambda folder: [scene_with("exr", exr(folder, kind)) for kind in EXR_KINDS],

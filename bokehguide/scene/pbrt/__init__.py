@@ -1,0 +1,5 @@
+"""Scenes of pbrt-v4."""
+
+from bokehguide.scene.pbrt.reading import read_pbrt
+
+__all__ = ["read_pbrt"]

@@ -1,0 +1,154 @@
+"""Light sources of pbrt-v4: suns, an environment map, and small spheres for points and spots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bokehguide.color import LUMINANCE
+from bokehguide.errors import printable
+from bokehguide.limits import LARGEST
+from bokehguide.scene.environments import load_environment_map
+from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.pbrt.contents import Contents, Light
+from bokehguide.scene.pbrt.materials import Materials
+from bokehguide.scene.pbrt.octahedral import equirectangular, upper_illuminance
+from bokehguide.scene.pbrt.parameters import Parameters
+from bokehguide.scene.pbrt.spectra import emission
+from bokehguide.scene.pbrt.textures import Textures, Value
+from bokehguide.scene.pbrt.transforms import inverse, linear
+from bokehguide.scene.shapes import sphere_subdivisions, spheres
+from bokehguide.scene.types import Cone, Environment, LightSizes, Material, Mesh, Sun, as_vector
+
+
+class Lights:
+    """The light sources of a scene, converted. world: the matrix from pbrt's world to that of the scene.
+
+    radius: of the spheres for point and spot lights, metres. meshes, suns, environment: the results.
+    """
+
+    def __init__(self, contents: Contents, materials: Materials, textures: Textures, world: np.ndarray, radius: float):
+        self._contents, self._materials, self._textures = contents, materials, textures
+        self._world, self._radius = world, radius
+        self._subdivisions = sphere_subdivisions(len(contents.lights))
+        self.meshes: list[Mesh] = []
+        self.suns: list[Sun] = []
+        self._maps: list[np.ndarray] = []
+
+    def read(self, folder: Path, files: SceneFiles) -> None:
+        """Convert all light sources. Raises BokehguideError for values out of range and for missing files."""
+        for light in self._contents.lights:
+            parameters, matrix = light.parameters, self._world @ light.matrix
+            if parameters.kind == "infinite":
+                self._maps.append(self._infinite(parameters, matrix, folder, files))
+            elif parameters.kind == "distant":
+                self._distant(parameters, matrix, folder, files)
+            elif parameters.kind in ("point", "spot", "goniometric"):
+                self._point(light, matrix, folder, files)
+            else:
+                self._contents.lose(f"light sources of the type {printable(parameters.kind)}: left out", parameters.place.short)
+
+    @property
+    def environment(self) -> Environment | None:
+        """The sum of the infinite lights."""
+        if not self._maps:
+            return None
+        size = max(len(each) for each in self._maps)
+        total = np.zeros((size, 2 * size if size > 1 else 1, 3))
+        for each in self._maps:
+            rows, columns = (np.arange(total.shape[axis]) * each.shape[axis] // total.shape[axis] for axis in (0, 1))
+            total = total + each[rows[:, None], columns]
+        return Environment(total.astype(np.float32))
+
+    def _distant(self, parameters: Parameters, matrix: np.ndarray, folder: Path, files: SceneFiles) -> None:
+        start = np.array(parameters.vector("from", (0.0, 0.0, 0.0)))
+        end = np.array(parameters.vector("to", (0.0, 0.0, 1.0)))
+        direction = linear(matrix, start - end)
+        if not np.linalg.norm(direction) > 0.0:
+            parameters.place.fail('distant: "from" equals "to", so there is no direction; move one of them')
+        color = emission(parameters, "L", folder, files) * _scale(parameters, "illuminance", 1.0)
+        if color.any():
+            self.suns.append(Sun(as_vector(direction), LightSizes.sun_angle, as_vector(color)))
+            self._contents.lose(f"distant lights: discs of {LightSizes.sun_angle}°", parameters.place.short)
+
+    def _point(self, light: Light, matrix: np.ndarray, folder: Path, files: SceneFiles) -> None:
+        """A point, a spot or a goniometric light as a small sphere of the same intensity."""
+        parameters = light.parameters
+        start = np.array(parameters.vector("from", (0.0, 0.0, 0.0)))
+        cone, solid = None, 4.0 * math.pi
+        if parameters.kind == "spot":
+            cone, solid = self._cone(parameters, matrix, start)
+        intensity = emission(parameters, "I", folder, files) * _scale(parameters, "power", solid)
+        if parameters.kind == "goniometric":
+            intensity = intensity * self._goniometric(parameters)
+        what = "spheres" if cone is None else "spheres with a cone"
+        self._contents.lose(f"{parameters.kind} lights: {what} of radius {self._radius:.3g} m", parameters.place.short)
+        if not intensity.any():
+            return
+        radiance = as_vector(np.minimum(intensity / (math.pi * self._radius**2), LARGEST))
+        material = Material(f"{parameters.kind} light", (0.0, 0.0, 0.0), specular=0.0, emission=radiance, emission_cone=cone)
+        position = (matrix @ (*start, 1.0))[None, :3]
+        sphere = spheres(position, self._radius, self._materials.add(material), self._subdivisions)
+        self.meshes.append(replace(sphere, name=material.name))
+
+    def _cone(self, parameters: Parameters, matrix: np.ndarray, start: np.ndarray) -> tuple[Cone, float]:
+        """The cone of a spotlight, and the integral of its falloff over directions."""
+        axis = linear(matrix, np.array(parameters.vector("to", (0.0, 0.0, 1.0))) - start)
+        if not np.linalg.norm(axis) > 0.0:
+            parameters.place.fail('spot: "from" equals "to", so there is no direction; move one of them')
+        outer, delta = parameters.number("coneangle", 30.0), parameters.number("conedeltaangle", 5.0)
+        high, low = math.cos(math.radians(max(outer - delta, 0.0))), math.cos(math.radians(outer))
+        outer = min(max(outer, 0.1), 90.0)
+        cone = Cone(as_vector(axis), min(max(outer - delta, 0.0), outer - 0.05), outer, smooth=True)
+        return cone, max(2.0 * math.pi * ((1.0 - high) + 0.5 * (high - low)), 1e-6)
+
+    def _goniometric(self, parameters: Parameters) -> float:
+        """The mean of the image of a goniometric light."""
+        name = parameters.text("filename")
+        self._contents.lose("images of goniometric lights: their mean", printable(name))
+        return float((self._textures.load(name, str(parameters.place), True) @ LUMINANCE).mean()) if name else 1.0
+
+    def _infinite(self, parameters: Parameters, matrix: np.ndarray, folder: Path, files: SceneFiles) -> np.ndarray:
+        """The radiance `[H, W, 3]` of an infinite light in the scene's directions."""
+        if "portal" in parameters:
+            self._contents.lose("portals of infinite lights: light comes from all directions", parameters.place.short)
+        name, scale = parameters.text("filename"), parameters.number("scale", 1.0)
+        if not name:
+            color = emission(parameters, "L", folder, files) * _scale(parameters, "illuminance", math.pi)
+            return color.reshape(1, 1, 3)
+        image = self._map(name, parameters, folder, files)
+        if len(image) != image.shape[1]:
+            parameters.fail("filename", "is no square; pbrt-v4 needs an octahedral map, as imgtool makeequiarea makes it")
+        wanted = parameters.number("illuminance", -1.0)
+        found = upper_illuminance(image, LUMINANCE) if wanted > 0.0 else 0.0
+        scale *= wanted / found if found > 0.0 else 1.0
+        turn = inverse(matrix, parameters.place, "the infinite light")[:3, :3]
+        return equirectangular(image, turn) * np.float32(max(scale, 0.0))
+
+    def _map(self, name: str, parameters: Parameters, folder: Path, files: SceneFiles) -> np.ndarray:
+        """The image of an infinite light, linear `[N, N, 3]`."""
+        if name.lower().endswith((".exr", ".hdr")):
+            path = files.find(folder, name, str(parameters.place))
+            return load_environment_map(path)[0].astype(np.float64)
+        return self._textures.load(name, str(parameters.place), True).clip(min=0.0)
+
+
+def _scale(parameters: Parameters, key: str, unit: float) -> float:
+    """The factor of a light's colour. The parameter `key`, if above 0, gives its total, of which colour 1 has `unit`."""
+    scale, total = parameters.number("scale", 1.0), parameters.number(key, -1.0)
+    return max(scale, 0.0) * (total / unit if total > 0.0 else 1.0)
+
+
+def area_emission(parameters: Parameters, area: float, textures: Textures, folder: Path, files: SceneFiles) -> dict[str, Any]:
+    """The fields of `Material` of an area light. area: of the shape, m²."""
+    both = parameters.flag("twosided")
+    name = parameters.text("filename")
+    image = textures.load(name, str(parameters.place), True) if name else None
+    unit = (2.0 if both else 1.0) * area * math.pi * (1.0 if image is None else max(float((image @ LUMINANCE).mean()), 1e-12))
+    color = (emission(parameters, "L", folder, files) if image is None else np.ones(3)) * _scale(parameters, "power", unit)
+    fields: dict[str, Any] = {"emission": as_vector(np.minimum(color, LARGEST)), "double_sided": both}
+    return fields if image is None else fields | {"emission_texture": textures.on_surface(Value(image))}

@@ -1,0 +1,91 @@
+"""Spheres, discs and cylinders of pbrt as meshes: surfaces of revolution about z.
+
+u runs with the angle φ from x to y. v is 0 at the lower end of a sphere and a cylinder, and at the rim of a disc.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bokehguide.scene.pbrt.parameters import Parameters
+from bokehguide.scene.types import Mesh
+
+SEGMENTS = 64
+"""Segments of a full turn; in scenes of many quadrics a half or a quarter."""
+
+
+def sphere(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
+    """A sphere about the origin, or its part between zmin and zmax, up to phimax."""
+    radius = _radius(parameters)
+    low = min(max(parameters.number("zmin", -radius), -radius), radius)
+    high = min(max(parameters.number("zmax", radius), -radius), radius)
+    if low > high:
+        low, high = high, low
+    start, end = math.acos(low / radius), math.acos(high / radius)
+    rings = max(1, math.ceil(0.5 * segments * (start - end) / math.pi))
+    theta = np.linspace(start, end, rings + 1)
+    profile = np.stack([np.sin(theta), np.cos(theta)], axis=1)
+    mesh = _revolved(radius * profile, profile, parameters, segments)
+    return _with_area(mesh, radius * _turn(parameters) * (high - low), profile)
+
+
+def cylinder(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
+    """A cylinder about z without caps."""
+    radius = _radius(parameters)
+    low, high = parameters.number("zmin", -1.0), parameters.number("zmax", 1.0)
+    profile = np.array([(radius, min(low, high)), (radius, max(low, high))])
+    return _revolved(profile, np.array([(1.0, 0.0)] * 2), parameters, segments)
+
+
+def disk(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
+    """A disc, or a ring, at `height`, facing +z."""
+    radius, height = _radius(parameters), parameters.number("height", 0.0)
+    inner = min(max(parameters.number("innerradius", 0.0), 0.0), radius)
+    profile = np.array([(radius, height), (inner, height)])
+    mesh = _revolved(profile, np.array([(0.0, 1.0)] * 2), parameters, segments)
+    angle = _turn(parameters) / _steps(parameters, segments)
+    flat = np.array((1.0, 1.0, 0.0)) * math.sqrt(angle / math.sin(angle)) + np.array((0.0, 0.0, 1.0))
+    return Mesh((mesh.vertices * flat).astype(np.float32), mesh.triangles, 0, None, mesh.uvs)
+
+
+def _radius(parameters: Parameters) -> float:
+    radius = parameters.number("radius", 1.0)
+    if not radius > 0.0:
+        parameters.fail("radius", "is out of range; give a number above 0")
+    return radius
+
+
+def _turn(parameters: Parameters) -> float:
+    """The angle phimax in radians."""
+    return math.radians(min(max(parameters.number("phimax", 360.0), 0.01), 360.0))
+
+
+def _steps(parameters: Parameters, segments: int) -> int:
+    """Segments of the turn up to phimax, of `segments` of a full turn."""
+    return max(3, math.ceil(segments * _turn(parameters) / (2.0 * math.pi)))
+
+
+def _revolved(profile: np.ndarray, normals: np.ndarray, parameters: Parameters, segments: int) -> Mesh:
+    """The surface of revolution of `profile` `[R, 2]`, (distance from the axis, z), with `normals` `[R, 2]` in the same plane."""
+    steps, rows = _steps(parameters, segments), len(profile)
+    phi = np.linspace(0.0, _turn(parameters), steps + 1)
+    circle = np.stack([np.cos(phi), np.sin(phi), np.ones_like(phi)], axis=1)
+    points, directions = (each[:, None, [0, 0, 1]] * circle for each in (profile, normals))
+    u, v = np.meshgrid(np.linspace(0.0, 1.0, steps + 1), np.linspace(1.0, 0.0, rows))
+    corner = (np.arange(rows - 1)[:, None] * (steps + 1) + np.arange(steps)).reshape(-1)
+    up = corner + steps + 1
+    triangles = np.concatenate([np.stack([corner, corner + 1, up + 1], 1), np.stack([corner, up + 1, up], 1)])
+    uvs = np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(np.float32)
+    flat = directions.reshape(-1, 3).astype(np.float32)
+    return Mesh(points.reshape(-1, 3).astype(np.float32), triangles.astype(np.int32), 0, flat, uvs)
+
+
+def _with_area(mesh: Mesh, area: float, profile: np.ndarray) -> Mesh:
+    """`mesh`, scaled about the origin to `area` if it is a whole sphere; a part keeps its ends."""
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.triangles], 1, 0)
+    found = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    whole = abs(profile[0, 1] + 1.0) < 1e-6 and abs(profile[-1, 1] - 1.0) < 1e-6
+    scale = math.sqrt(area / found) if whole and found > 0.0 else 1.0
+    return Mesh((mesh.vertices * scale).astype(np.float32), mesh.triangles, 0, mesh.normals, mesh.uvs)

@@ -1,0 +1,160 @@
+"""pbrt-v4 files as scenes: shapes, materials, lights and the camera, as far as they have counterparts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError, printable
+from bokehguide.scene.checks import located
+from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.gltf.lights import default_radius
+from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
+from bokehguide.scene.pbrt.cameras import read_camera, read_film, world_matrix
+from bokehguide.scene.pbrt.contents import Contents, Shape
+from bokehguide.scene.pbrt.lights import Lights, area_emission
+from bokehguide.scene.pbrt.materials import Materials, Opacity
+from bokehguide.scene.pbrt.parser import parse
+from bokehguide.scene.pbrt.quadrics import SEGMENTS
+from bokehguide.scene.pbrt.shapes import QUADRICS, read_shape, reversed_mesh
+from bokehguide.scene.pbrt.textures import Textures, constant
+from bokehguide.scene.shapes import MOST_SPHERES, instanced, surface_area, transformed
+from bokehguide.scene.tables import did_you_mean
+from bokehguide.scene.types import Mesh, Scene
+from bokehguide.scene.validation import check_meshes, check_triangles
+
+
+def read_pbrt(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
+    """The scene of a file, and its camera with `overrides`. The scene's warnings tell what is lost.
+
+    files: the files that the scene may name. Raises BokehguideError for an unreadable file, values out of range, and a scene
+    without a camera or without shapes.
+    """
+    contents = parse(path, files)
+    if contents.camera is None:
+        raise BokehguideError(f'{path}: has no camera; add Camera "perspective" before WorldBegin')
+    world, film = world_matrix(contents), read_film(contents)
+    shapes = _Shapes(path, contents, files)
+    meshes = shapes.placed(world)
+    if not meshes:
+        raise BokehguideError(f"{path}: holds no shapes that can be drawn; give a scene with some")
+    lights = Lights(contents, shapes.materials, shapes.textures, world, default_radius(meshes))
+    lights.read(path.parent, files)
+    chosen = override_camera(read_camera(contents, film, path.parent, files), overrides, str(path), files, written=True)
+    scene = Scene(
+        name=path.name.partition(".")[0],
+        camera=chosen.camera,
+        meshes=(*meshes, *lights.meshes),
+        materials=tuple(shapes.materials.all),
+        film=film,
+        environment=lights.environment,
+        suns=tuple(lights.suns),
+        warnings=tuple(_warnings(path, contents)),
+    )
+    return scene, chosen
+
+
+def _warnings(path: Path, contents: Contents) -> list[str]:
+    """The losses, one a line, each with the first few names."""
+    lines = []
+    for what, names in contents.lost.items():
+        shown = ", ".join(list(names)[:4]) + (", …" if len(names) > 4 else "")
+        lines.append(printable(f"{path.name}: {what} ({shown})", 400))
+    return lines
+
+
+@dataclass
+class _Shapes:
+    """The shapes of a scene as meshes."""
+
+    path: Path
+    contents: Contents
+    files: SceneFiles
+
+    def __post_init__(self) -> None:
+        folder = self.path.parent
+        self.textures = Textures(self.contents, folder, self.files)
+        self.materials = Materials(self.contents, self.textures, folder, self.files)
+        self._triangles = 0
+        uses = Counter(instance.name for instance in self.contents.instances)
+        used = [(self.contents.shapes, 1), *((shapes, uses[name]) for name, shapes in self.contents.objects.items())]
+        quadrics = sum(number * sum(shape.parameters.kind in QUADRICS for shape in shapes) for shapes, number in used)
+        self._segments = SEGMENTS >> sum(quadrics > most for most in MOST_SPHERES)
+
+    def placed(self, world: np.ndarray) -> list[Mesh]:
+        """All shapes and instances in the scene's space. world: from pbrt's world."""
+        meshes: list[Mesh] = []
+        for shape in self.contents.shapes:
+            self._add(meshes, self._mesh(shape, world @ shape.matrix, shape.light is not None), shape)
+        for name, matrices in self._uses(world).items():
+            for shape in self.contents.objects[name]:
+                if shape.light is not None:
+                    self.contents.lose("emission of instances: pbrt has none either", printable(name))
+                mesh = self._mesh(shape, shape.matrix, False)
+                if mesh is not None:
+                    total = self._triangles + len(mesh.triangles) * len(matrices)
+                    check_triangles(total, str(shape.parameters.place), self.files.most_triangles)
+                    self._add(meshes, instanced(mesh, matrices), shape)
+        return meshes
+
+    def _add(self, meshes: list[Mesh], mesh: Mesh | None, shape: Shape) -> None:
+        """Append a mesh, within the limits of the scene."""
+        if mesh is not None:
+            meshes.append(mesh)
+            check_meshes(len(meshes), str(shape.parameters.place), self.files.most_meshes)
+            self._triangles += len(mesh.triangles)
+            check_triangles(self._triangles, str(shape.parameters.place), self.files.most_triangles)
+
+    def _uses(self, world: np.ndarray) -> dict[str, np.ndarray]:
+        """The matrices `[N, 4, 4]` of the instances of each object."""
+        uses: dict[str, list[np.ndarray]] = {}
+        for instance in self.contents.instances:
+            if instance.name not in self.contents.objects:
+                known = did_you_mean(instance.name, self.contents.objects) if self.contents.objects else "define it"
+                instance.place.fail(f"ObjectInstance {printable(instance.name)!r}: no such object; {known}")
+            uses.setdefault(instance.name, []).append(world @ instance.matrix)
+        return {name: np.stack(matrices) for name, matrices in uses.items()}
+
+    def _mesh(self, shape: Shape, matrix: np.ndarray, emits: bool) -> Mesh | None:
+        """A shape under `matrix`, None for one that cannot be seen."""
+        parameters = shape.parameters
+        opacity = self._opacity(shape)
+        if opacity is not None and opacity.value.constant and not opacity.value.image.max() > 0.0:
+            if not emits:
+                return None
+            self.contents.lose("invisible area lights: visible ones in their place", parameters.place.short)
+            opacity = None
+        with located(str(parameters.place)):
+            read = read_shape(parameters, self.path.parent, self.files, self._segments)
+            if read is None:
+                self.contents.lose(f"shapes of the type {printable(parameters.kind)}: left out", parameters.place.short)
+                return None
+            if "displacement" in parameters:
+                self.contents.lose("displacement and bump maps: left out", parameters.place.short)
+            turned = shape.reverse != self.materials.turned(shape)
+            mesh = transformed(reversed_mesh(read.mesh) if turned else read.mesh, matrix)
+        emission = {}
+        if emits and shape.light is not None:
+            if shape.light.kind != "diffuse":
+                shape.light.place.fail(f'an area light of the type {printable(shape.light.kind)!r}; give "diffuse"')
+            area = surface_area(mesh) / max(read.count, 1)
+            emission = area_emission(shape.light, area, self.textures, self.path.parent, self.files)
+        index = self.materials.index(shape, opacity, emission)
+        return None if index is None else replace(mesh, material=index, name=self._name(shape))
+
+    def _name(self, shape: Shape) -> str:
+        """The name of a mesh: of its file, else of its kind."""
+        name = shape.parameters.text("filename") if shape.parameters.kind == "plymesh" else ""
+        return printable(Path(name).name.partition(".")[0] or shape.parameters.kind)
+
+    def _opacity(self, shape: Shape) -> Opacity | None:
+        """The opacity of a shape, None for opaque ones."""
+        parameters = shape.parameters
+        name = parameters.texture("alpha")
+        if name is not None:
+            return Opacity(self.textures.scalar(parameters, "alpha", 1.0), name)
+        alpha = min(max(parameters.number("alpha", 1.0), 0.0), 1.0)
+        return None if alpha == 1.0 else Opacity(constant(alpha), alpha)

@@ -1,0 +1,235 @@
+"""Lights of pbrt-v4: irradiance against closed forms, colours of spectra, and octahedral environment maps."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from bokehguide.color import LUMINANCE, blackbody
+from bokehguide.errors import BokehguideError
+from bokehguide.image.exr import write_exr
+from bokehguide.render.lights.environment import EnvironmentLight
+from bokehguide.scene import load_scene
+from bokehguide.scene.pbrt.octahedral import bilinear, equirectangular, sphere_from_square, square_from_sphere
+from bokehguide.scene.types import Scene
+from tests.support.statistical import SIGNIFICANCE
+from tests.support.tracing import estimates, mean_test
+
+HEAD = 'Scale -1 1 1\nLookAt 0 1 0 0 0 0 0 0 1\nCamera "perspective"\nIntegrator "path" "integer maxdepth" 1\nWorldBegin\n'
+"""A right-handed world, in which the scene has the coordinates of the file."""
+FLOOR = (
+    'AttributeBegin Material "diffuse" "rgb reflectance" [0.5 0.5 0.5]\n'
+    'Shape "trianglemesh" "point3 P" [-20 0 -20 -20 0 20 20 0 20 20 0 -20] "integer indices" [0 1 2 0 2 3] AttributeEnd\n'
+)
+
+
+def read(folder, body: str) -> Scene:
+    (folder / "scene.pbrt").write_text(HEAD + FLOOR + body)
+    return load_scene(str(folder / "scene.pbrt"))
+
+
+def square(side: float, height: float) -> str:
+    """A square emitter above the floor that faces down."""
+    a = side / 2.0
+    corners = f"{-a} {height} {-a} {a} {height} {-a} {a} {height} {a} {-a} {height} {a}"
+    return f'Shape "trianglemesh" "point3 P" [{corners}] "integer indices" [0 1 2 0 2 3]\n'
+
+
+def under_a_square(side: float, height: float) -> float:
+    """The irradiance below the middle of a square of radiance 1, by Lambert's formula."""
+    x = 0.5 * side / height
+    return 4.0 * x / math.sqrt(1.0 + x * x) * math.atan(x / math.sqrt(1.0 + x * x))
+
+
+RED = np.array((2.0, 1.0, 0.5))
+LIGHTS = {
+    "distant": ('LightSource "distant" "rgb L" [2 1 0.5] "point3 from" [0 3 5] "float scale" 2', 2.0 * RED * 0.6),
+    "illuminance": ('LightSource "distant" "rgb L" [1 1 1] "point3 from" [0 3 5] "float illuminance" 5', np.full(3, 3.0)),
+    "turned": ('Rotate 90 1 0 0 LightSource "distant" "rgb L" [2 1 0.5] "point3 to" [0 0 1]', RED),
+    "infinite": ('LightSource "infinite" "rgb L" [2 1 0.5] "float scale" 0.5', 0.5 * RED * math.pi),
+    "sum": ('LightSource "infinite" "rgb L" [1 1 1] LightSource "infinite" "rgb L" [1 0 0]', math.pi * np.array((2.0, 1.0, 1.0))),
+    "sky": ('LightSource "infinite" "float illuminance" 3', np.full(3, 3.0)),
+    "point": ('Translate 0 1 0 LightSource "point" "rgb I" [2 1 0.5] "point3 from" [0 1 0]', RED / 4.0),
+    "power": ('LightSource "point" "float power" 50 "point3 from" [0 2 0]', np.full(3, 50.0 / (16.0 * math.pi))),
+    "spot": ('LightSource "spot" "rgb I" [2 1 0.5] "point3 from" [0 2 0] "point3 to" [0 0 0]', RED / 4.0),
+    "area": (
+        f'AreaLightSource "diffuse" "rgb L" [2 1 0.5] "float scale" 3\n{square(1.0, 2.0)}',
+        3.0 * RED * under_a_square(1.0, 2.0),
+    ),
+    "blackbody": (
+        f'AreaLightSource "diffuse" "blackbody L" 3000 "float scale" 3\n{square(1.0, 2.0)}',
+        3.0 * blackbody(3000.0) * under_a_square(1.0, 2.0),
+    ),
+    "two triangles of power": (
+        f'AreaLightSource "diffuse" "float power" 6\n{square(1.0, 2.0)}',
+        np.full(3, 6.0 / (math.pi * 0.5) * under_a_square(1.0, 2.0)),
+    ),
+    "wrong side": (f'AreaLightSource "diffuse" "rgb L" [2 1 0.5]\nReverseOrientation\n{square(1.0, 2.0)}', np.zeros(3)),
+    "two sides": (
+        f'AreaLightSource "diffuse" "rgb L" [2 1 0.5] "bool twosided" true\nReverseOrientation\n{square(1.0, 2.0)}',
+        RED * under_a_square(1.0, 2.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", LIGHTS)
+def test_the_irradiance_of_each_light(tmp_path, kind):
+    """The radiance of a grey floor of reflectance 0.5 below the light is E / 2π."""
+    body, irradiance = LIGHTS[kind]
+    scene = read(tmp_path, body)
+    samples = estimates(scene, (0.0, 0.5, 0.0), (0.0, -1.0, 0.0), 20_000)
+    expected = 0.5 / math.pi * irradiance
+    assert mean_test(samples, expected, 2e-3) > SIGNIFICANCE, (samples.mean(axis=1), expected)
+
+
+def test_the_cone_of_a_spot_is_that_of_pbrt(tmp_path):
+    """A smoothstep in the cosine between coneangle - conedeltaangle and coneangle."""
+    cone = '"float coneangle" 40 "float conedeltaangle" 30'
+    scene = read(tmp_path, f'LightSource "spot" "rgb I" [4 4 4] "point3 from" [0 2 0] "point3 to" [0 0 0] {cone}')
+    inside, outside = math.cos(math.radians(10.0)), math.cos(math.radians(40.0))
+    for degrees in (5.0, 25.0, 45.0):
+        cosine = math.cos(math.radians(degrees))
+        t = min(max((cosine - outside) / (inside - outside), 0.0), 1.0)
+        expected = 0.5 / math.pi * 4.0 * t * t * (3.0 - 2.0 * t) * cosine**3 / 4.0
+        samples = estimates(scene, (2.0 * math.tan(math.radians(degrees)), 0.5, 0.0), (0.0, -1.0, 0.0), 4000)
+        assert mean_test(samples, expected, 5e-3) > SIGNIFICANCE
+
+
+def emission(folder, text: str) -> np.ndarray:
+    scene = read(folder, f'AreaLightSource "diffuse" {text}\n{square(1.0, 2.0)}')
+    return np.array(scene.materials[scene.meshes[-1].material].emission)
+
+
+def test_colours_of_emitters(tmp_path):
+    """Luminance 1 for spectra, and the RGB itself for colours of the colour space."""
+    np.testing.assert_allclose(emission(tmp_path, '"spectrum L" "stdillum-D65"'), 1.0)
+    warm = emission(tmp_path, '"spectrum L" "stdillum-A"')
+    assert pytest.approx(1.0, abs=1e-3) == LUMINANCE @ warm
+    np.testing.assert_allclose(warm, blackbody(2856.0), atol=0.02)
+    kelvin = np.arange(360.0, 831.0, 10.0)
+    planck = (kelvin / 560.0) ** -5 / (np.exp(1.4388e7 / (kelvin * 2856.0)) - 1.0)
+    pairs = " ".join(f"{a:g} {b:g}" for a, b in zip(kelvin, planck * 1e3))
+    np.testing.assert_allclose(emission(tmp_path, f'"spectrum L" [{pairs}]'), warm, atol=0.02)
+    (tmp_path / "lamp.spd").write_text("# nm power\n" + pairs.replace(" ", "\n"))
+    np.testing.assert_allclose(emission(tmp_path, '"spectrum L" "lamp.spd"'), warm, atol=0.02)
+    np.testing.assert_allclose(emission(tmp_path, '"rgb L" [3 2 1] "float scale" 2'), (6.0, 4.0, 2.0))
+
+
+def test_colour_spaces(tmp_path):
+    """White stays white; the red of Rec. 2020 lies outside of Rec. 709: 1.6605 there (ITU-R BT.2087)."""
+    wide = 'AttributeBegin ColorSpace "rec2020" AreaLightSource "diffuse" "rgb L" [{}]\n' + square(1.0, 2.0) + "AttributeEnd"
+    scene = read(tmp_path, wide.format("1 0 0"))
+    assert scene.materials[scene.meshes[-1].material].emission == pytest.approx((1.6605, 0.0, 0.0), abs=2e-3)
+    scene = read(tmp_path, wide.format("1 1 1").replace("rec2020", "aces2065-1"))
+    assert scene.materials[scene.meshes[-1].material].emission == pytest.approx((1.0, 1.0, 1.0), abs=1e-6)
+
+
+def test_the_octahedral_map():
+    """Known points, the inverse, and equal areas."""
+    points = np.array([(0.5, 0.5), (0.0, 0.0), (1.0, 1.0), (1.0, 0.5), (0.5, 1.0), (0.0, 0.5), (0.75, 0.5)])
+    wanted = [(0, 0, 1), (0, 0, -1), (0, 0, -1), (1, 0, 0), (0, 1, 0), (-1, 0, 0), (math.sqrt(1.0 - 0.75**2), 0, 0.75)]
+    np.testing.assert_allclose(sphere_from_square(points), wanted, atol=1e-7)
+    inside = np.random.default_rng(0).random((10_000, 2)) * 0.98 + 0.01
+    np.testing.assert_allclose(square_from_sphere(sphere_from_square(inside)), inside, atol=1e-6)
+    step = 1e-5
+    u, v = (sphere_from_square(inside + offset) - sphere_from_square(inside) for offset in ((step, 0), (0, step)))
+    areas = np.linalg.norm(np.cross(u, v), axis=1) / step**2
+    kept = np.abs(areas / (4.0 * math.pi) - 1.0) < 1e-3  # the map bends along the diagonals and axes
+    assert kept.mean() > 0.999
+
+
+def map_of(folder, image: np.ndarray, before: str = "") -> Scene:
+    write_exr(folder / "sky.exr", {"beauty": image.astype(np.float32)})
+    return read(folder, f'{before} LightSource "infinite" "string filename" "sky.exr" "float scale" 2\n')
+
+
+def radiance(scene: Scene, direction) -> np.ndarray:
+    unit = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    return EnvironmentLight(scene.environment).radiance(torch.tensor(unit, dtype=torch.float32)[:, None]).numpy()[:, 0]
+
+
+def test_a_constant_map_is_a_constant_sky(tmp_path):
+    scene = map_of(tmp_path, np.full((16, 16, 3), (0.25, 0.5, 1.0)))
+    np.testing.assert_allclose(scene.environment.radiance.reshape(-1, 3), np.tile((0.5, 1.0, 2.0), (32 * 64, 1)), rtol=1e-5)
+
+
+@pytest.mark.parametrize("before", ["", "Rotate 90 -1 0 0", "Scale -1 1 1 Rotate 30 0 1 0"])
+def test_a_bright_direction_of_a_map(tmp_path, before):
+    """The texel of the map about (0.75, 0.5) lies at (0.66, 0, 0.75) of the light's space, and has the 1/4096 of the sphere."""
+    image = np.zeros((64, 64, 3))
+    image[32, 48] = 1.0
+    scene = map_of(tmp_path, image, before)
+    local = sphere_from_square(np.array((48.5 / 64.0, 32.5 / 64.0)))
+    quarter, half = math.sqrt(0.75), 0.5
+    turn = {
+        "": np.eye(3),
+        "Rotate 90 -1 0 0": np.array([(1, 0, 0), (0, 0, 1), (0, -1, 0)]),
+        "Scale -1 1 1 Rotate 30 0 1 0": np.diag((-1.0, 1.0, 1.0))
+        @ np.array([(quarter, 0, half), (0, 1, 0), (-half, 0, quarter)]),
+    }[before]
+    towards = turn @ local
+    assert radiance(scene, towards)[0] > 1.0
+    for other in (-towards, towards[[1, 2, 0]]):
+        assert radiance(scene, other)[0] == 0.0
+    texels = scene.environment.radiance[..., 0]
+    height, width = texels.shape
+    weights = np.sin(math.pi * (np.arange(height) + 0.5) / height)[:, None] * math.pi / height * 2.0 * math.pi / width
+    assert (texels * weights).sum() == pytest.approx(2.0 * 4.0 * math.pi / 4096.0, rel=2e-3)
+    phi = 2.0 * math.pi * (np.arange(width) + 0.5) / width - math.pi
+    theta = math.pi * (np.arange(height)[:, None] + 0.5) / height
+    axes = np.broadcast_arrays(np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi))
+    middle = np.array([(axis * texels * weights).sum() for axis in axes])
+    assert float(middle @ towards) / np.linalg.norm(middle) > math.cos(math.radians(0.5))
+
+
+def test_edges_of_the_map_meet(tmp_path):
+    """A smooth function of the direction, sampled by the map, comes back everywhere."""
+    middles = (np.arange(64) + 0.5) / 64.0
+    directions = sphere_from_square(np.stack(np.meshgrid(middles, middles), axis=-1))
+    found = equirectangular(1.0 + 0.5 * directions, np.eye(3))
+    height, width = found.shape[:2]
+    phi = 2.0 * math.pi * (np.arange(width) + 0.5) / width - math.pi
+    theta = math.pi * (np.arange(height)[:, None] + 0.5) / height
+    axes = np.broadcast_arrays(np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi))
+    np.testing.assert_allclose(found, 1.0 + 0.5 * np.stack(axes, axis=-1), atol=0.02)
+
+
+def test_neighbours_across_an_edge():
+    """The edge points at t and 1 - t are one direction: both texels count half there."""
+    image = np.random.default_rng(2).random((4, 4, 3))
+    for point, first, second in (((1.0, 0.375), (1, 3), (2, 3)), ((0.375, 0.0), (0, 1), (0, 2))):
+        np.testing.assert_allclose(bilinear(image, np.array(point)), 0.5 * (image[first] + image[second]))
+
+
+def test_shapes_with_the_same_light_share_a_material(tmp_path):
+    both = square(1.0, 2.0) + square(1.0, 3.0)
+    scene = read(tmp_path, f'AreaLightSource "diffuse" "rgb L" [2 1 1]\n{both}AreaLightSource "diffuse" "rgb L" [1 1 1]\n{both}')
+    assert [mesh.material for mesh in scene.meshes] == [0, 1, 1, 2, 2]
+
+
+def test_losses_are_told(tmp_path):
+    hidden = f'AreaLightSource "diffuse"\nAttribute "shape" "float alpha" 0\n{square(1.0, 2.0)}'
+    assert read(tmp_path, hidden).warnings == ("scene.pbrt: invisible area lights: visible ones in their place (scene.pbrt:10)",)
+    scene = read(
+        tmp_path, 'LightSource "projection"\nMakeNamedMedium "fog" "string type" "homogeneous"\nMediumInterface "fog" ""\n'
+    )
+    assert scene.warnings == (
+        "scene.pbrt: media: left out (fog)",
+        "scene.pbrt: light sources of the type projection: left out (scene.pbrt:8)",
+    )
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_maps_in_pfm(tmp_path, order):
+    """The rows of a PFM file go from the bottom to the top."""
+    image = np.random.default_rng(1).random((8, 8, 3)).astype(np.float32)
+    header = f"PF\n8 8\n{'-' if order == '<' else ''}1.0\n".encode()
+    (tmp_path / "sky.pfm").write_bytes(header + image[::-1].astype(f"{order}f4").tobytes())
+    scene = read(tmp_path, 'LightSource "infinite" "string filename" "sky.pfm"\n')
+    assert scene.environment is not None
+    np.testing.assert_allclose(scene.environment.radiance, equirectangular(image.astype(np.float64), np.diag((1.0, 1.0, 1.0))))
+    for damage in (b"P6\n8 8\n255\n", header + b"\0" * 100, header + np.full((8, 8, 3), np.nan, f"{order}f4").tobytes()):
+        (tmp_path / "sky.pfm").write_bytes(damage)
+        with pytest.raises(BokehguideError, match=r"sky\.pfm"):
+            load_scene(str(tmp_path / "scene.pbrt"))

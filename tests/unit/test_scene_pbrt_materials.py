@@ -1,0 +1,232 @@
+"""Materials and textures of pbrt-v4 in the terms of glTF's model."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from bokehguide.color import srgb_to_linear
+from bokehguide.render.textures import TextureAtlas
+from bokehguide.scene import load_scene
+from bokehguide.scene.pbrt.materials import internal_reflectance
+from bokehguide.scene.types import Material, Scene, Texture
+
+HEAD = 'Camera "perspective"\nWorldBegin\n'
+
+
+def read(folder, body: str) -> Scene:
+    (folder / "scene.pbrt").write_text(HEAD + body)
+    return load_scene(str(folder / "scene.pbrt"))
+
+
+def material(folder, text: str, before: str = "", shape: str = 'Shape "sphere"') -> Material:
+    scene = read(folder, f"{before}\nMaterial {text}\n{shape}\n")
+    return scene.materials[scene.meshes[0].material]
+
+
+def test_diffuse(tmp_path):
+    found = material(tmp_path, '"diffuse"')
+    assert (found.base_color, found.specular, found.metallic) == ((0.5, 0.5, 0.5), 0.0, 0.0)
+    assert material(tmp_path, '"diffuse" "rgb reflectance" [0.1 0.2 0.3]').base_color == (0.1, 0.2, 0.3)
+    spectrum = '"diffuse" "spectrum reflectance" [360 0.4 830 0.4]'
+    assert material(tmp_path, spectrum).base_color == pytest.approx((0.4, 0.4, 0.4), abs=1e-3)
+    red = material(tmp_path, '"diffuse" "spectrum reflectance" [360 0 590 0 600 1 830 1]').base_color
+    assert red[0] > 0.8 and red[2] < 0.05
+    default = read(tmp_path, 'Shape "sphere"')
+    assert default.materials[0].base_color == (0.5, 0.5, 0.5)
+
+
+@pytest.mark.parametrize(("remap", "alpha"), [("", math.sqrt(0.25)), ('"bool remaproughness" false', 0.25)])
+def test_roughness(tmp_path, remap, alpha):
+    """The square of glTF's roughness is α; that of pbrt is α², unless it is not remapped."""
+    for kind in ("conductor", "dielectric", "coateddiffuse"):
+        assert material(tmp_path, f'"{kind}" "float roughness" 0.25 {remap}').roughness ** 2 == pytest.approx(alpha)
+    both = material(tmp_path, f'"conductor" "float uroughness" 0.25 "float vroughness" 0.25 {remap}')
+    assert both.roughness**2 == pytest.approx(alpha)
+
+
+def test_metals(tmp_path):
+    """Named metals against a spectrum of the same η and k, and copper as the default."""
+    gold = material(tmp_path, '"conductor" "spectrum eta" "metal-Au-eta" "spectrum k" "metal-Au-k"')
+    assert gold.metallic == 1.0 and gold.base_color == pytest.approx((1.0, 0.78, 0.34), abs=0.01)
+    assert material(tmp_path, '"conductor"').base_color == pytest.approx((0.955, 0.638, 0.538), abs=0.01)
+    flat = material(tmp_path, '"conductor" "spectrum eta" [360 1.5 830 1.5] "spectrum k" [360 2 830 2]')
+    assert flat.base_color == pytest.approx((4.25 / 10.25,) * 3, abs=1e-3)
+    colored = material(tmp_path, '"conductor" "rgb eta" [1.5 1 0.2] "rgb k" [2 0 3]').base_color
+    assert colored == pytest.approx((4.25 / 10.25, 0.0, 9.64 / 10.44), abs=1e-6)
+    assert material(tmp_path, '"conductor" "rgb reflectance" [0.9 0.8 0.7]').base_color == (0.9, 0.8, 0.7)
+    coated = material(tmp_path, '"coatedconductor" "float interface.roughness" 0.0016 "float conductor.roughness" 0.01')
+    assert (coated.clearcoat, coated.metallic) == (1.0, 1.0)
+    assert (coated.clearcoat_roughness**2, coated.roughness**2) == pytest.approx((0.04, 0.1))
+
+
+def test_glass(tmp_path):
+    glass = material(tmp_path, '"dielectric"')
+    assert (glass.transmission, glass.ior, glass.roughness, glass.thin) == (1.0, 1.5, 0.0, False)
+    assert material(tmp_path, '"dielectric" "float eta" 1.33').ior == 1.33
+    assert material(tmp_path, '"dielectric" "spectrum eta" "glass-BK7"').ior == pytest.approx(1.5168, abs=2e-3)
+    thin = material(tmp_path, '"thindielectric" "float eta" 1.4')
+    assert (thin.transmission, thin.ior, thin.thin) == (1.0, 1.4, True)
+
+
+def test_the_denser_medium_in_front(tmp_path):
+    """A sphere of air in water, seen from the water, is a sphere of index 4/3 turned inside out."""
+    scene = read(tmp_path, 'Material "dielectric" "float eta" 0.75\nShape "sphere"\nMaterial "dielectric"\nShape "sphere"\n')
+    assert [scene.materials[mesh.material].ior for mesh in scene.meshes] == pytest.approx([4.0 / 3.0, 1.5])
+    for mesh, side in zip(scene.meshes, (-1.0, 1.0)):
+        a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+        facing = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1)
+        assert (side * facing[np.abs(facing) > 1e-6] > 0.0).all()
+
+
+def test_coated_diffuse_surfaces_keep_light_inside(tmp_path):
+    """The share of diffuse light that a boundary of index 1.5 reflects inside is 0.596 (Judd 1942)."""
+    assert internal_reflectance(1.5) == pytest.approx(0.596, abs=2e-3)
+    assert internal_reflectance(1.0) == pytest.approx(0.0, abs=1e-9)
+    found = material(tmp_path, '"coateddiffuse" "rgb reflectance" [1 0.5 0]')
+    assert found.base_color == pytest.approx((1.0, 0.5 * 0.404 / (1.0 - 0.298), 0.0), abs=3e-3)
+    assert found.ior == 1.5 and found.specular == 1.0
+
+
+def test_mixtures_and_named_materials(tmp_path):
+    parts = (
+        'MakeNamedMaterial "a" "string type" "diffuse" "rgb reflectance" [1 0 0]\n'
+        'MakeNamedMaterial "b" "string type" "conductor"\n'
+    )
+    assert material(tmp_path, '"mix" "string materials" ["a" "b"] "float amount" 0.3', parts).base_color == (1.0, 0.0, 0.0)
+    assert material(tmp_path, '"mix" "string materials" ["a" "b"] "float amount" 1', parts).metallic == 1.0
+    loop = 'MakeNamedMaterial "c" "string type" "mix" "string materials" ["c" "c"]\nNamedMaterial "c"\nShape "sphere"'
+    with pytest.raises(Exception, match="refer to each other"):
+        read(tmp_path, loop)
+    scene = read(tmp_path, parts + 'NamedMaterial "a"\nShape "sphere"\nShape "disk"\nNamedMaterial "b"\nShape "sphere"\n')
+    assert [mesh.material for mesh in scene.meshes] == [0, 0, 1]
+
+
+def test_substitutes_are_told(tmp_path):
+    scene = read(
+        tmp_path,
+        'Material "hair"\nShape "sphere"\nMaterial "measured" "string filename" "x.bsdf"\nShape "sphere"\n'
+        'Material "subsurface"\nShape "sphere"\nMaterial "diffusetransmission"\nShape "disk"\n'
+        'Material "interface"\nShape "sphere"\n'
+        'Shape "curve"\n',
+    )
+    assert len(scene.meshes) == 4
+    assert [line.removeprefix("scene.pbrt: ") for line in scene.warnings] == [
+        "material hair: a diffuse surface in its place (hair)",
+        "material measured: a diffuse surface in its place (measured)",
+        "subsurface scattering: a coated diffuse surface in its place (subsurface)",
+        "diffuse transmission: a rough thin sheet (diffusetransmission)",
+        "shapes of the type curve: left out (scene.pbrt:13)",
+    ]
+    leaf = scene.materials[scene.meshes[3].material]
+    assert (leaf.base_color, leaf.transmission, leaf.thin, leaf.roughness) == ((0.5, 0.5, 0.5), 0.5, True, 1.0)
+
+
+def color_at(texture: Texture, u: float, v: float) -> np.ndarray:
+    """The texture of a mesh at pbrt's (u, v), v upwards, by the renderer's own lookup."""
+    atlas = TextureAtlas()
+    number = atlas.add(texture)
+    built = atlas.build(torch.device("cpu"))
+    return built.lookup(torch.tensor([number]), torch.tensor([[u], [1.0 - v]]))[:3, 0].numpy()
+
+
+PICTURE = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [128, 128, 128]]], np.uint8)
+
+
+def textured(folder, parameters: str, kind: str = "imagemap") -> Texture:
+    Image.fromarray(PICTURE).save(folder / "a.png")
+    before = f'Texture "t" "spectrum" "{kind}" {parameters}'
+    found = material(folder, '"diffuse" "texture reflectance" "t"', before).base_color_texture
+    assert found is not None
+    return found
+
+
+def test_image_maps(tmp_path):
+    """The first row of the file is at v = 1; colours are sRGB, scaled, then inverted."""
+    texture = textured(tmp_path, '"string filename" "a.png"')
+    np.testing.assert_allclose(color_at(texture, 0.25, 0.75), (1, 0, 0), atol=2e-3)
+    np.testing.assert_allclose(color_at(texture, 0.25, 0.25), (0, 0, 1), atol=2e-3)
+    grey = float(srgb_to_linear(np.array(128 / 255)))
+    np.testing.assert_allclose(color_at(texture, 0.75, 0.25), (grey,) * 3, atol=2e-3)
+    linear = textured(tmp_path, '"string filename" "a.png" "string encoding" "linear" "float scale" 0.5')
+    np.testing.assert_allclose(color_at(linear, 0.75, 0.25), (64 / 255,) * 3, atol=2e-3)
+    inverted = textured(tmp_path, '"string filename" "a.png" "string encoding" "gamma 2" "float scale" 0.5 "bool invert" true')
+    np.testing.assert_allclose(color_at(inverted, 0.75, 0.25), (1.0 - 0.5 * (128 / 255) ** 2,) * 3, atol=2e-3)
+    moved = textured(
+        tmp_path, '"string filename" "a.png" "float uscale" 2 "float vscale" 2 "float udelta" 0.5 "float vdelta" 0.25'
+    )
+    plain = textured(tmp_path, '"string filename" "a.png"')
+    for u, v in ((0.1, 0.3), (0.45, 0.2), (0.9, 0.6)):
+        np.testing.assert_allclose(color_at(moved, u, v), color_at(plain, 2 * u + 0.5, 2 * v + 0.25), atol=2e-3)
+    assert textured(tmp_path, '"string filename" "a.png" "string wrap" "clamp"').wrap == ("clamp", "clamp")
+
+
+def test_computed_textures(tmp_path):
+    checks = textured(tmp_path, '"rgb tex1" [1 0 0] "rgb tex2" [0 0 1] "float uscale" 4 "float vscale" 2', "checkerboard")
+    for u, v in ((0.1, 0.1), (0.3, 0.1), (0.3, 0.7), (0.9, 0.6), (0.6, 0.2)):
+        first = (math.floor(4 * u) + math.floor(2 * v)) % 2 == 0
+        np.testing.assert_allclose(color_at(checks, u, v), (1, 0, 0) if first else (0, 0, 1), atol=2e-3)
+    Image.fromarray(PICTURE).save(tmp_path / "a.png")
+    before = 'Texture "i" "spectrum" "imagemap" "string filename" "a.png"\n'
+    before += 'Texture "m" "spectrum" "mix" "rgb tex1" [0 1 0] "texture tex2" "i" "float amount" 0.25\n'
+    before += 'Texture "t" "spectrum" "scale" "texture tex" "m" "float scale" 0.5\n'
+    mixed = material(tmp_path, '"diffuse" "texture reflectance" "t"', before).base_color_texture
+    assert mixed is not None
+    np.testing.assert_allclose(color_at(mixed, 0.25, 0.75), (0.125, 0.375, 0), atol=2e-3)
+    constant = 'Texture "c" "spectrum" "constant" "rgb value" [0.2 0.4 0.6]\nTexture "t" "spectrum" "mix" "texture tex1" "c" '
+    found = material(tmp_path, '"diffuse" "texture reflectance" "t"', constant + '"rgb tex2" [1 1 1]')
+    assert found.base_color == pytest.approx((0.6, 0.7, 0.8)) and found.base_color_texture is None
+    lost = read(tmp_path, 'Texture "t" "spectrum" "marble"\nMaterial "diffuse" "texture reflectance" "t"\nShape "sphere"')
+    assert lost.warnings == ("scene.pbrt: texture marble: grey in its place (scene.pbrt:3)",)
+
+
+def test_maps_of_roughness_normals_and_opacity(tmp_path):
+    Image.fromarray(PICTURE).save(tmp_path / "a.png")
+    before = 'Texture "f" "float" "imagemap" "string filename" "a.png" "string encoding" "linear"'
+    rough = material(tmp_path, '"conductor" "texture roughness" "f" "string normalmap" "a.png"', before)
+    assert rough.metallic_roughness_texture is not None and rough.normal_texture is not None
+    np.testing.assert_allclose(rough.metallic_roughness_texture.image[1, 1, 1], (128 / 255) ** 0.25, rtol=1e-5)
+    np.testing.assert_allclose(rough.metallic_roughness_texture.image[..., 2], 1.0)
+    np.testing.assert_allclose(rough.normal_texture.image, PICTURE / 255.0, rtol=1e-5)
+    veil = material(tmp_path, '"diffuse" "rgb reflectance" [0.2 0.4 0.6]', before, 'Shape "disk" "texture alpha" "f"')
+    assert veil.alpha_mode == "blend" and veil.base_color == (0.2, 0.4, 0.6)
+    assert veil.base_color_texture is not None
+    np.testing.assert_allclose(veil.base_color_texture.image[1, 1], (1, 1, 1, 128 / 255), rtol=1e-5)
+    glazed = material(tmp_path, '"diffuse"', "", 'Shape "disk" "float alpha" 0.25')
+    assert (glazed.alpha_mode, glazed.opacity) == ("blend", 0.25)
+    assert len(read(tmp_path, 'Shape "disk" "float alpha" 0\nShape "sphere"').meshes) == 1
+
+
+def test_the_same_scene_in_toml(tmp_path):
+    """A pbrt scene with a right-handed world, and the same scene as a TOML file."""
+    (tmp_path / "scene.pbrt").write_text(
+        "Scale -1 1 1\nLookAt 1 2 5 0 0.5 0 0 1 0\n"
+        'Camera "perspective" "float fov" 30 "float lensradius" 0.1 "float focaldistance" 4\n'
+        'Film "rgb" "integer xresolution" 64 "integer yresolution" 64\nIntegrator "path" "integer maxdepth" 3\nWorldBegin\n'
+        'LightSource "infinite" "rgb L" [0.1 0.2 0.3]\nMaterial "diffuse" "rgb reflectance" [0.5 0.25 0.125]\n'
+        'Shape "bilinearmesh" "point3 P" [-1 -1 0 1 -1 0 -1 1 0 1 1 0]\n'
+    )
+    (tmp_path / "scene.toml").write_text(
+        "[camera]\nposition = [1.0, 2.0, 5.0]\ntarget = [0.0, 0.5, 0.0]\n"
+        "fov = 30.0\naperture_radius = 0.1\nfocus_distance = 4.0\n"
+        "[film]\nwidth = 64\nheight = 64\nmax_depth = 4\n[environment]\ncolor = [0.1, 0.2, 0.3]\n"
+        "[materials.wall]\nbase_color = [0.5, 0.25, 0.125]\nspecular = 0.0\n"
+        '[[object]]\nshape = "rectangle"\nmaterial = "wall"\n'
+    )
+    ours, theirs = (load_scene(str(tmp_path / name)) for name in ("scene.pbrt", "scene.toml"))
+    assert ours.film == theirs.film
+    camera, wanted = ours.camera, theirs.camera
+    assert camera.position == pytest.approx(wanted.position) and camera.fov == pytest.approx(wanted.fov)
+    assert (camera.aperture_radius, camera.focus_distance) == pytest.approx((wanted.aperture_radius, wanted.focus_distance))
+    towards = [np.subtract(each.target, each.position) for each in (camera, wanted)]
+    np.testing.assert_allclose(*(each / np.linalg.norm(each) for each in towards), atol=1e-6)
+    assert ours.environment is not None and theirs.environment is not None
+    np.testing.assert_array_equal(ours.environment.radiance, theirs.environment.radiance)
+    for first, second in zip(ours.meshes, theirs.meshes, strict=True):
+        corners = [mesh.vertices[mesh.triangles] for mesh in (first, second)]
+        np.testing.assert_array_equal(*(np.sort(each.reshape(-1, 3), axis=0) for each in corners))
+        np.testing.assert_array_equal(*(np.sign(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])) for c in corners))
+        one, other = (scene.materials[mesh.material] for scene, mesh in ((ours, first), (theirs, second)))
+        assert (one.base_color, one.specular, one.roughness) == (other.base_color, other.specular, other.roughness)
