@@ -117,11 +117,18 @@ def test_substitutes_are_told(tmp_path):
         "material hair: a diffuse surface in its place (hair)",
         "material measured: a diffuse surface in its place (measured)",
         "subsurface scattering: a coated diffuse surface in its place (subsurface)",
-        "diffuse transmission: a rough thin sheet (diffusetransmission)",
         "shapes of the type curve: left out (scene.pbrt:13)",
     ]
     leaf = scene.materials[scene.meshes[3].material]
-    assert (leaf.base_color, leaf.transmission, leaf.thin, leaf.roughness) == ((0.5, 0.5, 0.5), 0.5, True, 1.0)
+    assert (leaf.base_color, leaf.diffuse_transmission, leaf.transmission) == ((0.5, 0.5, 0.5), 0.5, 0.0)
+
+
+def test_diffuse_transmission_keeps_reflectance_and_transmittance(tmp_path):
+    given = '"rgb reflectance" [0.3 0.2 0.1] "rgb transmittance" [0.2 0.6 0.4] "float scale" 0.5'
+    leaf = read(tmp_path, f'Material "diffusetransmission" {given}\nShape "disk"').materials[0]
+    share = leaf.diffuse_transmission
+    np.testing.assert_allclose(np.multiply(leaf.base_color, 1.0 - share), [0.15, 0.1, 0.05], rtol=1e-3)
+    np.testing.assert_allclose(np.multiply(leaf.diffuse_transmission_color, share), [0.1, 0.3, 0.2], rtol=1e-3)
 
 
 def color_at(texture: Texture, u: float, v: float) -> np.ndarray:

@@ -118,12 +118,12 @@ class Materials:
         both = self._textures.combined(color, alpha, _with_alpha)
         return replace(material, alpha_mode="blend", base_color_texture=self._textures.on_surface(both))
 
-    def _colored(self, value: Value) -> dict[str, Any]:
-        """The fields of a base colour."""
+    def _colored(self, value: Value, key: str = "base_color") -> dict[str, Any]:
+        """The fields of a colour, by its name in `Material`."""
         value = value.map(lambda texels: np.broadcast_to(texels, (*texels.shape[:2], 3)).clip(0.0, 1.0))
         if value.constant:
-            return {"base_color": as_vector(value.image[0, 0])}
-        return {"base_color": (1.0, 1.0, 1.0), "base_color_texture": self._textures.on_surface(value)}
+            return {key: as_vector(value.image[0, 0])}
+        return {key: (1.0, 1.0, 1.0), f"{key}_texture": self._textures.on_surface(value)}
 
     def _alpha(self, source: Parameters, prefix: str = "") -> Value:
         """α of pbrt, the mean of both directions."""
@@ -189,10 +189,10 @@ class Materials:
     def _diffuse_transmission(self, source: Parameters, name: str, depth: int) -> Material:
         scale = min(max(source.number("scale", 1.0), 0.0), 1.0)
         back, through = (self._textures.color(source, key, 0.25) for key in ("reflectance", "transmittance"))
-        share = through.image.mean() / max(back.image.mean() + through.image.mean(), 1e-6)
-        self._contents.lose("diffuse transmission: a rough thin sheet", name)
-        color = self._textures.combined(back, through, lambda one, other: scale * (one + other))
-        return Material(name, transmission=float(share), thin=True, specular=0.0, **self._colored(color))
+        share = float(through.image.max() / max(back.image.max() + through.image.max(), 1e-6))
+        base = self._colored(back.map(lambda texels: texels * (scale / max(1.0 - share, 1e-6))))
+        color = self._colored(through.map(lambda texels: texels * (scale / max(share, 1e-6))), "diffuse_transmission_color")
+        return Material(name, specular=0.0, diffuse_transmission=share, **base, **color)
 
     def _subsurface(self, source: Parameters, name: str, depth: int) -> Material:
         self._contents.lose("subsurface scattering: a coated diffuse surface in its place", name)
