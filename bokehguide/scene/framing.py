@@ -31,20 +31,20 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
     """The model at `path` as a scene, and its camera. files: the files that the model may name.
 
     The camera is the one that `overrides` select, or the file's first. Without one, or if `overrides` set its position or
-    target, `compose` chooses the view. The lens focuses on the part of the model in the middle of the frame, and highlights at
-    infinity have a diameter of HIGHLIGHT of its width. A model without emitters gets a soft sky, unless `overrides` set the
-    environment. Raises BokehguideError as `load_model` does.
+    target, `compose` chooses the view. A camera without a lens focuses on the part of the model in the middle of the frame, and
+    highlights at infinity have a diameter of HIGHLIGHT of its width. A model without emitters and without an environment gets a
+    soft sky, unless `overrides` set the environment. Raises BokehguideError as `load_model` does.
     """
     model = load_model(path, files, state=overrides.state)
     meshes = model.meshes + model.emitters
-    lit = model.suns or any(model.materials[mesh.material].emits for mesh in meshes)
+    lit = model.suns or model.environment or any(model.materials[mesh.material].emits for mesh in meshes)
     scene = Scene(
         name=path.stem,
         camera=Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),
         meshes=meshes,
         materials=model.materials,
-        film=override_film(FilmSettings(), overrides),
-        environment=None if lit or overrides.environment is not None else SOFT_SKY,
+        film=override_film(model.film or FilmSettings(), overrides),
+        environment=model.environment if lit or overrides.environment is not None else SOFT_SKY,
         suns=model.suns,
         warnings=model.warnings,
         supported=model.supported,
@@ -83,14 +83,25 @@ def _select_camera(cameras: tuple[ModelCamera, ...], overrides: Overrides, file:
 
 
 def _photographed(scene: Scene, own: ModelCamera, overrides: Overrides) -> Scene:
-    """`scene` with a model's camera and a lens. The camera keeps its vertical field of view for every aspect ratio."""
+    """`scene` with a model's camera and a lens. The frame shows the camera's fields of view for every aspect ratio."""
     position, forward, film = np.array(own.position), np.array(own.forward), scene.film
-    horizontal = np.degrees(2.0 * np.arctan(np.tan(np.radians(own.vertical_fov) / 2.0) * film.width / film.height))
+    slope = np.tan(np.radians(own.vertical_fov) / 2.0) * film.width / film.height
+    if own.horizontal_fov is not None:
+        slope = max(slope, np.tan(np.radians(own.horizontal_fov) / 2.0))
+    horizontal = np.degrees(2.0 * np.arctan(slope))
     fov = float(min(horizontal, ANGLE_OF_VIEW.high)) if overrides.fov is None else overrides.fov
     middle = np.mean(_bounds(scene.meshes), axis=0)
     target = position + max(abs(float((middle - position) @ forward)), 1e-3) * forward
     camera = Camera(own.position, as_vector(target), own.up, fov)
-    return replace(scene, camera=with_lens(camera, Sight(scene.meshes, scene.materials), film))
+    if own.lens is None or own.lens.focus_distance is None:
+        camera = with_lens(camera, Sight(scene.meshes, scene.materials), film)
+    if own.lens is not None:
+        focus = own.lens.focus_distance or camera.focus_distance
+        camera = replace(camera, aperture_radius=own.lens.aperture_radius, focus_distance=focus)
+        if own.horizontal_fov is not None and overrides.fov is None:  # the sensor grows with the frame
+            growth = float(slope / np.tan(np.radians(own.horizontal_fov) / 2.0))
+            camera = replace(camera, sensor_width=own.lens.sensor_width * growth)
+    return replace(scene, camera=camera)
 
 
 def _framed(scene: Scene, meshes: tuple[Mesh, ...], overrides: Overrides, file: str) -> Scene:

@@ -1,0 +1,334 @@
+"""USD stages as scenes: units, axes, transforms, instances, cameras, and what is refused."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pxr")
+
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
+
+from bokehguide.cli import main
+from bokehguide.errors import BokehguideError
+from bokehguide.scene import Overrides, load_scene
+from tests.support.usd_stages import add_mesh, corners, facing, loaded, new_stage, saved
+
+
+def box_of(scene) -> tuple[np.ndarray, np.ndarray]:
+    points = np.concatenate([mesh.vertices for mesh in scene.meshes])
+    return points.min(axis=0), points.max(axis=0)
+
+
+def nested(stage) -> None:
+    """Two objects under rotated and scaled parents."""
+    parent = UsdGeom.Xform.Define(stage, "/world")
+    parent.AddTranslateOp().Set(Gf.Vec3d(3, -2, 5))
+    parent.AddRotateXYZOp().Set(Gf.Vec3f(20, -70, 35))
+    child = UsdGeom.Xform.Define(stage, "/world/arm")
+    child.AddScaleOp().Set(Gf.Vec3f(2, 0.5, -3))
+    add_mesh(stage, "/world/arm/square").AddRotateZOp().Set(30.0)
+    add_mesh(stage, "/world/other").AddTranslateOp().Set(Gf.Vec3d(0, 4, 1))
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01, 0.0254])
+@pytest.mark.parametrize("up", ["Y", "Z"])
+def test_the_box_of_the_meshes_is_that_of_usd(unit, up, tmp_path):
+    stage = new_stage(unit, up)
+    nested(stage)
+    cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default"], useExtentsHint=False)
+    wanted = np.array(
+        [[*cache.ComputeWorldBound(stage.GetPrimAtPath("/world")).ComputeAlignedRange().GetCorner(n)] for n in range(8)]
+    )
+    wanted = wanted @ (np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]) if up == "Z" else np.eye(3)) * unit
+    low, high = box_of(loaded(stage, tmp_path))
+    # The box of USD is that of the boxes of the parts in their own space, which is not the smallest one.
+    assert (low >= wanted.min(axis=0) - 1e-5).all() and (high <= wanted.max(axis=0) + 1e-5).all()
+    every = [UsdGeom.Imageable(stage.GetPrimAtPath(path)) for path in ("/world/arm/square", "/world/other")]
+    matrices = [np.array(each.ComputeLocalToWorldTransform(Usd.TimeCode.Default())) for each in every]
+    points = np.concatenate([np.array([(-1, -1, 0, 1), (1, -1, 0, 1), (1, 1, 0, 1), (-1, 1, 0, 1)]) @ m for m in matrices])[:, :3]
+    points = points @ (np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]) if up == "Z" else np.eye(3)) * unit
+    np.testing.assert_allclose([low, high], [points.min(axis=0), points.max(axis=0)], atol=1e-5 * unit)
+
+
+def test_a_mirrored_mesh_keeps_its_front(tmp_path):
+    stage = new_stage()
+    add_mesh(stage, "/mirrored").AddScaleOp().Set(Gf.Vec3f(-1, 1, 1))
+    add_mesh(stage, "/left").CreateOrientationAttr("leftHanded")
+    scene = loaded(stage, tmp_path)
+    assert facing(scene, 0).sum(axis=0) == pytest.approx([0, 0, 4])
+    assert facing(scene, 1).sum(axis=0) == pytest.approx([0, 0, -4])
+
+
+def test_names_lead_to_objects(tmp_path):
+    stage = new_stage()
+    nested(stage)
+    mesh = loaded(stage, tmp_path).meshes[0]
+    assert (mesh.name, mesh.groups) == ("square", ("arm", "world"))
+
+
+def test_invisible_prims_and_guides_are_not_drawn(tmp_path):
+    stage = new_stage()
+    for name in ("shown", "render", "guide", "proxy", "hidden", "inactive"):
+        add_mesh(stage, f"/{name}/mesh")
+    for name in ("render", "guide", "proxy"):
+        UsdGeom.Imageable(UsdGeom.Xform.Define(stage, f"/{name}")).CreatePurposeAttr(name)
+    UsdGeom.Xform.Define(stage, "/hidden").CreateVisibilityAttr("invisible")
+    stage.GetPrimAtPath("/inactive").SetActive(False)
+    stage.CreateClassPrim("/abstract")
+    add_mesh(stage, "/abstract/mesh")
+    drawn = [mesh.groups[0] for mesh in loaded(stage, tmp_path).meshes]
+    assert drawn == ["shown", "render"]
+
+
+def test_instances_of_the_scene_graph(tmp_path):
+    stage = new_stage()
+    add_mesh(stage, "/part/mesh")
+    for number in range(3):
+        prim = UsdGeom.Xform.Define(stage, f"/copy{number}")
+        prim.AddTranslateOp().Set(Gf.Vec3d(number, 0, 0))
+        prim.GetPrim().GetReferences().AddInternalReference("/part")
+        prim.GetPrim().SetInstanceable(True)
+    scene = loaded(stage, tmp_path)
+    middles = sorted(corners(scene, number).reshape(-1, 3).mean(axis=0)[0] for number in range(4))
+    assert len(scene.meshes) == 4 and middles == pytest.approx([0, 0, 1, 2], abs=0.4)
+
+
+def scattered(stage) -> UsdGeom.PointInstancer:
+    instancer = UsdGeom.PointInstancer.Define(stage, "/many")
+    instancer.AddTranslateOp().Set(Gf.Vec3d(0, 0, 7))
+    add_mesh(stage, "/many/a").AddScaleOp().Set(Gf.Vec3f(0.5, 0.5, 0.5))
+    add_mesh(stage, "/many/b/part")
+    instancer.CreatePrototypesRel().SetTargets(["/many/a", "/many/b"])
+    instancer.CreateProtoIndicesAttr([0, 1, 0, 1])
+    instancer.CreatePositionsAttr([(0, 0, 0), (10, 0, 0), (20, 0, 0), (30, 0, 0)])
+    instancer.CreateOrientationsAttr([Gf.Quath(1, 0, 0, 0)] * 3 + [Gf.Quath(math.sqrt(0.5), 0, math.sqrt(0.5), 0)])
+    instancer.CreateScalesAttr([(1, 1, 1), (2, 2, 2), (1, 1, 1), (1, 1, 1)])
+    instancer.CreateInvisibleIdsAttr([2])
+    return instancer
+
+
+def test_instances_of_points(tmp_path):
+    stage = new_stage()
+    scattered(stage)
+    first, second = loaded(stage, tmp_path).meshes
+    np.testing.assert_allclose(first.vertices.min(axis=0), (-0.5, -0.5, 7), atol=1e-6)
+    np.testing.assert_allclose(first.vertices.max(axis=0), (0.5, 0.5, 7), atol=1e-6)
+    np.testing.assert_allclose(second.vertices.min(axis=0), (8, -2, 6), atol=5e-3)
+    np.testing.assert_allclose(second.vertices.max(axis=0), (30, 2, 8), atol=5e-3)
+    assert len(first.triangles) == 2 and len(second.triangles) == 4
+
+
+def test_the_camera_is_that_of_usd(tmp_path):
+    stage = new_stage(0.01, "Z")
+    add_mesh(stage, "/mesh")
+    camera = UsdGeom.Camera.Define(stage, "/rig/main")
+    camera.AddTranslateOp().Set(Gf.Vec3d(100, -300, 50))
+    camera.AddRotateXYZOp().Set(Gf.Vec3f(80, 10, 30))
+    for set_, value in (
+        (camera.CreateFocalLengthAttr, 35.0),
+        (camera.CreateHorizontalApertureAttr, 32.0),
+        (camera.CreateVerticalApertureAttr, 18.0),
+        (camera.CreateFStopAttr, 2.8),
+        (camera.CreateFocusDistanceAttr, 250.0),
+    ):
+        set_(value)
+    truth = camera.GetCamera(Usd.TimeCode.Default())
+    found = loaded(stage, tmp_path).camera
+    assert found.fov == pytest.approx(truth.GetFieldOfView(Gf.Camera.FOVHorizontal), abs=1e-4)
+    assert found.aperture_radius == pytest.approx(0.035 / 2.8 / 2, rel=1e-6)
+    assert found.f_number == pytest.approx(2.8, rel=1e-5)
+    assert found.focus_distance == pytest.approx(2.5)
+    turn = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    position = turn @ np.array(truth.frustum.GetPosition()) * 0.01
+    forward = turn @ np.array(truth.frustum.ComputeViewDirection())
+    np.testing.assert_allclose(found.position, position, atol=1e-6)
+    direction = np.subtract(found.target, found.position)
+    np.testing.assert_allclose(direction / np.linalg.norm(direction), forward, atol=1e-6)
+    np.testing.assert_allclose(found.up, turn @ np.array(truth.frustum.ComputeUpVector()), atol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "kept"), [((320, 100), "vertical"), ((200, 200), "horizontal")])
+def test_the_whole_frame_of_the_camera_is_seen(size, kept, tmp_path):
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    camera = UsdGeom.Camera.Define(stage, "/main")
+    camera.AddTranslateOp().Set(Gf.Vec3d(0, 0, 5))
+    camera.CreateFStopAttr(4.0)
+    truth = camera.GetCamera(Usd.TimeCode.Default())
+    found = loaded(stage, tmp_path, Overrides(width=size[0], height=size[1])).camera
+    wanted = truth.GetFieldOfView(Gf.Camera.FOVHorizontal if kept == "horizontal" else Gf.Camera.FOVVertical)
+    across = math.tan(math.radians(found.fov) / 2)
+    seen = across if kept == "horizontal" else across * size[1] / size[0]
+    assert math.degrees(2 * math.atan(seen)) == pytest.approx(wanted, abs=1e-4)
+    assert found.f_number == pytest.approx(4.0, rel=1e-5)
+
+
+def test_a_camera_without_an_f_stop_gets_a_lens_and_one_of_zero_none(tmp_path):
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    camera = UsdGeom.Camera.Define(stage, "/main")
+    camera.AddTranslateOp().Set(Gf.Vec3d(0, 0, 5))
+    found = loaded(stage, tmp_path).camera
+    assert found.aperture_radius > 0 and found.focus_distance == pytest.approx(5.0)
+    camera.CreateFStopAttr(0.0)
+    assert loaded(stage, tmp_path).camera.aperture_radius == 0
+    camera.CreateFStopAttr(2.0)
+    assert loaded(stage, tmp_path).camera.focus_distance == pytest.approx(5.0), "of the middle of the frame"
+
+
+def test_cameras_by_name_and_by_the_render_settings(tmp_path):
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    for number, name in enumerate(("left", "right")):
+        UsdGeom.Camera.Define(stage, f"/{name}").AddTranslateOp().Set(Gf.Vec3d(number, 0, 5))
+    settings = UsdRender.Settings.Define(stage, "/Render/main")
+    settings.CreateResolutionAttr(Gf.Vec2i(333, 111))
+    settings.CreateCameraRel().SetTargets(["/right"])
+    assert loaded(stage, tmp_path).camera.position[0] == 0
+    stage.SetMetadata("renderSettingsPrimPath", "/Render/main")
+    scene = loaded(stage, tmp_path)
+    assert (scene.camera.position[0], scene.film.width, scene.film.height) == (1, 333, 111)
+    assert loaded(stage, tmp_path, Overrides(camera="left")).camera.position[0] == 0
+    with pytest.raises(BokehguideError, match=r"no camera of .*; it has 0 \(right\), 1 \(left\)"):
+        loaded(stage, tmp_path, Overrides(camera="top"))
+
+
+def test_a_stage_of_a_mesh_alone_is_framed_under_a_sky(tmp_path):
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    scene = loaded(stage, tmp_path)
+    assert scene.environment is not None and scene.camera.aperture_radius > 0
+
+
+def test_time_moves_the_animation(tmp_path):
+    stage = new_stage()
+    stage.SetTimeCodesPerSecond(10)
+    move = add_mesh(stage, "/mesh").AddTranslateOp()
+    move.Set(Gf.Vec3d(1, 0, 0), 5)
+    move.Set(Gf.Vec3d(11, 0, 0), 15)
+
+    def place(seconds=None) -> float:
+        return float(corners(loaded(stage, tmp_path, Overrides(time=seconds)))[..., 0].mean())
+
+    middles = [place(), place(0.5), place(1.0), place(9.0)]
+    assert np.subtract(middles, middles[0]) == pytest.approx([0, 0, 5, 10], abs=1e-5)
+    stage.SetStartTimeCode(15)
+    stage.SetEndTimeCode(20)
+    assert place() == pytest.approx(middles[3]), "the start of the stage"
+
+
+@pytest.mark.parametrize("name", ["scene.usda", "scene.usdc", "scene.usd"])
+def test_the_render_of_a_file(name, tmp_path):
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    path = saved(stage, tmp_path, name)
+    assert main(["render", path, "--spp", "1", "--size", "16x9", "--out", str(tmp_path / "a.exr")]) == 0
+    assert (tmp_path / "a.png").exists()
+
+
+def test_without_the_libraries(tmp_path, monkeypatch, capsys):
+    path = saved(new_stage(), tmp_path)
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    assert main(["render", path]) == 2
+    error = capsys.readouterr().err.splitlines()
+    assert len(error) == 2 and "pip install 'bokehguide[usd]'" in error[1] and path in error[0]
+
+
+def refused(text: str, folder, name: str = "scene.usda") -> str:
+    (folder / name).write_bytes(text.encode() if isinstance(text, str) else text)
+    with pytest.raises(BokehguideError) as caught:
+        load_scene(str(folder / name))
+    assert len(str(caught.value).splitlines()) <= 2 and name in str(caught.value)
+    return str(caught.value)
+
+
+def test_damaged_files_are_refused(tmp_path, capfd):
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    data = (tmp_path / saved(stage, tmp_path, "whole.usdc")).read_bytes()
+    assert "not a readable USD file" in refused(data[: len(data) // 2], tmp_path, "half.usdc")
+    assert "not a readable USD file" in refused("#usda 1.0\ndef Mesh (((", tmp_path)
+    assert "not a readable USD file" in refused("junk", tmp_path, "junk.usd")
+    assert "not a readable USD file" in refused("PK junk", tmp_path, "junk.usdz")
+    with pytest.raises(BokehguideError, match="no such file"):
+        load_scene(str(tmp_path / "gone.usda"))
+    assert "holds no triangles" in refused("#usda 1.0\n", tmp_path)
+    assert "brackets within brackets" in refused("#usda 1.0\n" + 'def "a" {\n' * 20_000, tmp_path)
+    assert capfd.readouterr() == ("", ""), "USD prints nothing"
+
+
+def meshed(points="(0,0,0),(1,0,0),(1,1,0)", counts="3", indices="0,1,2", extra="") -> str:
+    return (
+        f'#usda 1.0\ndef Mesh "mesh" {{\npoint3f[] points = [{points}]\nint[] faceVertexCounts = [{counts}]\n'
+        f"int[] faceVertexIndices = [{indices}]\n{extra}\n}}\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (meshed(points="(nan,0,0),(1,0,0),(1,1,0)"), "/mesh: points are not finite"),
+        (meshed(indices="0,1,3"), "/mesh: faceVertexIndices lead out of the 3 points"),
+        (meshed(indices="0,1,-1"), "/mesh: faceVertexIndices lead out"),
+        (meshed(indices="0,1"), "/mesh: faceVertexCounts need 3 faceVertexIndices, but there are 2"),
+        (meshed(points="(0,0,0),(1e30,0,0),(1,1,0)"), "/mesh: Mesh.vertices"),
+        (meshed(extra='def Sphere "ball" { double radius = -1\n}'), "/mesh/ball: radius: -1 is out of range"),
+        ('#usda 1.0\n( metersPerUnit = 0 )\ndef Mesh "m" {\n}\n', "metersPerUnit: 0 is out of range"),
+    ],
+)
+def test_wrong_values_are_refused(text, problem, tmp_path):
+    assert problem in refused(text, tmp_path)
+
+
+@pytest.mark.parametrize("arc", ["references = @../out.usda@", "payload = @../out.usda@", "references = [@/etc/none.usda@]"])
+def test_layers_outside_the_folder_are_refused(arc, tmp_path):
+    folder = tmp_path / "inside"
+    folder.mkdir()
+    (tmp_path / "out.usda").write_text(meshed())
+    assert "lies outside the scene's folder" in refused(f'#usda 1.0\ndef "a" ( {arc} ) {{\n}}\n', folder)
+    assert "lies outside" in refused("#usda 1.0\n( subLayers = [@../out.usda@] )\n", folder)
+    clips = '#usda 1.0\ndef "a" ( clips = { dictionary default = { asset[] assetPaths = [@../out.usda@]\n} } ) {\n}\n'
+    assert "lies outside" in refused(clips, folder)
+
+
+def test_layers_of_the_folder_are_read_and_missing_ones_are_told(tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "part.usda").write_text(meshed().replace("#usda 1.0", '#usda 1.0\n( defaultPrim = "mesh" )'))
+    (tmp_path / "scene.usda").write_text('#usda 1.0\ndef "a" ( references = [@parts/part.usda@, @./gone.usda@] ) {\n}\n')
+    scene = load_scene(str(tmp_path / "scene.usda"))
+    assert len(scene.meshes) == 1
+    assert any("gone.usda" in line for line in scene.warnings)
+
+
+def test_cycles_are_told(tmp_path):
+    text = meshed().replace('def Mesh "mesh"', 'def Mesh "mesh" ( references = @./scene.usda@</mesh> )')
+    (tmp_path / "scene.usda").write_text(text)
+    scene = load_scene(str(tmp_path / "scene.usda"))
+    assert len(scene.meshes) == 1 and any("Cycle" in line for line in scene.warnings)
+
+
+def test_exponential_instances_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("bokehguide.scene.files.FREE_MESHES", 1000)
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    stage = Usd.Stage.Open(layer)
+    add_mesh(stage, "/level0/mesh")
+    for level in range(1, 9):
+        for number in range(10):
+            prim = UsdGeom.Xform.Define(stage, f"/level{level}/copy{number}").GetPrim()
+            prim.GetReferences().AddInternalReference(f"/level{level - 1}")
+            prim.SetInstanceable(True)
+    with pytest.raises(BokehguideError, match=r"makes more than|makes [\d,]+ (triangles|meshes) in all"):
+        loaded(stage, tmp_path)
+
+
+def test_points_within_points_are_bounded(tmp_path):
+    stage = new_stage()
+    instancer = scattered(stage)
+    instancer.CreatePrototypesRel().SetTargets(["/many", "/many/a"])
+    with pytest.raises(BokehguideError, match="point instancers within each other"):
+        loaded(stage, tmp_path)
+    instancer.CreateProtoIndicesAttr([0, 5, 0, 1])
+    with pytest.raises(BokehguideError, match="/many: protoIndices lead out of the 2 prototypes"):
+        loaded(stage, tmp_path)
