@@ -17,7 +17,7 @@ from bokehguide.scene.model_files import load_model
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera, override_environment, override_film
 from bokehguide.scene.sight import Sight
 from bokehguide.scene.tables import ANGLE_OF_VIEW
-from bokehguide.scene.types import Camera, FilmSettings, Mesh, ModelCamera, Scene, as_vector
+from bokehguide.scene.types import Camera, FilmSettings, Mesh, Model, ModelCamera, Scene, as_vector
 from bokehguide.scene.validation import checked
 
 SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))
@@ -51,7 +51,7 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
     )
     scene = override_environment(scene, overrides)
     own = _select_camera(model.cameras, overrides, str(path))
-    scene = _framed(scene, model.meshes, overrides, str(path)) if own is None else _photographed(scene, own, overrides)
+    scene = _framed(scene, model, overrides, str(path)) if own is None else _photographed(scene, own, overrides)
     return scene, override_camera(asdict(scene.camera), overrides, str(path), files)
 
 
@@ -104,15 +104,19 @@ def _photographed(scene: Scene, own: ModelCamera, overrides: Overrides) -> Scene
     return replace(scene, camera=camera)
 
 
-def _framed(scene: Scene, meshes: tuple[Mesh, ...], overrides: Overrides, file: str) -> Scene:
-    """`scene` with a camera that frames `meshes`. Position, target and fov of `overrides` take precedence."""
-    points, film = _used_vertices(meshes, file), scene.film
+def _framed(scene: Scene, model: Model, overrides: Overrides, file: str) -> Scene:
+    """`scene` with a camera that frames `model`. Position, target and fov of `overrides` take precedence.
+
+    An environment of the model's own does not turn.
+    """
+    points, film = _used_vertices(model.meshes, file), scene.film
     fov = FOV if overrides.fov is None else overrides.fov
     sight = Sight(scene.meshes, scene.materials)
     position, target = overrides.camera_position, overrides.camera_target
     if position is None:
         emitters = find_emitters(checked(scene, file))  # without triangles of no area
-        view = compose(points, sight, emitters, film, fov)
+        turnable = model.environment is None or overrides.environment is not None
+        view = compose(points, sight, emitters, film, fov, turnable)
         camera, environment = view.camera, scene.environment
         if view.rotation and environment is not None and overrides.environment_rotation is None:
             scene = replace(scene, environment=replace(environment, rotation=environment.rotation + view.rotation))

@@ -170,4 +170,4 @@ def _note_messages(opened: Stage, messages: Any) -> None:
     for message in messages.TakeUncoalescedDiagnostics():
         text = message.commentary.strip() or "an unknown problem"
         if not any(part in text for part in SILENT):
-            opened.lose("USD reports", text.splitlines()[0])
+            opened.lose("USD reports", text.splitlines()[0].replace(f"{opened.path.resolve().parent}/", ""))
