@@ -254,6 +254,7 @@ KINDS: dict[str, tuple[Callable[[bytes, int, int], bytes], ...]] = {
     ".gltf": (*BYTES, *TEXT, *[json_value] * 6),
     ".toml": (*BYTES, *TEXT * 4),
     ".xml": (*BYTES, *TEXT * 2, *[attribute] * 6),
+    ".usda": (*BYTES, *TEXT * 4),
     ".hdr": (*BYTES, *TEXT),
     ".exr": (*BYTES, word, word),
     ".png": (*BYTES, *[png_checksums] * 4),

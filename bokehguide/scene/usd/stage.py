@@ -91,11 +91,19 @@ def _opened(path: Path, read: Any) -> Any:
     try:
         result = read()
     except (Tf.ErrorException, RuntimeError, ValueError, MemoryError) as error:
-        problem = str(error).strip().partition(" : ")[2].replace(str(path), path.name).strip("\n'")
-        raise BokehguideError(f"{path}: not a readable USD file ({printable(problem, 200) or reason(error)})") from None
+        raise BokehguideError(f"{path}: not a readable USD file ({_problem(error, path)})") from None
     if not result:
         raise BokehguideError(f"{path}: not a readable USD file; give an intact copy")
     return result
+
+
+def _problem(error: Exception, path: Path) -> str:
+    """What an exception of USD says, without the place in its source."""
+    try:
+        text = str(error).strip().partition(" : ")[2].replace(str(path), path.name).strip("\n'")
+        return printable(text, 200) or reason(error)
+    except UnicodeDecodeError:  # USD quotes the file
+        return "text that is no UTF-8"
 
 
 def _checked_layers(path: Path, files: SceneFiles) -> Any:
@@ -127,7 +135,7 @@ def _layer_of(path: Path, files: SceneFiles, layer: Any, asset: str) -> str | No
         return None
     absolute = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
     resolved = str(Ar.GetResolver().Resolve(absolute))
-    files.find(path.parent, Ar.SplitPackageRelativePathOuter(resolved or absolute)[0], f"{layer.GetDisplayName()}: {name}")
+    files.find(path.parent, Ar.SplitPackageRelativePathOuter(resolved or absolute)[0], f"{path}: {printable(name, 200)}")
     return resolved or None
 
 
