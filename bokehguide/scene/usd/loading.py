@@ -20,10 +20,11 @@ from bokehguide.scene.usd.import_report import supported
 from bokehguide.scene.usd.libraries import UsdGeom, UsdLux, UsdRender
 from bokehguide.scene.usd.lights import AREA_LIGHTS, read_area_light, read_sun
 from bokehguide.scene.usd.materials import Look, Looks
-from bokehguide.scene.usd.meshes import Surface, read_mesh, read_surface
+from bokehguide.scene.usd.meshes import read_mesh
 from bokehguide.scene.usd.prims import Placed, drawn_prims
 from bokehguide.scene.usd.shapes import read_shape
 from bokehguide.scene.usd.stage import Stage, open_stage
+from bokehguide.scene.usd.surfaces import Surface, common_level, read_surface, refinable
 from bokehguide.scene.validation import check_meshes, check_triangles
 
 
@@ -37,7 +38,10 @@ def load_usd(path: Path, files: SceneFiles, state: ModelState) -> Model:
         raise BokehguideError(f"{path}: variants of USD files are those that the file selects; leave the variant out")
     with open_stage(path, files, state.time) as opened:
         reader = _Reader(opened)
-        for placed in drawn_prims(opened):
+        drawn = list(drawn_prims(opened))
+        smooth = (len(each.matrices) * refinable(opened, each.prim) for each in drawn if each.prim.IsA(UsdGeom.Mesh))
+        reader.level = common_level(sum(smooth))
+        for placed in drawn:
             reader.read(placed)
         film, camera = _settings(opened)
     first = [each for each in reader.cameras if each[0] == camera]
@@ -57,9 +61,10 @@ def load_usd(path: Path, files: SceneFiles, state: ModelState) -> Model:
 
 @dataclass
 class _Reader:
-    """What has been read of a stage. cameras: with the paths of their prims."""
+    """What has been read of a stage. level: refinements of subdivision surfaces. cameras: with the paths of their prims."""
 
     opened: Stage
+    level: int = 0
     meshes: list[Mesh] = field(default_factory=list)
     materials: list[Material] = field(default_factory=list)
     emitters: list[Mesh] = field(default_factory=list)
@@ -98,11 +103,11 @@ class _Reader:
         opened, prim = self.opened, placed.prim
         shared = str((prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath())
         if shared not in self._surfaces:
-            self._surfaces[shared] = read_surface(opened, prim)
+            self._surfaces[shared] = read_surface(opened, prim, self.level)
         surface = self._surfaces[shared]
         if surface is None:
             return
-        for number, (subject, faces) in enumerate(_parts(prim, len(surface.topology.counts), opened.time)):
+        for number, (subject, faces) in enumerate(_parts(prim, len(surface.control.counts), opened.time)):
             look = self.looks.of(subject) or self.looks.of_color(prim)
             key = shared, number, id(look)
             if key not in self._meshes:
