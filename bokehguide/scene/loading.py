@@ -41,8 +41,7 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
     """The scene that `spec` names, ready to render.
 
     spec: the name of a built-in scene, the path of a `.toml` scene file or of a Mitsuba `.xml` file, the path of a model, or a
-    scene itself. A
-    model without a camera gets one that frames it; a model without lights gets a sky.
+    scene itself. A model without a camera gets one that frames it; a model without lights gets a sky.
     overrides: replace the scene's own values. allow_outside: permits paths that leave the file's folder.
     The scene's `likely_mistakes` say what the user may not have meant.
 

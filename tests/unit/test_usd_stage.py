@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("pxr")
 
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender
 
 from bokehguide.cli import main
 from bokehguide.errors import BokehguideError
@@ -332,3 +332,25 @@ def test_points_within_points_are_bounded(tmp_path):
     instancer.CreateProtoIndicesAttr([0, 5, 0, 1])
     with pytest.raises(BokehguideError, match="/many: protoIndices lead out of the 2 prototypes"):
         loaded(stage, tmp_path)
+
+
+def test_a_stage_is_an_object_of_a_scene_file(tmp_path):
+    stage = new_stage(0.01)
+    add_mesh(stage, "/mesh")
+    UsdLux.DomeLight.Define(stage, "/dome")
+    UsdLux.SphereLight.Define(stage, "/bulb").AddTranslateOp().Set(Gf.Vec3d(0, 0, 100))
+    saved(stage, tmp_path, "part.usda")
+    text = '[camera]\nposition = [0, 0, 4]\ntarget = [0, 0, 0]\n[[object]]\nfile = "part.usda"\ntranslate = [0, 0, -1]\n'
+    (tmp_path / "scene.toml").write_text(text)
+    scene = load_scene(str(tmp_path / "scene.toml"))
+    assert scene.meshes[0].vertices[:, 2] == pytest.approx(-1.0) and scene.environment is None
+    assert scene.meshes[1].vertices.mean(axis=0) == pytest.approx((0, 0, 0), abs=1e-3)
+    assert scene.materials[scene.meshes[1].material].emits
+    assert "dome lights of models: 1 left out, as [environment] lights the scene" in scene.warnings
+
+
+def test_variants_of_stages_are_refused(tmp_path):
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    with pytest.raises(BokehguideError, match="leave the variant out"):
+        loaded(stage, tmp_path, Overrides(variant="red"))
