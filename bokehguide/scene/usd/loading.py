@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,14 @@ from bokehguide.scene.types import Environment, FilmSettings, Material, Mesh, Mo
 from bokehguide.scene.usd.cameras import read_camera
 from bokehguide.scene.usd.domes import DOMES, read_dome
 from bokehguide.scene.usd.import_report import supported
+from bokehguide.scene.usd.isolation import load_isolated
 from bokehguide.scene.usd.libraries import UsdGeom, UsdLux, UsdRender
 from bokehguide.scene.usd.lights import AREA_LIGHTS, read_area_light, read_sun
 from bokehguide.scene.usd.materials import Look, Looks
 from bokehguide.scene.usd.meshes import read_mesh
 from bokehguide.scene.usd.prims import Placed, drawn_prims
 from bokehguide.scene.usd.shapes import read_shape
-from bokehguide.scene.usd.stage import Stage, open_stage
+from bokehguide.scene.usd.stage import BinaryLayer, Stage, open_stage
 from bokehguide.scene.usd.surfaces import Surface, common_level, read_surface, refinable
 from bokehguide.scene.validation import check_meshes, check_triangles
 
@@ -36,7 +38,15 @@ def load_usd(path: Path, files: SceneFiles, state: ModelState) -> Model:
     """
     if state.variant is not None:
         raise BokehguideError(f"{path}: variants of USD files are those that the file selects; leave the variant out")
-    with open_stage(path, files, state.time) as opened:
+    try:
+        return read_usd(path, files, state, binary=not sys.executable)
+    except BinaryLayer:
+        return load_isolated(path, files, state)
+
+
+def read_usd(path: Path, files: SceneFiles, state: ModelState, binary: bool) -> Model:
+    """As `load_usd` in this process. binary: whether layers may be binary. Raises BinaryLayer if they may not, and one is."""
+    with open_stage(path, files, state.time, binary) as opened:
         reader = _Reader(opened)
         drawn = list(drawn_prims(opened))
         smooth = (len(each.matrices) * refinable(opened, each.prim) for each in drawn if each.prim.IsA(UsdGeom.Mesh))

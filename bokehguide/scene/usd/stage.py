@@ -63,19 +63,24 @@ class Stage:
         ]
 
 
+class BinaryLayer(Exception):
+    """A layer that is no text."""
+
+
 @contextmanager
-def open_stage(path: Path, files: SceneFiles, seconds: float | None) -> Iterator[Stage]:
+def open_stage(path: Path, files: SceneFiles, seconds: float | None, binary: bool) -> Iterator[Stage]:
     """The stage of a file, with all files that it is composed of.
 
-    files: the files that the stage may name. seconds: time of the animation; None is the start of the stage. Raises
-    BokehguideError for missing USD libraries, an unreadable file, and a layer outside the scene's folder.
+    files: the files that the stage may name. seconds: time of the animation; None is the start of the stage. binary: whether
+    layers may be binary. Raises BokehguideError for missing USD libraries, an unreadable file, and a layer outside the scene's
+    folder, and BinaryLayer.
     """
     if find_spec("pxr") is None:
         raise BokehguideError(f"{path}: a USD scene, and the USD libraries are missing\nRun pip install 'bokehguide[usd]'")
     messages = UsdUtils.CoalescingDiagnosticDelegate()  # replaces the printing of messages to stderr
     try:
         with default_signals():
-            root = _checked_layers(path, files)
+            root = _checked_layers(path, files, binary)
             stage = _opened(path, lambda: Usd.Stage.Open(root))
         world, unit = _to_world(path, stage)
         opened = Stage(path, files, stage, _time(stage, seconds), world, unit)
@@ -101,14 +106,16 @@ def _problem(error: Exception, path: Path) -> str:
     """What an exception of USD says, without the place in its source."""
     try:
         text = str(error).strip().partition(" : ")[2].replace(str(path), path.name).strip("\n'")
+        if "bad_alloc" in text:
+            return "it is damaged, or too large"
         return printable(text, 200) or reason(error)
     except UnicodeDecodeError:  # USD quotes the file
         return "text that is no UTF-8"
 
 
-def _checked_layers(path: Path, files: SceneFiles) -> Any:
-    """The root layer of `path`. Raises BokehguideError if it, or a layer that it leads to, lies outside the scene's folder."""
-    seen, waiting, root = set[str](), [str(path.resolve())], None
+def _checked_layers(path: Path, files: SceneFiles, binary: bool) -> Any:
+    """The root layer of `path`. Raises as `open_stage` does."""
+    seen, waiting, root, stored = set[str](), [str(path.resolve())], None, 0
     while waiting:
         name = waiting.pop()
         if name in seen:
@@ -117,7 +124,9 @@ def _checked_layers(path: Path, files: SceneFiles) -> Any:
         outer = Path(Ar.SplitPackageRelativePathOuter(name)[0])
         if outer.suffix.lower() == ".usda" or (outer.suffix.lower() == ".usd" and _starts_as_text(outer)):
             _check_nesting(outer)
-        files.add_geometry(outer.stat().st_size if str(outer) == name else 0)
+        elif not binary:
+            raise BinaryLayer
+        stored += outer.stat().st_size if str(outer) == name else 0
         layer = _opened(outer, lambda name=name: Sdf.Layer.FindOrOpen(name))
         root = root or layer
         sublayers, references, payloads = UsdUtils.ExtractExternalReferences(layer.identifier)
@@ -125,6 +134,7 @@ def _checked_layers(path: Path, files: SceneFiles) -> Any:
             found = _layer_of(path, files, layer, asset)
             if found is not None:
                 waiting.append(found)
+    files.add_geometry(stored)
     return root
 
 
