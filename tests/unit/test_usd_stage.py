@@ -275,6 +275,9 @@ def meshed(points="(0,0,0),(1,0,0),(1,1,0)", counts="3", indices="0,1,2", extra=
         (meshed(indices="0,1"), "/mesh: faceVertexCounts need 3 faceVertexIndices, but there are 2"),
         (meshed(points="(0,0,0),(1e30,0,0),(1,1,0)"), "/mesh: Mesh.vertices"),
         (meshed(extra='def Sphere "ball" { double radius = -1\n}'), "/mesh/ball: radius: -1 is out of range"),
+        (meshed(extra='def Sphere "ball" { string radius = "large"\n}'), "/mesh/ball: cannot be read"),
+        (meshed().replace("int[] faceVertexCounts = [3]", 'string faceVertexCounts = "3"'), "/mesh: cannot be read"),
+        (meshed(extra='uniform token[] xformOpOrder = ["x"]'), "/mesh: cannot be read"),
         ('#usda 1.0\n( metersPerUnit = 0 )\ndef Mesh "m" {\n}\n', "metersPerUnit: 0 is out of range"),
     ],
 )

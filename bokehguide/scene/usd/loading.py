@@ -92,6 +92,7 @@ class _Reader:
     def read(self, placed: Placed) -> None:
         """Add the contents of a prim."""
         prim, kind = placed.prim, str(placed.prim.GetTypeName())
+        self.opened.current = prim
         if prim.IsA(UsdGeom.Camera):
             camera = read_camera(self.opened, placed)
             self.cameras += [] if camera is None else [(str(prim.GetPath()), camera)]

@@ -60,6 +60,7 @@ class _Walk:
             predicate &= ~Usd.PrimIsAbstract
         prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies(predicate)))
         for prim in prims:
+            self._opened.current = prim
             self._add(prim, len(base) if level and prim == root else 1)
             if not prim.IsA(UsdGeom.Imageable):
                 continue

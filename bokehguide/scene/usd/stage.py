@@ -31,7 +31,7 @@ class Stage:
     """An open stage.
 
     stage: of `pxr.Usd`. time: a `pxr.Usd.TimeCode`. world: the matrix `[4, 4]` from scene units to metres with y up. unit:
-    metres of a scene unit. lost: what is lost, in words, with the names of the prims.
+    metres of a scene unit. lost: what is lost, in words, with the names of the prims. current: the prim that is read.
     """
 
     path: Path
@@ -41,6 +41,7 @@ class Stage:
     world: np.ndarray
     unit: float
     lost: dict[str, dict[str, None]] = field(default_factory=dict)
+    current: Any = None
 
     def lose(self, what: str, name: str) -> None:
         """Note a loss at a prim."""
@@ -84,7 +85,11 @@ def open_stage(path: Path, files: SceneFiles, seconds: float | None, binary: boo
             stage = _opened(path, lambda: Usd.Stage.Open(root))
         world, unit = _to_world(path, stage)
         opened = Stage(path, files, stage, _time(stage, seconds), world, unit)
-        yield opened
+        try:
+            yield opened
+        except (Tf.ErrorException, TypeError, ValueError, ArithmeticError) as error:  # attributes of any type, on any prim
+            place = str(path) if opened.current is None else opened.place(opened.current)
+            raise BokehguideError(f"{place}: cannot be read ({_problem(error, path)}); repair the file") from None
         _note_messages(opened, messages)
     finally:
         messages.TakeUncoalescedDiagnostics()
