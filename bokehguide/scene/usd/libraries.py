@@ -16,5 +16,5 @@ class _Module:
         return getattr(import_module(f"pxr.{self._name}"), name)
 
 
-Ar, Sdf, Tf, Usd, UsdGeom = map(_Module, ("Ar", "Sdf", "Tf", "Usd", "UsdGeom"))
-UsdLux, UsdRender, UsdShade, UsdUtils = map(_Module, ("UsdLux", "UsdRender", "UsdShade", "UsdUtils"))
+Ar, Gf, Sdf, Tf, Usd, UsdGeom = map(_Module, ("Ar", "Gf", "Sdf", "Tf", "Usd", "UsdGeom"))
+UsdLux, UsdRender, UsdShade, UsdSkel, UsdUtils = map(_Module, ("UsdLux", "UsdRender", "UsdShade", "UsdSkel", "UsdUtils"))

@@ -25,6 +25,7 @@ from bokehguide.scene.usd.materials import Look, Looks
 from bokehguide.scene.usd.meshes import read_mesh
 from bokehguide.scene.usd.prims import Placed, drawn_prims
 from bokehguide.scene.usd.shapes import read_shape
+from bokehguide.scene.usd.skeletons import pose
 from bokehguide.scene.usd.stage import BinaryLayer, Stage, open_stage
 from bokehguide.scene.usd.surfaces import Surface, common_level, read_surface, refinable
 from bokehguide.scene.validation import check_meshes, check_triangles
@@ -48,6 +49,7 @@ def read_usd(path: Path, files: SceneFiles, state: ModelState, binary: bool) -> 
     """As `load_usd` in this process. binary: whether layers may be binary. Raises BinaryLayer if they may not, and one is."""
     with open_stage(path, files, state.time, binary) as opened:
         reader = _Reader(opened)
+        pose(opened)
         drawn = list(drawn_prims(opened))
         smooth = (len(each.matrices) * refinable(opened, each.prim) for each in drawn if each.prim.IsA(UsdGeom.Mesh))
         reader.level = common_level(sum(smooth))
