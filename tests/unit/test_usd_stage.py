@@ -13,6 +13,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender
 from bokehguide.cli import main
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import Overrides, load_scene
+from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.model_files import load_model
 from tests.support.usd_stages import add_mesh, corners, facing, loaded, new_stage, saved
 
 
@@ -357,3 +359,38 @@ def test_variants_of_stages_are_refused(tmp_path):
     add_mesh(stage, "/mesh")
     with pytest.raises(BokehguideError, match="leave the variant out"):
         loaded(stage, tmp_path, Overrides(variant="red"))
+
+
+def test_a_reader_that_dies_is_a_message(tmp_path, monkeypatch):
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    path = saved(stage, tmp_path, "scene.usdc")
+    monkeypatch.setattr("bokehguide.scene.usd.isolation.PROGRAM", "import os; os.abort()")
+    with pytest.raises(BokehguideError, match=r"scene.usdc: the USD libraries fail on this file"):
+        load_scene(path)
+
+
+@pytest.mark.parametrize("place", [16, -16, -48])
+def test_huge_sizes_in_binary_files_are_refused(place, tmp_path):
+    """The place of the table of contents, in the header, and the places of sections, in the table at the end."""
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    path = saved(stage, tmp_path, "scene.usdc")
+    data = bytearray((tmp_path / "scene.usdc").read_bytes())
+    start = place % len(data)
+    data[start : start + 8] = (2**50).to_bytes(8, "little")
+    (tmp_path / "scene.usdc").write_bytes(data)
+    with pytest.raises(BokehguideError, match=r"scene\.usdc: (not a readable USD file|the USD libraries fail)"):
+        load_scene(path)
+
+
+def test_binary_files_give_the_same_scene_and_count_what_they_hold(tmp_path):
+    stage = new_stage()
+    nested(stage)
+    text, binary = (load_scene(saved(stage, tmp_path, f"scene.{kind}")) for kind in ("usda", "usdc"))
+    assert len(text.meshes) == len(binary.meshes) == 2 and text.materials == binary.materials
+    for first, second in zip(text.meshes, binary.meshes):
+        np.testing.assert_array_equal(first.vertices, second.vertices)
+    files = SceneFiles(tmp_path)
+    load_model(tmp_path / "scene.usdc", files)
+    assert files.used[0] == (tmp_path / "scene.usdc").stat().st_size
