@@ -30,16 +30,15 @@ NARROWEST = 0.01
 """Degrees between the full radiance and none at the edge of a hard cone."""
 
 
-def read_area_light(opened: Stage, placed: Placed, textures: Textures) -> tuple[Material, list[Mesh]] | None:
-    """The material of a light with a size, and a mesh in world space for each instance; None, with a note, for one that is dark.
+def read_area_light(opened: Stage, placed: Placed, textures: Textures) -> tuple[Material, Mesh] | None:
+    """The material of a light with a size, and its mesh in its own space; None, with a note, for one that is dark.
 
     Raises BokehguideError, naming the prim, for sizes out of range.
     """
     prim, name = placed.prim, placed.name
     shape = _shape(opened, prim)
     with located(opened.place(prim)):
-        meshes = [transformed(shape, matrix) for matrix in placed.matrices]
-        area = surface_area(meshes[0]) / opened.unit**2
+        area = surface_area(transformed(shape, placed.matrices[0])) / opened.unit**2
         radiance = radiance_of(opened, prim, area)
         if not area > 0.0 or not any(radiance):
             opened.lose("lights without a size or without an intensity: left out", name)
@@ -52,7 +51,7 @@ def read_area_light(opened: Stage, placed: Placed, textures: Textures) -> tuple[
             texture, radiance = Texture(image / np.float32(peak)), as_vector(peak * channel for channel in radiance)
         cone = _cone(opened, prim, placed.matrices[0], name)
         material = Material(name, (0.0, 0.0, 0.0), specular=0.0, emission=radiance, emission_cone=cone, emission_texture=texture)
-    return material, meshes
+    return material, shape
 
 
 def read_sun(opened: Stage, placed: Placed) -> list[Sun]:

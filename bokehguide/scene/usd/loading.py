@@ -13,7 +13,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.limits import MAX_SIDE
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.shapes import instanced
+from bokehguide.scene.shapes import instanced, transformed
 from bokehguide.scene.types import Environment, FilmSettings, Material, Mesh, Model, ModelCamera, ModelState, Sun
 from bokehguide.scene.usd.cameras import read_camera
 from bokehguide.scene.usd.domes import DOMES, read_dome
@@ -144,12 +144,12 @@ class _Reader:
         """A light with a surface."""
         found = read_area_light(self.opened, placed, self.looks.textures)
         if found is not None:
-            material, meshes = found
+            material, shape = found
             self.materials.append(material)
-            self._count(placed, sum(len(mesh.triangles) for mesh in meshes), len(meshes))
-            self.emitters += [
-                replace(mesh, material=len(self.materials) - 1, name=placed.name, groups=placed.groups) for mesh in meshes
-            ]
+            self._count(placed, len(shape.triangles) * len(placed.matrices), len(placed.matrices))
+            names = {"material": len(self.materials) - 1, "name": placed.name, "groups": placed.groups}
+            with located(self.opened.place(placed.prim)):
+                self.emitters += [replace(transformed(shape, matrix), **names) for matrix in placed.matrices]
 
     def _add(self, placed: Placed, mesh: Mesh, look: Look) -> None:
         """Add the instances of a mesh as one mesh in world space."""

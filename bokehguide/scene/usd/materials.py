@@ -155,7 +155,7 @@ class _Surface:
 
     def _whole(self, image: Source | None) -> Texture | None:
         """A texture of all colour channels."""
-        return None if image is None else image.texture(image.rgb().clip(0.0, 1.0), self._uv_names)
+        return None if image is None else image.texture(self._textures.colors(image), self._uv_names)
 
     def _specular(self) -> dict[str, Any]:
         """Roughness, and the reflectance of the metallic or of the specular workflow."""
@@ -189,6 +189,7 @@ class _Surface:
         color, image = self._color("emissiveColor", (0.0, 0.0, 0.0))
         if image is None:
             return {"emission": color}
+        self._textures.reserve(2 * image.image.size)
         pixels = image.rgb().clip(0.0, LARGEST)
         peak = float(pixels.max())
         if peak <= 1.0:
@@ -217,9 +218,9 @@ class _Surface:
         if color is None:
             rgb, source = np.ones((*values.shape, 3), np.float32), alpha
         else:
-            rgb, source = color.rgb().clip(0.0, 1.0), color
+            rgb, source = self._textures.colors(color), color
             self._compare(color, alpha)
-        self._opened.files.reserve(rgb.size, 0, self._opened.place(self._shader.GetPrim()))
+        self._textures.reserve(2 * rgb.size)
         return source.texture(np.concatenate([rgb, _resized(values, rgb.shape)[..., None]], axis=2), self._uv_names)
 
     def _joined(self, sources: list[Source | None]) -> Texture:
@@ -229,8 +230,11 @@ class _Surface:
         first = given[0]
         for other in given[1:]:
             self._compare(first, other)
+        stored = all(each.image is first.image and each.channel == sources.index(each) for each in given)
+        if len(given) > 1 and stored and first.image.min() >= 0.0 and first.image.max() <= 1.0:
+            return first.texture(first.image, self._uv_names)
         image = np.ones((*shape, 3), np.float32)
-        self._opened.files.reserve(image.size, 0, self._opened.place(self._shader.GetPrim()))
+        self._textures.reserve(image.size)
         for channel, source in enumerate(sources):
             if source is not None:
                 image[..., channel] = _resized(source.grey(), shape).clip(0.0, 1.0)

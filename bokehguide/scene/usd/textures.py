@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from bokehguide.errors import BokehguideError
+from bokehguide.limits import most_values
 from bokehguide.scene.images import decode_texture
 from bokehguide.scene.types import Texture
 from bokehguide.scene.usd.libraries import Ar, Sdf, UsdShade
@@ -21,6 +23,8 @@ UV = "st"
 MAX_UV_SETS = 4
 """Primvars of texture coordinates of a material."""
 WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp"}
+DERIVED = 4
+"""Values of images that are made of others, relative to the bound of the images of files."""
 CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
 
 
@@ -57,9 +61,10 @@ class Textures:
         self._opened = opened
         self._bytes: dict[str, bytes | None] = {}
         self._scaled: dict[tuple[int, tuple[float, ...], bool], np.ndarray] = {}
+        self._colors: dict[tuple[int, int], np.ndarray] = {}
         self._kept: list[np.ndarray] = []
-        """Images whose identity is a key of `_scaled`."""
-        self.count = 0
+        """Images whose identity is a key."""
+        self._derived = self.count = 0
 
     def read(self, shader: Any, output: str, normal: bool = False) -> Source | None:
         """The image of the output "rgb", "r", "g", "b" or "a" of a UsdUVTexture shader; None, with a note, without a file.
@@ -105,6 +110,22 @@ class Textures:
             self._bytes[absolute] = found
         return self._bytes[absolute]
 
+    def colors(self, source: Source) -> np.ndarray:
+        """The colours `[H, W, 3]` of a source between 0 and 1, made once for each image and channel."""
+        key = (id(source.image), source.channel)
+        if key not in self._colors:
+            self.reserve(source.image.size)
+            self._colors[key] = np.ascontiguousarray(source.rgb().clip(0.0, 1.0))
+            self._kept.append(source.image)
+        return self._colors[key]
+
+    def reserve(self, values: int) -> None:
+        """Count the values of an image that is made of others. Raises BokehguideError for far more than the files hold."""
+        self._derived += values
+        if self._derived > DERIVED * most_values(self._opened.files.used[2]):
+            problem = f"materials make {self._derived:,} values of images; share textures between materials"
+            raise BokehguideError(f"{self._opened.path}: {problem}")
+
     def _decode(self, data: bytes, name: str, place: str, srgb: bool) -> np.ndarray:
         """The texels of a file, linear float32 `[H, W, 3 or 4]`."""
         files, self.count = self._opened.files, self.count + 1
@@ -125,7 +146,7 @@ class Textures:
             return image[..., channels]
         key = (id(image), (*scale.tolist(), *bias.tolist()), normal)
         if key not in self._scaled:
-            self._opened.files.reserve(image.size, 0, self._opened.place(shader.GetPrim()))
+            self.reserve(image.size)
             with np.errstate(over="ignore", invalid="ignore"):
                 self._scaled[key] = np.nan_to_num(image[..., channels] * scale + bias, posinf=0.0, neginf=0.0)
             self._kept.append(image)
@@ -171,7 +192,6 @@ class Textures:
 
 def read_floats(data: bytes, kind: str, place: str, files: Any) -> np.ndarray:
     """An image of linear floats, `[H, W, 3]`. kind: ".exr" or ".hdr". Raises BokehguideError for an unreadable image."""
-    from bokehguide.errors import BokehguideError
     from bokehguide.image.reading import read_channels  # imports torch
 
     with TemporaryDirectory() as folder:
