@@ -19,7 +19,7 @@ from bokehguide.scene.usd.cameras import read_camera
 from bokehguide.scene.usd.domes import DOMES, read_dome
 from bokehguide.scene.usd.import_report import supported
 from bokehguide.scene.usd.isolation import load_isolated
-from bokehguide.scene.usd.libraries import UsdGeom, UsdLux, UsdRender
+from bokehguide.scene.usd.libraries import UsdGeom, UsdLux, UsdRender, UsdSkel
 from bokehguide.scene.usd.lights import AREA_LIGHTS, read_area_light, read_sun
 from bokehguide.scene.usd.materials import Look, Looks
 from bokehguide.scene.usd.meshes import read_mesh
@@ -50,7 +50,10 @@ def read_usd(path: Path, files: SceneFiles, state: ModelState, binary: bool) -> 
     with open_stage(path, files, state.time, binary) as opened:
         reader = _Reader(opened)
         pose(opened)
-        drawn = list(drawn_prims(opened))
+        drawn: list[Placed] = []
+        for placed in drawn_prims(opened):
+            drawn.append(placed)
+            check_meshes(len(drawn), opened.place(placed.prim), files.most_meshes)
         smooth = (len(each.matrices) * refinable(opened, each.prim) for each in drawn if each.prim.IsA(UsdGeom.Mesh))
         reader.level = common_level(sum(smooth))
         for placed in drawn:
@@ -114,6 +117,8 @@ class _Reader:
     def _mesh(self, placed: Placed) -> None:
         """A mesh, with a part for each material of its subsets."""
         opened, prim = self.opened, placed.prim
+        if prim.IsInstanceProxy() and prim.HasAPI(UsdSkel.BindingAPI):
+            opened.lose("skinned meshes of instances: drawn in the pose of their points", placed.name)
         shared = str((prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath())
         if shared not in self._surfaces:
             self._surfaces[shared] = read_surface(opened, prim, self.level)

@@ -13,20 +13,18 @@ ANIMATED = ("translations", "rotations", "scales", "blendShapeWeights")
 def pose(opened: Stage) -> None:
     """Deform all skinned meshes of a stage by their skeletons and blend shapes, in the session layer, which no file stores."""
     stage, time = opened.stage, opened.time
-    prims = list(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
+    prims = list(Usd.PrimRange(stage.GetPseudoRoot()))  # without the prims of instances, which may be too many
     moment = 0.0 if time.IsEarliestTime() else time.GetValue()
     stage.SetEditTarget(stage.GetEditTargetForLocalLayer(stage.GetSessionLayer()))
     for prim in prims:
-        if prim.IsA(UsdSkel.Animation) and not prim.IsInstanceProxy():
+        if prim.IsA(UsdSkel.Animation):
             opened.current = prim
             _hold(prim, moment)
     for prim in prims:
         if not prim.IsA(UsdSkel.Root):
             continue
         opened.current = prim
-        if prim.IsInstanceProxy() or prim.IsInstance():
-            opened.lose("skinned meshes of instances: drawn in the pose of their points", str(prim.GetPath()))
-        elif not UsdSkel.BakeSkinning(Usd.PrimRange(prim), Gf.Interval(moment, moment)):
+        if not prim.IsInstance() and not UsdSkel.BakeSkinning(Usd.PrimRange(prim), Gf.Interval(moment, moment)):
             opened.lose("skinned meshes that USD cannot deform: drawn in the pose of their points", str(prim.GetPath()))
 
 
