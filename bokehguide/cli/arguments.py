@@ -13,8 +13,10 @@ from bokehguide import __version__
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS, VIEWS
 
-SCENE_HELP = "a built-in scene (see `bokehguide scenes`), a .toml, Mitsuba .xml or pbrt-v4 .pbrt file, "
-SCENE_HELP += "or a .glb .gltf .obj .ply .stl model"
+SCENE_HELP = (
+    "a built-in scene (see `bokehguide scenes`), a .toml, Mitsuba .xml or pbrt-v4 .pbrt file, a .usd .usda .usdc .usdz stage, "
+    "or a .glb .gltf .obj .ply .stl model"
+)
 REUSE_HELP = "radius in pixels in which area-restir reuses samples (default: 50, for images 1920 wide)"
 
 
@@ -199,7 +201,12 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     focus.add_argument("--focus-on", metavar="NAME", help="focus on the visible part of an object, a glTF node or a material")
     add("--camera", metavar="NAME", help="a camera of the model by name or number, or `frame`: one that frames the model")
     add("--variant", metavar="NAME", help="a material variant of a glTF model (default: its own materials)")
-    add("--time", type=float, metavar="SECONDS", help="draw a glTF model's animations at this time (default: the pose at rest)")
+    add(
+        "--time",
+        type=float,
+        metavar="SECONDS",
+        help="time of a glTF or USD model's animations (default: the pose at rest, or a stage's start)",
+    )
     add("--camera-position", type=vector, metavar="X,Y,Z", help="metres")
     add("--camera-target", type=vector, metavar="X,Y,Z", help="metres")
     add("--fov", type=float, metavar="DEG", help="horizontal field of view in degrees")

@@ -59,11 +59,13 @@ class Composition:
     rotation: float = 0.0
 
 
-def compose(points: np.ndarray, sight: Sight, emitters: Emitters, film: FilmSettings, fov: float) -> Composition:
+def compose(
+    points: np.ndarray, sight: Sight, emitters: Emitters, film: FilmSettings, fov: float, turnable: bool = True
+) -> Composition:
     """The best view of a model with the vertices `points` `[N, 3]`.
 
-    sight: of the model. emitters: of the model and its environment. fov: horizontal, degrees. The environment turns only where
-    the best view without a turn has no emitter in the frame.
+    sight: of the model. emitters: of the model and its environment. fov: horizontal, degrees. turnable: whether the environment
+    may turn; it turns only where the best view without a turn has no emitter in the frame.
     """
     points, bright = _thinned(points), _bright_emitters(emitters, float(np.ptp(points, axis=0).max()))
     views = [view for view in _views(points, film, fov) if view.elevation >= _by_shape(points, LOWEST)]
@@ -75,7 +77,7 @@ def compose(points: np.ndarray, sight: Sight, emitters: Emitters, film: FilmSett
         return views[chosen], float(shares[chosen])
 
     (view, share), rotation = best(bright), 0.0
-    if share == 0.0 and (angle := bright.useful_rotation()) is not None:
+    if turnable and share == 0.0 and (angle := bright.useful_rotation()) is not None:
         turned, share = best(bright.rotated(angle))
         view, rotation = (turned, angle) if share > 0.0 else (view, 0.0)
     return Composition(with_lens(view.camera, sight, film), rotation)

@@ -78,6 +78,17 @@ class SceneFiles:
         self._geometry += stored
 
     @property
+    def used(self) -> tuple[int, int, int]:
+        """Bytes of geometry, and values and bytes of images, that were read."""
+        return self._geometry, self._values, self._stored
+
+    def add_used(self, used: tuple[int, int, int], place: str) -> None:
+        """Count what another process `used`. Raises as `reserve` does."""
+        geometry, values, stored = used
+        self.add_geometry(geometry)
+        self.reserve(values, stored, place)
+
+    @property
     def most_triangles(self) -> int:
         """Triangles that the scene may have."""
         return most_triangles(self._geometry)

@@ -17,7 +17,7 @@ from bokehguide.scene.model_files import load_model
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera, override_environment, override_film
 from bokehguide.scene.sight import Sight
 from bokehguide.scene.tables import ANGLE_OF_VIEW
-from bokehguide.scene.types import Camera, FilmSettings, Mesh, ModelCamera, Scene, as_vector
+from bokehguide.scene.types import Camera, FilmSettings, Mesh, Model, ModelCamera, Scene, as_vector
 from bokehguide.scene.validation import checked
 
 SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))
@@ -31,27 +31,27 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
     """The model at `path` as a scene, and its camera. files: the files that the model may name.
 
     The camera is the one that `overrides` select, or the file's first. Without one, or if `overrides` set its position or
-    target, `compose` chooses the view. The lens focuses on the part of the model in the middle of the frame, and highlights at
-    infinity have a diameter of HIGHLIGHT of its width. A model without emitters gets a soft sky, unless `overrides` set the
-    environment. Raises BokehguideError as `load_model` does.
+    target, `compose` chooses the view. A camera without a lens focuses on the part of the model in the middle of the frame, and
+    highlights at infinity have a diameter of HIGHLIGHT of its width. A model without emitters and without an environment gets a
+    soft sky, unless `overrides` set the environment. Raises BokehguideError as `load_model` does.
     """
     model = load_model(path, files, state=overrides.state)
     meshes = model.meshes + model.emitters
-    lit = model.suns or any(model.materials[mesh.material].emits for mesh in meshes)
+    lit = model.suns or model.environment or any(model.materials[mesh.material].emits for mesh in meshes)
     scene = Scene(
         name=path.stem,
         camera=Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),
         meshes=meshes,
         materials=model.materials,
-        film=override_film(FilmSettings(), overrides),
-        environment=None if lit or overrides.environment is not None else SOFT_SKY,
+        film=override_film(model.film or FilmSettings(), overrides),
+        environment=model.environment if lit or overrides.environment is not None else SOFT_SKY,
         suns=model.suns,
         warnings=model.warnings,
         supported=model.supported,
     )
     scene = override_environment(scene, overrides)
     own = _select_camera(model.cameras, overrides, str(path))
-    scene = _framed(scene, model.meshes, overrides, str(path)) if own is None else _photographed(scene, own, overrides)
+    scene = _framed(scene, model, overrides, str(path)) if own is None else _photographed(scene, own, overrides)
     return scene, override_camera(asdict(scene.camera), overrides, str(path), files)
 
 
@@ -83,25 +83,40 @@ def _select_camera(cameras: tuple[ModelCamera, ...], overrides: Overrides, file:
 
 
 def _photographed(scene: Scene, own: ModelCamera, overrides: Overrides) -> Scene:
-    """`scene` with a model's camera and a lens. The camera keeps its vertical field of view for every aspect ratio."""
+    """`scene` with a model's camera and a lens. The frame shows the camera's fields of view for every aspect ratio."""
     position, forward, film = np.array(own.position), np.array(own.forward), scene.film
-    horizontal = np.degrees(2.0 * np.arctan(np.tan(np.radians(own.vertical_fov) / 2.0) * film.width / film.height))
+    slope = np.tan(np.radians(own.vertical_fov) / 2.0) * film.width / film.height
+    if own.horizontal_fov is not None:
+        slope = max(slope, np.tan(np.radians(own.horizontal_fov) / 2.0))
+    horizontal = np.degrees(2.0 * np.arctan(slope))
     fov = float(min(horizontal, ANGLE_OF_VIEW.high)) if overrides.fov is None else overrides.fov
     middle = np.mean(_bounds(scene.meshes), axis=0)
     target = position + max(abs(float((middle - position) @ forward)), 1e-3) * forward
     camera = Camera(own.position, as_vector(target), own.up, fov)
-    return replace(scene, camera=with_lens(camera, Sight(scene.meshes, scene.materials), film))
+    if own.lens is None or own.lens.focus_distance is None:
+        camera = with_lens(camera, Sight(scene.meshes, scene.materials), film)
+    if own.lens is not None:
+        focus = own.lens.focus_distance or camera.focus_distance
+        camera = replace(camera, aperture_radius=own.lens.aperture_radius, focus_distance=focus)
+        if own.horizontal_fov is not None and overrides.fov is None:  # the sensor grows with the frame
+            growth = float(slope / np.tan(np.radians(own.horizontal_fov) / 2.0))
+            camera = replace(camera, sensor_width=own.lens.sensor_width * growth)
+    return replace(scene, camera=camera)
 
 
-def _framed(scene: Scene, meshes: tuple[Mesh, ...], overrides: Overrides, file: str) -> Scene:
-    """`scene` with a camera that frames `meshes`. Position, target and fov of `overrides` take precedence."""
-    points, film = _used_vertices(meshes, file), scene.film
+def _framed(scene: Scene, model: Model, overrides: Overrides, file: str) -> Scene:
+    """`scene` with a camera that frames `model`. Position, target and fov of `overrides` take precedence.
+
+    An environment of the model's own does not turn.
+    """
+    points, film = _used_vertices(model.meshes, file), scene.film
     fov = FOV if overrides.fov is None else overrides.fov
     sight = Sight(scene.meshes, scene.materials)
     position, target = overrides.camera_position, overrides.camera_target
     if position is None:
         emitters = find_emitters(checked(scene, file))  # without triangles of no area
-        view = compose(points, sight, emitters, film, fov)
+        turnable = model.environment is None or overrides.environment is not None
+        view = compose(points, sight, emitters, film, fov, turnable)
         camera, environment = view.camera, scene.environment
         if view.rotation and environment is not None and overrides.environment_rotation is None:
             scene = replace(scene, environment=replace(environment, rotation=environment.rotation + view.rotation))

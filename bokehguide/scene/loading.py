@@ -15,7 +15,7 @@ from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.focusing import focused
 from bokehguide.scene.likely_mistakes import likely_mistakes
-from bokehguide.scene.model_files import refuse_format
+from bokehguide.scene.model_files import MODEL_SUFFIXES, refuse_format
 from bokehguide.scene.overrides import (
     APERTURE,
     NO_OVERRIDES,
@@ -33,7 +33,6 @@ log = logging.getLogger(__name__)
 
 MAX_BASES = 8
 """Scene files with a `base` that may lead to each other; a cycle has more."""
-MODEL_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 MODEL_OVERRIDES = ("camera", "variant", "time")
 """Overrides that make sense for a model alone."""
 

@@ -1,4 +1,4 @@
-"""Model files (`.glb`, `.gltf`, `.obj`, `.ply`, `.stl`)."""
+"""Model files (`.glb`, `.gltf`, `.obj`, `.ply`, `.stl`, `.usd`, `.usda`, `.usdc`, `.usdz`)."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from bokehguide.errors import BokehguideError
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.types import AT_REST, LightSizes, Model, ModelState
 
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+MODEL_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", *USD_SUFFIXES)
 FOREIGN = {
     ".blend": "export it from Blender as glTF (File > Export > glTF 2.0) and give the .glb",
     ".fbx": "convert it to glTF, with Blender for example, and give the .glb",
     ".dae": "convert it to glTF, with Blender for example, and give the .glb",
-} | dict.fromkeys(
-    (".usd", ".usda", ".usdc", ".usdz"), "USD is not read; convert it to glTF, with Blender for example, and give the .glb"
-)
+}
 """Formats that are not read, each with what to do."""
 
 
@@ -31,9 +31,9 @@ def load_model(
 ) -> Model:
     """Read a model file. Instances become triangles; the file's normals are kept.
 
-    files: the files that the model may name, by default those in its folder. sizes: of a glTF
-    file's lights. state: variant and time of a glTF file. Raises BokehguideError for a missing, damaged or empty file, values
-    that are not finite, indices out of range, and a state that the file does not have.
+    files: the files that the model may name, by default those in its folder. sizes: of a glTF file's lights. state: variant of a
+    glTF file, and time of a glTF or USD file. Raises BokehguideError for a missing, damaged or empty file, values that are not
+    finite, indices out of range, and a state that the file does not have.
     """
     refuse_format(path, str(path))
     require_file(path, "model")
@@ -42,6 +42,10 @@ def load_model(
         from bokehguide.scene.gltf import load_gltf
 
         model = load_gltf(path, files, sizes or LightSizes(), state)
+    elif path.suffix.lower() in USD_SUFFIXES:
+        from bokehguide.scene.usd import load_usd
+
+        model = load_usd(path, files, state)
     else:
         if state != AT_REST:
             raise BokehguideError(f"{path}: has neither variants nor animations; leave variant and time out, or give a glTF file")

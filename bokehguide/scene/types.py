@@ -493,22 +493,41 @@ AT_REST = ModelState()
 
 
 @dataclass(frozen=True)
+class ModelLens:
+    """The lens of a camera of a model file.
+
+    aperture_radius: metres, 0 for a pinhole. focus_distance: metres; None focuses on the middle of the frame. sensor_width:
+    millimetres.
+    """
+
+    aperture_radius: float
+    focus_distance: float | None
+    sensor_width: float
+
+
+@dataclass(frozen=True)
 class ModelCamera:
-    """A camera of a model file; `forward` and `up` are unit vectors, `vertical_fov` is in degrees."""
+    """A camera of a model file; `forward` and `up` are unit vectors.
+
+    vertical_fov, horizontal_fov: degrees. The frame shows at least both; None leaves the horizontal one to the film. lens: None
+    derives one from the view.
+    """
 
     name: str
     position: Vector
     forward: Vector
     up: Vector
     vertical_fov: float
+    horizontal_fov: float | None = None
+    lens: ModelLens | None = None
 
 
 @dataclass(frozen=True)
 class Model:
     """Contents of a model file in the model's own space.
 
-    emitters: spheres at the positions of its lights; framing ignores them. supported: imported
-    features, one a line. warnings: ignored features, one a line.
+    emitters: spheres at the positions of its lights, and other surfaces of lights; framing ignores them. environment, film: None
+    without. supported: imported features, one a line. warnings: ignored features, one a line.
     """
 
     meshes: tuple[Mesh, ...]
@@ -516,5 +535,7 @@ class Model:
     emitters: tuple[Mesh, ...] = ()
     suns: tuple[Sun, ...] = ()
     cameras: tuple[ModelCamera, ...] = ()
+    environment: Environment | None = None
+    film: FilmSettings | None = None
     supported: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

@@ -16,7 +16,8 @@ from bokehguide.errors import BokehguideError
 from bokehguide.limits import FARTHEST_FOCUS, VIEWS
 from bokehguide.scene import BUILTIN, Aperture, Overrides, Scene
 from bokehguide.scene.cameras import focal_length
-from bokehguide.scene.loading import MODEL_SUFFIXES, override_scene
+from bokehguide.scene.loading import override_scene
+from bokehguide.scene.model_files import MODEL_SUFFIXES
 from bokehguide.scene.overrides import APERTURE, NO_OVERRIDES
 from bokehguide.scene.tables import EXPOSURE, Table, did_you_mean
 from bokehguide.scene.toml.derived import derived_text

@@ -266,6 +266,7 @@ KINDS: dict[str, tuple[Callable[[bytes, int, int], bytes], ...]] = {
     ".pbrt": (*BYTES, *TEXT * 2, *[exchange] * 6),
     ".dat": (*BYTES, *TEXT * 4),
     ".pfm": (*BYTES, *TEXT),
+    ".usda": (*BYTES, *TEXT * 4),
     ".hdr": (*BYTES, *TEXT),
     ".exr": (*BYTES, word, word),
     ".png": (*BYTES, *[png_checksums] * 4),

@@ -16,6 +16,7 @@ import OpenEXR
 from fuzzing.gltf_samples import SQUARE, draco_glb, glb, glossy_gltf, gltf_parts, meshopt_glb
 from fuzzing.ktx2_samples import ETC1S, UASTC
 from fuzzing.pbrt_samples import LENS, PART, PFM, REALISTIC, SCENE, octahedral_sky
+from fuzzing.usd_samples import STAGE, usdc, usdz
 from PIL import Image
 
 from bokehguide.scene import load_scene
@@ -232,6 +233,13 @@ def pbrt_scenes(folder: Path) -> list[Sample]:
     return [Sample(parts | {"scene.pbrt": SCENE.encode()}, damaged, "scene.pbrt"), realistic]
 
 
+def usd_stage(folder: Path, name: str) -> Sample:
+    """A USD stage with its images, as text, in binary form, or in one file."""
+    images = {"wood.png": image("PNG", "RGBA"), "sky.hdr": hdr()}
+    makers = {"a.usda": STAGE.encode, "a.usdc": lambda: usdc(folder), "a.usdz": lambda: usdz(folder, images)}
+    return Sample(images | {name: makers[name]()}, (name,), name)
+
+
 def scene_with(sky: str, data: bytes) -> Sample:
     """A scene file whose sky is to be damaged."""
     files = {"scene.toml": LIT.replace("NAME", sky).encode(), "wood.png": image("PNG"), "square.stl": binary_stl()}
@@ -269,6 +277,9 @@ SAMPLES: dict[str, Callable[[Path], list[Sample]]] = {
     "glossy": lambda folder: [glossy(ETC1S), glossy(UASTC)],
     "xml": lambda folder: [mitsuba_scene()],
     "pbrt": lambda folder: pbrt_scenes(folder),
+    "usda": lambda folder: [usd_stage(folder, "a.usda")],
+    "usdc": lambda folder: [usd_stage(folder, "a.usdc")],
+    "usdz": lambda folder: [usd_stage(folder, "a.usdz")],
     "toml": lambda folder: [Sample(scene_with("hdr", hdr()).files, ("scene.toml",), "scene.toml")],
     "hdr": lambda folder: [scene_with("hdr", hdr())],
     "exr": lambda folder: [scene_with("exr", exr(folder, kind)) for kind in EXR_KINDS],

@@ -52,7 +52,7 @@ def read_scene_file(path: Path, tables: dict[str, Any], overrides: Overrides, fi
         film=_read_film(root),
         environment=_read_environment(root, files, warnings),
         suns=(*_read_suns(root), *objects.suns),
-        warnings=(*objects.lines("warnings"), *_unused_sizes(root, objects), *warnings),
+        warnings=(*objects.lines("warnings"), *_unused_lights(root, objects), *warnings),
         supported=tuple(objects.lines("supported")),
     )
     return scene, chosen
@@ -160,14 +160,16 @@ def _read_lights(root: Table) -> LightSizes:
     )
 
 
-def _unused_sizes(root: Table, objects: _Objects) -> list[str]:
-    """A warning for each size in `[lights]` that no light of a model uses."""
+def _unused_lights(root: Table, objects: _Objects) -> list[str]:
+    """A warning for the dome lights of models, and for each size in `[lights]` that no light of a model uses."""
     models = [model for model, _ in objects.models.values()]
     takers = {"radius": (any(model.emitters for model in models), "point and spot lights")}
     takers["sun_angle"] = any(model.suns for model in models), "directional lights"
     given = root.values.get("lights", {})
     unused = [(key, kind) for key, (taken, kind) in takers.items() if key in given and not taken]
-    return [f"lights.{key}: has no effect, as no model has {kind}" for key, kind in unused]
+    domes = sum(model.environment is not None for model in models)
+    left = [f"dome lights of models: {domes} left out, as [environment] lights the scene"] if domes else []
+    return left + [f"lights.{key}: has no effect, as no model has {kind}" for key, kind in unused]
 
 
 def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> _Objects:

@@ -1,0 +1,240 @@
+"""UsdUVTexture nodes as images."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from bokehguide.errors import BokehguideError
+from bokehguide.limits import most_values
+from bokehguide.scene.images import decode_texture
+from bokehguide.scene.types import Texture
+from bokehguide.scene.usd.libraries import Ar, Sdf, UsdShade
+from bokehguide.scene.usd.stage import Stage
+
+UV = "st"
+"""The primvar of texture coordinates without a reader."""
+MAX_UV_SETS = 4
+"""Primvars of texture coordinates of a material."""
+WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp"}
+DERIVED = 4
+"""Values of images that are made of others, relative to the bound of the images of files."""
+CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
+
+
+@dataclass(frozen=True)
+class Source:
+    """An image that feeds an input. image: linear float32 `[H, W, 3 or 4]` with the node's scale and bias. channel: the first
+    one that the input takes. uv_name: the primvar. wrap, transform: as those of `Texture`."""
+
+    image: np.ndarray
+    channel: int
+    uv_name: str
+    wrap: tuple[str, str]
+    transform: tuple[float, float, float, float, float, float]
+
+    def grey(self) -> np.ndarray:
+        """The values `[H, W]` of an input that takes one number."""
+        return self.image[..., self.channel] if self.channel < self.image.shape[2] else np.ones(self.image.shape[:2], np.float32)
+
+    def rgb(self) -> np.ndarray:
+        """The values `[H, W, 3]` of an input that takes a colour."""
+        return self.image[..., :3] if self.channel == 0 else np.repeat(self.grey()[..., None], 3, axis=2)
+
+    def texture(self, image: np.ndarray, uv_names: list[str]) -> Texture:
+        """A texture of `image`, addressed as this source. uv_names: primvars of the material, which gain that of the source."""
+        if self.uv_name not in uv_names:
+            uv_names.append(self.uv_name)
+        return Texture(np.ascontiguousarray(image), uv_names.index(self.uv_name), self.wrap, self.transform)
+
+
+class Textures:
+    """The textures of a stage. Each file is read once."""
+
+    def __init__(self, opened: Stage):
+        self._opened = opened
+        self._bytes: dict[str, bytes | None] = {}
+        self._scaled: dict[tuple[int, tuple[float, ...], bool], np.ndarray] = {}
+        self._colors: dict[tuple[int, int], np.ndarray] = {}
+        self._kept: list[np.ndarray] = []
+        """Images whose identity is a key."""
+        self._derived = self.count = 0
+
+    def read(self, shader: Any, output: str, normal: bool = False) -> Source | None:
+        """The image of the output "rgb", "r", "g", "b" or "a" of a UsdUVTexture shader; None, with a note, without a file.
+
+        normal: the texels are directions between -1 and 1, and become directions mapped to [0, 1].
+        """
+        opened, prim = self._opened, shader.GetPrim()
+        attribute = _valued(shader, "file")
+        data = None if attribute is None else self.data(attribute)
+        if attribute is None or data is None:
+            return None
+        space = str(self._value(shader, "sourceColorSpace", "auto"))
+        srgb = space == "sRGB" or (space == "auto" and not normal and _is_srgb(data))
+        image = self._decode(data, str(attribute.Get(opened.time).path), opened.place(prim), srgb)
+        uv_name, transform = self._coordinates(shader)
+        wrap = self._wrap(shader, "wrapS"), self._wrap(shader, "wrapT")
+        return Source(self._scale(shader, image, normal), CHANNELS.get(output, 0), uv_name, wrap, transform)
+
+    def data(self, attribute: Any) -> bytes | None:
+        """The bytes of the file that an attribute names; None, with a note, without one.
+
+        Raises BokehguideError for a file outside the scene's folder.
+        """
+        opened = self._opened
+        value, place = attribute.Get(opened.time), opened.place(attribute)
+        if value is None or not value.path:
+            return None
+        name = value.path
+        if "<UDIM>" in name:
+            opened.lose("UDIM textures: the tile 1001 is used for all", name)
+            name = name.replace("<UDIM>", "1001")
+        stack = attribute.GetPropertyStack(opened.time)
+        absolute = Sdf.ComputeAssetPathRelativeToLayer(stack[0].layer, name) if stack else name
+        if absolute not in self._bytes:
+            outer = Ar.SplitPackageRelativePathOuter(absolute)[0]
+            path = opened.files.find(opened.path.parent, outer, place)
+            found = None
+            if path.is_file():
+                asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(absolute if Path(outer).is_absolute() else str(path)))
+                found = bytes(asset.GetBuffer()) if asset else None
+            if found is None:
+                opened.lose("missing textures: left out", name)
+            self._bytes[absolute] = found
+        return self._bytes[absolute]
+
+    def colors(self, source: Source) -> np.ndarray:
+        """The colours `[H, W, 3]` of a source between 0 and 1, made once for each image and channel."""
+        key = (id(source.image), source.channel)
+        if key not in self._colors:
+            self.reserve(source.image.size)
+            self._colors[key] = np.ascontiguousarray(source.rgb().clip(0.0, 1.0))
+            self._kept.append(source.image)
+        return self._colors[key]
+
+    def reserve(self, values: int) -> None:
+        """Count the values of an image that is made of others. Raises BokehguideError for far more than the files hold."""
+        self._derived += values
+        if self._derived > DERIVED * most_values(self._opened.files.used[2]):
+            problem = f"materials make {self._derived:,} values of images; share textures between materials"
+            raise BokehguideError(f"{self._opened.path}: {problem}")
+
+    def _decode(self, data: bytes, name: str, place: str, srgb: bool) -> np.ndarray:
+        """The texels of a file, linear float32 `[H, W, 3 or 4]`."""
+        files, self.count = self._opened.files, self.count + 1
+        kind = PurePosixPath(name.rstrip("]")).suffix.lower()
+        if kind not in (".exr", ".hdr"):
+            return decode_texture(data, place, files, srgb, alpha=True)
+        return files.image(data, srgb, True, lambda: read_floats(data, kind, place, files))
+
+    def _scale(self, shader: Any, image: np.ndarray, normal: bool) -> np.ndarray:
+        """`image` times the node's scale, plus its bias; normals mapped from [-1, 1] to [0, 1]."""
+        scale = np.asarray(self._value(shader, "scale", (1.0, 1.0, 1.0, 1.0)), np.float32)
+        bias = np.asarray(self._value(shader, "bias", (0.0, 0.0, 0.0, 0.0)), np.float32)
+        if normal:
+            scale, bias = scale / 2.0, (bias + 1.0) / 2.0
+        channels = slice(0, 3 if normal else image.shape[2])
+        scale, bias = scale[channels], bias[channels]
+        if (scale == 1.0).all() and (bias == 0.0).all():
+            return image[..., channels]
+        key = (id(image), (*scale.tolist(), *bias.tolist()), normal)
+        if key not in self._scaled:
+            self.reserve(image.size)
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._scaled[key] = np.nan_to_num(image[..., channels] * scale + bias, posinf=0.0, neginf=0.0)
+            self._kept.append(image)
+        return self._scaled[key]
+
+    def _coordinates(self, shader: Any) -> tuple[str, tuple[float, float, float, float, float, float]]:
+        """The primvar of the texture coordinates, and the transform of uvs with v downwards."""
+        node, matrix = _connected(shader, "st"), np.eye(3)
+        for _ in range(MAX_UV_SETS):  # transforms of transforms
+            if node is None or node.GetIdAttr().Get() != "UsdTransform2d":
+                break
+            matrix, node = matrix @ self._transform(node), _connected(node, "in")
+        name = UV
+        if node is not None:
+            name = str(self._value(node, "varname", UV) or UV)
+        flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, 1.0]])
+        turned = flip @ matrix @ flip
+        a, b, c, d, e, f = turned[:2].ravel().tolist()
+        return name, (a, b, c, d, e, f)
+
+    def _transform(self, node: Any) -> np.ndarray:
+        """The matrix `[3, 3]` of a UsdTransform2d: scale, then rotation anticlockwise, then translation."""
+        scale, move = self._value(node, "scale", (1.0, 1.0)), self._value(node, "translation", (0.0, 0.0))
+        angle = math.radians(float(self._value(node, "rotation", 0.0)))
+        cos, sin = math.cos(angle), math.sin(angle)
+        matrix = np.array([[cos * scale[0], -sin * scale[1], move[0]], [sin * scale[0], cos * scale[1], move[1]], [0, 0, 1]])
+        return np.nan_to_num(matrix, posinf=0.0, neginf=0.0)
+
+    def _wrap(self, shader: Any, name: str) -> str:
+        """The addressing outside [0, 1]."""
+        mode = str(self._value(shader, name, "useMetadata"))
+        if mode == "black":
+            self._opened.lose("textures that are black outside of [0, 1]: their border is repeated", str(shader.GetPath()))
+            return "clamp"
+        return WRAPS.get(mode, "repeat")
+
+    def _value(self, shader: Any, name: str, default: Any) -> Any:
+        """The value of an input, which may be that of an interface."""
+        attribute = _valued(shader, name)
+        value = None if attribute is None else attribute.Get(self._opened.time)
+        return default if value is None else value
+
+
+def read_floats(data: bytes, kind: str, place: str, files: Any) -> np.ndarray:
+    """An image of linear floats, `[H, W, 3]`. kind: ".exr" or ".hdr". Raises BokehguideError for an unreadable image."""
+    from bokehguide.image.reading import read_channels  # imports torch
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"image{kind}"
+        path.write_bytes(data)
+        try:
+            read = read_channels(path, kind[1:].upper())
+        except BokehguideError as error:
+            raise BokehguideError(f"{place}: {str(error).replace(str(path), 'the image')}") from None
+    names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3
+    pixels = np.stack([read.pixels[..., read.names.index(name)] for name in names], axis=-1)
+    files.reserve(pixels.size, len(data), place)
+    return np.nan_to_num(pixels, posinf=0.0, neginf=0.0).astype(np.float32)
+
+
+def _is_srgb(data: bytes) -> bool:
+    """Whether a texture of the colour space "auto" is encoded in sRGB: with 8 bits and three or four channels."""
+    from PIL import Image
+
+    try:
+        with Image.open(BytesIO(data)) as image:
+            deep = image.format == "PNG" and data[24:25] == b"\x10"
+            return image.mode not in ("1", "L", "LA", "F") and not image.mode.startswith("I") and not deep
+    except Exception:  # no image that Pillow knows; the decoder tells what is wrong
+        return False
+
+
+def _valued(shader: Any, name: str) -> Any:
+    """The attribute with the value of an input; None if the input is absent or fed by another node."""
+    given = shader.GetInput(name)
+    sources = given.GetValueProducingAttributes() if given else []
+    return sources[0] if sources and sources[0].GetName().startswith("inputs:") else None
+
+
+def _connected(shader: Any, name: str) -> Any:
+    """The shader that feeds an input, None without one."""
+    found = connected_output(shader.GetInput(name))
+    return None if found is None else found[0]
+
+
+def connected_output(given: Any) -> tuple[Any, str] | None:
+    """The shader that feeds an input, and the name of its output; None for an input without one."""
+    for attribute in given.GetValueProducingAttributes() if given else []:
+        if UsdShade.Output.IsOutput(attribute):
+            return UsdShade.Shader(attribute.GetPrim()), UsdShade.Output(attribute).GetBaseName()
+    return None
