@@ -1,0 +1,51 @@
+"""A scene file of the scene that Blender renders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import bpy
+
+from .camera import read_camera, read_framing
+from .framing import Framing
+from .geometry import export_geometry
+from .lights import read_lights
+from .main_thread import in_main_thread
+from .messages import RenderError
+from .toml_text import dumps
+from .world import read_world
+
+GEOMETRY = "geometry.glb"
+
+
+@dataclass
+class Exported:
+    """A scene file, its framing, and what it lacks."""
+
+    path: Path
+    framing: Framing
+    warnings: list[str] = field(default_factory=list)
+
+
+def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, folder: Path) -> Exported:
+    """Write the scene of a render into a folder. Raises RenderError for a scene without a perspective camera."""
+    scene, warnings = depsgraph.scene, []
+    if engine.camera_override is None and scene.camera is None:
+        raise RenderError("the scene has no camera; add one, and make it the active camera of the scene")
+    camera = (engine.camera_override or scene.camera).evaluated_get(depsgraph)
+    framing = read_framing(camera.data, scene.render, (engine.resolution_x, engine.resolution_y), warnings)
+    tables: dict[str, object] = {
+        "camera": read_camera(camera, framing, warnings),
+        "film": {"width": framing.size[0], "height": framing.size[1], "max_depth": scene.bokehguide.max_bounces + 2},
+        "object": [{"file": GEOMETRY}],
+    }
+    environment = read_world(scene, folder, warnings)
+    if environment is not None:
+        tables["environment"] = environment
+    tables |= read_lights(depsgraph, warnings)
+    layer = scene.original.view_layers[depsgraph.view_layer.name]
+    in_main_thread(lambda: export_geometry(scene.original, layer, folder / GEOMETRY), engine.test_break)
+    path = folder / "scene.toml"
+    path.write_text(dumps(tables), encoding="utf-8")
+    return Exported(path, framing, warnings)
