@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from . import engine, preferences, properties
+from . import engine, panels, preferences, properties
 
-MODULES = (properties, preferences, engine)
+MODULES = (properties, preferences, panels, engine)
 
 
 def register() -> None:

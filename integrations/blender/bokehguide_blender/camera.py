@@ -37,6 +37,7 @@ def read_camera(camera: bpy.types.Object, framing: Framing, warnings: list[str])
         "target": y_up([a + b for a, b in zip(position, forward)]),
         "up": y_up(unit(column(matrix, 1))),
         "fov": framing.fov,
+        "aperture_radius": 0.0,
         "focus_distance": 1.0,
     }
     if not lens.dof.use_dof:
@@ -45,6 +46,16 @@ def read_camera(camera: bpy.types.Object, framing: Framing, warnings: list[str])
     table["focus_distance"] = focus_distance(lens.dof, position, forward)
     table["aperture"] = _aperture(lens.dof, warnings)
     return table
+
+
+def in_frame(table: dict[str, Any], framing: Framing, position: Vector) -> bool:
+    """Whether a position of Blender lies in the frame of a `[camera]` table, or within a tenth of its width around it."""
+    forward = [a - b for a, b in zip(table["target"], table["position"])]
+    offset = [a - b for a, b in zip(y_up(position), table["position"])]
+    depth, up = dot(offset, forward), dot(offset, table["up"])
+    across = max(dot(offset, offset) - depth**2 - up**2, 0.0) ** 0.5
+    half = 0.6 * depth * 2.0 * math.tan(0.5 * math.radians(framing.fov))
+    return depth > 0.0 and across < half and abs(up) < half * framing.size[1] / framing.size[0]
 
 
 def focus_distance(dof: bpy.types.CameraDOFSettings, position: Vector, forward: Vector) -> float:

@@ -1,7 +1,7 @@
 """Renders one scene. Runs in the Python environment of bokehguide, without Blender: `python driver.py JOB.json`.
 
-The job: `scene`, the path of a scene file; `folder` for pictures; `options` of `bokehguide.render`. stdout gets one JSON object per
-line: `stage`, `warning`, `step` with `of`, `picture` with a path, or `error`. A picture is an .npz file with the layers of
+The job: `scene`, the path of a scene file; `folder` for pictures; `options` of `bokehguide.render`. stdout gets one JSON object
+per line: `stage`, `warning`, `step` with `of`, `picture` with a path, or `error`. A picture is an .npz file with the layers of
 `bokehguide.Picture`; the reader removes it.
 """
 
@@ -19,6 +19,8 @@ from typing import Any
 
 INTERVAL, SHARE = 1.0, 10.0
 """Seconds from one picture to the next: at least so many, and so many times the time that a picture takes."""
+STEP_INTERVAL = 0.1
+"""Seconds from one told step to the next."""
 LAYERS = ("beauty", "alpha", "depth", "normal", "albedo", "denoised")
 
 
@@ -39,11 +41,15 @@ class Pictures:
     """Writes pictures into a folder now and then."""
 
     def __init__(self, folder: Path, spp: int):
-        self._folder, self._spp, self._due, self._number = folder, spp, 0.0, 0
+        self._folder, self._spp = folder, spp
+        self._due = self._step_due = 0.0
+        self._number = 0
 
     def step(self, step: int, picture: Callable[[], Any]) -> None:
         """Tell a step, and write its picture if one is due. The last picture is written by the caller."""
-        tell(step=step, of=self._spp)
+        if time.monotonic() >= self._step_due:
+            tell(step=step, of=self._spp)
+            self._step_due = time.monotonic() + STEP_INTERVAL
         if time.monotonic() >= self._due and step < self._spp:
             start = time.monotonic()
             self.write(picture())
@@ -59,7 +65,7 @@ class Pictures:
         partial = path.with_suffix(".part")
         with partial.open("wb") as file:
             np.savez(file, **{name: layer for name in LAYERS if (layer := getattr(picture, name)) is not None})
-        os.replace(partial, path)
+        partial.replace(path)
         tell(picture=str(path), step=picture.metadata["spp"])
 
 
@@ -79,7 +85,7 @@ def main(job_path: str) -> int:
     warnings.simplefilter("always")
     pictures = Pictures(Path(job["folder"]), job["options"]["spp"])
     try:
-        with open(os.devnull, "w") as nothing:  # the progress bar
+        with Path(os.devnull).open("w") as nothing:  # the progress bar
             sys.stderr, stderr = nothing, sys.stderr
             try:
                 picture = bokehguide.render(job["scene"], allow_outside=True, on_step=pictures.step, **job["options"])

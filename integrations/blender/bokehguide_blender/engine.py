@@ -10,7 +10,7 @@ import bpy
 
 from .messages import Cancelled, RenderError
 from .passes import Passes
-from .preferences import preferences
+from .preferences import interpreter
 from .process import ProcessError, Render
 from .scene_export import Exported, export_scene
 
@@ -56,7 +56,7 @@ class BokehguideEngine(bpy.types.RenderEngine):
         if scene.bokehguide.use_pass_albedo:
             self.add_pass("Albedo", 3, "RGB", layer=layer.name)
         passes = Passes(self, layer.name, exported.framing.window[2:])
-        with Render(preferences().python, exported.path, folder, _options(scene, exported)) as process:
+        with Render(interpreter(), exported.path, folder, _options(scene, exported)) as process:
             while (message := process.message(POLL)) is not None:
                 if self.test_break():
                     raise Cancelled

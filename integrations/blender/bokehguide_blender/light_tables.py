@@ -1,7 +1,7 @@
 """The `[[light]]` and `[[sun]]` tables of Blender's lights. Needs no Blender.
 
-Power of Cycles' lights: the flux of a point light of P watts is P, and of an area light of P watts as well. A sun's strength is its
-irradiance.
+Power of Cycles' lights: the flux of a point light of P watts is P, and of an area light of P watts as well. A sun's strength is
+its irradiance.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def luminance(color: Sequence[float]) -> float:
 def point(name: str, matrix: Matrix, color: Vector, watts: float, radius: float, normalized: bool = True) -> Table:
     """A point light. color: linear Rec.709. normalized: whether the flux is independent of the radius."""
     radius = max(radius, SMALLEST_RADIUS)
-    watts *= 1.0 if normalized else math.pi * radius**2
+    watts *= 1.0 if normalized else 4.0 * math.pi * radius**2
     table = {"name": name, "shape": "sphere", "radius": radius, "position": y_up(column(matrix, 3))}
     return table | _power(color, watts)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import bpy
@@ -14,8 +15,10 @@ ROUNDING = 1e-3
 """Relative difference of lengths that counts as none."""
 
 
-def read_lights(depsgraph: bpy.types.Depsgraph, warnings: list[str]) -> dict[str, list[dict[str, Any]]]:
-    """The tables of all lights, instances included, by the names `light` and `sun`."""
+def read_lights(
+    depsgraph: bpy.types.Depsgraph, in_frame: Callable[[Vector], bool], warnings: list[str]
+) -> dict[str, list[dict[str, Any]]]:
+    """The tables of all lights, instances included, by the names `light` and `sun`. in_frame: whether the camera sees a point."""
     lights, suns, shown, uneven = [], [], [], []
     for instance in depsgraph.object_instances:
         if instance.object.type != "LIGHT":
@@ -28,12 +31,12 @@ def read_lights(depsgraph: bpy.types.Depsgraph, warnings: list[str]) -> dict[str
             suns.append(light_tables.sun(matrix, color, light.energy, light.angle))
             continue
         lights.append(_light(light, matrix, name, color, warnings))
-        if not instance.object.visible_camera:
+        if not instance.object.visible_camera and in_frame(column(matrix, 3)):
             shown.append(name)
         if light.type == "SPOT" and _uneven(matrix):
             uneven.append(name)
     if shown:
-        warnings.append(f"lights are visible to the camera in bokehguide, also with Ray Visibility off: {listed(shown)}")
+        warnings.append(f"the camera sees lights, also those that Blender hides from it: {listed(shown)}")
     if uneven:
         warnings.append(f"the uneven scale of spotlights is ignored: {listed(uneven)}")
     return {name: tables for name, tables in (("light", lights), ("sun", suns)) if tables}

@@ -8,7 +8,7 @@ import numpy as np
 
 
 def write_hdr(path: Path, colors: np.ndarray) -> None:
-    """Write linear colours `[H, W, 3]`, top row first, with a common exponent for each pixel: an error of 0.4 % of the largest channel."""
+    """Write linear colours `[H, W, 3]`, top row first. The error is 0.4 % of the largest channel of a pixel."""
     height, width, _ = colors.shape
     peak = np.maximum(colors.max(axis=2), 1e-30)
     exponent = np.floor(np.log2(peak)).astype(np.int32) + 1

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from .camera import read_camera, read_framing
+from .camera import in_frame, read_camera, read_framing
 from .framing import Framing
 from .geometry import export_geometry
 from .lights import read_lights
@@ -35,15 +35,16 @@ def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph,
         raise RenderError("the scene has no camera; add one, and make it the active camera of the scene")
     camera = (engine.camera_override or scene.camera).evaluated_get(depsgraph)
     framing = read_framing(camera.data, scene.render, (engine.resolution_x, engine.resolution_y), warnings)
+    view = read_camera(camera, framing, warnings)
     tables: dict[str, object] = {
-        "camera": read_camera(camera, framing, warnings),
+        "camera": view,
         "film": {"width": framing.size[0], "height": framing.size[1], "max_depth": scene.bokehguide.max_bounces + 2},
         "object": [{"file": GEOMETRY}],
     }
     environment = read_world(scene, folder, warnings)
     if environment is not None:
         tables["environment"] = environment
-    tables |= read_lights(depsgraph, warnings)
+    tables |= read_lights(depsgraph, lambda position: in_frame(view, framing, position), warnings)
     layer = scene.original.view_layers[depsgraph.view_layer.name]
     in_main_thread(lambda: export_geometry(scene.original, layer, folder / GEOMETRY), engine.test_break)
     path = folder / "scene.toml"
