@@ -12,6 +12,7 @@ from .framing import Framing
 from .geometry import export_geometry
 from .lights import read_lights
 from .main_thread import in_main_thread
+from .materials import material_warnings
 from .messages import RenderError
 from .toml_text import dumps
 from .world import read_world
@@ -45,6 +46,7 @@ def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph,
     if environment is not None:
         tables["environment"] = environment
     tables |= read_lights(depsgraph, lambda position: in_frame(view, framing, position), warnings)
+    warnings += material_warnings(depsgraph)
     layer = scene.original.view_layers[depsgraph.view_layer.name]
     in_main_thread(lambda: export_geometry(scene.original, layer, folder / GEOMETRY), engine.test_break)
     path = folder / "scene.toml"

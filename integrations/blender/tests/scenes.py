@@ -71,7 +71,7 @@ def place(item, location, towards):
     bpy.context.view_layer.update()
 
 
-def render(engine, folder, size=SIZE, samples=64, still=True):
+def render(engine, folder, size=SIZE, samples=64):
     """The channels of a render by "CYCLES" or "BOKEHGUIDE", `[H, W]`, top row first, by name without the layer (`Combined.R`)."""
     scene = bpy.context.scene
     scene.render.engine = engine
@@ -87,7 +87,12 @@ def render(engine, folder, size=SIZE, samples=64, still=True):
         settings.media_type = "MULTI_LAYER_IMAGE"
     settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
     scene.render.filepath = str(path)
-    bpy.ops.render.render(write_still=still)
+    bpy.ops.render.render(write_still=True)
+    return read(path)
+
+
+def read(path):
+    """The channels of a multilayer EXR as of `render`."""
     channels = OpenEXR.File(str(path), separate_channels=True).channels()
     return {name.split(".", 1)[-1]: np.array(channel.pixels, np.float32) for name, channel in channels.items()}
 
@@ -118,8 +123,19 @@ def world(color=(0.0, 0.0, 0.0), strength=1.0):
 
 
 def disc(picture):
-    """The diameter in pixels, and the centre (column, row), of the one bright disc of a picture `[H, W]`."""
-    share = picture / np.percentile(picture[picture > 0.2 * picture.max()], 50)
-    area = np.clip(share, 0.0, 1.0)
+    """The diameter in pixels, and the centre (column, row), of the one bright disc of a picture `[H, W]`.
+
+    A uniform disc of radius R has the mean squared distance R² / 2 from its centre, whatever its noise.
+    """
+    share = picture / picture.sum()
     rows, columns = np.indices(picture.shape)
-    return math.sqrt(4.0 * area.sum() / math.pi), ((columns * area).sum() / area.sum(), (rows * area).sum() / area.sum())
+    column, row = (columns * share).sum(), (rows * share).sum()
+    squared = (((columns - column) ** 2 + (rows - row) ** 2) * share).sum()
+    return 2.0 * math.sqrt(2.0 * squared), (column, row)
+
+
+def blurred(picture, side=4):
+    """Means over blocks of a picture `[H, W]`, as shares of its sum."""
+    height, width = (length // side for length in picture.shape)
+    means = picture[: height * side, : width * side].reshape(height, side, width, side).mean((1, 3))
+    return means / means.sum()
