@@ -49,7 +49,7 @@ class BokehguideEngine(bpy.types.RenderEngine):
         except Cancelled:
             return
         except (RenderError, ProcessError) as error:
-            self.error_set(f"Bokehguide: {error}")
+            self.report({"ERROR"}, f"Bokehguide: {error}")
 
     def _run(self, exported: Exported, folder: Path, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
         """Render a scene file and show the pictures. Raises RenderError, ProcessError and Cancelled."""
@@ -58,7 +58,7 @@ class BokehguideEngine(bpy.types.RenderEngine):
         passes = Passes(self, layer.name, exported.framing.window[2:])
         with Render(interpreter(), exported.path, folder, _options(scene, exported)) as process:
             while (message := process.message(POLL)) is not None:
-                if self.test_break():
+                if is_cancelled(self):
                     raise Cancelled
                 self._show(message, passes)
             failure = process.failure()
@@ -78,6 +78,11 @@ class BokehguideEngine(bpy.types.RenderEngine):
             self.update_stats("", f"Sample {message['step']}/{message['of']}")
         elif "stage" in message:
             self.update_stats("", message["stage"])
+
+
+def is_cancelled(engine: bpy.types.RenderEngine) -> bool:
+    """Whether the user has ended the render."""
+    return engine.test_break()
 
 
 def _options(scene: bpy.types.Scene, exported: Exported) -> dict[str, Any]:

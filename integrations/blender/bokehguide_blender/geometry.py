@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,30 +28,51 @@ EXPORT = {
     "check_existing": False,
 }
 """Options of the exporter; those that a release of Blender lacks are left out."""
+SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+"""Types of objects that the exporter writes as meshes."""
 
 
-def export_geometry(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, path: Path) -> None:
-    """Write the renderable objects of a view layer in the axes of glTF."""
+def rendered_objects(depsgraph: bpy.types.Depsgraph) -> set[str]:
+    """The names of the objects that the render shows themselves, not as instances."""
+    return {instance.object.original.name_full for instance in depsgraph.object_instances if not instance.is_instance}
+
+
+def export_geometry(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, rendered: set[str], path: Path) -> None:
+    """Write the objects of a view layer in the axes of glTF. rendered: as of `rendered_objects`."""
     if not hasattr(bpy.types, "EXPORT_SCENE_OT_gltf"):
         bpy.ops.preferences.addon_enable(module="io_scene_gltf2")
     known = {each.identifier for each in bpy.ops.export_scene.gltf.get_rna_type().properties}
     options = {name: value for name, value in EXPORT.items() if name in known}
-    with bpy.context.temp_override(scene=scene, view_layer=layer), render_levels(scene):
+    with bpy.context.temp_override(scene=scene, view_layer=layer), as_rendered(scene, rendered):
         bpy.ops.export_scene.gltf(filepath=str(path), **options)
 
 
 @contextmanager
-def render_levels(scene: bpy.types.Scene) -> Iterator[None]:
-    """A context in which the viewport shows the modifiers of the render, which the exporter reads."""
+def as_rendered(scene: bpy.types.Scene, rendered: set[str]) -> Iterator[None]:
+    """A context in which the viewport shows the objects and modifiers of the render, which the exporter reads."""
     changed = []
-    for item in scene.objects:
-        for modifier in item.modifiers:
-            for shown, rendered in (("levels", "render_levels"), ("show_viewport", "show_render")):
-                if hasattr(modifier, rendered) and getattr(modifier, shown) != getattr(modifier, rendered):
-                    changed.append((modifier, shown, getattr(modifier, shown)))
-                    setattr(modifier, shown, getattr(modifier, rendered))
+
+    def change(owner: bpy.types.bpy_struct, name: str, value: object) -> None:
+        if getattr(owner, name) != value:
+            changed.append((owner, name, getattr(owner, name)))
+            setattr(owner, name, value)
+
     try:
+        for item in scene.objects:
+            if item.type in SURFACES and item.name_full not in rendered:
+                change(item, "hide_render", True)
+            for modifier in item.modifiers:
+                change(modifier, "show_viewport", modifier.show_render)
+                if hasattr(modifier, "render_levels"):
+                    change(modifier, "levels", modifier.render_levels)
         yield
     finally:
-        for modifier, shown, value in changed:
-            setattr(modifier, shown, value)
+        for owner, name, value in reversed(changed):
+            setattr(owner, name, value)
+
+
+def has_meshes(path: Path) -> bool:
+    """Whether a .glb file has meshes; its first chunk is JSON."""
+    with path.open("rb") as file:
+        (length,) = struct.unpack("<12xI4x", file.read(20))
+        return bool(json.loads(file.read(length)).get("meshes"))

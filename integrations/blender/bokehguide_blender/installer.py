@@ -69,10 +69,11 @@ def _run(command: list[str], tell: Callable[[str], None]) -> None:
     except OSError as error:
         raise ProcessError(f"{command[0]}: cannot start ({error.strerror}); choose another Python in the preferences") from None
     assert process.stdout is not None
-    for line in process.stdout:
-        if line.strip() and not line.startswith("[notice]"):
-            last = line.strip()
-            tell(last)
+    with process.stdout as lines:
+        for line in lines:
+            if line.strip() and not line.startswith("[notice]"):
+                last = line.strip()
+                tell(last)
     if process.wait() != 0:
         raise ProcessError(f"installation failed: {last or command[0]}")
 

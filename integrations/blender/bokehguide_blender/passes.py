@@ -1,11 +1,14 @@
-"""The passes of a render in Blender."""
+"""The passes of a render in Blender. Importing needs no Blender."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import bpy
 import numpy as np
+
+if TYPE_CHECKING:
+    import bpy
 
 
 class Passes:

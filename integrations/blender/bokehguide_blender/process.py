@@ -83,13 +83,14 @@ class Render:
 
     def _read(self, stream: IO[bytes]) -> None:
         """Queue the messages of the driver. Other lines come from libraries and are left out."""
-        for line in stream:
-            try:
-                message = json.loads(line)
-            except ValueError:
-                continue
-            if isinstance(message, dict):
-                self._messages.put(message)
+        with stream:
+            for line in stream:
+                try:
+                    message = json.loads(line)
+                except ValueError:
+                    continue
+                if isinstance(message, dict):
+                    self._messages.put(message)
         self._messages.put(None)
 
 

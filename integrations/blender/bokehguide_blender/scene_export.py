@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import bpy
 
 from .camera import in_frame, read_camera, read_framing
 from .framing import Framing
-from .geometry import export_geometry
+from .geometry import export_geometry, has_meshes, rendered_objects
 from .lights import read_lights
 from .main_thread import in_main_thread
 from .materials import material_warnings
@@ -40,7 +41,6 @@ def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph,
     tables: dict[str, object] = {
         "camera": view,
         "film": {"width": framing.size[0], "height": framing.size[1], "max_depth": scene.bokehguide.max_bounces + 2},
-        "object": [{"file": GEOMETRY}],
     }
     environment = read_world(scene, folder, warnings)
     if environment is not None:
@@ -48,7 +48,19 @@ def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph,
     tables |= read_lights(depsgraph, lambda position: in_frame(view, framing, position), warnings)
     warnings += material_warnings(depsgraph)
     layer = scene.original.view_layers[depsgraph.view_layer.name]
-    in_main_thread(lambda: export_geometry(scene.original, layer, folder / GEOMETRY), engine.test_break)
+    rendered = rendered_objects(depsgraph)
+    in_main_thread(lambda: export_geometry(scene.original, layer, rendered, folder / GEOMETRY), engine.test_break)
+    if has_meshes(folder / GEOMETRY):
+        tables["object"] = [{"file": GEOMETRY}]
+    elif "light" not in tables:
+        tables |= _speck(view)
     path = folder / "scene.toml"
     path.write_text(dumps(tables), encoding="utf-8")
     return Exported(path, framing, warnings)
+
+
+def _speck(view: dict[str, Any]) -> dict[str, object]:
+    """The tables of a black speck a metre behind the camera: bokehguide renders no scene without a surface."""
+    behind = [2.0 * a - b for a, b in zip(view["position"], view["target"])]
+    black = {"base_color": (0.0, 0.0, 0.0), "specular": 0.0}
+    return {"materials.speck": black, "object": [{"shape": "box", "material": "speck", "scale": 1e-4, "translate": behind}]}
