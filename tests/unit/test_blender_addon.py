@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import runpy
+import struct
 import sys
 import tomllib
 import types
@@ -16,6 +17,7 @@ import pytest
 
 import bokehguide
 from bokehguide.scene.environments import load_environment_map
+from tests.support.gltf_square import write_gltf
 from tests.support.paths import REPOSITORY
 
 FOLDER = REPOSITORY / "integrations" / "blender"
@@ -117,6 +119,21 @@ def test_map(addon, tmp_path):
     read, warnings = load_environment_map(tmp_path / "map.hdr")
     assert not warnings
     assert (np.abs(np.asarray(read) - colors) <= 0.004 * colors.max(axis=2, keepdims=True)).all()
+
+
+def test_transmission_is_solid(addon, tmp_path):
+    transmission = {"KHR_materials_transmission": {"transmissionFactor": 1.0}}
+    write_gltf(tmp_path / "glass.gltf", {"extensions": transmission}, extensionsUsed=list(transmission))
+    text = (tmp_path / "glass.gltf").read_bytes()
+    text += b" " * (-len(text) % 4)
+    path = tmp_path / "glass.glb"
+    path.write_bytes(struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text)
+    assert bokehguide.load_scene(path).materials[0].thin
+    assert addon("glb").complete_glb(path)
+    assert not bokehguide.load_scene(path).materials[0].thin
+    before = path.read_bytes()
+    assert addon("glb").complete_glb(path)
+    assert path.read_bytes() == before
 
 
 def test_planes(addon):

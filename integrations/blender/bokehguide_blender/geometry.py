@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -69,10 +67,3 @@ def as_rendered(scene: bpy.types.Scene, rendered: set[str]) -> Iterator[None]:
     finally:
         for owner, name, value in reversed(changed):
             setattr(owner, name, value)
-
-
-def has_meshes(path: Path) -> bool:
-    """Whether a .glb file has meshes; its first chunk is JSON."""
-    with path.open("rb") as file:
-        (length,) = struct.unpack("<12xI4x", file.read(20))
-        return bool(json.loads(file.read(length)).get("meshes"))

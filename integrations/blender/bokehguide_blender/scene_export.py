@@ -10,7 +10,8 @@ import bpy
 
 from .camera import in_frame, read_camera, read_framing
 from .framing import Framing
-from .geometry import export_geometry, has_meshes, rendered_objects
+from .geometry import export_geometry, rendered_objects
+from .glb import complete_glb
 from .lights import read_lights
 from .main_thread import in_main_thread
 from .materials import material_warnings
@@ -50,7 +51,7 @@ def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph,
     layer = scene.original.view_layers[depsgraph.view_layer.name]
     rendered = rendered_objects(depsgraph)
     in_main_thread(lambda: export_geometry(scene.original, layer, rendered, folder / GEOMETRY), engine.test_break)
-    if has_meshes(folder / GEOMETRY):
+    if complete_glb(folder / GEOMETRY):
         tables["object"] = [{"file": GEOMETRY}]
     elif "light" not in tables:
         tables |= _speck(view)

@@ -104,6 +104,18 @@ def test_materials(scene, tmp_path):
         np.testing.assert_allclose(means[1], means[0], rtol=0.06)
 
 
+def test_glass_refracts(scene, tmp_path):
+    """A glass sphere shows the bright half of the world upside down, and a thin sheet shows it upright."""
+    scenes.mesh("plane", scenes.material("sky", emission=1.0), size=40, location=(0, 10, 20), rotation=(1.5708, 0, 0))
+    glass = scenes.material("glass", (1, 1, 1), Roughness=0.0, Transmission_Weight=1.0, Specular_IOR_Level=0.5)
+    scenes.mesh("uv_sphere", glass, radius=1.0, segments=64, ring_count=32)
+    bpy.ops.object.shade_smooth()
+    scenes.camera((0, -6, 0), lens=60.0)
+    for picture in scenes.both(tmp_path, samples=64):
+        upper, lower = picture[20:28, 40:56, 1].mean(), picture[36:44, 40:56, 1].mean()
+        assert lower > 0.8 > 0.2 > upper
+
+
 def test_materials_that_are_lost_are_told(scene, tmp_path, capfd):
     made = bpy.data.materials.new("cloth")
     made.use_nodes = True
