@@ -12,6 +12,7 @@ EXPORT = {
     "export_format": "GLB",
     "export_yup": True,
     "export_apply": True,
+    "export_gn_mesh": True,
     "export_animations": False,
     "export_skins": False,
     "export_morph": False,
