@@ -77,11 +77,13 @@ def test_radiance_of_lights(addon, tmp_path):
         tables.area("area", stretched, color, 100.0, "SQUARE", (0.5, 9.0), True),
         tables.area("ellipse", IDENTITY, color, 100.0, "ELLIPSE", (0.5, 0.4), True),
         tables.area("disk not normalised", stretched, color, 100.0, "DISK", (0.5, 9.0), False),
+        tables.point("point not normalised", IDENTITY, color, 100.0, 0.3, False),
     ]
     materials = lit_scene(addon, tmp_path, light=lights).materials
     sphere = 100.0 / (4.0 * math.pi**2 * 0.3**2)
     areas = [0.5, 0.25 * math.pi * 0.2]
-    for material, radiance in zip(materials, (sphere, sphere, *(100.0 / (math.pi * area) for area in areas), 100.0 / math.pi)):
+    flat = [100.0 / (math.pi * area) for area in areas]
+    for material, radiance in zip(materials, (sphere, sphere, *flat, 100.0 / math.pi, 100.0 / math.pi)):
         np.testing.assert_allclose(material.emission, np.array(color) * radiance, rtol=0.01)
     cone = materials[1].emission_cone
     assert (cone.axis, cone.smooth) == ((0.0, -1.0, 0.0), True)
