@@ -8,6 +8,8 @@ from pathlib import Path
 
 import bpy
 
+from .messages import RenderError
+
 EXPORT = {
     "export_format": "GLB",
     "export_yup": True,
@@ -37,13 +39,22 @@ def rendered_objects(depsgraph: bpy.types.Depsgraph) -> set[str]:
 
 
 def export_geometry(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, rendered: set[str], path: Path) -> None:
-    """Write the objects of a view layer in the axes of glTF. rendered: as of `rendered_objects`."""
+    """Write the objects of a view layer in the axes of glTF. rendered: as of `rendered_objects`.
+
+    Raises RenderError where the exporter fails.
+    """
     if not hasattr(bpy.types, "EXPORT_SCENE_OT_gltf"):
         bpy.ops.preferences.addon_enable(module="io_scene_gltf2")
     known = {each.identifier for each in bpy.ops.export_scene.gltf.get_rna_type().properties}
     options = {name: value for name, value in EXPORT.items() if name in known}
     with bpy.context.temp_override(scene=scene, view_layer=layer), as_rendered(scene, rendered):
-        bpy.ops.export_scene.gltf(filepath=str(path), **options)
+        try:
+            bpy.ops.export_scene.gltf(filepath=str(path), **options)
+        except RuntimeError as error:  # the exporter's traceback
+            reason = [line for line in str(error).splitlines() if line.strip() and not line.startswith("Location:")][-1]
+            raise RenderError(
+                f"the glTF exporter failed: {reason}; export the scene by File > Export to find the object"
+            ) from None
 
 
 @contextmanager

@@ -59,24 +59,44 @@ def test_orthographic_camera(scene, message):
     assert "perspective cameras only" in message()
 
 
-def test_message_of_bokehguide(scene, message):
+def world_texture():
+    """The Environment Texture of a new world."""
+    tree = scenes.world()
+    texture = tree.nodes.new("ShaderNodeTexEnvironment")
+    tree.links.new(texture.outputs["Color"], tree.nodes["Background"].inputs["Color"])
+    return texture
+
+
+def test_message_of_bokehguide(scene, message, tmp_path):
     scenes.camera()
-    scenes.mesh("cube", location=(1e19, 0, 0))
+    (tmp_path / "broken.hdr").write_text("no map")
+    image = world_texture().image = bpy.data.images.new("map", 8, 4)
+    image.source, image.filepath = "FILE", str(tmp_path / "broken.hdr")
     said = message()
     assert "Bokehguide: " in said
-    assert "geometry.glb" in said
+    assert "broken.hdr" in said
     assert "Traceback" not in said
 
 
 def test_missing_world_map(scene, message):
-    tree = scenes.world()
-    texture = tree.nodes.new("ShaderNodeTexEnvironment")
-    tree.links.new(texture.outputs["Color"], tree.nodes["Background"].inputs["Color"])
+    texture = world_texture()
     scenes.camera()
     assert "has no image" in message()
     texture.image = bpy.data.images.new("map", 8, 4)
     texture.image.source, texture.image.filepath = "FILE", "//nowhere.hdr"
     assert "world: the image map cannot be read; check its path" in message()
+
+
+def test_failure_of_the_exporter(scene, message, monkeypatch):
+    writer = pytest.importorskip("io_scene_gltf2.io.exp.export", reason="Blender 4.2 has another module")
+
+    def fail(*_, **__):
+        raise OSError("No space left on device")
+
+    scenes.camera()
+    monkeypatch.setattr(writer, "save_gltf", fail)
+    said = message()
+    assert "Bokehguide: the glTF exporter failed: OSError: No space left on device; export" in said
 
 
 def test_cancel(scene, message, monkeypatch):
