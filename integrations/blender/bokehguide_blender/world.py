@@ -14,6 +14,8 @@ from .radiance_hdr import write_hdr
 
 MAP_ROTATION = -90.0
 """Degrees. The middle of a map lies at Blender's +X and at -z of scene files, which is Blender's +Y."""
+LINEAR = ("Linear Rec.709", "Linear", "Non-Color", "Raw")
+"""Colour spaces of images whose files hold linear Rec.709."""
 
 
 def read_world(scene: bpy.types.Scene, folder: Path, warnings: list[str]) -> dict[str, Any] | None:
@@ -97,7 +99,8 @@ def _file(image: bpy.types.Image, folder: Path) -> Path:
     """A .hdr or .exr file with the pixels of an image. Raises RenderError where the image cannot be read."""
     path = Path(bpy.path.abspath(image.filepath, library=image.library))
     on_disk = image.source == "FILE" and not image.packed_file and not image.is_dirty
-    if on_disk and path.suffix.lower() in (".hdr", ".exr") and path.is_file():
+    linear = image.colorspace_settings.name in LINEAR
+    if on_disk and linear and path.suffix.lower() in (".hdr", ".exr") and path.is_file():
         return path
     width, height = image.size
     if not image.has_data and not (width and height):
