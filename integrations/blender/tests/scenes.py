@@ -93,8 +93,9 @@ def render(engine, folder, size=SIZE, samples=64):
 
 def read(path):
     """The channels of a multilayer EXR as of `render`."""
-    channels = OpenEXR.File(str(path), separate_channels=True).channels()
-    return {name.split(".", 1)[-1]: np.array(channel.pixels, np.float32) for name, channel in channels.items()}
+    parts = OpenEXR.File(str(path), separate_channels=True).parts  # Blender 5 writes a part for each pass
+    channels = [item for part in parts for item in part.channels.items()]
+    return {name.split(".", 1)[-1]: np.array(channel.pixels, np.float32) for name, channel in channels}
 
 
 def both(folder, **options):
