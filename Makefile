@@ -4,6 +4,8 @@
 # make test-all   all tests, with those marked slow
 # make lint       ruff (lint and format) and pyright
 # make docs       the documentation, into out/site
+# make blender    the add-on for Blender, into out/
+# make test-blender  the tests of the add-on against Cycles; BLENDER=5.0 chooses the release (about 10 minutes, 1 GB)
 # make results    every figure and table of docs/results, again (days; SETTING=reduced: about 20 minutes)
 # make clean      remove .venv and out/
 # make help       this list
@@ -12,10 +14,13 @@ PYTHON ?= python3
 VENV := .venv
 EXTRAS ?= test
 SETTING ?= full
+BLENDER ?= 4.5
+BLENDER_PYTHON ?= python3.11
+BLENDER_VENV := out/blender-$(BLENDER)
 READY := $(VENV)/.ready-$(EXTRAS)
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: render test test-all lint docs results clean help
+.PHONY: render test test-all lint docs blender test-blender results clean help
 
 render: $(READY)
 	$(VENV)/bin/python scripts/quickstart.py out
@@ -33,6 +38,13 @@ lint: $(VENV)/.ready-lint
 
 docs: $(VENV)/.ready-docs
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict
+
+blender:
+	$(PYTHON) integrations/blender/build.py out
+
+test-blender: $(READY) $(BLENDER_VENV)/.ready
+	BOKEHGUIDE_PYTHON=$(abspath $(VENV)/bin/python) $(BLENDER_VENV)/bin/python -m pytest -c /dev/null -p no:cacheprovider \
+	    --rootdir integrations/blender/tests integrations/blender/tests
 
 results: $(READY)
 	$(VENV)/bin/python scripts/results.py --setting $(SETTING)
@@ -52,4 +64,10 @@ $(VENV)/.ready-%: pyproject.toml constraints.txt $(wildcard native/CMakeLists.tx
 	    "$(PYTHON) is " + sys.version.split()[0] + "; try make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install --quiet -c constraints.txt -e '.[$*]'
+	@touch $@
+
+# Blender as a Python module fits one version of Python: 3.11 for Blender 4.2 to 5.0.
+$(BLENDER_VENV)/.ready:
+	$(BLENDER_PYTHON) -m venv $(BLENDER_VENV)
+	$(BLENDER_VENV)/bin/python -m pip install --quiet 'bpy==$(BLENDER).*' OpenEXR pytest
 	@touch $@

@@ -1,0 +1,36 @@
+"""Axes of Blender (z up) and of scene files (y up). Needs no Blender."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+Vector = tuple[float, float, float]
+
+
+def y_up(vector: Sequence[float]) -> Vector:
+    """A position or direction of Blender in the axes of scene files and glTF."""
+    x, y, z = vector
+    return float(x), float(z), -float(y)
+
+
+def column(matrix: Sequence[Sequence[float]], index: int) -> Vector:
+    """A column of a 4 × 4 matrix, without its last element: axes 0 to 2, and the position 3."""
+    return float(matrix[0][index]), float(matrix[1][index]), float(matrix[2][index])
+
+
+def length(vector: Sequence[float]) -> float:
+    return sum(each * each for each in vector) ** 0.5
+
+
+def scaled(vector: Sequence[float], factor: float) -> Vector:
+    x, y, z = vector
+    return x * factor, y * factor, z * factor
+
+
+def unit(vector: Sequence[float]) -> Vector:
+    """The direction of a vector, which is not 0."""
+    return scaled(vector, 1.0 / length(vector))
+
+
+def dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return sum(x * y for x, y in zip(a, b))

@@ -1,0 +1,102 @@
+"""Renders one scene. Runs in the Python environment of bokehguide, without Blender: `python driver.py JOB.json`.
+
+The job: `scene`, the path of a scene file; `folder` for pictures; `options` of `bokehguide.render`. stdout gets one JSON object
+per line: `stage`, `warning`, `step` with `of`, `picture` with a path, or `error`. A picture is an .npz file with the layers of
+`bokehguide.Picture`; the reader removes it.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+INTERVAL, SHARE = 1.0, 10.0
+"""Seconds from one picture to the next: at least so many, and so many times the time that a picture takes."""
+STEP_INTERVAL = 0.1
+"""Seconds from one told step to the next."""
+LAYERS = ("beauty", "alpha", "depth", "normal", "albedo", "denoised")
+
+
+def tell(**fields: object) -> None:
+    """Write one line to stdout."""
+    print(json.dumps(fields), flush=True)
+
+
+class Stages(logging.Handler):
+    """Tells the log of bokehguide."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        warning = record.levelno >= logging.WARNING
+        tell(**{"warning" if warning else "stage": record.getMessage()})
+
+
+class Pictures:
+    """Writes pictures into a folder now and then."""
+
+    def __init__(self, folder: Path, spp: int):
+        self._folder, self._spp = folder, spp
+        self._due = self._step_due = 0.0
+        self._number = 0
+
+    def step(self, step: int, picture: Callable[[], Any]) -> None:
+        """Tell a step, and write its picture if one is due. The last picture is written by the caller."""
+        if time.monotonic() >= self._step_due:
+            tell(step=step, of=self._spp)
+            self._step_due = time.monotonic() + STEP_INTERVAL
+        if time.monotonic() >= self._due and step < self._spp:
+            start = time.monotonic()
+            self.write(picture())
+            now = time.monotonic()
+            self._due = now + max(INTERVAL, SHARE * (now - start))
+
+    def write(self, picture: Any) -> None:
+        """Write a picture. The file appears only when it is complete."""
+        import numpy as np
+
+        self._number += 1
+        path = self._folder / f"picture-{self._number}.npz"
+        partial = path.with_suffix(".part")
+        with partial.open("wb") as file:
+            np.savez(file, **{name: layer for name in LAYERS if (layer := getattr(picture, name)) is not None})
+        partial.replace(path)
+        tell(picture=str(path), step=picture.metadata["spp"])
+
+
+def main(job_path: str) -> int:
+    """Render the job; returns the exit code, 2 for a mistake of the user."""
+    job = json.loads(Path(job_path).read_text(encoding="utf-8"))
+    tell(stage="starting")
+    try:
+        import bokehguide
+    except ImportError as error:
+        tell(error=f"{sys.executable}: bokehguide cannot be imported ({error}); install it from the add-on's preferences")
+        return 2
+    log = logging.getLogger("bokehguide")
+    log.addHandler(Stages())
+    log.setLevel(logging.INFO)
+    warnings.showwarning = lambda message, *_, **__: tell(warning=str(message))
+    warnings.simplefilter("always")
+    pictures = Pictures(Path(job["folder"]), job["options"]["spp"])
+    try:
+        with Path(os.devnull).open("w") as nothing:  # the progress bar
+            sys.stderr, stderr = nothing, sys.stderr
+            try:
+                picture = bokehguide.render(job["scene"], allow_outside=True, on_step=pictures.step, **job["options"])
+            finally:
+                sys.stderr = stderr
+    except (bokehguide.BokehguideError, MemoryError) as error:
+        tell(error=str(error) or "the memory does not suffice; give a smaller resolution or fewer triangles")
+        return 2
+    pictures.write(picture)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

@@ -1,0 +1,106 @@
+"""The render engine."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .messages import Cancelled, RenderError
+from .passes import Passes
+from .preferences import interpreter
+from .process import ProcessError, Render
+from .scene_export import Exported, export_scene
+
+POLL = 0.1
+"""Seconds between two checks for a cancellation."""
+
+
+class BokehguideEngine(bpy.types.RenderEngine):
+    """Renders the scene by bokehguide in another process."""
+
+    bl_idname = "BOKEHGUIDE"
+    bl_label = "Bokehguide"
+    bl_use_eevee_viewport = True
+    bl_use_postprocess = True
+    bl_use_shading_nodes_custom = False
+
+    def update_render_passes(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
+        """Tell Blender which passes a render delivers."""
+        self.register_pass(scene, layer, "Combined", 4, "RGBA", "COLOR")
+        if layer.use_pass_z:
+            self.register_pass(scene, layer, "Depth", 1, "Z", "VALUE")
+        if layer.use_pass_normal:
+            self.register_pass(scene, layer, "Normal", 3, "XYZ", "VECTOR")
+        if scene.bokehguide.use_pass_albedo:
+            self.register_pass(scene, layer, "Albedo", 3, "RGB", "COLOR")
+
+    def render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Render one view layer. A mistake of the user is told in Blender and ends the render."""
+        try:
+            with tempfile.TemporaryDirectory(prefix="bokehguide-") as folder:
+                self.update_stats("", "Exporting the scene")
+                exported = export_scene(self, depsgraph, Path(folder))
+                for warning in exported.warnings:
+                    self.report({"WARNING"}, warning)
+                self._run(exported, Path(folder), depsgraph.scene, depsgraph.view_layer)
+        except Cancelled:
+            return
+        except (RenderError, ProcessError) as error:
+            self.report({"ERROR"}, f"Bokehguide: {error}")
+
+    def _run(self, exported: Exported, folder: Path, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
+        """Render a scene file and show the pictures. Raises RenderError, ProcessError and Cancelled."""
+        if scene.bokehguide.use_pass_albedo:
+            self.add_pass("Albedo", 3, "RGB", layer=layer.name)
+        passes = Passes(self, layer.name, exported.framing.window[2:])
+        with Render(interpreter(), exported.path, folder, _options(scene, exported)) as process:
+            while (message := process.message(POLL)) is not None:
+                if is_cancelled(self):
+                    raise Cancelled
+                self._show(message, passes)
+            failure = process.failure()
+        if failure is not None:
+            raise RenderError(failure)
+
+    def _show(self, message: dict[str, Any], passes: Passes) -> None:
+        """Show one message of the driver. Raises RenderError for an error."""
+        if "error" in message:
+            raise RenderError(message["error"])
+        if "warning" in message:
+            self.report({"WARNING"}, message["warning"])
+        elif "picture" in message:
+            passes.show(Path(message["picture"]))
+        elif "step" in message:
+            self.update_progress(message["step"] / message["of"])
+            self.update_stats("", f"Sample {message['step']}/{message['of']}")
+        elif "stage" in message:
+            self.update_stats("", message["stage"])
+
+
+def is_cancelled(engine: bpy.types.RenderEngine) -> bool:
+    """Whether the user has ended the render."""
+    return engine.test_break()
+
+
+def _options(scene: bpy.types.Scene, exported: Exported) -> dict[str, Any]:
+    """The options of `bokehguide.render`."""
+    settings, framing = scene.bokehguide, exported.framing
+    options: dict[str, Any] = {"spp": settings.samples, "seed": settings.seed, "denoise": settings.use_denoise}
+    if settings.time_limit > 0.0:
+        options["time_limit"] = settings.time_limit
+    if framing.cropped:
+        options["crop"] = framing.window
+    if scene.render.threads_mode == "FIXED":
+        options["threads"] = scene.render.threads
+    return options
+
+
+def register() -> None:
+    bpy.utils.register_class(BokehguideEngine)
+
+
+def unregister() -> None:
+    bpy.utils.unregister_class(BokehguideEngine)

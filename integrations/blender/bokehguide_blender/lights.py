@@ -1,0 +1,87 @@
+"""The lights of a scene, as `[[light]]` and `[[sun]]` tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+
+from . import light_tables
+from .axes import Vector, column, length
+from .messages import listed
+
+ROUNDING = 1e-3
+"""Relative difference of lengths that counts as none."""
+
+
+def read_lights(
+    depsgraph: bpy.types.Depsgraph, in_frame: Callable[[Vector], bool], warnings: list[str]
+) -> dict[str, list[dict[str, Any]]]:
+    """The tables of all lights, instances included, by the names `light` and `sun`. in_frame: whether the camera sees a point."""
+    lights, suns, shown, uneven = [], [], [], []
+    for instance in depsgraph.object_instances:
+        if instance.object.type != "LIGHT":
+            continue
+        light, matrix, name = instance.object.data, [tuple(row) for row in instance.matrix_world], instance.object.name
+        color = _color(light, name, warnings)
+        if light.energy <= 0.0 or min(color) < 0.0 or max(color) <= 0.0:
+            continue
+        if light.type == "SUN":
+            suns.append(light_tables.sun(matrix, color, light.energy, light.angle))
+            continue
+        lights.append(_light(light, matrix, name, color, warnings))
+        if not instance.object.visible_camera and in_frame(column(matrix, 3)):
+            shown.append(name)
+        if light.type == "SPOT" and _uneven(matrix):
+            uneven.append(name)
+    if shown:
+        warnings.append(f"the camera sees lights, also those that Blender hides from it: {listed(shown)}")
+    if uneven:
+        warnings.append(f"the uneven scale of spotlights is ignored: {listed(uneven)}")
+    return {name: tables for name, tables in (("light", lights), ("sun", suns)) if tables}
+
+
+def _light(light: bpy.types.Light, matrix: light_tables.Matrix, name: str, color: Vector, warnings: list[str]) -> dict[str, Any]:
+    """The table of a light with a size."""
+    watts, normalized = light.energy, getattr(light, "normalize", True)  # Blender 4.2 has normalised lights only
+    if light.type == "AREA":
+        if light.spread < 3.14:
+            warnings.append(f"{name}: the spread is ignored; the light shines in all directions of its front")
+        return light_tables.area(name, matrix, color, watts, light.shape, (light.size, light.size_y), normalized)
+    if light.type == "SPOT":
+        if light.use_square:
+            warnings.append(f"{name}: the square cone becomes round")
+        size, blend = light.spot_size, light.spot_blend
+        return light_tables.spot(name, matrix, color, watts, light.shadow_soft_size, size, blend, normalized)
+    return light_tables.point(name, matrix, color, watts, light.shadow_soft_size, normalized)
+
+
+def _color(light: bpy.types.Light, name: str, warnings: list[str]) -> Vector:
+    """The colour of a light with its temperature, exposure and Emission node, linear Rec.709."""
+    color = tuple(light.color)
+    if getattr(light, "use_temperature", False):
+        color = tuple(a * b for a, b in zip(color, light.temperature_color))
+    factor = 2.0 ** getattr(light, "exposure", 0.0)
+    if light.use_nodes and light.node_tree:
+        node = _emission_node(light.node_tree)
+        if node is None or any(node.inputs[key].is_linked for key in ("Color", "Strength")):
+            warnings.append(f"{name}: the nodes of the light are ignored; give an Emission node with constant values")
+        else:
+            factor *= node.inputs["Strength"].default_value
+            color = tuple(a * b for a, b in zip(color, node.inputs["Color"].default_value))
+    return color[0] * factor, color[1] * factor, color[2] * factor
+
+
+def _emission_node(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
+    """The Emission node at the output of a light, None where another node is there."""
+    output = tree.get_output_node("CYCLES")
+    links = output.inputs["Surface"].links if output else ()
+    node = links[0].from_node if links else None
+    return node if node is not None and node.type == "EMISSION" else None
+
+
+def _uneven(matrix: light_tables.Matrix) -> bool:
+    """Whether a matrix scales its axes by different factors."""
+    sizes = [length(column(matrix, index)) for index in range(3)]
+    return max(sizes) - min(sizes) > ROUNDING * max(sizes)

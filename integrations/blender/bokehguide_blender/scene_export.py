@@ -1,0 +1,67 @@
+"""A scene file of the scene that Blender renders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .camera import in_frame, read_camera, read_framing
+from .framing import Framing
+from .geometry import export_geometry, rendered_objects
+from .glb import complete_glb
+from .lights import read_lights
+from .main_thread import in_main_thread
+from .materials import material_warnings
+from .messages import RenderError
+from .toml_text import dumps
+from .world import read_world
+
+GEOMETRY = "geometry.glb"
+
+
+@dataclass
+class Exported:
+    """A scene file, its framing, and what it lacks."""
+
+    path: Path
+    framing: Framing
+    warnings: list[str] = field(default_factory=list)
+
+
+def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, folder: Path) -> Exported:
+    """Write the scene of a render into a folder. Raises RenderError for a scene without a perspective camera."""
+    scene, warnings = depsgraph.scene, []
+    if engine.camera_override is None and scene.camera is None:
+        raise RenderError("the scene has no camera; add one, and make it the active camera of the scene")
+    camera = (engine.camera_override or scene.camera).evaluated_get(depsgraph)
+    framing = read_framing(camera.data, scene.render, (engine.resolution_x, engine.resolution_y), warnings)
+    view = read_camera(camera, framing, warnings)
+    tables: dict[str, object] = {
+        "camera": view,
+        "film": {"width": framing.size[0], "height": framing.size[1], "max_depth": scene.bokehguide.max_bounces + 2},
+    }
+    environment = read_world(scene, folder, warnings)
+    if environment is not None:
+        tables["environment"] = environment
+    tables |= read_lights(depsgraph, lambda position: in_frame(view, framing, position), warnings)
+    warnings += material_warnings(depsgraph)
+    layer = scene.original.view_layers[depsgraph.view_layer.name]
+    rendered = rendered_objects(depsgraph)
+    in_main_thread(lambda: export_geometry(scene.original, layer, rendered, folder / GEOMETRY), engine.test_break)
+    if complete_glb(folder / GEOMETRY):
+        tables["object"] = [{"file": GEOMETRY}]
+    elif "light" not in tables:
+        tables |= _speck(view)
+    path = folder / "scene.toml"
+    path.write_text(dumps(tables), encoding="utf-8")
+    return Exported(path, framing, warnings)
+
+
+def _speck(view: dict[str, Any]) -> dict[str, object]:
+    """The tables of a black speck a metre behind the camera: bokehguide renders no scene without a surface."""
+    behind = [2.0 * a - b for a, b in zip(view["position"], view["target"])]
+    black = {"base_color": (0.0, 0.0, 0.0), "specular": 0.0}
+    return {"materials.speck": black, "object": [{"shape": "box", "material": "speck", "scale": 1e-4, "translate": behind}]}
