@@ -154,7 +154,7 @@ def test_factors_out_of_range(tmp_path, material, named):
     assert "bad.gltf" in str(caught.value) and "(m)" in str(caught.value)
 
 
-@pytest.mark.parametrize("extension", ["KHR_materials_iridescence", "X_none"])
+@pytest.mark.parametrize("extension", ["KHR_materials_volume_scatter", "X_none"])
 def test_an_extension_that_is_required_and_not_supported(tmp_path, extension):
     path = write_gltf(tmp_path / "new.gltf", {}, extensionsRequired=[extension, "KHR_texture_transform"])
     with pytest.raises(BokehguideError, match=rf"new\.gltf: extensionsRequired: {extension}: not supported"):
@@ -167,7 +167,7 @@ def test_unsupported_features_cause_one_warning_each(tmp_path):
         "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicRoughnessTexture": {"index": 1}},
         "extensions": {
             "KHR_materials_clearcoat": {"clearcoatFactor": 1.0},
-            "KHR_materials_iridescence": {},
+            "KHR_materials_volume_scatter": {},
             "KHR_materials_ior": {"ior": 0},
         },
     }
@@ -187,7 +187,7 @@ def test_unsupported_features_cause_one_warning_each(tmp_path):
     scene = load_scene(path)
     said = "\n".join(scene.warnings)
     for part in (
-        *("KHR_materials_iridescence: has no effect", "nearest-texel filters"),
+        *("KHR_materials_volume_scatter: has no effect", "nearest-texel filters"),
         *(
             "orthographic cameras",
             "ior 0: 1.5 is used (leaf)",
