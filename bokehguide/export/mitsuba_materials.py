@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bokehguide.scene.anisotropy import to_alphas
 from bokehguide.scene.types import Material, Texture, Vector
 
 SMOOTH_GLASS = 0.063
@@ -51,11 +52,21 @@ def _opaque(material: Material) -> dict[str, Any]:
             "roughness": _channel(material.roughness, packed, 1),
             "specular": min(reflectance / 0.08, 1.0),
         }
+        if _exports_anisotropy(material):
+            most, least = to_alphas(material.roughness, material.anisotropy)
+            bsdf |= {"roughness": (most * least) ** 0.25, "anisotropic": (1.0 - least / most) / 0.9}
         if material.clearcoat > 0.0:
             bsdf |= {"clearcoat": material.clearcoat, "clearcoat_gloss": 1.0 - material.clearcoat_roughness}
     if material.normal_texture is not None:
         bsdf = {"type": "normalmap", "normalmap": bitmap(_normals(material), material.normal_texture), "bsdf": bsdf}
     return {"type": "twosided", "bsdf": bsdf}
+
+
+def _exports_anisotropy(material: Material) -> bool:
+    """Whether Disney's principled BSDF, whose α along u is at most ten times the α along v, has the anisotropy of a material."""
+    most, least = to_alphas(material.roughness, material.anisotropy)
+    textured = material.anisotropy_texture is not None or material.metallic_roughness_texture is not None
+    return material.anisotropy > 0.0 and material.anisotropy_rotation % 180.0 == 0.0 and not textured and least >= 0.1 * most
 
 
 def with_opacity(material: Material, bsdf: dict[str, Any]) -> dict[str, Any]:
@@ -119,7 +130,7 @@ def lost_terms(material: Material) -> Sequence[str]:
         "clear coat textures": material.clearcoat > 0.0
         and any((material.clearcoat_texture, material.clearcoat_roughness_texture, material.clearcoat_normal_texture)),
         "sheen": any(material.sheen_color),
-        "anisotropy": material.anisotropy > 0.0,
+        "anisotropy": material.anisotropy > 0.0 and (glass or not _exports_anisotropy(material)),
         "diffuse transmission": material.diffuse_transmission > 0.0,
         "iridescence": material.iridescence > 0.0,
         "dispersion": material.dispersion > 0.0,

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 mi = pytest.importorskip("mitsuba")
@@ -11,7 +12,9 @@ mi = pytest.importorskip("mitsuba")
 from bokehguide.cli import main
 from bokehguide.errors import BokehguideError
 from bokehguide.export import export_mitsuba
+from bokehguide.render.bsdf.microfacets import ggx_density
 from bokehguide.scene import Overrides, load_scene
+from bokehguide.scene.anisotropy import to_alphas
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_sphere
 from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Scene, Texture
 
@@ -207,3 +210,36 @@ def test_the_command(tmp_path, capsys):
     out = tmp_path / "a.exr"
     assert main(["render", str(path), "--spp", "1", "--threads", "1", "--mode", "uniform", "--out", str(out)]) == 0
     assert out.exists() and replace(load_scene(str(path)), warnings=()).film.width == 32
+
+
+def test_anisotropic_materials_come_back(tmp_path):
+    materials = (
+        Material("brushed", (0.9, 0.7, 0.4), metallic=1.0, roughness=0.5, anisotropy=0.7),
+        Material("extreme", metallic=1.0, roughness=0.1, anisotropy=1.0),
+    )
+    meshes = tuple(spheres(np.array([[number, 0.0, 0.0]]), np.array([0.4]), number, 1) for number in range(2))
+    scene = Scene("brushed", Camera((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)), meshes, materials, FilmSettings(8, 8))
+    assert any("anisotropy" in line and "extreme" in line and "brushed" not in line for line in export_mitsuba(scene, tmp_path))
+    back = load_scene(str(tmp_path / "scene.xml"))
+    found = back.materials[back.meshes[0].material]
+    assert (found.roughness, found.anisotropy) == pytest.approx((0.5, 0.7), abs=1e-4)
+
+
+@pytest.mark.parametrize("u, v", [(0.5, 0.2), (0.1, 0.6)])
+def test_microfacets_are_mitsubas(tmp_path, u, v):
+    """D and G₁ of anisotropic GGX, at the α along u and v of a rough conductor."""
+    alphas = f'<float name="alpha_u" value="{u}"/><float name="alpha_v" value="{v}"/>'
+    scene = read(tmp_path, f'<shape type="sphere"><bsdf type="roughconductor">{alphas}</bsdf></shape>')
+    metal = scene.materials[scene.meshes[0].material]
+    most, least = to_alphas(metal.roughness, metal.anisotropy)
+    assert (most, least) == pytest.approx((max(u, v), min(u, v))) and metal.anisotropy_rotation == (0.0 if u > v else 90.0)
+    half = np.random.default_rng(0).normal(size=(3, 200)) + [[0.0], [0.0], [1.5]]
+    half = torch.from_numpy(half[:, half[2] > 0.1] / np.linalg.norm(half[:, half[2] > 0.1], axis=0)).float()
+    along, across = torch.full_like(half[0], most), torch.full_like(half[0], least)
+    theirs = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, most, least, False)
+    vectors = [mi.Vector3f(*map(float, column)) for column in half.T]
+    density = [np.array(theirs.eval(vector)).item() for vector in vectors]
+    np.testing.assert_allclose(ggx_density(half, across, along).numpy(), density, rtol=1e-3)
+    masking = [np.array(theirs.smith_g1(vector, mi.Vector3f(0.0, 0.0, 1.0))).item() for vector in vectors]
+    root = ((along * half[0]).square() + (across * half[1]).square() + half[2].square()).sqrt()
+    np.testing.assert_allclose((2.0 * half[2] / (half[2] + root)).numpy(), masking, rtol=1e-3)

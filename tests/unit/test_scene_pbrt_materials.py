@@ -10,6 +10,7 @@ from PIL import Image
 from bokehguide.color import srgb_to_linear
 from bokehguide.render.textures import TextureAtlas
 from bokehguide.scene import load_scene
+from bokehguide.scene.anisotropy import to_alphas
 from bokehguide.scene.pbrt.materials import internal_reflectance
 from bokehguide.scene.types import Material, Scene, Texture
 
@@ -237,3 +238,15 @@ def test_the_same_scene_in_toml(tmp_path):
         np.testing.assert_array_equal(*(np.sign(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])) for c in corners))
         one, other = (scene.materials[mesh.material] for scene, mesh in ((ours, first), (theirs, second)))
         assert (one.base_color, one.specular, one.roughness) == (other.base_color, other.specular, other.roughness)
+
+
+@pytest.mark.parametrize("u, v, rotation", [(0.25, 0.04, 0.0), (0.04, 0.25, 90.0), (0.09, 0.09, 0.0)])
+def test_anisotropic_roughness_is_kept(tmp_path, u, v, rotation):
+    """pbrt's α is the square root of its roughness; the larger α lies along u, or along v after a quarter turn."""
+    rough = f'"float uroughness" {u} "float vroughness" {v}'
+    scene = read(tmp_path, f'Material "conductor" {rough}\nShape "sphere"\nMaterial "dielectric" {rough}\nShape "sphere"')
+    metal, glass = scene.materials
+    most, least = to_alphas(metal.roughness, metal.anisotropy)
+    np.testing.assert_allclose((most, least), (max(u, v) ** 0.5, min(u, v) ** 0.5), rtol=1e-6)
+    assert metal.anisotropy_rotation == rotation and glass.anisotropy == 0.0
+    assert any("anisotropic roughness of dielectrics" in line for line in scene.warnings) == (u != v)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bokehguide.scene.anisotropy import from_alphas
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.images import load_texture
 from bokehguide.scene.mitsuba_xml.tree import Plugin, mitsuba
@@ -93,9 +94,14 @@ class Materials:
     _roughplastic = _plastic
 
     def _conductor(self, bsdf: Plugin, name: str) -> Material:
-        rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughconductor" else 0.0
         color = as_vector(min(max(float(each), 0.0), 1.0) for each in _metal(bsdf))
-        return Material(name, color, metallic=1.0, roughness=rough)
+        if bsdf.type == "conductor":
+            return Material(name, color, metallic=1.0, roughness=0.0)
+        alphas = [bsdf.values.get(key, bsdf.values.get("alpha", 0.1)) for key in ("alpha_u", "alpha_v")]
+        if any(isinstance(alpha, Plugin) for alpha in alphas):
+            self.lose("textures of roughness: left out", name)
+            alphas = [0.1, 0.1]
+        return Material(name, color, metallic=1.0, **from_alphas(*map(_mean, alphas)))
 
     _roughconductor = _conductor
 
@@ -114,17 +120,18 @@ class Materials:
                 return default
             return min(max(_mean(bsdf.values.get(key, default)), 0.0), 1.0)
 
-        for key in ("anisotropic", "sheen", "spec_tint", "flatness"):
+        aspect, rough = math.sqrt(1.0 - 0.9 * scalar("anisotropic", 0.0)), scalar("roughness", 0.5)
+        for key in ("sheen", "spec_tint", "flatness"):
             if isinstance(bsdf.values.get(key), Plugin) or _mean(bsdf.values.get(key, 0.0)) > 0.0:
                 self.lose(f"{key} of principled BSDFs: left out", name)
         return Material(
             name,
             metallic=scalar("metallic", 0.0),
-            roughness=scalar("roughness", 0.5),
             specular=min(2.0 * scalar("specular", 0.5), 1.0),
             transmission=scalar("spec_trans", 0.0),
             clearcoat=scalar("clearcoat", 0.0),
             clearcoat_roughness=1.0 - scalar("clearcoat_gloss", 0.0),
+            **from_alphas(rough**2 / aspect, rough**2 * aspect),
             **self._color(bsdf, "base_color"),
         )
 

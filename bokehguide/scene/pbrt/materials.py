@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import printable
+from bokehguide.scene.anisotropy import from_alphas
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.pbrt.contents import Contents, Shape
 from bokehguide.scene.pbrt.parameters import Parameters
@@ -125,18 +126,31 @@ class Materials:
             return {key: as_vector(value.image[0, 0])}
         return {key: (1.0, 1.0, 1.0), f"{key}_texture": self._textures.on_surface(value)}
 
-    def _alpha(self, source: Parameters, prefix: str = "") -> Value:
-        """α of pbrt, the mean of both directions."""
+    def _alphas(self, source: Parameters, prefix: str = "") -> tuple[Value, Value]:
+        """α of pbrt along u and along v."""
         keys = [f"{prefix}{each}roughness" for each in ("u", "v")]
         keys = [key if key in source else f"{prefix}roughness" for key in keys]
-        first, second = (self._textures.scalar(source, key, 0.0) for key in keys)
-        if keys[0] != keys[1] and not np.array_equal(first.image, second.image):
-            self._contents.lose("anisotropic roughness: that along u counts", printable(source.kind))
         remap = source.flag("remaproughness", True)
-        return first.map(lambda texels: np.sqrt(texels.clip(min=0.0)) if remap else texels.clip(min=0.0))
+        first, second = (
+            self._textures.scalar(source, key, 0.0).map(
+                lambda texels: np.sqrt(texels.clip(min=0.0)) if remap else texels.clip(min=0.0)
+            )
+            for key in keys
+        )
+        return first, second
+
+    def _alpha(self, source: Parameters, prefix: str = "") -> Value:
+        """The one α of a texture or of a coating."""
+        first, second = self._alphas(source, prefix)
+        if not np.array_equal(first.image, second.image):
+            self._contents.lose("anisotropic roughness: that along u counts", printable(source.kind))
+        return first
 
     def _rough(self, source: Parameters, prefix: str = "") -> dict[str, Any]:
-        """The fields of a roughness, whose square is α."""
+        """The fields of a roughness, whose square is α, or of two."""
+        alphas = self._alphas(source, prefix)
+        if all(alpha.constant for alpha in alphas):
+            return from_alphas(*(float(alpha.image.mean()) for alpha in alphas))
         value = self._alpha(source, prefix).map(lambda texels: np.sqrt(texels.clip(0.0, 1.0)))
         if value.constant:
             return {"roughness": float(value.image.mean())}
@@ -181,7 +195,10 @@ class Materials:
         return Material(name, metallic=1.0, **coated, **rough, **color)
 
     def _dielectric(self, source: Parameters, name: str, depth: int) -> Material:
-        return Material(name, (1.0, 1.0, 1.0), transmission=1.0, ior=self._ior(source), **self._rough(source))
+        rough = self._rough(source)
+        if rough.pop("anisotropy", 0.0) > 0.0:
+            self._contents.lose("anisotropic roughness of dielectrics: the smaller α counts", name)
+        return Material(name, (1.0, 1.0, 1.0), transmission=1.0, ior=self._ior(source), **rough)
 
     def _thin_dielectric(self, source: Parameters, name: str, depth: int) -> Material:
         return Material(name, (1.0, 1.0, 1.0), transmission=1.0, roughness=0.0, thin=True, ior=self._ior(source))
