@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from pathlib import Path
@@ -23,4 +24,6 @@ def scene():
         pytest.skip("BOKEHGUIDE_PYTHON names no interpreter with bokehguide")
     bpy.context.preferences.addons["bokehguide_blender"].preferences.python = python
     yield bpy.context.scene
+    # The exporter's log would write to the output that pytest captured for this test, which is closed in the next.
+    logging.getLogger("glTFImporter").handlers.clear()
     bpy.ops.preferences.addon_disable(module="bokehguide_blender")
