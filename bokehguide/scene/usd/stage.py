@@ -101,7 +101,7 @@ def _opened(path: Path, read: Any) -> Any:
     try:
         result = read()
     except (Tf.ErrorException, RuntimeError, ValueError, MemoryError) as error:
-        raise BokehguideError(f"{path}: not a readable USD file ({_problem(error, path)})") from None
+        raise BokehguideError(f"{path}: not a readable USD file ({_problem(error, path)}); repair it") from None
     if not result:
         raise BokehguideError(f"{path}: not a readable USD file; give an intact copy")
     return result
