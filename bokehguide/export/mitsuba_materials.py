@@ -41,7 +41,7 @@ def _glass(material: Material) -> dict[str, Any]:
 def _opaque(material: Material) -> dict[str, Any]:
     """A Lambertian surface, or Disney's principled BSDF, whose `specular` of 0.5 is a refractive index of 1.5."""
     base, packed = color(material.base_color, material.base_color_texture), material.metallic_roughness_texture
-    if material.specular == 0.0 and material.metallic == 0.0 and material.clearcoat == 0.0:
+    if _is_matte(material) and material.metallic == 0.0 and material.clearcoat == 0.0:
         bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": base}
     else:
         reflectance = material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2
@@ -60,6 +60,11 @@ def _opaque(material: Material) -> dict[str, Any]:
     if material.normal_texture is not None:
         bsdf = {"type": "normalmap", "normalmap": bitmap(_normals(material), material.normal_texture), "bsdf": bsdf}
     return {"type": "twosided", "bsdf": bsdf}
+
+
+def _is_matte(material: Material) -> bool:
+    """Whether a dielectric has no coat."""
+    return material.specular == 0.0 or (not any(material.specular_color) and material.specular_color_texture is None)
 
 
 def _exports_anisotropy(material: Material) -> bool:
@@ -125,7 +130,8 @@ def lost_terms(material: Material) -> Sequence[str]:
         "absorption": glass and np.isfinite(material.attenuation_distance),
         "roughness texture": glass and material.metallic_roughness_texture is not None,
         "normal texture": glass and material.normal_texture is not None,
-        "specular colour": material.specular_color != (1.0, 1.0, 1.0) or material.specular_color_texture is not None,
+        "specular colour": not _is_matte(material)
+        and (material.specular_color != (1.0, 1.0, 1.0) or material.specular_color_texture is not None),
         "specular texture": material.specular_texture is not None,
         "clear coat textures": material.clearcoat > 0.0
         and any((material.clearcoat_texture, material.clearcoat_roughness_texture, material.clearcoat_normal_texture)),

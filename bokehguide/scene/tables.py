@@ -49,6 +49,7 @@ SUN_ANGLE = Limits("degrees from 0.01 to 90", low=0.01, high=90.0)
 KELVIN = Limits("kelvin from 1000 to 15000", low=1e3, high=15e3)
 CONE_ANGLE = Limits("degrees from 0 to 90", low=0.0, high=90.0)
 IOR = Limits(f"a number of 1 or more, up to {LARGEST:g}", low=1.0)
+FILM = Limits("nanometres from 0 to 100000", low=0.0, high=1e5)
 EXPOSURE = Limits(f'EV from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}, or "auto"', low=-MAX_EXPOSURE, high=MAX_EXPOSURE)
 COUNT = Limits(f"a whole number of 1 or more, up to {MAX_SIDE}", low=1, high=MAX_SIDE)
 
@@ -149,7 +150,7 @@ class Table:
         """Two numbers, each within `limits`, of a required key."""
         value = self.values[key]
         if not (isinstance(value, (list, tuple)) and len(value) == 2 and all(map(is_number, value))):
-            self.fail(key, "is not two numbers; give [x, y]")
+            self.fail(key, f"is not two numbers; give two in brackets, each {limits.remedy}")
         if not all(map(limits.contains, value)):
             self.fail(key, f"is out of range; give two values, each {limits.remedy}")
         return float(value[0]), float(value[1])

@@ -24,6 +24,7 @@ from bokehguide.scene.tables import (
     CONE_ANGLE,
     COUNT,
     EXPOSURE,
+    FILM,
     FRACTION,
     IN_FRONT,
     IOR,
@@ -261,7 +262,7 @@ class Material:
         fields.check_texts("name")
         fields.check_numbers(**MATERIAL_NUMBERS)
         fields.check_vectors(**MATERIAL_COLORS)
-        fields.check_tuple("iridescence_thickness", 2, NOT_NEGATIVE)
+        fields.check_tuple("iridescence_thickness", 2, FILM)
         fields.check_flags("thin", "tint_emission", "double_sided")
         fields.check_choice("alpha_mode", ALPHA_MODES)
         fields.check_instances(Cone, "emission_cone")

@@ -11,6 +11,7 @@ import trimesh
 from bokehguide.cli import main
 from bokehguide.errors import BokehguideError
 from bokehguide.export import export_mitsuba
+from bokehguide.export.mitsuba_materials import lost_terms, mitsuba_bsdf
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.shapes import spheres
 from bokehguide.scene.types import Aperture, Camera, Cone, Environment, FilmSettings, Material, Mesh, Scene, Sun, Texture
@@ -114,3 +115,9 @@ def test_mistakes(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     with pytest.raises(BokehguideError, match="file"):
         export_mitsuba(one(Material("m")), tmp_path / "file")
+
+
+@pytest.mark.parametrize("terms", [{"specular": 0.0}, {"specular_color": (0.0, 0.0, 0.0)}])
+def test_a_surface_without_a_coat_is_diffuse(terms):
+    bsdf = mitsuba_bsdf(Material("matte", (0.5, 0.4, 0.3), **terms))
+    assert bsdf["bsdf"]["type"] == "diffuse" and not lost_terms(Material("matte", **terms))

@@ -231,3 +231,12 @@ def test_the_command_line_renders_a_scene(tmp_path, capsys):
     capsys.readouterr()
     with pytest.raises(BokehguideError, match="camera of a model"):
         load_scene(str(tmp_path / "scene.pbrt"), Overrides(camera="0"))
+
+
+def test_parameters_of_an_unknown_name_are_told(tmp_path):
+    """A name that resembles that of a missing parameter; parameters without a counterpart here are left alone."""
+    shape = 'Material "diffuse" "rgb refelctance" [0.5 0.5 0.5]\nShape "sphere" "float radios" 2 "string splitmethod" "equal"\n'
+    (line,) = [line for line in read(tmp_path, shape).warnings if "unknown name" in line]
+    assert "refelctance; did you mean reflectance?" in line and "radios; did you mean radius?" in line and "split" not in line
+    known = 'Material "diffuse" "rgb reflectance" [0.5 0.5 0.5]\nShape "sphere" "float radius" 2\n'
+    assert not any("unknown name" in line for line in read(tmp_path, known).warnings)

@@ -9,7 +9,7 @@ from bokehguide.scene.gltf.document import Document, Part
 from bokehguide.scene.gltf.specular_glossiness import EXTENSION as GLOSSINESS
 from bokehguide.scene.gltf.specular_glossiness import specular_glossiness
 from bokehguide.scene.gltf.textures import Textures
-from bokehguide.scene.tables import ANY, FRACTION, IOR, NOT_NEGATIVE, POSITIVE
+from bokehguide.scene.tables import ANY, FILM, FRACTION, IOR, NOT_NEGATIVE, POSITIVE
 from bokehguide.scene.types import Material, Vector, as_vector
 
 WHITE = (1.0, 1.0, 1.0)
@@ -152,11 +152,11 @@ def _iridescence(part: Part, textures: Textures) -> dict[str, Any]:
     """The fields of `Material` from KHR_materials_iridescence."""
     film = part.extension("KHR_materials_iridescence")
     least, most = Material.iridescence_thickness
-    least = film.number("iridescenceThicknessMinimum", least, NOT_NEGATIVE)
+    least = film.number("iridescenceThicknessMinimum", least, FILM)
     return {
         "iridescence": film.number("iridescenceFactor", 0.0, FRACTION),
         "iridescence_ior": film.number("iridescenceIor", Material.iridescence_ior, IOR),
-        "iridescence_thickness": (least, film.number("iridescenceThicknessMaximum", most, NOT_NEGATIVE)),
+        "iridescence_thickness": (least, film.number("iridescenceThicknessMaximum", most, FILM)),
         "iridescence_texture": textures.read(film, "iridescenceTexture"),
         "iridescence_thickness_texture": textures.read(film, "iridescenceThicknessTexture"),
     }

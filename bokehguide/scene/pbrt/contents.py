@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from bokehguide.errors import printable
 from bokehguide.scene.pbrt.parameters import Parameter, Parameters
 from bokehguide.scene.pbrt.tokens import Place
 
@@ -75,6 +76,17 @@ class Contents:
     materials: dict[str, Parameters] = field(default_factory=dict)
     textures: dict[tuple[str, str], Texture] = field(default_factory=dict)
     lost: dict[str, dict[str, None]] = field(default_factory=dict)
+
+    def note_misspelt(self) -> None:
+        """Note parameters that nothing has read, and whose names resemble those of parameters that were missing."""
+        shapes = [shape for each in (self.shapes, *self.objects.values()) for shape in each]
+        read = [self.camera, self.film, self.integrator, *self.materials.values()]
+        read += [part for shape in shapes for part in (shape.parameters, shape.material, shape.light)]
+        read += [light.parameters for light in self.lights] + [texture.parameters for texture in self.textures.values()]
+        for parameters in {id(each): each for each in read if isinstance(each, Parameters)}.values():
+            for key, near in parameters.misspelt():
+                place = parameters.values[key].place
+                self.lose("parameters of an unknown name: ignored", f"{place}: {printable(key)}; did you mean {near}?")
 
     def lose(self, what: str, name: str) -> None:
         """Note a loss of an object."""

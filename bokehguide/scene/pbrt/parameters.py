@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import Any, NoReturn
 
 import numpy as np
@@ -16,6 +17,8 @@ from bokehguide.scene.vectors import Vector, as_vector
 SIZES = {"point2": 2, "vector2": 2, "point3": 3, "vector3": 3, "normal": 3, "normal3": 3, "rgb": 3}
 """Numbers of one value, by type."""
 SIZES |= {"point": 3, "vector": 3, "color": 3, "float": 1, "integer": 1, "blackbody": 1, "spectrum": 1}
+SIMILAR = 0.8
+"""Least similarity of a name to the name that it may stand for."""
 WORDS = {"string", "texture", "bool", "spectrum"}
 """Types whose values may be texts or booleans."""
 
@@ -37,9 +40,18 @@ class Parameters:
     kind: str
     place: Place
     values: dict[str, Parameter] = field(default_factory=dict)
+    asked: set[str] = field(default_factory=set)
 
     def __contains__(self, key: str) -> bool:
+        self.asked.add(key)
         return key in self.values
+
+    def misspelt(self) -> Iterator[tuple[str, str]]:
+        """Names of parameters that nothing has read, each with the similar name of one that was missing."""
+        missing = sorted(self.asked - self.values.keys())
+        for key in self.values.keys() - self.asked:
+            for near in get_close_matches(key, missing, 1, SIMILAR):
+                yield key, near
 
     def fail(self, key: str, problem: str) -> NoReturn:
         """Raise BokehguideError: the value of `key` has `problem`."""
@@ -49,7 +61,7 @@ class Parameters:
 
     def numbers(self, key: str, size: int = 1) -> np.ndarray | None:
         """The rows `[N, size]` of numbers, None without the parameter."""
-        if key not in self.values:
+        if key not in self:
             return None
         values = self.values[key].values
         if not isinstance(values, np.ndarray):
@@ -81,7 +93,7 @@ class Parameters:
 
     def texts(self, key: str) -> list[str]:
         """Texts, none without the parameter."""
-        values = self.values[key].values if key in self.values else []
+        values = self.values[key].values if key in self else []
         if isinstance(values, np.ndarray) or not all(isinstance(value, str) for value in values):
             self.fail(key, "is no text; write it in quotes")
         return values
@@ -95,7 +107,7 @@ class Parameters:
 
     def flag(self, key: str, default: bool = False) -> bool:
         """A boolean; also in quotes, as in pbrt-v3."""
-        if key not in self.values:
+        if key not in self:
             return default
         values = self.values[key].values
         if isinstance(values, np.ndarray) or len(values) != 1 or values[0] not in (True, False, "true", "false"):
@@ -104,7 +116,7 @@ class Parameters:
 
     def texture(self, key: str) -> str | None:
         """The name of a texture, None where the parameter has another type."""
-        found = self.values.get(key)
+        found = self.values[key] if key in self else None
         return self.text(key) if found is not None and found.type == "texture" else None
 
 

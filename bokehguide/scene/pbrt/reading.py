@@ -44,6 +44,7 @@ def read_pbrt(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scen
     lights = Lights(contents, shapes.materials, shapes.textures, world, default_radius(meshes))
     lights.read(path.parent, files)
     chosen = override_camera(read_camera(contents, film, path.parent, files), overrides, str(path), files, written=True)
+    contents.note_misspelt()
     scene = Scene(
         name=path.name.partition(".")[0],
         camera=chosen.camera,

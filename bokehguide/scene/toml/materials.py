@@ -6,7 +6,7 @@ from typing import Any
 
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
-from bokehguide.scene.tables import NOT_NEGATIVE, Table, did_you_mean
+from bokehguide.scene.tables import FILM, Table, did_you_mean
 from bokehguide.scene.toml.cones import read_cone
 from bokehguide.scene.types import ALPHA_MODES, MATERIAL_COLORS, MATERIAL_NUMBERS, Material, Texture, Vector
 
@@ -104,7 +104,7 @@ def _material(table: Table, files: SceneFiles) -> Material:
         **{key: number(key) for key in MATERIAL_NUMBERS},
         **{key: color(key) for key in MATERIAL_COLORS},
         **{key: table.flag(key) for key in ("thin", "double_sided")},
-        iridescence_thickness=table.pair(THICKNESS, NOT_NEGATIVE) if THICKNESS in table else Material.iridescence_thickness,
+        iridescence_thickness=table.pair(THICKNESS, FILM) if THICKNESS in table else Material.iridescence_thickness,
         alpha_mode=_alpha_mode(table),
         emission_cone=read_cone(table, "emission_cone") if "emission_cone" in table else None,
         **textures,
