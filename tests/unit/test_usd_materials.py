@@ -291,3 +291,11 @@ def test_textures_inside_of_packages(tmp_path):
         (tmp_path / name).unlink()
     texture = load_scene(str(tmp_path / "packed.usdz")).materials[0].base_color_texture
     np.testing.assert_allclose(texture.image[0], [(1, 0, 0), (0, 1, 0)], atol=1e-6)
+
+
+def test_a_binding_to_a_missing_material_is_told(tmp_path):
+    stage = new_stage()
+    prim = add_mesh(stage, "/World/square").GetPrim()
+    UsdShade.MaterialBindingAPI.Apply(prim).GetDirectBindingRel().SetTargets([Sdf.Path("/World/Gold")])
+    (line,) = [line for line in loaded(stage, tmp_path).warnings if "bindings to materials" in line]
+    assert "/World/square: /World/Gold" in line

@@ -63,6 +63,8 @@ class Looks:
                 return self._known[named]
         if named:
             self._opened.lose("materials without a UsdPreviewSurface: the display colour in their place", named)
+        elif missing := _missing_target(prim):
+            self._opened.lose("bindings to materials that the stage has not: the display colour in their place", missing)
         return None
 
     def of_color(self, prim: Any, constant: bool = False) -> Look:
@@ -263,3 +265,13 @@ def _resized(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         return image
     rows, columns = (np.arange(wanted) * given // wanted for wanted, given in zip(shape, image.shape))
     return image[rows[:, None], columns]
+
+
+def _missing_target(prim: Any) -> str:
+    """The path of a material that a prim or a prim above it binds, and that does not exist; empty for none."""
+    while prim and not prim.IsPseudoRoot():
+        path = UsdShade.MaterialBindingAPI(prim).GetDirectBinding().GetMaterialPath()
+        if not path.isEmpty:
+            return "" if prim.GetStage().GetPrimAtPath(path) else f"{prim.GetPath()}: {path}"
+        prim = prim.GetParent()
+    return ""
