@@ -178,6 +178,7 @@ def test_cameras_by_name_and_by_the_render_settings(tmp_path):
     stage.SetMetadata("renderSettingsPrimPath", "/Render/main")
     scene = loaded(stage, tmp_path)
     assert (scene.camera.position[0], scene.film.width, scene.film.height) == (1, 333, 111)
+    assert any("cameras: 0 right, 1 left" in line for line in scene.supported)
     assert loaded(stage, tmp_path, Overrides(camera="left")).camera.position[0] == 0
     with pytest.raises(BokehguideError, match=r"no camera of .*; it has 0 \(right\), 1 \(left\)"):
         loaded(stage, tmp_path, Overrides(camera="top"))

@@ -59,14 +59,13 @@ def read_usd(path: Path, files: SceneFiles, state: ModelState, binary: bool) -> 
         for placed in drawn:
             reader.read(placed)
         film, camera = _settings(opened)
-    first = [each for each in reader.cameras if each[0] == camera]
-    others = [each for each in reader.cameras if each[0] != camera]
+    reader.cameras.sort(key=lambda each: each[0] != camera)  # the camera of the settings comes first
     return Model(
         meshes=tuple(reader.meshes),
         materials=tuple(reader.materials),
         emitters=tuple(reader.emitters),
         suns=tuple(reader.suns),
-        cameras=tuple(each for _, each in (*first, *others)),
+        cameras=tuple(each for _, each in reader.cameras),
         environment=reader.environment,
         film=film,
         supported=tuple(supported(reader, opened)),
