@@ -103,7 +103,11 @@ def test_the_scene_that_is_broken_below_is_good(tmp_path):
         ("roughness = 0.2", "thin = 1", ["materials.gold.thin", "1", "true nor false"]),
         ("roughness = 0.2", "rougness = 0.2", ["materials.gold.rougness", "did you mean 'roughness'?"]),
         ("roughness = 0.2", 'base_color_texture = "no.png"', ["no.png", "no such file"]),
-        ("roughness = 0.2", 'base_color_texture = "scene.toml"', ["scene.toml", "unreadable texture"]),
+        (
+            "roughness = 0.2",
+            'base_color_texture = "scene.toml"',
+            ["gold.base_color_texture: ", "unreadable texture"],
+        ),
         (
             "roughness = 0.2",
             'emission_texture = "no.png"\nemission = [1, 1, 1]',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from bokehguide.errors import BokehguideError
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
 from bokehguide.scene.tables import FILM, Table, did_you_mean
@@ -117,7 +118,11 @@ def _textures(table: Table, files: SceneFiles) -> dict[str, Any]:
     for key, encoded in ENCODED.items():
         if key in table:
             alpha = key in ALPHA_TEXTURES or (key == "base_color_texture" and _alpha_mode(table) != "opaque")
-            textures[key] = Texture(load_texture(files.named(table, key), files, encoded, alpha))
+            path = files.named(table, key)
+            try:
+                textures[key] = Texture(load_texture(path, files, encoded, alpha))
+            except BokehguideError as error:
+                raise BokehguideError(f"{table.place(key)}: {error}") from None
     for key, meaning in ALPHA_TEXTURES.items():
         if key in textures and textures[key].image.shape[2] < 4:
             table.fail(key, f"has no alpha channel, which holds {meaning}; give an image with alpha")
