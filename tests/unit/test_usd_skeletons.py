@@ -17,14 +17,14 @@ def skinned():
     """A square between two joints, of which the second one rises by 8 in a second."""
     stage = new_stage()
     stage.SetTimeCodesPerSecond(10)
-    UsdSkel.Root.Define(stage, "/root")
-    skeleton = UsdSkel.Skeleton.Define(stage, "/root/bones")
+    UsdSkel.Root.Define(stage, "/rig")
+    skeleton = UsdSkel.Skeleton.Define(stage, "/rig/bones")
     names = Vt.TokenArray(["a", "a/b"])
     skeleton.CreateJointsAttr(names)
     rest = Vt.Matrix4dArray([Gf.Matrix4d(1), Gf.Matrix4d(1)])
     skeleton.CreateBindTransformsAttr(rest)
     skeleton.CreateRestTransformsAttr(rest)
-    animation = UsdSkel.Animation.Define(stage, "/root/bones/move")
+    animation = UsdSkel.Animation.Define(stage, "/rig/bones/move")
     animation.CreateJointsAttr(names)
     animation.CreateRotationsAttr([Gf.Quatf(1)] * 2)
     animation.CreateScalesAttr([Gf.Vec3h(1)] * 2)
@@ -32,7 +32,7 @@ def skinned():
     for code in (0, 10):
         moves.Set([Gf.Vec3f(0), Gf.Vec3f(0, 0, 0.8 * code)], code)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-    mesh = add_mesh(stage, "/root/mesh")
+    mesh = add_mesh(stage, "/rig/mesh")
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
     binding.CreateJointIndicesPrimvar(False, 2).Set([0, 1] * 4)
@@ -58,4 +58,4 @@ def test_the_file_is_not_changed(tmp_path):
     scene = loaded(skinned(), tmp_path, Overrides(time=1.0))
     assert scene.meshes[0].vertices[:, 2].max() == pytest.approx(8.0)
     layer = Sdf.Layer.FindOrOpen(str(tmp_path / "scene.usda"))
-    assert not layer.dirty and layer.GetAttributeAtPath("/root/mesh.points").default[2][2] == 0
+    assert not layer.dirty and layer.GetAttributeAtPath("/rig/mesh.points").default[2][2] == 0

@@ -16,8 +16,8 @@ A clearcoat covers base and coat. The weight of the layers beneath is min(1 - T(
 clearcoat. The weight is reciprocal and conserves energy. Over a mirror, it equals the weight of glTF. Cosines and horizon refer
 to the clearcoat's normal.
 
-A thin film (KHR_materials_iridescence) changes the reflectances of coat and metal. T then bounds what both
-interfaces reflect in phase.
+A thin film (KHR_materials_iridescence) changes the reflectances of coat and metal. T is then the reflectance of both faces of the
+film in phase, which is an upper bound.
 
 A sheen (KHR_materials_sheen) lies between clearcoat and coat. Diffuse transmission (KHR_materials_diffuse_transmission) replaces
 a share of the Lambertian base by a Lambertian lobe below the surface. All layers weigh the light from below like the light from
@@ -98,9 +98,9 @@ class OpaqueBSDF:
         return (1.0 - TRACE) * (1.0 - film_bound(self._f0.expand(3, -1), ior, thickness, cosine))
 
     def _choose_shares(self, peak: Tensor) -> None:
-        """Set the probabilities of sampling the clearcoat, the microfacets beneath it, the sheen, and the lobe below the surface:
-        their approximate shares of the albedo of what lies beneath the lobes before.
+        """Set the probabilities of sampling the clearcoat, the microfacets beneath it, the sheen, and the lobe below the surface.
 
+        Each probability is the lobe's approximate share of the albedo that the earlier lobes leave.
         The albedo of the base is the albedo at normal incidence. At grazing angles, light of the base passes microfacets that
         face the viewer.
         peak: largest channel of f0, `[N]`.

@@ -2,7 +2,7 @@
 
 Interference in a film is integrated over the spectrum analytically (Belcour and Barla 2017), with Schlick's reflectances of both
 interfaces as in the extension. The optical path difference is 2 η d cos θ₂, with the angle θ₂ inside the film. The conversion to
-Rec.709 can exceed what both interfaces reflect in phase, which bounds the reflectance here.
+Rec.709 can exceed the reflectance of both interfaces in phase. This reflectance is the upper bound here.
 """
 
 from __future__ import annotations

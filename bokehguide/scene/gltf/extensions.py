@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import islice
-
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.gltf.animations import POINTER
 from bokehguide.scene.gltf.document import Document
@@ -14,6 +12,7 @@ from bokehguide.scene.gltf.nodes import INSTANCING
 from bokehguide.scene.gltf.specular_glossiness import EXTENSION as GLOSSINESS
 from bokehguide.scene.gltf.textures import FORMATS, TRANSFORM
 from bokehguide.scene.gltf.variants import EXTENSION as VARIANTS
+from bokehguide.scene.losses import loss_lines
 
 MATERIAL_EXTENSIONS = (
     *("KHR_materials_emissive_strength", "KHR_materials_transmission", "KHR_materials_ior"),
@@ -48,7 +47,4 @@ def note_ignored(document: Document, at_rest: bool) -> None:
 
 def warnings(document: Document) -> list[str]:
     """The notes of `document`, one a line, each with the first few names of its objects."""
-    return [
-        printable(f"{what} ({', '.join(islice(names, 4))}{', …' if len(names) > 4 else ''})" if names else what, 400)
-        for what, names in document.notes.items()
-    ]
+    return loss_lines(document.notes)

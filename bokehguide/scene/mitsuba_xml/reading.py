@@ -13,6 +13,7 @@ from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.checks import located
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_map
+from bokehguide.scene.losses import loss_lines
 from bokehguide.scene.mitsuba_xml.materials import Materials, color_of
 from bokehguide.scene.mitsuba_xml.shapes import read_shape
 from bokehguide.scene.mitsuba_xml.tree import Plugin, read_tree
@@ -51,18 +52,9 @@ def read_mitsuba(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[S
         film=film,
         environment=environment,
         suns=tuple(suns),
-        warnings=tuple(_warnings(path, materials)),
+        warnings=tuple(loss_lines(materials.lost, path.name)),
     )
     return scene, chosen
-
-
-def _warnings(path: Path, materials: Materials) -> list[str]:
-    """The losses, one a line, each with the first few names."""
-    lines = []
-    for what, names in materials.lost.items():
-        shown = ", ".join(list(names)[:4]) + (", …" if len(names) > 4 else "")
-        lines.append(printable(f"{path.name}: {what} ({shown})", 400))
-    return lines
 
 
 def _meshes(root: Plugin, path: Path, files: SceneFiles, materials: Materials) -> list[Mesh]:

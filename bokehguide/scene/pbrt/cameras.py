@@ -123,5 +123,5 @@ def _horizontal_fov(contents: Contents, camera: Parameters, film: FilmSettings, 
     if abs(window[0] + window[1]) > 1e-3 * width or abs(window[2] + window[3]) > 1e-3 * height:
         contents.lose("screen windows off the axis: centred ones in their place", camera.place.short)
     if abs(width / height / pixels - 1.0) > 1e-2:
-        contents.lose("pixels that are no squares: the horizontal field of view counts", camera.place.short)
+        contents.lose("pixels that are not square: the horizontal field of view counts", camera.place.short)
     return math.degrees(2.0 * math.atan(0.5 * float(width) * math.tan(math.radians(fov) / 2.0) / float(stretch)))

@@ -12,6 +12,7 @@ from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.gltf.lights import default_radius
+from bokehguide.scene.losses import loss_lines
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
 from bokehguide.scene.pbrt.cameras import read_camera, read_film, world_matrix
 from bokehguide.scene.pbrt.contents import Contents, Shape
@@ -53,18 +54,9 @@ def read_pbrt(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scen
         film=film,
         environment=lights.environment,
         suns=tuple(lights.suns),
-        warnings=tuple(_warnings(path, contents)),
+        warnings=tuple(loss_lines(contents.lost, path.name)),
     )
     return scene, chosen
-
-
-def _warnings(path: Path, contents: Contents) -> list[str]:
-    """The losses, one a line, each with the first few names."""
-    lines = []
-    for what, names in contents.lost.items():
-        shown = ", ".join(list(names)[:4]) + (", …" if len(names) > 4 else "")
-        lines.append(printable(f"{path.name}: {what} ({shown})", 400))
-    return lines
 
 
 @dataclass

@@ -38,7 +38,7 @@ def load_usd(path: Path, files: SceneFiles, state: ModelState) -> Model:
     libraries, damaged data, values out of range, a variant, and more triangles than the files allow.
     """
     if state.variant is not None:
-        raise BokehguideError(f"{path}: variants of USD files are those that the file selects; leave the variant out")
+        raise BokehguideError(f"{path}: a USD file selects its variants itself; leave the variant out")
     try:
         return read_usd(path, files, state, binary=not sys.executable)
     except BinaryLayer:

@@ -53,7 +53,7 @@ def _uvs(opened: Stage, prim: Any, name: str, topology: Topology) -> Primvar:
 
 
 def _colors(opened: Stage, prim: Any, name: str, topology: Topology) -> Primvar | None:
-    """Colours `[N, 4]` that are no constant; the opacity is that of `displayOpacity` for the display colour."""
+    """Colours `[N, 4]` that vary over the mesh. The opacity of display colours is `displayOpacity`, else 1."""
     found = read_primvar(opened, prim, name, 3, topology) if name else None
     if found is None:
         return None
