@@ -53,7 +53,7 @@ def _uvs(opened: Stage, prim: Any, name: str, topology: Topology) -> Primvar:
 
 
 def _colors(opened: Stage, prim: Any, name: str, topology: Topology) -> Primvar | None:
-    """Colours `[N, 4]` that vary over the mesh. The opacity of display colours is `displayOpacity`, else 1."""
+    """Colours `[N, 4]` of a primvar, with opacity 1; None without the primvar."""
     found = read_primvar(opened, prim, name, 3, topology) if name else None
     if found is None:
         return None
