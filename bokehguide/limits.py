@@ -27,6 +27,9 @@ MESH_BYTES = 100
 MAX_SUNS = 256
 """Suns of a scene: every light sample looks at all of them."""
 
+MAX_LIGHT_GROUPS = 32
+"""Light groups of a scene: the film has sums of each."""
+
 MAX_KEY_DEPTH = 100
 """Parts of a dotted key in TOML: the parser takes time and memory with the square of their number."""
 

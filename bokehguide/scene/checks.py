@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
@@ -14,6 +15,8 @@ from bokehguide.scene.tables import ANY, Limits, Table, did_you_mean, is_number,
 from bokehguide.scene.vectors import Vector
 
 MAX_BLADES = 64
+GROUP_NAME = re.compile(r"[A-Za-z0-9_]{1,40}")
+"""Names of light groups that are parts of the names of EXR channels in every compositor."""
 
 
 class FieldError(BokehguideError):
@@ -196,3 +199,11 @@ def iris_blades(table: Table, default: int = 0) -> int:
     if type(blades) is not int or (blades != 0 and not 3 <= blades <= MAX_BLADES):
         table.fail("blades", f"is out of range; give a whole number from 3 to {MAX_BLADES}, or 0 for a round aperture")
     return blades
+
+
+def check_light_group(table: Table, key: str = "light_group") -> str:
+    """The name of a light group, empty for none. Fails for a name that EXR channels cannot have."""
+    name = table.values.get(key, "")
+    if not isinstance(name, str) or (name and not GROUP_NAME.fullmatch(name)):
+        table.fail(key, 'is no name of a light group; give at most 40 letters, digits and underscores, as in "lamps"')
+    return name

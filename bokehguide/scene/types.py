@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 
 from bokehguide.limits import MAX_EXTENT, MAX_PIXELS
-from bokehguide.scene.checks import FieldError, Fields, iris_blades, viewing_direction
+from bokehguide.scene.checks import FieldError, Fields, check_light_group, iris_blades, viewing_direction
 from bokehguide.scene.tables import (
     ANGLE_OF_VIEW,
     ANY,
@@ -204,7 +204,7 @@ class Material:
     "blend" transmits the fraction 1 - opacity without refraction. attenuation_color: transmittance of
     `attenuation_distance` metres inside (KHR_materials_volume). emission_cone: None emits in all
     directions. tint_emission: vertex colours multiply the emission, as for unlit materials. A
-    clearcoat attenuates the emission beneath it.
+    clearcoat attenuates the emission beneath it. light_group: name of the light group of the emission, empty for none.
     """
 
     name: str
@@ -256,10 +256,12 @@ class Material:
     diffuse_transmission_color_texture: Texture | None = None
     iridescence_texture: Texture | None = None
     iridescence_thickness_texture: Texture | None = None
+    light_group: str = field(default="", metadata={LABEL: True})
 
     def __post_init__(self) -> None:
         fields = Fields(self)
         fields.check_texts("name")
+        check_light_group(fields)
         fields.check_numbers(**MATERIAL_NUMBERS)
         fields.check_vectors(**MATERIAL_COLORS)
         fields.check_tuple("iridescence_thickness", 2, FILM)
@@ -376,15 +378,17 @@ class Sun:
     """A disc of constant radiance at infinity.
 
     direction: unit, from the scene towards the sun. angle: diameter of the disc in degrees.
-    irradiance: on a surface perpendicular to `direction`, linear Rec.709.
+    irradiance: on a surface perpendicular to `direction`, linear Rec.709. light_group: as that of a `Material`.
     """
 
     direction: Vector
     angle: float
     irradiance: Vector
+    light_group: str = field(default="", metadata={LABEL: True})
 
     def __post_init__(self) -> None:
         fields = Fields(self)
+        check_light_group(fields)
         fields.check_direction("direction")
         fields.check_numbers(angle=SUN_ANGLE)
         fields.check_vectors(irradiance=NOT_NEGATIVE)
@@ -396,15 +400,17 @@ class Environment:
 
     The map's centre lies at -z and u grows towards +x. A constant colour is a 1 × 1 map, or three numbers.
     rotation: degrees about +y, anticlockwise seen from above. visible: if False, camera rays that
-    escape see neither map nor suns and have alpha 0; the lighting stays.
+    escape see neither map nor suns and have alpha 0; the lighting stays. light_group: as that of a `Material`.
     """
 
     radiance: np.ndarray
     rotation: float = 0.0
     visible: bool = True
+    light_group: str = field(default="", metadata={LABEL: True})
 
     def __post_init__(self) -> None:
         fields = Fields(self)
+        check_light_group(fields)
         if np.shape(fields.values["radiance"]) == (3,):
             fields.values["radiance"] = np.asarray(fields.values["radiance"])[None, None]
         fields.check_array("radiance", ("H", "W", 3), low=0.0)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bokehguide.color import LUMENS_PER_WATT, LUMINANCE, blackbody
-from bokehguide.scene.checks import located
+from bokehguide.scene.checks import check_light_group, located
 from bokehguide.scene.shapes import (
     SPHERE_SUBDIVISIONS,
     repeated,
@@ -38,7 +38,7 @@ NEEDS = {
 """Keys that have an effect on the listed shapes only."""
 PLACES = ("position", "positions", "path")
 INTENSITIES = ("radiance", "watts", "lumens", "candela")
-LIGHT_KEYS = ("name", "shape", *NEEDS, *PLACES, "spacing", "sag", *INTENSITIES, "color", "kelvin")
+LIGHT_KEYS = ("name", "group", "shape", *NEEDS, *PLACES, "spacing", "sag", *INTENSITIES, "color", "kelvin")
 DOWN = (0.0, -1.0, 0.0)
 
 
@@ -62,7 +62,8 @@ def read_light_tables(root: Table, first: int) -> tuple[list[Mesh], list[Materia
         emission = _emission(table, surface_area(mesh) / len(centres))
         meshes.append(mesh)
         cone = read_cone(table, "cone", _direction(table)) if "cone" in table else None
-        materials.append(Material(name, base_color=(0.0, 0.0, 0.0), specular=0.0, emission=emission, emission_cone=cone))
+        light = {"emission": emission, "emission_cone": cone, "light_group": check_light_group(table, "group")}
+        materials.append(Material(name, base_color=(0.0, 0.0, 0.0), specular=0.0, **light))
     return meshes, materials
 
 

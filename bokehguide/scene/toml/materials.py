@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bokehguide.errors import BokehguideError
+from bokehguide.scene.checks import check_light_group
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
 from bokehguide.scene.tables import FILM, Table, did_you_mean
@@ -41,7 +42,7 @@ ALPHA_TEXTURES = {
 KEYS = (
     *("base_color", "metallic", "roughness", "specular", "specular_color", "transmission", "thin", "ior"),
     *("attenuation_color", "attenuation_distance", "clearcoat", "clearcoat_roughness", "emission"),
-    *("emission_cone", "double_sided", "opacity", "alpha_mode", "alpha_cutoff", "normal_scale"),
+    *("emission_cone", "group", "double_sided", "opacity", "alpha_mode", "alpha_cutoff", "normal_scale"),
     *("clearcoat_normal_scale", "sheen_color", "sheen_roughness", "anisotropy", "anisotropy_rotation"),
     *("diffuse_transmission", "diffuse_transmission_color", "iridescence", "iridescence_ior"),
     *("iridescence_thickness", "dispersion", *ENCODED),
@@ -49,6 +50,7 @@ KEYS = (
 NEEDS = {
     "emission_texture": ("emission",),
     "emission_cone": ("emission",),
+    "group": ("emission",),
     "normal_scale": ("normal_texture",),
     "clearcoat_normal_scale": ("clearcoat_normal_texture",),
     "attenuation_color": ("attenuation_distance",),
@@ -108,6 +110,7 @@ def _material(table: Table, files: SceneFiles) -> Material:
         iridescence_thickness=table.pair(THICKNESS, FILM) if THICKNESS in table else Material.iridescence_thickness,
         alpha_mode=_alpha_mode(table),
         emission_cone=read_cone(table, "emission_cone") if "emission_cone" in table else None,
+        light_group=check_light_group(table, "group"),
         **textures,
     )
 

@@ -10,6 +10,14 @@ from bokehguide.scene.shapes import transformed
 from bokehguide.scene.types import Material, Mesh, Model, Sun, Vector, as_vector
 
 
+def in_light_group(model: Model, group: str) -> Model:
+    """`model` with all its lights and emissive materials in a light group; `model` itself for an empty name."""
+    if not group:
+        return model
+    materials = (replace(material, light_group=group) if material.emits else material for material in model.materials)
+    return replace(model, materials=tuple(materials), suns=tuple(replace(sun, light_group=group) for sun in model.suns))
+
+
 def place_emitters(model: Model, first: int, matrix: np.ndarray, materials: list[Material]) -> list[Mesh]:
     """The emitters of `model` under `matrix` `[4, 4]`.
 

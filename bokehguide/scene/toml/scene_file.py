@@ -12,7 +12,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST, MAX_KEY_DEPTH
-from bokehguide.scene.checks import located
+from bokehguide.scene.checks import check_light_group, located
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.model_files import load_model, refuse_format
@@ -21,13 +21,13 @@ from bokehguide.scene.shapes import SHAPES, sphere_subdivisions, transform, tran
 from bokehguide.scene.tables import ANY, EMITTER_RADIUS, EXPOSURE, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
 from bokehguide.scene.toml.lights import read_light_tables
 from bokehguide.scene.toml.materials import read_materials
-from bokehguide.scene.toml.placing import place_emitters, place_suns
+from bokehguide.scene.toml.placing import in_light_group, place_emitters, place_suns
 from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Model, ModelState, Scene, Sun
 from bokehguide.scene.validation import check_meshes, check_triangles
 
 SCENE_KEYS = ("camera", "film", "environment", "sun", "light", "lights", "materials", "object")
 DEEP_KEY = re.compile(rf"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_KEY_DEPTH}}}""")
-OBJECT_KEYS = ("name", "shape", "file", "variant", "time", "material", "translate", "rotate", "scale")
+OBJECT_KEYS = ("name", "shape", "file", "variant", "time", "group", "material", "translate", "rotate", "scale")
 
 
 def read_scene_file(path: Path, tables: dict[str, Any], overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
@@ -87,7 +87,7 @@ def _read_environment(root: Table, files: SceneFiles, warnings: list[str]) -> En
     """The `[environment]` table, None if absent. Appends to `warnings`."""
     if "environment" not in root:
         return None
-    keys = ("color", "map", "intensity", "rotation", "visible")
+    keys = ("color", "map", "intensity", "rotation", "visible", "group")
     table = Table(root.values["environment"], root.file, "environment", keys)
     table.exclusive("color", "map")
     if "map" in table:
@@ -102,7 +102,8 @@ def _read_environment(root: Table, files: SceneFiles, warnings: list[str]) -> En
     if not NOT_NEGATIVE.contains(brightest):
         table.fail("intensity", f"makes the brightest radiance {brightest:g}; give less; the maximum is {LARGEST:g}")
     visible = table.flag("visible", Environment.visible)
-    return Environment(radiance * np.float32(intensity), table.number("rotation", 0.0), visible)
+    group = check_light_group(table, "group")
+    return Environment(radiance * np.float32(intensity), table.number("rotation", 0.0), visible, group)
 
 
 def _read_suns(root: Table) -> list[Sun]:
@@ -112,12 +113,12 @@ def _read_suns(root: Table) -> list[Sun]:
         root.fail("sun", "is not a list of tables; write [[sun]]")
     suns = []
     for number, entry in enumerate(values):
-        table = Table(entry, root.file, f"sun[{number}]", ("direction", "irradiance", "angle"))
+        table = Table(entry, root.file, f"sun[{number}]", ("direction", "irradiance", "angle", "group"))
         if "irradiance" not in table:
             table.missing("irradiance", "give [r, g, b] on a surface that faces the sun")
         irradiance = table.vector("irradiance", None, NOT_NEGATIVE)
         angle = table.number("angle", LightSizes.sun_angle, SUN_ANGLE)
-        suns.append(Sun(table.direction("direction"), angle, irradiance))
+        suns.append(Sun(table.direction("direction"), angle, irradiance, check_light_group(table, "group")))
     return suns
 
 
@@ -125,7 +126,7 @@ def _read_suns(root: Table) -> list[Sun]:
 class _Objects:
     """Meshes, suns and materials of the objects of a scene file. Each model is loaded once.
 
-    subdivisions: of spheres. models: by path and state, each with the index of its first material in `materials`.
+    subdivisions: of spheres. models: by path, state and light group, each with the index of its first material in `materials`.
     """
 
     materials: list[Material]
@@ -134,17 +135,19 @@ class _Objects:
     subdivisions: int
     meshes: list[Mesh] = field(default_factory=list)
     suns: list[Sun] = field(default_factory=list)
-    models: dict[tuple[Path, ModelState], tuple[Model, int]] = field(default_factory=dict)
+    models: dict[tuple[Path, ModelState, str], tuple[Model, int]] = field(default_factory=dict)
 
     def load(self, table: Table) -> tuple[Model, int]:
         """The model of an object's `file`, and the index of its first material."""
         refuse_format(Path(table.text("file")), table.place("file"))
         path = self.files.named(table, "file")
         state = ModelState(table.text("variant") or None, table.number("time", 0.0) if "time" in table else None)
-        if (path, state) not in self.models:
-            self.models[path, state] = load_model(path, self.files, self.sizes, state), len(self.materials)
-            self.materials.extend(self.models[path, state][0].materials)
-        return self.models[path, state]
+        key = (path, state, check_light_group(table, "group"))
+        if key not in self.models:
+            model = in_light_group(load_model(path, self.files, self.sizes, state), key[2])
+            self.models[key] = model, len(self.materials)
+            self.materials.extend(model.materials)
+        return self.models[key]
 
     def lines(self, kind: str) -> list[str]:
         """The lines of the models under `kind`, "warnings" or "supported", each once."""
@@ -221,7 +224,7 @@ def _read_surface(table: Table, objects: _Objects) -> list[Mesh]:
     if "file" in table:
         model, first = objects.load(table)
         return [replace(mesh, material=mesh.material + first) for mesh in model.meshes]
-    for key in ("variant", "time"):
+    for key in ("variant", "time", "group"):
         if key in table:
             table.fail(key, "has no effect without a file; leave it out")
     shape = table.text("shape")
