@@ -43,7 +43,7 @@ struct DirectLight {
     Float distance;
     Vec3 value;
     Scattered scattered;
-    Int row, cluster;
+    Int triangle, row, cluster;
     Float contribution_rms;
 };
 
@@ -73,13 +73,14 @@ class ClusterSampler {
             const Int changes = others[6] * total < new_target;
             kept.light.direction = choose(changes, other.light.direction, kept.light.direction);
             kept.light.distance = changes ? other.light.distance : kept.light.distance;
+            kept.light.triangle = changes ? other.light.triangle : kept.light.triangle;
             kept.cluster = changes ? other.cluster : kept.cluster, kept.share = changes ? other.share : kept.share;
             value = choose(changes, new_value, value), target = changes ? new_target : target;
             scattered = {choose(changes, seen.value, scattered.value), changes ? seen.pdf : scattered.pdf};
         }
         const Float scale = total / (float(c.candidates) * divisor(target));
         const Float contribution_rms = luminance(value) * sqrt(kept.share * scale);
-        return {kept.light.direction, kept.light.distance, value * scale, scattered, row, kept.cluster, contribution_rms};
+        return {kept.light.direction, kept.light.distance, value * scale, scattered, kept.light.triangle, row, kept.cluster, contribution_rms};
     }
 
     // Densities of all light samples together, for MIS: `environment_pdf` and `triangle_pdf` of `MixtureLights` times `count`.
@@ -145,7 +146,8 @@ class ClusterSampler {
         if (!any(~far & active)) return sky;
         const ClusterSample near = draw_triangle(cluster, by_voxel, rest, active & ~far);
         const LightSample light = {choose(far, sky.light.direction, near.light.direction), far ? sky.light.distance : near.light.distance,
-                                   choose(far, sky.light.radiance, near.light.radiance), far ? sky.light.pdf : near.light.pdf};
+                                   choose(far, sky.light.radiance, near.light.radiance), far ? sky.light.pdf : near.light.pdf,
+                                   far ? sky.light.triangle : near.light.triangle};
         return {light, far ? sky.cluster : near.cluster, far ? sky.share : near.share};
     }
 
@@ -162,7 +164,7 @@ class ClusterSampler {
         const Vec3 direction = environment_direction(t, element, u[2], u[3]);
         const Int texel = element_texel(t, element, direction);
         const Float pdf = density(direction, texel);
-        const LightSample light = {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf};
+        const LightSample light = {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf, all(-1)};
         return {light, cluster_of(element), pdf / density_within(element)};
     }
 

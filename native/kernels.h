@@ -25,7 +25,7 @@ struct Kernels {
                        ViewRows&);
     int64_t (*trace_views)(const Tables&, const LensCamera&, const LensSamples&, const HitRecord&, ViewRows&, double* seconds);
     void (*add_views)(const Tables&, const LensSamples&, const HitRecord&, const ViewRows&, const OwnSamples&, const float* density,
-                      float* radiance, float* weight);
+                      const ReusedGroups*, float* radiance, float* weight);
     // Mixtures on the lens: shapes and weights; lens points `[2, N]`, which hold those of the uniform lens, and candidates; densities.
     void (*prepare_mixture)(MixtureRows&);
     void (*sample_mixture)(const MixtureRows&, const float* uniforms, float* points, int64_t* candidates);

@@ -155,6 +155,7 @@ struct LightSample {
     Float distance;
     Vec3 radiance;
     Float pdf;
+    Int triangle;  // -1 at infinity
 };
 
 inline Vec3 sample_distant(const DistantTable& light, Float u0, Float u1) {
@@ -212,7 +213,7 @@ inline LightSample sample_environment(const Tables& t, const PointQuery& query, 
     const Int element = environment_element(t, u);
     const Vec3 direction = environment_direction(t, element, u[2], u[3]);
     const Float pdf = query.environment_share * environment_density(t, direction, element_texel(t, element, direction));
-    return {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf};
+    return {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf, all(-1)};
 }
 
 // ---------------------------------------------------------------------------------------------------- emissive triangles
@@ -236,13 +237,14 @@ inline LightSample sample_triangle(const Tables& t, Vec3 point, Int cluster, Flo
     const Float front = one_if(cosine > all(0.0f));
     const Float pdf = share * field(13) * squared / divisor(abs(cosine), LEAST_COSINE);
     Vec3 radiance = emitted(vector(9), field(12), front);
+    const Int triangle = gather(&t.emitter_rows[0].triangle, emitter * 16);
     if (!t.plain_emission || t.absorption != nullptr || t.translucent != nullptr) {
-        const Hits hit = {gather(&t.emitter_rows[0].triangle, emitter * 16), distance, a, b};
+        const Hits hit = {triangle, distance, a, b};
         if (!t.plain_emission) radiance = radiance * emission_share(t, hit, -direction, active);
         if (t.absorption != nullptr) radiance = radiance * transmittance(t, hit, front);
         if (t.translucent != nullptr) radiance = radiance * opacity(t, hit, active);
     }
-    return {direction, distance, radiance, pdf};
+    return {direction, distance, radiance, pdf, triangle};
 }
 
 inline LightSample sample_triangle(const Tables& t, const PointQuery& query, const Float (&u)[5], Int active) {
@@ -260,7 +262,7 @@ inline LightSample sample_light(const Tables& t, const PointQuery& query, const 
     if (!any(~far & active)) return sky;
     const LightSample near = sample_triangle(t, query, rest, active & ~far);
     return {choose(far, sky.direction, near.direction), far ? sky.distance : near.distance, choose(far, sky.radiance, near.radiance),
-            far ? sky.pdf : near.pdf};
+            far ? sky.pdf : near.pdf, far ? sky.triangle : near.triangle};
 }
 
 // `PowerLightSampler.triangle_pdf`: density with which points sample a triangle at a distance under a cosine.

@@ -121,11 +121,30 @@ SplitRecord split_record(const nb::dict& arrays, size_t surface_rows, size_t ray
     return record;
 }
 
+// The light groups of a trace by the names of `LightGroups`.
+LightGroups light_groups(const nb::dict& arrays, const Tables& t, size_t rays, size_t paths) {
+    LightGroups groups{};
+    const size_t values = nb::cast<FloatsOut>(arrays["rays"], false).size();
+    if (rays == 0 || values % (3 * rays) != 0) throw std::invalid_argument("rows of light groups");
+    groups.count = int32_t(values / (3 * rays)), groups.rays = entry<FloatsOut>(arrays, "rays", values).data();
+    const auto whole = [&](const char* name, size_t size) {
+        const Ints found = entry<Ints>(arrays, name, size);
+        for (size_t i = 0; i < size; ++i) {
+            if (found.data()[i] < 0 || found.data()[i] >= groups.count) throw std::invalid_argument("a light group beyond their number");
+        }
+        return found.data();
+    };
+    groups.materials = whole("materials", size_t(t.materials)), groups.far = whole("far", 1 + size_t(t.distant_count));
+    if (arrays.contains("reflected")) groups.reflected = entry<FloatsOut>(arrays, "reflected", 6 * paths * size_t(groups.count)).data();
+    return groups;
+}
+
 // Traces rays into `rows` `[14, N]` and `triangle`. With a `split` record, paths split; `lights` and `images` `[3, N]` need one.
 // Returns the number of rays, seconds in Embree, and the numbers of recorded hits and paths.
 nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& direction, const std::optional<Floats>& alive,
                 const Ints& pixel_keys, const Random& random, int max_depth, FloatsOut rows, IntsOut triangle,
-                const std::optional<nb::dict>& split, const NamedClusterLights* lights, const std::optional<FloatsOut>& images) {
+                const std::optional<nb::dict>& split, const NamedClusterLights* lights, const std::optional<FloatsOut>& images,
+                const std::optional<nb::dict>& groups) {
     const size_t count = pixel_keys.size();
     check(origin, 3 * count, "origin"), check(direction, 3 * count, "direction"), check(rows, 14 * count, "rows");
     check(triangle, count, "triangle");
@@ -141,6 +160,9 @@ nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& directio
     arguments.first_step = lights ? lights->c.first_step : 1;
     arguments.lights = lights ? &lights->c : nullptr;
     if (images) arguments.images = const_cast<float*>(images->data());
+    LightGroups by_group{};
+    if (groups && count > 0) by_group = light_groups(*groups, scene.t, count, size_t(record.path_columns)), arguments.groups = &by_group;
+    if (split && groups && count > 0 && by_group.reflected == nullptr) throw std::invalid_argument("split paths need rows of light groups");
     float* row = rows.data();
     arguments.radiance = row, arguments.normal = row + 3 * count, arguments.albedo = row + 6 * count;
     arguments.emission = row + 9 * count, arguments.distance = row + 12 * count, arguments.alpha = row + 13 * count;
@@ -199,7 +221,8 @@ NB_MODULE(_native, m) {
         .def(nb::init<nb::dict, nb::dict, nb::object, nb::object, nb::object>(), nb::arg(), nb::arg(), nb::arg().none(),
              nb::arg().none(), nb::arg().none())
         .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
-             nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none());
+             nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none(),
+             nb::arg("groups").none() = nb::none());
     bind_mixture(m);
     bind_reuse(m);
     bind_sums(m);

@@ -283,8 +283,8 @@ inline int64_t trace_views(const Tables& t, const LensCamera& lens, const LensSa
 // Radiance of the samples as their viewers see them (`_radiance`), in place of the directions of the views.
 class SeenRadiance {
   public:
-    SeenRadiance(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views)
-        : t_(t), samples_(samples), record_(record), views_(views) {}
+    SeenRadiance(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views, const ReusedGroups* groups)
+        : t_(t), samples_(samples), record_(record), views_(views), groups_(groups) {}
 
     void run() {
         for (int64_t first = 0, end; first < views_.count; first = end) {
@@ -298,16 +298,38 @@ class SeenRadiance {
     const LensSamples& samples_;
     const HitRecord& record_;
     const ViewRows& views_;
+    const ReusedGroups* groups_;
+    Vec3 parts_[bokehguide::MOST_LIGHT_GROUPS];
 
     // Up to eight views of one hit.
     void shade(int64_t first, int count) {
         const int32_t source = views_.source[first], hit = views_.place[source];
+        for (int group = 0; groups_ != nullptr && group < groups_->count; ++group) {
+            const float* const own = groups_->own + 3 * group * samples_.count + source;
+            parts_[group] = hit >= 0 ? grey(all(0.0f)) : Vec3{all(own[0]), all(own[samples_.count]), all(own[2 * samples_.count])};
+        }
         const float* const own = samples_.radiance + source;
         Vec3 light = {all(own[0]), all(own[samples_.count]), all(own[2 * samples_.count])};
         if (hit >= 0) light = radiance(hit, outgoing(first, count));
         for (int lane = 0; lane < count; ++lane) {
             float* const to = views_.outgoing + first + lane;
             to[0] = light.x[lane], to[views_.columns] = light.y[lane], to[2 * views_.columns] = light.z[lane];
+        }
+        if (groups_ != nullptr) add_groups(first, count);
+    }
+    void add_groups(int64_t first, int count) {
+        for (int lane = 0; lane < count; ++lane) {
+            const int64_t view = first + lane;
+            const float share = views_.passing[view] * views_.jacobian[view] * views_.scale[views_.source[view]];
+            if (!std::isfinite(share)) continue;
+            for (int group = 0; group < groups_->count; ++group) {
+                const float channels[3] = {parts_[group].x[lane], parts_[group].y[lane], parts_[group].z[lane]};
+                float* const to = groups_->radiance + 3 * group * samples_.count + views_.viewer[view];
+                for (int channel = 0; channel < 3; ++channel) {
+                    const float seen = channels[channel] * share;
+                    if (std::isfinite(seen)) to[channel * samples_.count] += seen;
+                }
+            }
         }
     }
     Vec3 outgoing(int64_t first, int count) const {
@@ -318,7 +340,7 @@ class SeenRadiance {
         }
         return found;
     }
-    Vec3 radiance(int32_t hit, Vec3 outgoing) const {
+    Vec3 radiance(int32_t hit, Vec3 outgoing) {
         const int64_t columns = record_.light.hit_columns;
         const float* const emitted = record_.emission + hit;
         Vec3 light = {all(emitted[0]), all(emitted[columns]), all(emitted[2 * columns])};
@@ -326,12 +348,14 @@ class SeenRadiance {
             const Hits at = {all(record_.triangle[hit]), all(record_.distance[hit]), all(record_.u[hit]), all(record_.v[hit])};
             light = emission(t_, at, all(record_.light.surface[FRONT_ROW * columns + hit]), outgoing, all(-1));
         }
-        return light + reflected(t_, record_.light, hit, outgoing);
+        if (groups_ == nullptr) return light + reflected(t_, record_.light, hit, outgoing, nullptr, nullptr);
+        parts_[groups_->materials[t_.triangles[record_.triangle[hit]].material]] = light;
+        return light + reflected(t_, record_.light, hit, outgoing, groups_, parts_);
     }
 };
 
 inline void add_views(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views, const OwnSamples& own,
-                      const float* density, float* radiance, float* weight) {
+                      const float* density, const ReusedGroups* groups, float* radiance, float* weight) {
     const int64_t count = samples.count;
     float* const scale = views.scale;
     for (int64_t i = 0; i < count; ++i) scale[i] = own.density[i] * (own.transmittance ? own.transmittance[i] : 1.0f);
@@ -342,7 +366,10 @@ inline void add_views(const Tables& t, const LensSamples& samples, const HitReco
         weight[i] = samples.weight[i] > 0.0f ? passing * scale[i] : 0.0f;
         for (int channel = 0; channel < 3; ++channel) radiance[channel * count + i] = samples.radiance[channel * count + i] * weight[i];
     }
-    SeenRadiance(t, samples, record, views).run();
+    for (int row = 0; groups != nullptr && row < 3 * groups->count; ++row) {
+        for (int64_t i = 0; i < count; ++i) groups->radiance[row * count + i] = groups->own[row * count + i] * weight[i];
+    }
+    SeenRadiance(t, samples, record, views, groups).run();
     for (int64_t first = 0; first < views.count; first += LANES) {
         const int size = views.count - first < LANES ? int(views.count - first) : LANES;
         const Int source = first_lanes(size) ? load<Int>(views.source + first) : all(0);

@@ -7,6 +7,9 @@
 namespace BOKEHGUIDE_ISA {
 
 using bokehguide::PathLight;
+using bokehguide::ReusedGroups;
+
+constexpr float FAINTEST = 1e-20f;
 
 // The BSDF of the opaque part of surfaces, seen from some directions (`opaque_values`).
 inline Scattering opaque_part(const Tables& t, const Surface& s) { return Scattering(t, s, all(2.0f)); }
@@ -28,8 +31,21 @@ inline Surface recorded_surface(const Tables& t, const PathLight& of, Int hit) {
     return s;
 }
 
+// Adds the radiance of light groups by way of one path and one kind of sample to `parts`; value: BSDF times cosine.
+inline void add_parts(const ReusedGroups& groups, int64_t columns, int32_t path, int kind, Vec3 value, Vec3* parts) {
+    const float* const bsdf = groups.bsdf + 3 * kind * columns + path;
+    const auto ratio = [&](Float x, float of) { return of > FAINTEST ? x / of : all(0.0f); };
+    const Vec3 scale = {ratio(value.x, bsdf[0]), ratio(value.y, bsdf[columns]), ratio(value.z, bsdf[2 * columns])};
+    for (int group = 0; group < groups.count; ++group) {
+        const float* const from = groups.reflected + (6 * group + 3 * kind) * columns + path;
+        if (from[0] == 0.0f && from[columns] == 0.0f && from[2 * columns] == 0.0f) continue;
+        parts[group] = parts[group] + scale * Vec3{all(from[0]), all(from[columns]), all(from[2 * columns])};
+    }
+}
+
 // Radiance of one hit towards eight unit directions, added up over the paths of the hit (`PrimaryHits.radiance` without emission).
-inline Vec3 reflected(const Tables& t, const PathLight& of, int32_t hit, Vec3 outgoing) {
+// parts: the radiance of light groups is added to them; null for none.
+inline Vec3 reflected(const Tables& t, const PathLight& of, int32_t hit, Vec3 outgoing, const ReusedGroups* groups, Vec3* parts) {
     const float* directions[2] = {of.light_direction, of.scattered_direction};
     Surface s = recorded_surface(t, of, all(hit));
     s.outgoing = outgoing;
@@ -43,7 +59,9 @@ inline Vec3 reflected(const Tables& t, const PathLight& of, int32_t hit, Vec3 ou
         for (int kind = 0; kind < 2; ++kind) {
             const float* const incident = of.incident + 3 * kind * of.path_columns;
             if (incident[path] == 0.0f && incident[of.path_columns + path] == 0.0f && incident[2 * of.path_columns + path] == 0.0f) continue;
-            light = light + scattering.evaluate(column(directions[kind], path)).value * column(incident, path);
+            const Vec3 value = scattering.evaluate(column(directions[kind], path)).value;
+            light = light + value * column(incident, path);
+            if (groups != nullptr) add_parts(*groups, of.path_columns, path, kind, value, parts);
         }
         sum = sum + light;
     }

@@ -84,13 +84,15 @@ class Views {
                                    nullptr, nullptr, density.data());
     }
     // Radiance `[3, N]` and weights `[N]` of the pixels. density: of the viewers at the lens points, `[J]`; own: by the names of
-    // `OwnSamples`.
-    void reuse(const Floats& density, const nb::dict& own, FloatsOut radiance, FloatsOut weight) const {
+    // `OwnSamples`; groups: by the names of `ReusedGroups`.
+    void reuse(const Floats& density, const nb::dict& own, FloatsOut radiance, FloatsOut weight, const std::optional<nb::dict>& groups) const {
         check(density, size_t(views_.count), "density"), check(radiance, 3 * count(), "radiance"), check(weight, count(), "weight");
         const auto floats = [&](const char* name) { return entry<Floats>(own, name, count()).data(); };
         const OwnSamples samples = {floats("density"), floats("passing"), own.contains("transmittance") ? floats("transmittance") : nullptr};
+        ReusedGroups by_group{};
+        if (groups) by_group = reused_groups(*groups);
         nb::gil_scoped_release released;
-        kernels().add_views(scene_.t, samples_, record_, views_, samples, density.data(), radiance.data(), weight.data());
+        kernels().add_views(scene_.t, samples_, record_, views_, samples, density.data(), groups ? &by_group : nullptr, radiance.data(), weight.data());
     }
 
   private:
@@ -111,6 +113,23 @@ class Views {
     static double number(const nb::dict& numbers, const char* name) { return nb::cast<double>(numbers[name]); }
     size_t count() const { return size_t(samples_.count); }
 
+    ReusedGroups reused_groups(const nb::dict& arrays) const {
+        ReusedGroups groups{};
+        const size_t values = nb::cast<FloatsOut>(arrays["radiance"], false).size(), paths = size_t(record_.light.path_columns);
+        groups.count = int32_t(values / (3 * count()));
+        if (groups.count > MOST_LIGHT_GROUPS) throw std::invalid_argument("too many light groups");
+        const Ints materials = entry<Ints>(arrays, "materials", size_t(scene_.t.materials));
+        for (size_t i = 0; i < materials.size(); ++i) {
+            if (materials.data()[i] < 0 || materials.data()[i] >= groups.count) throw std::invalid_argument("a light group beyond their number");
+        }
+        groups.materials = materials.data(), groups.own = entry<Floats>(arrays, "own", values).data();
+        groups.radiance = entry<FloatsOut>(arrays, "radiance", 3 * size_t(groups.count) * count()).data();
+        if (record_.count > 0) {
+            groups.reflected = entry<Floats>(arrays, "reflected", 6 * paths * size_t(groups.count)).data();
+            groups.bsdf = entry<Floats>(arrays, "bsdf", 6 * paths).data();
+        }
+        return groups;
+    }
     void set_lens(const nb::dict& numbers) {
         std::memcpy(lens_.camera.axes, entry<Floats>(arrays_, "axes", 9).data(), sizeof lens_.camera.axes);
         std::memcpy(lens_.camera.position, entry<Floats>(arrays_, "position", 3).data(), sizeof lens_.camera.position);
@@ -169,7 +188,7 @@ void bind_reuse(nb::module_& m) {
         .def("set_passing", &Views::set_passing)
         .def("trace", &Views::trace)
         .def("densities", &Views::densities, nb::arg(), nb::arg().none(), nb::arg())
-        .def("reuse", &Views::reuse);
+        .def("reuse", &Views::reuse, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().none());
 }
 
 }  // namespace bokehguide

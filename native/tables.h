@@ -36,6 +36,7 @@ struct AliasEntry {
     int32_t alias;
 };
 
+constexpr int MOST_LIGHT_GROUPS = 32;
 constexpr int LEVELS_IN_LINE = 4;  // 16 floats make a line of the cache
 
 struct DistantTable {
@@ -138,6 +139,15 @@ struct PathLight {
     const int32_t *first_path, *paths;  // of each hit
 };
 
+// Light groups (render/light_groups.py): the group of each material, and of the environment map and each distant light; and the
+// radiance of the groups in a trace, to be added to zeros: along the rays, `[groups, 3, count]`, and of the light sample and then the
+// BSDF sample of each split path, `[groups, 6, path_columns]`.
+struct LightGroups {
+    int32_t count;
+    const int32_t *materials, *far;
+    float *rays, *reflected;
+};
+
 struct Trace {
     int64_t count;
     const float *origin, *direction, *alive;  // [3, count] each, [count] or null
@@ -149,6 +159,7 @@ struct Trace {
     // Virtual images (guiding/virtual_images.py), [3, count]: their light, the distance of the brightest, and whether some path
     // leaves the primary hit as in a mirror or glass. Null for none.
     float* images;
+    const LightGroups* groups;  // null for none
     // Results, all written.
     float *radiance, *distance, *normal, *albedo, *emission, *alpha;
     int32_t* triangle;
@@ -217,6 +228,15 @@ struct ViewRows {
 // The weights of reuse, for each pixel: density and W / A at the pixel's own lens point, transmittance there, null for 1.
 struct OwnSamples {
     const float *density, *passing, *transmittance;
+};
+
+// Light groups in the reuse of primary hits: those of materials; radiance of the samples before and after reuse, `[groups, 3, N]`; and
+// that of recorded paths, with their BSDFs, as in `LightGroups` and `SplitRecord`.
+struct ReusedGroups {
+    int32_t count;
+    const int32_t* materials;
+    const float *own, *reflected, *bsdf;
+    float* radiance;
 };
 
 // Piecewise linear densities (models/emitters/piecewise_linear.py).

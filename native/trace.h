@@ -9,6 +9,7 @@
 
 #include "cluster_lights.h"
 #include "images.h"
+#include "light_groups.h"
 #include "shadow_rays.h"
 
 namespace BOKEHGUIDE_ISA {
@@ -36,6 +37,7 @@ struct alignas(64) Block {
     Row distance, u, v, surface[SURFACE_ROWS];
     // Light samples, and their shadow rays.
     Row contribution[3], weight, visibility, light_direction[3];
+    IntRow light_triangle;
     ShadowRays shadow;
     // Which paths go on or met a surface, and which did not.
     IntRow kept, dropped;
@@ -78,13 +80,15 @@ class Tracing {
     Block& block;
     int64_t first = 0;
     int paths = 0;
-    // Where paths add their radiance: rows `[3, columns]`, from the path with slot 0 on.
+    // Where paths add their radiance: rows `[3, columns]`, and rows of light groups, from the path with slot 0 on.
     float* collected = nullptr;
+    GroupRows grouped{};
     int64_t columns = 0, base = 0;
 
     void begin() {
         Block& b = block;
         collected = trace.radiance, columns = trace.count, base = first;
+        if (trace.groups != nullptr) grouped = {trace.groups->rays, columns, base, 3};
         paths = trace.count - first < BLOCK ? int(trace.count - first) : BLOCK;
         const size_t size = sizeof(float) * size_t(paths);
         for (int axis = 0; axis < 3; ++axis) {
@@ -148,6 +152,10 @@ class Tracing {
                 const int64_t column = channel * record.path_columns + path;
                 trace.radiance[channel * trace.count + ray] += record.direct[column] + record.indirect[column];
             }
+            for (int row = 0; trace.groups != nullptr && row < 3 * trace.groups->count; ++row) {
+                const float* const direct = trace.groups->reflected + (row + row / 3 * 3) * record.path_columns + path;
+                trace.groups->rays[row * trace.count + ray] += direct[0] + direct[3 * record.path_columns];
+            }
         }
     }
 
@@ -174,6 +182,7 @@ class Tracing {
         Block& b = block;
         const SplitRecord& record = *trace.split;
         collected = record.indirect, columns = record.path_columns, base = first_path;
+        if (trace.groups != nullptr) grouped = {trace.groups->reflected + 3 * columns, columns, base, 6};
         paths = record.path_count - first_path < BLOCK ? int(record.path_count - first_path) : BLOCK;
         for (int i = 0; i < paths; ++i) {
             const int64_t path = first_path + i, hit = record.owner[path];
@@ -205,6 +214,12 @@ class Tracing {
         store3(b.throughput, i, gather3(b.hit_throughput, hit) / share), store3(b.radiance, i, grey(all(0.0f)));
         store(b.narrow + i, all(-1));
         for (int row = 0; row < 5; ++row) store(b.transfer[row] + i, all(row == 1 || row == 2 ? 0.0f : 1.0f));
+    }
+
+    // Add light that reaches some paths by way of their segments to the rows of its groups. triangle: -1 for lights at infinity.
+    void add_to_groups(Int path, Vec3 light, Int triangle, Vec3 direction, Int arrives) {
+        if (trace.groups == nullptr) return;
+        BOKEHGUIDE_ISA::add_to_groups(t, *trace.groups, grouped, gather(block.slot, path), light, triangle, direction, arrives);
     }
 
     bool lit() const { return t.emitters > 0 || t.has_far_power; }
@@ -338,6 +353,7 @@ class Tracing {
             light = light * power_heuristic(gather(b.pdf, path), other);
             add_images(path, light, all(MISS_DISTANCE), first_lanes(missed - i));
         }
+        add_to_groups(path, light, all(-1), direction, first_lanes(missed - i));
         light = gather3(b.radiance, path) + light;
         const Float alpha = environment_alpha(t, direction);
         for (int lane = 0; lane < LANES && i + lane < missed; ++lane) {
@@ -371,6 +387,7 @@ class Tracing {
             light = light * power_heuristic(load<Float>(b.pdf + i), other);
             add_images(Int{0, 1, 2, 3, 4, 5, 6, 7} + i, light, distance, emits);
         }
+        add_to_groups(Int{0, 1, 2, 3, 4, 5, 6, 7} + i, light, hit.triangle, s.outgoing, emits);
         const Vec3 radiance = load3(b.radiance, i);
         store3(b.radiance, i, choose(emits, radiance + light, radiance));
     }
@@ -447,6 +464,7 @@ class Tracing {
         Float distance;
         Vec3 value;
         Scattered scattered;
+        Int triangle;
     };
 
     Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const Float (&u)[6], Bits key, Int active) {
@@ -454,12 +472,12 @@ class Tracing {
             const ClusterSampler sampler(t, *trace.lights, s.position, active);
             const DirectLight found = sampler.sample(scattering, u, trace.random, key);
             record_light(i, found);
-            return {found.direction, found.distance, found.value, found.scattered};
+            return {found.direction, found.distance, found.value, found.scattered, found.triangle};
         }
         const LightSample light = sample_light(t, PointQuery(t, s.position), u, active);
         const Scattered found = scattering.evaluate(light.direction);
         const Float weight = power_heuristic(light.pdf, found.pdf) / divisor(light.pdf);
-        return {light.direction, light.distance, found.value * light.radiance * weight, found};
+        return {light.direction, light.distance, found.value * light.radiance * weight, found, light.triangle};
     }
 
     void aim_shadow_ray(int i, const Surface& s, Vec3 throughput, const Light& light) {
@@ -469,7 +487,7 @@ class Tracing {
         const Float stretch = length(target);
         store3(b.contribution, i, contribution), store(b.weight + i, largest(contribution));
         b.shadow.aim(i, origin, target / stretch, light.distance * stretch * SHADOW_END);
-        if (trace.split != nullptr) store3(b.light_direction, i, light.direction);
+        if (trace.split != nullptr || trace.groups != nullptr) store3(b.light_direction, i, light.direction), store(b.light_triangle + i, light.triangle);
     }
 
     // Records of paths at their primary hits, where slots are places.
@@ -501,7 +519,18 @@ class Tracing {
             record(trace.split->light_direction, i, load3(b.light_direction, i));
             if (trace.lights != nullptr) record(trace.split->light_visibility, i, visibility);
         }
+        if (trace.groups != nullptr) group_light_samples({trace.groups->reflected, trace.split->path_columns, base, 6}, true);
         for (int i = 0; i < paths && trace.lights != nullptr; ++i) trace.split->light_rms[base + i] *= b.visibility[i];
+    }
+
+    // Add the light samples to rows of their groups. in_order: columns are paths, not slots.
+    void group_light_samples(const GroupRows& rows, bool in_order) {
+        const Block& b = block;
+        for (int i = 0; i < paths; i += LANES) {
+            const Vec3 light = load3(b.contribution, i) * load<Float>(b.visibility + i);
+            const Int column = in_order ? Int{0, 1, 2, 3, 4, 5, 6, 7} + i : load<Int>(b.slot + i), triangle = load<Int>(b.light_triangle + i);
+            BOKEHGUIDE_ISA::add_to_groups(t, *trace.groups, rows, column, light, triangle, load3(b.light_direction, i), first_lanes(paths - i));
+        }
     }
 
     // ------------------------------------------------------------------------------------------------ virtual images
@@ -586,6 +615,7 @@ class Tracing {
         for (int i = 0; i < traced; ++i) b.visibility[b.kept[i]] = b.shadow.passes[i];
         if (trace.images != nullptr) add_sampled_images();
         if (depth == 1 && trace.split != nullptr) return record_direct();
+        if (trace.groups != nullptr) group_light_samples(grouped, false);
         for (int i = 0; i < paths; i += LANES) {
             store3(b.radiance, i, load3(b.radiance, i) + load3(b.contribution, i) * load<Float>(b.visibility + i));
         }

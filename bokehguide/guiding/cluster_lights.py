@@ -32,6 +32,7 @@ class ClusterSample(NamedTuple):
     distance: Tensor
     radiance: Tensor
     pdf: Tensor
+    triangle: Tensor
     cluster: Tensor
     share: Tensor
 
@@ -239,6 +240,7 @@ class _Reservoir(NamedTuple):
     target: Tensor
     cluster: Tensor
     bsdf_pdf: Tensor
+    triangle: Tensor
 
 
 def resampled(
@@ -260,7 +262,7 @@ def resampled(
     light = draw(uniforms)
     scattered = scattering.evaluate(light.direction)
     value, total = _target(light, scattered, expected_visibility(light.cluster), candidates)
-    kept = _Reservoir(light.direction, light.distance, value, light.share, total, light.cluster, scattered[1])
+    kept = _Reservoir(light.direction, light.distance, value, light.share, total, light.cluster, scattered[1], light.triangle)
     for number in range(1, candidates):
         others = random.uniform(dimensions.candidate(number), dimensions.CANDIDATE_COUNT)
         # Uniform numbers for the choice of clusters are stratified over the candidates.
@@ -272,7 +274,7 @@ def resampled(
     scale = total / (candidates * divisor(kept.target))
     contribution_rms = luminance(kept.value) * (kept.share * scale).sqrt()
     clusters = ClusterRecord(row, kept.cluster, contribution_rms)
-    return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.bsdf_pdf, clusters)
+    return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.bsdf_pdf, kept.triangle, clusters)
 
 
 def _target(light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: Tensor, candidates: int) -> tuple[Tensor, Tensor]:
@@ -293,5 +295,5 @@ def _updated(
     value, target = targets
     total = total + target
     changes = uniform * total < target
-    new = (light.direction, light.distance, value, light.share, target, light.cluster, scattered[1])
+    new = (light.direction, light.distance, value, light.share, target, light.cluster, scattered[1], light.triangle)
     return _Reservoir(*(torch.where(changes, one, other) for one, other in zip(new, kept))), total

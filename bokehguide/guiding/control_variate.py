@@ -7,6 +7,9 @@ The coefficient c is the slope of a linear regression of radiance on weight, for
 coefficient from the same epoch would bias the picture. Where an edge crosses a cell, the coefficient does not fit all pixels of
 the cell. Therefore |c| is at most the pixel's mean radiance of earlier epochs. A dark pixel stays exactly dark, and a mean is
 never negative where the mean weight is below 2.
+
+A light group has a share of the coefficient: its share of the pixel's mean radiance of earlier epochs. The shares add up to 1, so
+that the groups add up to the radiance. A group that is dark in a pixel stays exactly dark.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
 from bokehguide.runtime.distributed import ROWS_PER_BAND, RankSums
 from bokehguide.runtime.indexing import Pixels, gather_pixels, pixel_numbers
+from bokehguide.scene.light_groups import find_light_groups
 
 CELL = 4
 """Side of a cell in pixels. Each cell has one coefficient, and a band of rows contains whole cells."""
@@ -36,7 +40,10 @@ class NoControlVariate(nn.Module):
     def corrected(self, places: Pixels, radiance: Tensor, weight: Tensor) -> Tensor:
         return radiance
 
-    def update(self, picture: Callable[[], Tensor]) -> None:
+    def shares(self, places: Pixels) -> Tensor:
+        return torch.ones(1)
+
+    def update(self, picture: Callable[[], Tensor], groups: Callable[[], Tensor] | None = None) -> None:
         pass
 
     def merge(self) -> None:
@@ -53,6 +60,7 @@ class ControlVariate(RankSums):
 
     coefficients: Tensor
     bound: Tensor
+    group_shares: Tensor
 
     def __init__(self, context: ModeContext, shrinkage: float):
         assert ROWS_PER_BAND % CELL == 0
@@ -63,6 +71,9 @@ class ControlVariate(RankSums):
         self.register_buffer("coefficients", torch.zeros(3, cells, device=device))
         self.register_buffer("bound", torch.zeros(3, width * height, device=device))
         """Largest |c| of each pixel."""
+        groups = len(find_light_groups(context.scene).names) if context.settings.light_groups else 0
+        self.register_buffer("group_shares", torch.zeros(groups, 3, width * height, device=device), persistent=groups > 0)
+        """Shares of the light groups in the coefficient of each pixel, `[G, 3, pixels]`."""
 
     def corrected(self, places: Pixels, radiance: Tensor, weight: Tensor) -> Tensor:
         """Radiance less c (weight - 1), `[3, N]`; the samples are added to the sums."""
@@ -96,10 +107,18 @@ class ControlVariate(RankSums):
         rows *= (weight + light).isfinite()
         self.mine.index_add_(1, self._cells(places), rows.nan_to_num(0.0, 0.0, 0.0))
 
-    def update(self, picture: Callable[[], Tensor]) -> None:
-        """End an epoch: compute the coefficients from all samples so far; collective. picture: see `StepSummary`."""
+    def shares(self, places: Pixels) -> Tensor:
+        """Shares of the light groups in the coefficients of some pixels of the film, `[G, 3, N]`."""
+        return gather_pixels(self.group_shares, places)
+
+    def update(self, picture: Callable[[], Tensor], groups: Callable[[], Tensor] | None = None) -> None:
+        """End an epoch: compute the coefficients from all samples so far; collective. picture, groups: see `StepSummary`."""
         self.merge()
         self.bound.copy_(self.ranks.total(picture()).clamp(min=0.0))
+        if groups is not None:
+            light = self.ranks.total(groups()).clamp(min=0.0)
+            total = light.sum(0)
+            self.group_shares.copy_(torch.where(total > 0.0, light / total.clamp(min=1e-30), 1.0 / len(light)))
         count, weight, squares, product, light_squares = self.sums[:5]
         count = count.clamp(min=1.0)
         color = self.sums[5:] / count

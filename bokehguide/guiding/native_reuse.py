@@ -14,7 +14,9 @@ from torch import Tensor
 
 from bokehguide.guiding.protocols import BatchSamples, LensQuery
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.light_groups import GroupRadiance
 from bokehguide.render.native import NativeTracer
+from bokehguide.render.primary_hits import CoreRecord
 from bokehguide.runtime.indexing import Pixels, scatter
 from bokehguide.runtime.timer import PhaseTimer
 
@@ -43,11 +45,12 @@ class Reused(NamedTuple):
     """The samples of N pixels after reuse.
 
     radiance: sum of weighted radiance over all hits that a pixel uses, `[3, N]`. weight: sum of the weights, `[N]`; its mean is
-    1.
+    1. light_groups: as `radiance`, of each light group, `[G, 3, N]`, None without groups.
     """
 
     radiance: Tensor
     weight: Tensor
+    light_groups: Tensor | None = None
 
 
 class ViewPoints(NamedTuple):
@@ -99,8 +102,9 @@ def native_reuse(
     timer.add("tracing rays", seconds)
     count = samples.drawn.weight.shape[0]
     density = _densities(views, samples.query, groups.across * groups.down, count)
-    reused = Reused(torch.empty(3, count), torch.empty(count))
-    views.reuse(density, {name: values.contiguous() for name, values in own.items()}, *reused)
+    by_group = _light_group_arrays(samples.paths.groups, record)
+    reused = Reused(torch.empty(3, count), torch.empty(count), None if by_group is None else by_group["radiance"])
+    views.reuse(density, {name: values.contiguous() for name, values in own.items()}, reused.radiance, reused.weight, by_group)
     return reused
 
 
@@ -116,6 +120,17 @@ def _arrays(camera: ThinLensCamera, samples: BatchSamples) -> dict[str, Tensor]:
         "position": camera.position,
     }
     return {name: values.contiguous() for name, values in arrays.items()}
+
+
+def _light_group_arrays(groups: GroupRadiance | None, record: CoreRecord) -> dict[str, Tensor] | None:
+    """The arrays of `ReusedGroups` in `native/tables.h`; `radiance` is the result."""
+    if groups is None:
+        return None
+    arrays = {"own": groups.rays, "radiance": torch.empty_like(groups.rays), "materials": groups.groups.materials}
+    if record.hits > 0:
+        assert groups.reflected is not None
+        arrays |= {"reflected": groups.reflected, "bsdf": record.arrays["bsdf"]}
+    return arrays
 
 
 def _numbers(camera: ThinLensCamera, groups: PixelGroups, min_spread: float) -> dict[str, float]:

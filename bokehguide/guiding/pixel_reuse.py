@@ -153,12 +153,17 @@ class PixelPathReuse:
                 rows.append(views)
         scale = torch.where(total > 0.0, 1.0 / total, 0.0)
         weight = torch.where(drawn.weight > 0.0, own["passing"] * transmittance * scale, 0.0)
-        reused = Reused(paths.radiance * weight, weight)
+        reused = Reused(paths.radiance * weight, weight, None if paths.groups is None else paths.groups.rays * weight)
         for views in rows:
             weight = (views.passing * views.jacobian * scale.index_select(0, views.source)).nan_to_num(0.0, 0.0, 0.0)
-            light = (_radiance(views, hits, paths) * weight).nan_to_num(0.0, 0.0, 0.0)
-            reused.radiance.index_add_(1, views.viewer, light)
+
+            def seen(paths: PathSamples, views: _Views = views, weight: Tensor = weight) -> Tensor:
+                return (_radiance(views, hits, paths) * weight).nan_to_num(0.0, 0.0, 0.0)
+
+            reused.radiance.index_add_(1, views.viewer, seen(paths))
             reused.weight.index_add_(0, views.viewer, weight)
+            for group, radiance in enumerate(() if reused.light_groups is None else reused.light_groups):
+                radiance.index_add_(1, views.viewer, seen(paths.of_group(group)))
         return reused
 
     def _hits(self, samples: BatchSamples) -> _Hits:
@@ -283,13 +288,15 @@ class PixelReuse(SampleReuse):
 
     def expose(self, samples: BatchSamples, film: Callable[[Pixels, FilmSamples], Tensor], timer: PhaseTimer) -> Tensor:
         places, reused = samples.batch.places, self.paths.reuse(samples, timer)
-        radiance = self.control_variate.corrected(places, reused.radiance, reused.weight)
+        radiance, groups = self.control_variate.corrected(places, reused.radiance, reused.weight), reused.light_groups
+        if groups is not None:
+            groups = groups - self.control_variate.shares(places) * (reused.radiance - radiance)
         ones = torch.ones_like(reused.weight)
-        return film(places, replace(samples.film, radiance=radiance, radiance_weight=ones))
+        return film(places, replace(samples.film, radiance=radiance, radiance_weight=ones, groups=groups))
 
     def update(self, summary: StepSummary) -> None:
         if summary.ends_epoch:
-            self.control_variate.update(summary.picture)
+            self.control_variate.update(summary.picture, summary.groups)
 
     def merge(self) -> None:
         self.control_variate.merge()

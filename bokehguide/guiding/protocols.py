@@ -124,12 +124,13 @@ class StepSummary:
     """The state of the frame after a step.
 
     mean_luminance: of the frame so far. picture: function that returns the mean radiance so far of the film's pixels,
-    `[3, pixels]`, 0 in pixels of other ranks.
+    `[3, pixels]`, 0 in pixels of other ranks. groups: as `picture`, of the light groups, `[G, 3, pixels]`, None without groups.
     """
 
     step: int
     mean_luminance: float
     picture: Callable[[], Tensor]
+    groups: Callable[[], Tensor] | None = None
 
     @property
     def ends_epoch(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -42,7 +42,7 @@ class FilmSamples:
     weight: W / (A q) of Eq. 11, 0 for a lens point outside the aperture, `[N]`. radiance: `[3, N]`. alpha: `[N]`; normal, albedo,
     emission: `[3, N]`; all of the primary hit, 0 without a hit. depth: along the axis, metres, `[N]`, NO_DEPTH without a hit.
     radiance_weight: weight of the radiance, `[N]`, None for `weight`. triangle: of the primary hit, int32 `[N]`, -1 without a
-    hit; needed by films with coverage.
+    hit; needed by films with coverage. groups: radiance of the light groups, `[G, 3, N]`; needed by films with groups.
     """
 
     weight: Tensor
@@ -54,10 +54,20 @@ class FilmSamples:
     emission: Tensor
     radiance_weight: Tensor | None = None
     triangle: Tensor | None = None
+    groups: Tensor | None = None
 
     def value(self) -> Tensor:
         """Radiance times its weight, `[3, N]`."""
-        return self.radiance * (self.weight if self.radiance_weight is None else self.radiance_weight)
+        return self.radiance * self._value_weight
+
+    def group_values(self) -> Tensor:
+        """As `value`, of the light groups, `[3 G, N]`."""
+        assert self.groups is not None
+        return (self.groups * self._value_weight).flatten(0, 1)
+
+    @property
+    def _value_weight(self) -> Tensor:
+        return self.weight if self.radiance_weight is None else self.radiance_weight
 
     def features(self) -> Tensor:
         """Alpha, hit (1 or 0), depth times hit, normal and albedo, `[9, N]`."""
@@ -73,7 +83,7 @@ class Film:
 
     seed: for reports of bad samples. features: class of the estimator, which depends on the weights of the samples. corner:
     column and row, in the frame, of the first pixel of the film. objects: for each kind of coverage, the number of the object of
-    each triangle, as `Coverage` takes it.
+    each triangle, as `Coverage` takes it. groups: names of the light groups whose radiance the film has as well.
     """
 
     def __init__(
@@ -85,6 +95,7 @@ class Film:
         features: type[MeanFeatures] = ControlVariateFeatures,
         corner: tuple[int, int] = (0, 0),
         objects: Mapping[str, Tensor] | None = None,
+        groups: Sequence[str] = (),
     ):
         self.width, self.height, self.seed, self.corner = width, height, seed, corner
         pixels = width * height
@@ -94,6 +105,8 @@ class Film:
         self._count = torch.zeros(pixels, device=device)
         self._features = features(pixels, device)
         self._coverage = {kind: Coverage(of, pixels, features, device) for kind, of in (objects or {}).items()}
+        self._group_names = groups
+        self._groups = torch.zeros(3 * len(groups), pixels, dtype=torch.float64, device=device)
         self._nearest = torch.full((pixels,), NO_DEPTH, device=device)
         self._farthest = torch.zeros(pixels, device=device)
         self._bad_count = 0
@@ -107,7 +120,7 @@ class Film:
         sums = {name: getattr(self, f"_{name}") for name in names} | self._features.sums()
         for kind, coverage in self._coverage.items():
             sums |= {f"{kind} {name}": value for name, value in coverage.sums().items()}
-        return sums
+        return sums | ({"groups": self._groups} if self._group_names else {})
 
     def state_dict(self) -> dict[str, object]:
         """All sums and the bad samples; the tensors are those of the film."""
@@ -137,7 +150,10 @@ class Film:
             good = self._add_natively(core, pixels, samples, step, recenter)
         else:
             good = self._add(pixels, samples, step, recenter, counted)
-        self._add_coverage(pixels, samples, good if counted is None else good & counted, recenter)
+        kept = good if counted is None else good & counted
+        self._add_coverage(pixels, samples, kept, recenter)
+        if self._group_names:
+            scatter_add(self._groups, pixels, torch.where(kept, samples.group_values(), 0.0))
         return good
 
     def _add(self, pixels: Pixels, samples: FilmSamples, step: int, recenter: bool, counted: Tensor | None) -> Tensor:
@@ -220,6 +236,15 @@ class Film:
         """Mean radiance, float32 `[H, W, 3]`."""
         mean = self._radiance / self._count.clamp(min=1.0)
         return mean.float().T.reshape(self.height, self.width, 3)
+
+    def group_radiance(self) -> Tensor:
+        """Mean radiance of the light groups, `[G, 3, pixels]`."""
+        return (self._groups / self._count.clamp(min=1.0)).float().unflatten(0, (-1, 3))
+
+    def light_groups(self) -> dict[str, np.ndarray]:
+        """Radiance of each light group by name, float32 `[H, W, 3]`. The sum is the radiance, but for rounding."""
+        planes = self.group_radiance().movedim(1, 2).reshape(-1, self.height, self.width, 3)
+        return dict(zip(self._group_names, planes.cpu().contiguous().numpy()))
 
     def light(self, pixels: Pixels = slice(None)) -> tuple[float, float]:
         """Sum of the luminance of all samples of the given pixels, and number of these samples."""

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from bokehguide.render.bsdf.sheen import albedo_table
 from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.light_groups import GroupRadiance
 from bokehguide.render.lights.base import LightSampler
 from bokehguide.render.lights.light_clusters import LightClusters
 from bokehguide.render.lights.scene_lights import Lights
@@ -72,14 +73,15 @@ class NativeTracer:
         splitting: Splitting,
         observers: Sequence[PathObserver],
         timer: PhaseTimer,
+        groups: GroupRadiance | None = None,
     ) -> dict[str, Any]:
-        """Fields of `PathSamples` except the primary hits, which `splitting` gets (see `PathTracer.trace`)."""
+        """Fields of `PathSamples` except the primary hits, which `splitting` gets (see `PathTracer.trace`), and `groups`."""
         core = native.core()
         assert core is not None
         lights = sampler.core_lights(core)
         if splitting.counts is None and lights is None and not observers:
-            return self._trace(given, timer)[0]
-        fields, hits, report = self._trace_split(given, splitting.counts, lights, timer)
+            return self._trace(given, timer, groups)[0]
+        fields, hits, report = self._trace_split(given, splitting.counts, lights, timer, groups)
         splitting.recorded(hits)
         for observer in observers:
             observer.reported(report)
@@ -103,7 +105,12 @@ class NativeTracer:
         return core.Views(self._scene, arrays, numbers | counts, pixels)
 
     def _trace_split(
-        self, given: CoreRays, counts: Tensor | None, lights: object | None, timer: PhaseTimer
+        self,
+        given: CoreRays,
+        counts: Tensor | None,
+        lights: object | None,
+        timer: PhaseTimer,
+        groups: GroupRadiance | None,
     ) -> tuple[dict[str, Any], PrimaryHits | None, CoreReport]:
         """Fields of `PathSamples`, the primary hits, None without hits, and the report for observers.
 
@@ -118,7 +125,9 @@ class NativeTracer:
             **_path_arrays(paths, lights is not None),
         }
         images = torch.empty(3, count)
-        fields, (hits, paths) = self._trace(given, timer, arrays, lights, images)
+        if groups is not None:
+            groups.make_paths(paths)
+        fields, (hits, paths) = self._trace(given, timer, groups, arrays, lights, images)
         samples = None
         if lights is not None and paths > 0:
             row, cluster, rms, visibility = (arrays[name][:paths] for name in LIGHT_ROWS)
@@ -126,15 +135,25 @@ class NativeTracer:
         recorded = _recorded(self._geometry, arrays, hits, paths) if hits > 0 else None
         return fields, recorded, CoreReport(fields["radiance"], fields["distance"], images, samples)
 
-    def _trace(self, given: CoreRays, timer: PhaseTimer, *split: object) -> tuple[dict[str, Any], tuple[int, int]]:
-        """Fields of `PathSamples`, and the numbers of recorded hits and paths. split: last arguments of the core's `trace`."""
+    def _trace(
+        self, given: CoreRays, timer: PhaseTimer, groups: GroupRadiance | None, *split: object
+    ) -> tuple[dict[str, Any], tuple[int, int]]:
+        """Fields of `PathSamples`, and the numbers of recorded hits and paths. split: further arguments of the core's `trace`."""
         core, count, random = native.core(), given.origin.shape[1], given.random
         assert core is not None
         rows, triangle = torch.empty(ROWS, count), torch.empty(count, dtype=torch.int32)
         alive = None if given.alive is None else given.alive.contiguous()
         keys = random.pixel_keys.contiguous(), core.Random(random.step_key, random.seed_key, random.index)
         rays, seconds, *recorded = self._scene.trace(
-            given.origin.contiguous(), given.direction.contiguous(), alive, *keys, given.max_depth, rows, triangle, *split
+            given.origin.contiguous(),
+            given.direction.contiguous(),
+            alive,
+            *keys,
+            given.max_depth,
+            rows,
+            triangle,
+            *split,
+            groups=None if groups is None else groups.core_arrays(),
         )
         timer.add("tracing rays", seconds)
         fields: dict[str, Any] = dict(zip(("radiance", "normal", "albedo", "emission"), rows[:12].split(3)))
@@ -221,7 +240,7 @@ class NativeHits(PrimaryHits):
         )
         self.direct = self.record["reflected"][:3, :count]
         self._normals: list[Tensor] | None = None
-        self._incident = None
+        self._incident = self.emits = None
 
     def core_record(self) -> CoreRecord:
         """See `PrimaryHits`. Where a BSDF is too small as a divisor, the incident light counts as 0."""

@@ -49,6 +49,12 @@ class PathObserver:
         The distance of an emitter at infinity is MISS_DISTANCE.
         """
 
+    def emitter(self, paths: Tensor, radiance: Tensor, triangle: Tensor | None, direction: Tensor) -> None:
+        """Rays or paths have met emitters, and add radiance `[3, K]`: triangles, int32 `[K]`, None for lights at infinity.
+
+        direction: unit, of the segments, `[3, K]`. The path tracer calls this method for primary hits as well.
+        """
+
     def finished(self, radiance: Tensor, distance: Tensor) -> None:
         """The trace has ended, with the radiance `[3, N]` along the rays and the distances `[N]` of the primary hits."""
 

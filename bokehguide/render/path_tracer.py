@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import torch
@@ -14,6 +14,7 @@ from bokehguide.render import dimensions, mis
 from bokehguide.render.bsdf.dielectric import DELTA_PDF
 from bokehguide.render.bsdf.mixture import Scattering
 from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.light_groups import GroupedLights, GroupRadiance
 from bokehguide.render.lights.base import LightSampler
 from bokehguide.render.lights.power_sampler import PowerLightSampler
 from bokehguide.render.lights.scene_lights import Lights
@@ -48,7 +49,8 @@ class PathSamples:
     All tensors except `triangle` are float32. radiance: `[3, N]`. distance: to the primary hit, `[N]`, MISS_DISTANCE without a
     hit. normal, albedo, emission: of the primary hit, `[3, N]`. alpha: `[N]`; 1 if the camera sees a surface or an environment
     map, else the alpha of distant lights. triangle: of the primary hit, int32 `[N]`, -1 without a hit. rays: number of traced
-    rays. primary_hits: record of the primary hits if paths split and a ray met a surface, else None.
+    rays. primary_hits: record of the primary hits if paths split and a ray met a surface, else None. groups: radiance of the
+    light groups, None if it was not asked for.
     """
 
     radiance: Tensor
@@ -60,6 +62,13 @@ class PathSamples:
     triangle: Tensor
     rays: int
     primary_hits: PrimaryHits | None
+    groups: GroupRadiance | None = None
+
+    def of_group(self, group: int) -> PathSamples:
+        """The same samples with the light of one group alone."""
+        assert self.groups is not None
+        hits = self.primary_hits and self.groups.hits(self.primary_hits, group)
+        return replace(self, radiance=self.groups.rays[group], primary_hits=hits)
 
 
 class PathTracer:
@@ -99,22 +108,25 @@ class PathTracer:
         light_sampler: LightSampler | None = None,
         splitting: Splitting = UNSPLIT,
         observers: Sequence[PathObserver] = (),
+        groups: GroupedLights | None = None,
     ) -> PathSamples:
         """Trace rays with world origins and unit directions `[3, N]`.
 
         max_depth: largest number of segments in this trace. alive: positive for rays to trace, `[N]`, None for all; all other
         rays are misses. light_sampler: light sampler at primary hits. splitting: strategy of splitting at primary hits.
-        observers: the trace calls their methods.
+        observers: the trace calls their methods. groups: light groups whose radiance the trace is to give.
         """
         sampler, max_depth = light_sampler or self.light_sampler, max_depth or self.max_depth
+        by_group = None if groups is None else GroupRadiance.empty(groups, origin.shape[1], origin.device)
         if self.native is not None and self.native.knows(sampler, splitting, *observers):
             given = CoreRays(origin, direction, alive, random, max_depth)
-            fields = self.native.trace(given, sampler, splitting, observers, timer)
-            return PathSamples(**fields, primary_hits=splitting.primary_hits)
+            fields = self.native.trace(given, sampler, splitting, observers, timer, by_group)
+            return PathSamples(**fields, primary_hits=splitting.primary_hits, groups=by_group)
         aovs = PrimaryHitAOVs(origin.shape[1], origin.device)
+        observers = (*observers, by_group) if by_group is not None else observers
         trace = _Trace(self, sampler, splitting, (aovs, *observers), timer)
         radiance = trace.run(origin, direction, alive, random, max_depth)
-        samples = PathSamples(radiance, **vars(aovs), rays=trace.rays, primary_hits=splitting.primary_hits)
+        samples = PathSamples(radiance, **vars(aovs), rays=trace.rays, primary_hits=splitting.primary_hits, groups=by_group)
         for observer in observers:
             observer.finished(radiance, samples.distance)
         return samples
@@ -189,6 +201,7 @@ class _Segment:
             paths.radiance += arrived
             for observer in self._observers:
                 observer.arrival(paths.index, torch.full_like(weight, MISS_DISTANCE), arrived)
+                observer.emitter(paths.index, arrived, None, rays.direction)
 
     def _meet(self, paths: Paths, rays: Rays, found: Arrivals) -> tuple[Paths, Surface]:
         """Paths that met surfaces, and the surfaces. The emission of the surfaces is added to the paths."""
@@ -230,6 +243,7 @@ class _Segment:
         paths.radiance.index_add_(1, index, arrived)
         for observer in self._observers:
             observer.arrival(paths.index.index_select(0, index), distance, arrived)
+            observer.emitter(paths.index.index_select(0, index), arrived, emitter.triangle, rays.direction)
 
     def _begin_vertex(self, paths: Paths, found: Arrivals, surface: Surface) -> tuple[Paths, Surface]:
         """Paths that scatter, with the distributions of their light samples, and the surfaces of their vertices."""
@@ -282,10 +296,12 @@ class _PrimarySegment(_Segment):
     def _add_environment(self, paths: Paths, rays: Rays) -> None:
         environment = self._tracer.lights.environment
         if environment is not None and environment.visible:
-            paths.radiance += paths.throughput * environment.radiance(rays.direction)
+            seen = paths.throughput * environment.radiance(rays.direction)
+            paths.radiance += seen
             alpha = environment.alpha(rays.direction)
             for observer in self._observers:
                 observer.primary_escape(paths.index, alpha)
+                observer.emitter(paths.index, seen, None, rays.direction)
 
     def _meet(self, paths: Paths, rays: Rays, found: Arrivals) -> tuple[Paths, Surface]:
         paths, surface = super()._meet(paths, rays, found)
@@ -294,7 +310,12 @@ class _PrimarySegment(_Segment):
         return paths, surface
 
     def _add_emission(self, paths: Paths, rays: Rays, found: Arrivals, surface: Surface) -> None:
-        paths.radiance.index_add_(1, found.emitters, self._emission(paths, found, surface)[1])
+        index = found.emitters
+        emitter, emission = self._emission(paths, found, surface)
+        paths.radiance.index_add_(1, index, emission)
+        direction = -surface.outgoing.index_select(1, index)
+        for observer in self._observers:
+            observer.emitter(paths.index.index_select(0, index), emission, emitter.triangle, direction)
 
     def _begin_vertex(self, paths: Paths, found: Arrivals, surface: Surface) -> tuple[Paths, Surface]:
         paths.lights = self._trace.light_sampler.at(surface.position)

@@ -51,6 +51,8 @@ class PrimaryHits:
         self.direct, self.light_direction = torch.zeros_like(self.indirect), self.path_surface.normal
         self.scattered_direction = self.path_surface.normal
         self._incident: Pair | None = None
+        self.emits: Tensor | None = None
+        """1 for hits whose emission counts, else 0, `[K]`; None if all emission counts."""
         self._normals: list[Tensor] | None = None
 
     @cached_property
@@ -104,7 +106,8 @@ class PrimaryHits:
         if self.geometry.materials.plain_emission:
             return self.emission.index_select(1, chosen)
         hit = Hit(*(field.index_select(0, chosen) for field in self.hit))
-        return self.geometry.emission(hit, self.surface.front.index_select(0, chosen), outgoing)
+        emission = self.geometry.emission(hit, self.surface.front.index_select(0, chosen), outgoing)
+        return emission if self.emits is None else emission * self.emits.index_select(0, chosen)
 
 
 def _incident(surface: Surface, outgoing: Tensor, directions: Pair, reflected: Pair) -> Pair:

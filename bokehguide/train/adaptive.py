@@ -273,6 +273,11 @@ class HalvesFilm:
         first, second = (film.covered() for film in self._films)
         return {kind: first[kind].mean(second[kind]) for kind in first}
 
+    def light_groups(self) -> dict[str, np.ndarray]:
+        """As `Film.light_groups`: the means of both films."""
+        first, second = (film.light_groups() for film in self._films)
+        return {name: 0.5 * (first[name] + second[name]) for name in first}
+
     def layers(self) -> dict[str, np.ndarray]:
         """As `Film.layers`: the means of both films, the sum of the sample counts, and the variance of the mean."""
         first, second = (film.layers() for film in self._films)

@@ -19,6 +19,7 @@ from bokehguide.render import dimensions
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
 from bokehguide.render.film import Film, FilmSamples, earliest
+from bokehguide.render.light_groups import GroupedLights
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.split_film import SplitFilm
@@ -26,6 +27,7 @@ from bokehguide.runtime.distributed import Ranks, available_cores
 from bokehguide.runtime.indexing import Pixels, box_pixels, indices, pixel_numbers
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.runtime.workers import Workers
+from bokehguide.scene.light_groups import find_light_groups
 from bokehguide.scene.types import Scene
 from bokehguide.train.mattes import triangle_objects
 from bokehguide.train.scheduler import Batches
@@ -47,7 +49,8 @@ class RenderLoop:
     its own pixels. All ranks must call `step`, `picture` and `state_dict` together. tracer: `PathTracer` of another loop with the
     same scene and device, to be used again.
 
-    Raises BokehguideError for a crop that leaves the frame, and for a mode that needs the whole frame on several ranks.
+    Raises BokehguideError for a crop that leaves the frame, for a mode that needs the whole frame on several ranks, and for light
+    groups of a scene without any.
     """
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None = None, tracer: PathTracer | None = None):
@@ -66,6 +69,8 @@ class RenderLoop:
         """Pixels of `_share` that steps render (see `render_only`)."""
         owned = self._of_frame(self._of_film(width * height))
         context = ModeContext(scene, self.camera, self.tracer, width, height, settings, self.ranks, owned)
+        self._groups = find_light_groups(scene) if settings.light_groups else None
+        self._grouped = GroupedLights(self._groups, self.tracer.geometry, self.tracer.lights) if self._groups else None
         self.mode = entry.build(context)
         self.film = self._empty_film()
         self.step_number = 0
@@ -95,7 +100,8 @@ class RenderLoop:
             features = ControlVariateFeatures
         kind = SplitFilm if self.settings.denoise else Film
         objects = triangle_objects(self.scene) if self.settings.cryptomatte else None
-        return kind(width, height, self.settings.seed, self.camera.position.device, features, (left, top), objects)
+        groups = self._groups.names if self._groups else ()
+        return kind(width, height, self.settings.seed, self.camera.position.device, features, (left, top), objects, groups)
 
     def render_only(self, active: Tensor) -> None:
         """From now on, render only the `active` pixels of the film, bool `[pixels]`."""
@@ -172,6 +178,7 @@ class RenderLoop:
             light_sampler=lights.sampler,
             splitting=lens.splitting(drawn.weight),
             observers=(*of_lens, *of_lights),
+            groups=self._grouped,
         )
         film = self._film_samples(paths, directions, drawn.weight)
         return BatchSamples(batch, query, drawn, directions, paths, of_lens, of_lights, film)
@@ -190,7 +197,7 @@ class RenderLoop:
     def _film_samples(self, paths: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
         depth = self.camera.depth(paths.distance, directions)
         found = weight, paths.radiance, paths.alpha, depth, paths.normal, paths.albedo, paths.emission
-        return FilmSamples(*found, triangle=paths.triangle)
+        return FilmSamples(*found, triangle=paths.triangle, groups=None if paths.groups is None else paths.groups.rays)
 
     def _film_sink(self, timer: PhaseTimer) -> Callable[[Pixels, FilmSamples], Tensor]:
         """The function that puts samples on the film and returns the finite ones, bool `[N]`."""
@@ -217,7 +224,9 @@ class RenderLoop:
         """Pass the reports of all batches to the strategies, and end the step of the strategies."""
         light, count = self.ranks.totals(*self._light_so_far())
         self._mean_luminance = light / max(count, 1.0)
-        summary = StepSummary(self.step_number, self._mean_luminance, self._picture_so_far)
+        summary = StepSummary(
+            self.step_number, self._mean_luminance, self._picture_so_far, self._groups_so_far if self._groups else None
+        )
         lens, lights = [result.lens for result in results], [result.lights for result in results]
         recorded = self.workers.submit(self.mode.lens.accumulate, lens, summary)
         self.mode.lights.accumulate(lights, summary)  # in the order of the pixels, whatever the threads
@@ -250,6 +259,10 @@ class RenderLoop:
     def _picture_so_far(self) -> Tensor:
         """Mean radiance so far of the film's pixels, `[3, pixels]`, 0 in pixels of other ranks."""
         return self.film.radiance().reshape(-1, 3).T * self._mine_of_film().to(self.settings.device)
+
+    def _groups_so_far(self) -> Tensor:
+        """As `_picture_so_far`, of the light groups, `[G, 3, pixels]`."""
+        return self.film.group_radiance() * self._mine_of_film().to(self.settings.device)
 
     def _of_frame(self, of_film: Tensor) -> Tensor:
         """The mask `of_film` as a mask of the frame's pixels, bool `[pixels]`. Pixels outside a crop belong to the first rank."""

@@ -47,6 +47,7 @@ class RenderSettings:
     target_noise: estimated relative error at which a block of pixels ends; None: all pixels get spp samples.
     denoise: whether the film keeps two halves, which `bokehguide.train.denoise_picture` needs; the samples are the same.
     cryptomatte: whether the film keeps the coverage of objects and materials, which `bokehguide.train.matte_layers` needs.
+    light_groups: whether the film keeps the radiance of each light group of the scene.
     gaussian: settings of the paper's modes. guided: settings of the mode `guided`.
     Raises BokehguideError for a value out of range.
     """
@@ -61,6 +62,7 @@ class RenderSettings:
     target_noise: float | None = None
     denoise: bool = False
     cryptomatte: bool = False
+    light_groups: bool = False
     gaussian: GaussianConfig = field(default_factory=GaussianConfig)
     guided: GuidedConfig = field(default_factory=GuidedConfig)
 
@@ -73,12 +75,12 @@ class RenderSettings:
         absent = {key for key in ("threads", "target_noise") if getattr(self, key) is None}
         fields.check_wholes(**{key: limits for key, limits in WHOLE.items() if key not in absent})
         fields.check_numbers(**{key: limits for key, limits in NUMBERS.items() if key not in absent})
-        fields.check_flags("denoise", "cryptomatte")
+        fields.check_flags("denoise", "cryptomatte", "light_groups")
         if self.crop is not None:
             fields.check_tuple("crop", 4)
             fields.keep("crop", tuple(map(int, self.crop)))
-        for key in ("crop", "target_noise"):
-            if getattr(self, key) is not None and self.whole_frame:
+        for key in ("crop", "target_noise", "light_groups"):
+            if getattr(self, key) not in (None, False) and self.whole_frame:
                 raise BokehguideError(
                     f"{key}: {self.mode} reuses samples of the whole frame; leave it out, or choose another mode"
                 )

@@ -16,13 +16,15 @@ from bokehguide.render.random import PixelRandom
 class LightSample(NamedTuple):
     """Points on lights, sampled from N shading points, without shadows.
 
-    direction: unit, `[3, N]`; distance `[N]`, MISS_DISTANCE at infinity; radiance `[3, N]`; pdf: per solid angle, `[N]`.
+    direction: unit, `[3, N]`; distance `[N]`, MISS_DISTANCE at infinity; radiance `[3, N]`; pdf: per solid angle, `[N]`;
+    triangle: int32 `[N]`, -1 at infinity.
     """
 
     direction: Tensor
     distance: Tensor
     radiance: Tensor
     pdf: Tensor
+    triangle: Tensor
 
 
 class ClusterRecord(NamedTuple):
@@ -43,14 +45,15 @@ class DirectLight:
     """Next-event estimates at N surfaces, without shadows.
 
     direction: unit, `[3, N]`. distance: `[N]`. value: reflected radiance times the MIS weight, over the density, `[3, N]`.
-    bsdf_pdf: density with which BSDF sampling draws the direction, `[N]`. clusters: record of the clusters if a table has chosen
-    them.
+    bsdf_pdf: density with which BSDF sampling draws the direction, `[N]`. triangle: see `LightSample`. clusters: record of the
+    clusters if a table has chosen them.
     """
 
     direction: Tensor
     distance: Tensor
     value: Tensor
     bsdf_pdf: Tensor
+    triangle: Tensor
     clusters: ClusterRecord | None = None
 
 

@@ -22,8 +22,9 @@ log = logging.getLogger(__name__)
 class EnvironmentLight:
     """A map, distant lights, or both. The radiances are added, and `sample` chooses the map or a distant light by power.
 
-    map: None without a map. distant: distant lights with positive power. visible: whether camera rays see the environment. power:
-    luminance integrated over the sphere, of the part that `sample` covers; 0 if there is nothing to sample.
+    map: None without a map. distant: distant lights with positive power. numbers: of their suns. visible: whether
+    camera rays see the environment. power: luminance integrated over the sphere, of the part that `sample` covers; 0 if there is
+    nothing to sample.
 
     An element of the environment is a texel of the map, or -1, -2, … for the distant lights.
     """
@@ -31,7 +32,9 @@ class EnvironmentLight:
     def __init__(self, environment: Environment | None, suns: tuple[Sun, ...] = (), device: torch.device | str = "cpu"):
         self.visible = environment is None or environment.visible
         self.map = EnvironmentMap(environment, device) if environment is not None else None
-        self.distant = [light for light in (DistantLight(sun, device) for sun in suns) if light.power > 0.0]
+        lights = [DistantLight(sun, device) for sun in suns]
+        self.numbers = [number for number, light in enumerate(lights) if light.power > 0.0]
+        self.distant = [lights[number] for number in self.numbers]
         powers = np.array([self.map.power if self.map else 0.0, *(light.power for light in self.distant)])
         self.power = float(powers.sum())
         self.share = powers / self.power if self.power > 0.0 else powers

@@ -40,9 +40,8 @@ class PowerLightSampler(LightSampler):
         """See `LightDistribution`."""
         light = self.draw(self.lights.query(surface.position), uniforms)
         scattered = scattering.evaluate(light.direction)
-        return DirectLight(
-            light.direction, light.distance, mis.light_contribution(light.radiance, light.pdf, *scattered), scattered[1]
-        )
+        value = mis.light_contribution(light.radiance, light.pdf, *scattered)
+        return DirectLight(light.direction, light.distance, value, scattered[1], light.triangle)
 
     def draw(self, query: PointQuery, uniforms: Tensor) -> LightSample:
         """One light sample for each point of the query from uniform numbers `[6, N]`."""

@@ -156,7 +156,8 @@ class Lights:
         environment = self.sampled_environment
         direction = environment.directions(element, uniforms)
         pdf = density(direction, environment.texels(direction, element))
-        return LightSample(direction, torch.full_like(pdf, MISS_DISTANCE), environment.radiance(direction), pdf)
+        nowhere = torch.full(pdf.shape, -1, dtype=torch.int32, device=pdf.device)
+        return LightSample(direction, torch.full_like(pdf, MISS_DISTANCE), environment.radiance(direction), pdf, nowhere)
 
     def triangle_sample(self, points: Tensor, cluster: Tensor, share: Tensor, uniforms: Tensor) -> LightSample:
         """Samples for points `[3, N]` on triangles of clusters `[N]`, from uniform numbers `[4, N]`.
@@ -166,11 +167,10 @@ class Lights:
         emitter = self.grid.sample_within(cluster, uniforms[0:2])
         rows = self.rows.index_select(1, emitter)
         direction, distance, u, v, front, pdf, radiance = _on_triangle(rows, points, uniforms[2:4], share)
-        materials = self._geometry.materials
+        materials, triangle = self._geometry.materials, self.triangles.index_select(0, emitter)
         if materials.absorbs or materials.has_translucent or not materials.plain_emission:
-            hit = Hit(self.triangles.index_select(0, emitter), distance, u, v)
-            radiance = self._dimmed(radiance, hit, direction, front)
-        return LightSample(direction, distance, radiance, pdf)
+            radiance = self._dimmed(radiance, Hit(triangle, distance, u, v), direction, front)
+        return LightSample(direction, distance, radiance, pdf, triangle.int())
 
     def _dimmed(self, radiance: Tensor, hit: Hit, direction: Tensor, front: Tensor) -> Tensor:
         """Radiance `[3, N]` that arrives from emitters at `hit` in unit directions `direction`, without occlusion.
