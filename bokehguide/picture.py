@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 
 from bokehguide.errors import BokehguideError
-from bokehguide.image import Display, to_8_bit, write_exr, write_png
+from bokehguide.image import Display, group_layers, to_8_bit, write_exr, write_png
 from bokehguide.image.cryptomatte import require_hash
 from bokehguide.image.oidn import require_denoiser
 from bokehguide.runtime.device import check_device
@@ -52,6 +52,7 @@ class Picture:
     beauty, normal, albedo, emission: `[H, W, 3]`; beauty is the radiance. alpha, depth (metres along the axis), variance
     (estimated, of the luminance) and sample_count: `[H, W]`. denoised: `[H, W, 3]`, None where it was not asked for. mattes:
     Cryptomatte layers `[H, W, 4]` by the keys of `bokehguide.image.cryptomatte.CHANNELS`, empty where they were not asked for.
+    light_groups: radiance of each light group by name, `[H, W, 3]`; the sum is beauty; empty where they were not asked for.
     metadata: scene, mode, samples per pixel, seed, size, software, settings, exposure and view, as in the EXR's header.
     estimated_mape: estimated error of the denoised picture, or of beauty without one, relative to the radiance; None after a
     single step. display: how the picture is shown. corner: column and row of the first pixel in the frame. frame: width and
@@ -73,12 +74,16 @@ class Picture:
     corner: tuple[int, int] = (0, 0)
     frame: tuple[int, int] | None = None
     mattes: Mapping[str, np.ndarray] = field(default_factory=dict)
+    light_groups: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def layers(self) -> dict[str, np.ndarray]:
         """The layers by the names that `bokehguide.image.write_exr` takes."""
         arrays = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)} | dict(self.mattes)
+        return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)} | {
+            **self.mattes,
+            **group_layers(self.light_groups),
+        }
 
     def developed(self, exposure: float | None = None, view: str | None = None) -> Picture:
         """The same picture, shown with another exposure in EV or another view ("photo", "aces" or "srgb")."""
@@ -198,6 +203,7 @@ def _picture(loop: RenderLoop | AdaptiveLoop) -> Picture:
         corner=film.corner,
         frame=(loop.camera.width, loop.camera.height),
         mattes=mattes,
+        light_groups=film.light_groups(),
     )
 
 

@@ -119,6 +119,8 @@ def _add_render_options(render: argparse.ArgumentParser) -> None:
     add("--denoise", action="store_true", help="also write a denoised picture into the EXR, and show it in the PNG")
     mattes = "also write mattes of objects and materials through the lens into the EXR, as Cryptomatte layers"
     add("--cryptomatte", action="store_true", help=mattes)
+    groups = "also write the light of each light group of the scene into the EXR, as layers whose sum is the picture"
+    add("--light-groups", action="store_true", help=groups)
     box = "render only this box: in pixels from the top left, or in fractions of the frame if W and H are at most 1"
     add("--crop", type=crop, metavar="X,Y,W,H", help=box)
     limit = "stop before a step that would exceed this time, loading included; at least one step is taken"

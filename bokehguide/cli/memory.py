@@ -17,6 +17,8 @@ PIXEL_BYTES, TRIANGLE_BYTES, TEXEL_BYTES, MAP_TEXEL_BYTES = 250, 250, 20, 60
 """Least memory of a render for each pixel of the film, triangle, texel of a texture, and texel of the environment map."""
 MATTE_BYTES = 190
 """Least memory of the mattes for each pixel of the film."""
+GROUP_BYTES = 24
+"""Least memory of a light group for each pixel of the film."""
 EXHAUSTED = ("allocate memory", "out of memory", "bad_alloc", "start new thread")
 """Parts of the messages of PyTorch, C++ and Python where memory has run out."""
 
@@ -62,6 +64,7 @@ def check_memory(scene: Scene, settings: RenderSettings) -> None:
 def least_memory(scene: Scene, settings: RenderSettings) -> int:
     """Bytes that a render needs at least, beside its scene."""
     from bokehguide.scene import Texture
+    from bokehguide.scene.light_groups import find_light_groups
 
     *_, width, height = settings.window(scene.film.width, scene.film.height)
     films = 1 if settings.target_noise is None else 2
@@ -70,5 +73,6 @@ def least_memory(scene: Scene, settings: RenderSettings) -> int:
     images = {id(texture.image): texture.image.size // 3 for texture in textures}
     sky = 0 if scene.environment is None else scene.environment.radiance.size // 3
     surfaces = TRIANGLE_BYTES * triangles + TEXEL_BYTES * sum(images.values())
-    pixel_bytes = PIXEL_BYTES + MATTE_BYTES * settings.cryptomatte
+    groups = len(find_light_groups(scene).names) if settings.light_groups else 0
+    pixel_bytes = PIXEL_BYTES + MATTE_BYTES * settings.cryptomatte + GROUP_BYTES * groups
     return pixel_bytes * width * height * films + surfaces + MAP_TEXEL_BYTES * sky

@@ -12,7 +12,7 @@ import numpy as np
 from bokehguide.cli.terminal import say
 from bokehguide.cli.tev import TevViewer
 from bokehguide.errors import BokehguideError
-from bokehguide.image import Display, write_exr, write_png
+from bokehguide.image import Display, group_layers, write_exr, write_png
 from bokehguide.render import Film
 from bokehguide.scene.overrides import OVERRIDES, option_text
 from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render, matte_attributes, matte_layers
@@ -50,6 +50,7 @@ class Pictures:
         if self._options.cryptomatte:
             layers |= matte_layers(loop.scene, picture)
             facts |= matte_attributes(loop.scene)
+        layers |= group_layers(picture.light_groups())
         frame = (loop.camera.width, loop.camera.height)
         write_exr(self.path, layers, facts, corner=picture.corner, frame=frame)
         write_png(self.png, display.show(self.delivered))
@@ -89,5 +90,5 @@ def command_line(options: argparse.Namespace, spp: int) -> str:
     for name, value in (kept | size | {"spp": spp}).items():
         if value is not None:
             words.append(f"--{name.replace('_', '-')}={option_text(value)}")
-    flags = ("denoise", "cryptomatte", "allow_outside")
+    flags = ("denoise", "cryptomatte", "light_groups", "allow_outside")
     return shlex.join(words + [f"--{name.replace('_', '-')}" for name in flags if getattr(options, name)])

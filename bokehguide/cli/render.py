@@ -136,7 +136,7 @@ def final_errors(pictures: Pictures, options: argparse.Namespace, reference: Ten
 
 def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
     """The settings of the command line. Raises BokehguideError for a value out of range."""
-    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "denoise", "cryptomatte")
+    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "denoise", "cryptomatte", "light_groups")
     crop = options.crop and crop_pixels(options.crop, scene.film)
     return RenderSettings(**{name: getattr(options, name) for name in names}, crop=crop)
 

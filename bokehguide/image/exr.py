@@ -14,6 +14,8 @@ from bokehguide.image import cryptomatte
 from bokehguide.image.files import replacing, unwritable
 from bokehguide.image.reading import read_channels
 
+GROUP_LAYER = "Combined_"
+"""Prefix of the layers of light groups, as in the files of Blender."""
 HALF_MAX = float(np.finfo(np.float16).max)
 
 # Alpha is associated, as EXR defines it: the beauty is multiplied by alpha. R, G, B and A without a layer are "Combined" in
@@ -42,15 +44,15 @@ def write_exr(
 ) -> None:
     """Write layers in 32-bit float or, with `half`, in 16-bit float. The file appears only when it is complete.
 
-    layers: by the keys of `CHANNELS`, `[H, W]` for one channel, `[H, W, C]` for C; metadata: header attributes, of which
-    OpenEXR reserves names such as `version` and `type`; corner, frame: position (column, row) of the layers in a larger frame
-    and its (width, height), which become data window and display window.
+    layers: by the keys of `CHANNELS`, `[H, W]` for one channel, `[H, W, C]` for C, and those of `group_layers`; metadata: header
+    attributes, of which OpenEXR reserves names such as `version` and `type`; corner, frame: position (column, row) of the layers
+    in a larger frame and its (width, height), which become data window and display window.
 
     Raises BokehguideError if the folder cannot be written, or if a value exceeds the range of `half`.
     """
     channels = {}
     for layer, pixels in layers.items():
-        for index, name in enumerate(CHANNELS[layer]):
+        for index, name in enumerate(_channels(layer)):
             plane = pixels if pixels.ndim == 2 else pixels[..., index]
             channels[name] = _plane(path, name, plane, np.float16 if half else np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -63,6 +65,15 @@ def write_exr(
             raise unwritable(Path(path), error) from error
 
 
+def group_layers(groups: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Layers for `write_exr` of light groups `[H, W, 3]` by name."""
+    return {GROUP_LAYER + name: radiance for name, radiance in groups.items()}
+
+
+def _channels(layer: str) -> tuple[str, ...]:
+    return tuple(f"{layer}.{channel}" for channel in "RGB") if layer.startswith(GROUP_LAYER) else CHANNELS[layer]
+
+
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:
     """All channels of a file's first part by name (`R`, `depth.Z`, ...), float32 `[H, W]`.
 
@@ -73,11 +84,15 @@ def read_exr(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def read_layers(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The complete layers of a file by the keys of `CHANNELS`, `[H, W]` or `[H, W, C]`, and its header. Raises as `read_exr`."""
+    """The complete layers of a file by the names that `write_exr` takes, `[H, W]` or `[H, W, C]`, and its header.
+
+    Raises as `read_exr`.
+    """
     read = read_channels(path)
     planes = {name: read.pixels[..., index] for index, name in enumerate(read.names)}
     layers = {}
-    for layer, names in CHANNELS.items():
+    groups = (name.removesuffix(".R") for name in planes if name.startswith(GROUP_LAYER) and name.endswith(".R"))
+    for layer, names in (CHANNELS | {group: _channels(group) for group in groups}).items():
         if all(name in planes for name in names):
             layers[layer] = planes[names[0]] if len(names) == 1 else np.stack([planes[name] for name in names], axis=-1)
     return layers, read.header

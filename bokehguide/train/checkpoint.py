@@ -21,12 +21,13 @@ from bokehguide.image import replacing
 from bokehguide.image.files import unwritable
 from bokehguide.limits import LARGEST, MAX_INT
 from bokehguide.scene.digest import digest
+from bokehguide.scene.light_groups import find_light_groups
 from bokehguide.scene.types import Scene
 from bokehguide.train.adaptive import AdaptiveLoop
 from bokehguide.train.loop import RenderLoop
 from bokehguide.train.settings import RenderSettings
 
-DATA = ("camera.aperture", "meshes", "materials", "environment", "suns")
+DATA = ("camera.aperture", "meshes", "materials", "environment", "suns", "light groups")
 """Inputs of a render that do not fit in one line of a message, stored as digests."""
 TYPES = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2"}
 """Types in the states of all modes, as pickle names them. Storages of tensors are permitted too."""
@@ -191,7 +192,8 @@ def fingerprint(scene: Scene, settings: RenderSettings) -> dict[str, str]:
     values |= {"cryptomatte": settings.cryptomatte}
     values |= {"gaussian": settings.gaussian, "guided": settings.guided}
     values |= {f"camera.{field.name}": getattr(camera, field.name) for field in fields(camera) if field.name != "aperture"}
-    data = (camera.aperture, scene.meshes, scene.materials, scene.environment, scene.suns)
+    groups = find_light_groups(scene) if settings.light_groups else None
+    data = (camera.aperture, scene.meshes, scene.materials, scene.environment, scene.suns, groups)
     return {name: str(value) for name, value in values.items()} | dict(zip(DATA, map(digest, data), strict=True))
 
 

@@ -76,6 +76,7 @@ def finished(job: Job, state: ViewState, source: Source) -> Picture:
         corner=film.corner,
         frame=(loop.camera.width, loop.camera.height),
         mattes={},
+        light_groups={},
     )
 
 
