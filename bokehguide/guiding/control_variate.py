@@ -41,7 +41,7 @@ class NoControlVariate(nn.Module):
         return radiance
 
     def shares(self, places: Pixels) -> Tensor:
-        return torch.ones(1)
+        return torch.ones(())  # on any device
 
     def update(self, picture: Callable[[], Tensor], groups: Callable[[], Tensor] | None = None) -> None:
         pass

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from bokehguide.render.coverage import Coverage, Covered
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures
+from bokehguide.render.group_sums import GroupSums
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
 from bokehguide.runtime.indexing import Pixels, gather_pixels, indices_of_each, scatter, scatter_add
@@ -61,9 +62,9 @@ class FilmSamples:
         return self.radiance * self._value_weight
 
     def group_values(self) -> Tensor:
-        """As `value`, of the light groups, `[3 G, N]`."""
+        """As `value`, of the light groups, `[G, 3, N]`."""
         assert self.groups is not None
-        return (self.groups * self._value_weight).flatten(0, 1)
+        return self.groups * self._value_weight
 
     @property
     def _value_weight(self) -> Tensor:
@@ -105,8 +106,7 @@ class Film:
         self._count = torch.zeros(pixels, device=device)
         self._features = features(pixels, device)
         self._coverage = {kind: Coverage(of, pixels, features, device) for kind, of in (objects or {}).items()}
-        self._group_names = groups
-        self._groups = torch.zeros(3 * len(groups), pixels, dtype=torch.float64, device=device)
+        self._groups = GroupSums(groups, pixels, device)
         self._nearest = torch.full((pixels,), NO_DEPTH, device=device)
         self._farthest = torch.zeros(pixels, device=device)
         self._bad_count = 0
@@ -120,7 +120,7 @@ class Film:
         sums = {name: getattr(self, f"_{name}") for name in names} | self._features.sums()
         for kind, coverage in self._coverage.items():
             sums |= {f"{kind} {name}": value for name, value in coverage.sums().items()}
-        return sums | ({"groups": self._groups} if self._group_names else {})
+        return sums | self._groups.sums()
 
     def state_dict(self) -> dict[str, object]:
         """All sums and the bad samples; the tensors are those of the film."""
@@ -152,8 +152,8 @@ class Film:
             good = self._add(pixels, samples, step, recenter, counted)
         kept = good if counted is None else good & counted
         self._add_coverage(pixels, samples, kept, recenter)
-        if self._group_names:
-            scatter_add(self._groups, pixels, torch.where(kept, samples.group_values(), 0.0))
+        if self._groups.names:
+            self._groups.add(pixels, samples.group_values(), kept)
         return good
 
     def _add(self, pixels: Pixels, samples: FilmSamples, step: int, recenter: bool, counted: Tensor | None) -> Tensor:
@@ -239,12 +239,12 @@ class Film:
 
     def group_radiance(self) -> Tensor:
         """Mean radiance of the light groups, `[G, 3, pixels]`."""
-        return (self._groups / self._count.clamp(min=1.0)).float().unflatten(0, (-1, 3))
+        return self._groups.means(self._count.clamp(min=1.0))
 
     def light_groups(self) -> dict[str, np.ndarray]:
         """Radiance of each light group by name, float32 `[H, W, 3]`. The sum is the radiance, but for rounding."""
         planes = self.group_radiance().movedim(1, 2).reshape(-1, self.height, self.width, 3)
-        return dict(zip(self._group_names, planes.cpu().contiguous().numpy()))
+        return dict(zip(self._groups.names, planes.cpu().contiguous().numpy()))
 
     def light(self, pixels: Pixels = slice(None)) -> tuple[float, float]:
         """Sum of the luminance of all samples of the given pixels, and number of these samples."""
