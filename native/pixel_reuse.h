@@ -315,19 +315,21 @@ class SeenRadiance {
             float* const to = views_.outgoing + first + lane;
             to[0] = light.x[lane], to[views_.columns] = light.y[lane], to[2 * views_.columns] = light.z[lane];
         }
-        if (groups_ != nullptr) add_groups(first, count);
+        if (groups_ != nullptr) add_groups(first, count, light);
     }
-    void add_groups(int64_t first, int count) {
+    // Add the views to the groups where their `light` is finite, as in the sum of all groups.
+    void add_groups(int64_t first, int count, Vec3 light) {
         for (int lane = 0; lane < count; ++lane) {
             const int64_t view = first + lane;
             const float share = views_.passing[view] * views_.jacobian[view] * views_.scale[views_.source[view]];
+            const float all_groups[3] = {light.x[lane] * share, light.y[lane] * share, light.z[lane] * share};
             if (!std::isfinite(share)) continue;
             for (int group = 0; group < groups_->count; ++group) {
                 const float channels[3] = {parts_[group].x[lane], parts_[group].y[lane], parts_[group].z[lane]};
                 float* const to = groups_->radiance + 3 * group * samples_.count + views_.viewer[view];
                 for (int channel = 0; channel < 3; ++channel) {
                     const float seen = channels[channel] * share;
-                    if (std::isfinite(seen)) to[channel * samples_.count] += seen;
+                    if (std::isfinite(seen) && std::isfinite(all_groups[channel])) to[channel * samples_.count] += seen;
                 }
             }
         }

@@ -156,14 +156,12 @@ class PixelPathReuse:
         reused = Reused(paths.radiance * weight, weight, None if paths.groups is None else paths.groups.rays * weight)
         for views in rows:
             weight = (views.passing * views.jacobian * scale.index_select(0, views.source)).nan_to_num(0.0, 0.0, 0.0)
-
-            def seen(paths: PathSamples, views: _Views = views, weight: Tensor = weight) -> Tensor:
-                return (_radiance(views, hits, paths) * weight).nan_to_num(0.0, 0.0, 0.0)
-
-            reused.radiance.index_add_(1, views.viewer, seen(paths))
+            seen = _radiance(views, hits, paths) * weight
+            reused.radiance.index_add_(1, views.viewer, seen.nan_to_num(0.0, 0.0, 0.0))
             reused.weight.index_add_(0, views.viewer, weight)
             for group, radiance in enumerate(() if reused.light_groups is None else reused.light_groups):
-                radiance.index_add_(1, views.viewer, seen(paths.of_group(group)))
+                part = torch.where(seen.isfinite(), _radiance(views, hits, paths.of_group(group)) * weight, 0.0)
+                radiance.index_add_(1, views.viewer, part.nan_to_num(0.0, 0.0, 0.0))
         return reused
 
     def _hits(self, samples: BatchSamples) -> _Hits:

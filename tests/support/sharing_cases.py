@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -118,3 +119,17 @@ def on_film(values: Tensor, scene: Scene) -> np.ndarray:
 
 def same(one: Tensor, other: Tensor, rounding: float = 1e-5) -> bool:
     return bool(torch.isclose(one, other, rtol=rounding, atol=1e-6).all())
+
+
+def spoil(loop: RenderLoop) -> None:
+    """Take one step in which every ninth sample is not finite."""
+    trace = loop.tracer.trace
+
+    def spoiled(*args, **keywords) -> PathSamples:
+        samples = trace(*args, **keywords)
+        samples.radiance[:, ::9] = math.nan
+        return samples
+
+    loop.tracer.trace = spoiled
+    loop.step()
+    loop.tracer.trace = trace

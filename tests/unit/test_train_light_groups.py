@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import MAX_LIGHT_GROUPS
@@ -15,8 +16,10 @@ from bokehguide.runtime.distributed import Ranks
 from bokehguide.scene.light_groups import find_light_groups
 from bokehguide.scene.types import Aperture, Environment, Material, Sun
 from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, make_loop
+from bokehguide.train.adaptive import HalfLoop
 from bokehguide.train.checkpoint import load_checkpoint, save_checkpoint
 from tests.support.group_cases import NAMES, grouped, rendered
+from tests.support.sharing_cases import spoil
 from tests.support.thread_ranks import job
 
 MODES = ("uniform", "lis-b", "lis-o", "guided")
@@ -52,10 +55,11 @@ def test_the_groups_add_up_to_the_beauty(mode):
 
 
 @pytest.mark.usefixtures("_core")
-def test_the_groups_add_up_without_a_control_variate():
-    """The weights of a vignetting lens are no control variate."""
+def test_the_groups_add_up_without_a_control_variate_and_coats():
+    """The weights of a vignetting lens are no control variate. Emission without coats is the same in all directions."""
     scene = grouped()
     scene = replace(scene, camera=replace(scene.camera, aperture=Aperture(blades=5, cat_eye=0.7)))
+    scene = replace(scene, materials=tuple(replace(each, clearcoat=0.0) for each in scene.materials))
     check_sum(rendered(scene, 6, settings_of("guided")))
 
 
@@ -173,3 +177,24 @@ def test_materials_that_no_mesh_has_make_no_group():
     scene = grouped()
     unused = Material("unused", emission=(1.0, 1.0, 1.0), light_group="unused")
     assert find_light_groups(replace(scene, materials=(*scene.materials, unused))).names == NAMES
+
+
+@pytest.mark.parametrize("mode", ["uniform", "guided"])
+def test_samples_outside_the_picture_do_not_count(mode):
+    """The left half of a film gets no samples in the second half of the steps, as in `AdaptiveLoop`."""
+    left = torch.arange(24 * 16) % 24 < 12
+    with HalfLoop(grouped(), settings_of(mode), None) as loop:
+        for step in range(8):
+            if step == 4:
+                loop.count_only(~left)
+            loop.step()
+    assert set(loop.film.layers()["sample_count"].reshape(-1)[left.numpy()]) == {4.0}
+    check_sum(loop)
+
+
+def test_samples_that_are_not_finite_do_not_count():
+    with RenderLoop(grouped(), settings_of("guided")) as loop:
+        for step in range(4):
+            spoil(loop) if step == 1 else loop.step()
+    assert loop.film.bad_count > 0
+    check_sum(loop)

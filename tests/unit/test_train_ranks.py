@@ -2,34 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from copy import deepcopy
 
 import pytest
 import torch
 
-from bokehguide.render.path_tracer import PathSamples
 from bokehguide.runtime.distributed import Ranks
 from bokehguide.train import RenderLoop, RenderSettings
-from tests.support.sharing_cases import terrace
+from tests.support.sharing_cases import spoil, terrace
 from tests.support.thread_ranks import job
 
 SAVED, LAST = 3, 9
 """Steps at which the state is saved and compared; epochs end with steps 4 and 8."""
-
-
-def spoil(loop: RenderLoop) -> None:
-    """Take one step in which every ninth sample is not finite."""
-    trace = loop.tracer.trace
-
-    def spoiled(*args, **keywords) -> PathSamples:
-        samples = trace(*args, **keywords)
-        samples.radiance[:, ::9] = math.nan
-        return samples
-
-    loop.tracer.trace = spoiled
-    loop.step()
-    loop.tracer.trace = trace
 
 
 def compared(loop: RenderLoop) -> tuple[dict[str, torch.Tensor], tuple]:
