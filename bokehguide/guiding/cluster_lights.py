@@ -52,9 +52,9 @@ class _Candidate(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Numbers of samples at a primary hit from which resampling keeps one.
+    """Numbers of light samples and of BSDF samples at a primary hit, from which resampling keeps one.
 
-    lights: number of light samples, at least 1. bsdf: number of BSDF samples. Only a scene with a sampled map has them.
+    Without a sampled map, light samples take the place of the BSDF samples.
     """
 
     lights: int = GuidedConfig.light_candidates
@@ -74,7 +74,7 @@ class ResampledLights:
 
     def __init__(self, power: PowerLightSampler, row: Tensor, counts: Counts):
         self._power, self._row, self._counts = power, row, counts
-        self.count, self.bsdf_count = counts.lights, bsdf_count(power, counts)
+        self.count, self.bsdf_count = sample_counts(power, counts)
 
     def draw(self, query: PointQuery, uniforms: Tensor) -> ClusterSample:
         """One light sample for each point of the query from uniform numbers `[6, N]`."""
@@ -133,9 +133,9 @@ class ResampledLights:
         return _Candidate(direction, far, value, torch.zeros_like(pdf), target, torch.full_like(cluster, -1), pdf)
 
 
-def bsdf_count(power: PowerLightSampler, counts: Counts) -> int:
-    """Number of BSDF samples with which light samples of the environment compete at a primary hit."""
-    return 1 + counts.bsdf if power.lights.clusters.map else 1
+def sample_counts(power: PowerLightSampler, counts: Counts) -> tuple[int, int]:
+    """`count` and `bsdf_count` of a `LightDistribution` at primary hits."""
+    return (counts.lights, 1 + counts.bsdf) if power.lights.clusters.map else (counts.lights + counts.bsdf, 1)
 
 
 class VoxelLights(ResampledLights):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bokehguide.guiding.cluster_lights import ClusterTables, Counts, MixtureLights, VoxelLights, bsdf_count
+from bokehguide.guiding.cluster_lights import ClusterTables, Counts, MixtureLights, VoxelLights, sample_counts
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lights.base import DirectLight, LightDistribution, LightSampler
@@ -135,8 +135,8 @@ class LearnedLightSampler(RankSums, LightSampler):
             arrays, numbers = self._tile_numbers()
             arrays |= {} if tables is None else {"cumulative": tables.table.cumulative, "visibility": tables.visibility}
             levels, first_step = (0, 1) if tables is None else (tables.table.levels, tables.first_step)
-            numbers |= {"levels": levels, "first_step": first_step, "candidates": self._counts.lights}
-            numbers["bsdf_count"] = bsdf_count(self._power, self._counts)
+            count, bsdf_count = sample_counts(self._power, self._counts)
+            numbers |= {"levels": levels, "first_step": first_step, "candidates": count, "bsdf_count": bsdf_count}
             made = self._core_lights = (tables, cluster_lights(core, self._power.lights.clusters, arrays, numbers))
         return made[1]
 
