@@ -9,7 +9,7 @@ namespace BOKEHGUIDE_ISA {
 using bokehguide::ClusterLights;
 
 constexpr float VOXEL_SHARE = 0.125f;
-constexpr uint32_t FIRST_CANDIDATE = 1u << 16, PER_CANDIDATE = 8;  // random dimensions
+constexpr uint32_t CANDIDATE_CHOICE = 1u << 16;  // random dimension
 
 // `LearnedLightSampler.tiles`.
 inline Int tile_of(const ClusterLights& c, Vec3 point) {
@@ -53,40 +53,40 @@ class ClusterSampler {
     ClusterSampler(const Tables& tables, const ClusterLights& lights, Vec3 point, Int active)
         : t(tables), c(lights), query(tables, point), row(tile_of(lights, point)), active(active) {}
 
-    // `resampled`.
-    DirectLight sample(const Scattering& scattering, const Float (&u)[6], const Random& random, Bits key) const {
-        ClusterSample kept = draw(u);
-        Scattered scattered = scattering.evaluate(kept.light.direction);
-        Vec3 value = contribution(kept.light, scattered);
-        Float target = luminance(value) * visibility(kept.cluster), total = target;
+    // `ResampledLights.sample`; light, bsdf: first dimensions of the light samples and of the BSDF samples.
+    DirectLight sample(const Scattering& scattering, const Float (&u)[6], const Random& random, const PathKeys& keys, uint32_t light,
+                       uint32_t bsdf) const {
+        Candidate kept = light_candidate(scattering, u);
+        Float total = kept.target;
+        const auto consider = [&](const Candidate& other, int number) {
+            total = total + other.target;
+            const Int changes = uniform(random, keys.own, CANDIDATE_CHOICE + uint32_t(number)) * total < other.target;
+            kept = choose_candidate(changes, other, kept);
+        };
         for (int number = 1; number < c.candidates; ++number) {
-            const uint32_t dimension = FIRST_CANDIDATE + PER_CANDIDATE * uint32_t(number);
-            Float others[7];
-            for (int i = 1; i < 7; ++i) others[i] = uniform(random, key, dimension + uint32_t(i));
-            const Float shifted = u[0] + float(double(number) / c.candidates);
-            others[0] = clamp(shifted - floor(shifted), 0x1p-24f, 1.0f - 0x1p-24f);
-            const ClusterSample other = draw({others[0], others[1], others[2], others[3], others[4], others[5]});
-            const Scattered seen = scattering.evaluate(other.light.direction);
-            const Vec3 new_value = contribution(other.light, seen);
-            const Float new_target = luminance(new_value) * visibility(other.cluster);
-            total = total + new_target;
-            const Int changes = others[6] * total < new_target;
-            kept.light.direction = choose(changes, other.light.direction, kept.light.direction);
-            kept.light.distance = changes ? other.light.distance : kept.light.distance;
-            kept.light.triangle = changes ? other.light.triangle : kept.light.triangle;
-            kept.cluster = changes ? other.cluster : kept.cluster, kept.share = changes ? other.share : kept.share;
-            value = choose(changes, new_value, value), target = changes ? new_target : target;
-            scattered = {choose(changes, seen.value, scattered.value), changes ? seen.pdf : scattered.pdf};
+            const Stratified sequence(random, light, 6, uint32_t(c.first_step), uint32_t(number));
+            Float numbers[6];
+            for (int i = 0; i < 6; ++i) numbers[i] = sequence(keys, i);
+            consider(light_candidate(scattering, numbers), number);
         }
-        const Float scale = total / (float(c.candidates) * divisor(target));
-        const Float contribution_rms = luminance(value) * sqrt(kept.share * scale);
-        return {kept.light.direction, kept.light.distance, value * scale, scattered, kept.light.triangle, row, kept.cluster, contribution_rms};
+        for (int number = 1; number < c.bsdf_count; ++number) {
+            const Stratified sequence(random, bsdf, 3, uint32_t(c.first_step), uint32_t(number));
+            consider(bsdf_candidate(scattering, {sequence(keys, 0), sequence(keys, 1), sequence(keys, 2)}), c.candidates - 1 + number);
+        }
+        const Float scale = total / (float(c.candidates) * divisor(kept.target));
+        const Float contribution_rms = luminance(kept.value) * sqrt(kept.share * scale);
+        return {kept.direction, kept.distance, kept.value * scale, kept.scattered, kept.triangle, row, kept.cluster, contribution_rms};
     }
 
     // Densities of all light samples together, for MIS: `environment_pdf` and `triangle_pdf` of `MixtureLights` times `count`.
     Float environment_pdf(Vec3 direction) const {
         if (!t.has_far_power) return all(0.0f);
-        return float(c.candidates) * density(direction, t.map_density == nullptr ? all(0) : texel_at(t, direction));
+        return environment_pdf(direction, t.map_density == nullptr ? all(0) : texel_at(t, direction));
+    }
+    // Weight of a BSDF sample that leaves the scene.
+    Float bsdf_weight(Float pdf, Float other) const {
+        const float count = float(c.bsdf_count);
+        return power_heuristic(count * pdf, other) / count;
     }
     Float triangle_pdf(Int triangle, Float distance, Float cosine) const {
         if (t.emitters == 0) return all(0.0f);
@@ -101,10 +101,43 @@ class ClusterSampler {
     PointQuery query;
     Int row, active;
 
-    // `mis.light_contribution`.
-    Vec3 contribution(const LightSample& light, const Scattered& scattered) const {
-        return scattered.value * light.radiance * (power_heuristic(float(c.candidates) * light.pdf, scattered.pdf) / divisor(light.pdf));
+    // `_Candidate`.
+    struct Candidate {
+        Vec3 direction;
+        Float distance;
+        Vec3 value;
+        Scattered scattered;
+        Int cluster, triangle;
+        Float share, target;
+    };
+    static Candidate choose_candidate(Int first, const Candidate& one, const Candidate& other) {
+        return {choose(first, one.direction, other.direction), first ? one.distance : other.distance,
+                choose(first, one.value, other.value),
+                {choose(first, one.scattered.value, other.scattered.value), first ? one.scattered.pdf : other.scattered.pdf},
+                first ? one.cluster : other.cluster, first ? one.triangle : other.triangle,
+                first ? one.share : other.share, first ? one.target : other.target};
     }
+    Candidate light_candidate(const Scattering& scattering, const Float (&u)[6]) const {
+        const ClusterSample drawn = draw(u);
+        const LightSample& light = drawn.light;
+        const Scattered found = scattering.evaluate(light.direction);
+        const Float count = light.distance >= all(MISS_DISTANCE) ? all(float(c.bsdf_count)) : all(1.0f);
+        const Float weight = power_heuristic(float(c.candidates) * light.pdf, count * found.pdf) / divisor(light.pdf);
+        const Vec3 value = found.value * light.radiance * weight;
+        return {light.direction, light.distance, value, found, drawn.cluster, light.triangle, drawn.share,
+                luminance(value) * visibility(drawn.cluster)};
+    }
+    Candidate bsdf_candidate(const Scattering& scattering, const Float (&u)[3]) const {
+        Vec3 weight, of_opaque;
+        Float pdf;
+        const Vec3 direction = scattering.sample(u[0], u[1], u[2], weight, pdf, of_opaque);
+        const Int texel = texel_at(t, direction), cluster = c.first_texels + bytes_at(c.texel_cluster, texel);
+        const Float chosen = bsdf_weight(pdf, environment_pdf(direction, texel)) * float(c.candidates);
+        const Vec3 value = weight * environment_radiance(t, direction) * chosen;
+        const Float target = luminance(value) * visibility(cluster);
+        return {direction, all(MISS_DISTANCE), value, {weight * pdf, pdf}, all(-1), all(-1), all(0.0f), target};
+    }
+    Float environment_pdf(Vec3 direction, Int texel) const { return float(c.candidates) * density(direction, texel); }
     Float visibility(Int cluster) const {
         return c.cumulative == nullptr ? all(1.0f) : gather(c.visibility, row * c.clusters + cluster);
     }

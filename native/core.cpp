@@ -60,12 +60,14 @@ void visible_of(void* scene, int64_t count, const float* origin, const float* di
     visible(scene, RayRows(origin, direction, count, limits), passes, count);
 }
 
-void random(const Random& random, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first, float* out) {
-    const Stratified sequence(random, dimension, first > 0 ? numbers : 0, uint32_t(first > 0 ? first : 1));
+void random(const Random& random, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first, int number,
+            const int32_t* odd, float* out) {
+    const Stratified sequence(random, dimension, first > 0 ? numbers : 0, uint32_t(first > 0 ? first : 1), uint32_t(number));
     for (Columns at(count); at.first < count; at.first += LANES) {
         const Bits pixel = bits<Bits>(at.integers(pixels));
+        const PathKeys keys = {pixel, pixel, odd == nullptr ? Bits{} : 0u - bits<Bits>(at.integers(odd))};
         for (int i = 0; i < numbers; ++i) {
-            at.put(out, i, first > 0 ? sequence(pixel, i) : uniform(random, pixel, dimension + uint32_t(i)));
+            at.put(out, i, first > 0 ? sequence(keys, i) : uniform(random, pixel, dimension + uint32_t(i)));
         }
     }
 }

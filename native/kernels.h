@@ -18,7 +18,8 @@ struct Kernels {
     // Rays from lens points `[2, N]` through focus points `[3, N]`.
     void (*camera_rays)(const Camera&, int64_t count, const float* focus, const float* points, float* origin, float* direction);
     // Random numbers of dimensions from `dimension` on; first: of the range of steps of stratified ones, 0 for independent ones.
-    void (*random)(const Random&, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first, float* out);
+    void (*random)(const Random&, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first,
+                   int number, const int32_t* odd, float* out);
     // Views of recorded hits by other pixels: those that their lens contains; those of them that nothing blocks, with the number of
     // rays and the seconds in Embree; and the radiance `[3, N]` and weights `[N]` of all pixels, given the densities of all views.
     void (*find_views)(const Tables&, const LensCamera&, const PixelGroups&, const LensSamples&, const HitRecord&, float min_spread,

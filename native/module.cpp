@@ -237,11 +237,13 @@ NB_MODULE(_native, m) {
         nb::gil_scoped_release released;
         kernels().camera_rays(camera, int64_t(count), focus.data(), points.data(), rows.data(), rows.data() + 3 * count);
     });
-    m.def("random", [](const Random& random, const Ints& pixels, uint32_t dimension, int numbers, int first, FloatsOut out) {
+    m.def("random", [](const Random& random, const Ints& pixels, uint32_t dimension, int numbers, int first, int number,
+                       const std::optional<Ints>& odd, FloatsOut out) {
         check(out, size_t(numbers) * pixels.size(), "out");
+        if (odd) check(*odd, pixels.size(), "odd");
         nb::gil_scoped_release released;
-        kernels().random(random, int64_t(pixels.size()), pixels.data(), dimension, numbers, first, out.data());
-    });
+        kernels().random(random, int64_t(pixels.size()), pixels.data(), dimension, numbers, first, number, odd ? odd->data() : nullptr, out.data());
+    }, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
     // Stages of a trace, for tests.
     m.def("surfaces", [](const Scene& scene, const Floats& origin, const Floats& direction, const Ints& triangle, const Floats& hits,
                          FloatsOut rows) {

@@ -38,27 +38,55 @@ inline uint32_t shuffled(uint32_t index, uint32_t key) {
     return index ^ flips;
 }
 
-// A point of `PixelRandom.stratified`, before it is scrambled for each pixel.
-struct Stratified {
-    uint32_t key, point[8];
+// Keys of the random numbers of paths: of their own, of their pairs of copies, and all bits set for odd copies.
+struct PathKeys {
+    Bits own, pair, odd;
+};
 
-    Stratified(const Random& random, uint32_t dimension, int count, uint32_t first = 1) {
-        key = hash(random.seed_key + 0x3C6EF372u * dimension + hash(first - 1));
-        const uint32_t index = shuffled(random.index - (first - 1), key);
+constexpr uint32_t LONGEST_EPOCH = 1u << 20;
+// `PixelRandom._in_epoch`.
+inline bool in_epoch(const Random& random, uint32_t first) {
+    const uint32_t steps = first > 1 ? first - 1 : 1;
+    return random.index - (first - 1) < steps && steps <= LONGEST_EPOCH && (steps & (steps - 1)) == 0;
+}
+
+// A point of `PixelRandom.stratified`, before it is scrambled for each pixel; `change` is what odd copies have besides.
+struct Stratified {
+    bool together;
+    uint32_t key, point[8], change[8];
+
+    Stratified(const Random& random, uint32_t dimension, int count, uint32_t first = 1, uint32_t number = 0)
+        : together(in_epoch(random, first)), key(hash(random.seed_key + 0x3C6EF372u * dimension + hash(first - 1))) {
+        const uint32_t steps = first > 1 ? first - 1 : 1;
+        if (number > 0 && !together) key = hash(key ^ hash(number));
+        const uint32_t index = shuffled(random.index - (first - 1), key) + (together ? 2 * steps * number : 0);
         for (int i = 0; i < count; ++i) {
-            point[i] = 0;
-            for (int bit = 0; bit < bit_length(index); ++bit) {
-                if (index >> bit & 1) point[i] ^= uint32_t(random.directions[i][bit]);
-            }
+            point[i] = sobol_point(random, index, i);
+            change[i] = together ? sobol_point(random, steps, i) : 0;
         }
     }
 
-    // Number `i` of some pixels.
-    Float operator()(Bits pixel, int i) const {
-        Bits values = hash(pixel ^ hash(key + uint32_t(i)));
+    // Number `i` of some paths.
+    Float operator()(const PathKeys& keys, int i) const {
+        Bits values = hash((together ? keys.pair : keys.own) ^ hash(key + uint32_t(i)));
         const Bits columns = (values * 0x9E3779B1u | 0x40000000u) & 0x7FFFFFFFu;
-        for (uint32_t rest = point[i]; rest != 0; rest &= rest - 1) values ^= columns >> (30 - __builtin_ctz(rest));
+        values ^= product(columns, point[i]);
+        if (together) values ^= product(columns, change[i]) & keys.odd;
         return to_unit((values >> 8) & 0x7FFFFFu);
+    }
+
+  private:
+    static uint32_t sobol_point(const Random& random, uint32_t index, int dimension) {
+        uint32_t value = 0;
+        for (int bit = 0; bit < bit_length(index); ++bit) {
+            if (index >> bit & 1) value ^= uint32_t(random.directions[dimension][bit]);
+        }
+        return value;
+    }
+    static Bits product(Bits columns, uint32_t point) {
+        Bits sum{};
+        for (; point != 0; point &= point - 1) sum ^= columns >> (30 - __builtin_ctz(point));
+        return sum;
     }
 };
 

@@ -106,7 +106,7 @@ struct ClusterLights {
     int32_t across;
     // The table; null in the first epoch, in which the voxel grid chooses alone
     const float *cumulative, *visibility;
-    int32_t levels, clusters, first_step, candidates;
+    int32_t levels, clusters, first_step, candidates, bsdf_count;
     // Clusters of the environment: those of the map begin at `first_texels`, those of distant lights at `first_distant`
     int32_t first_texels, map_clusters, first_distant;
     const AliasEntry* texel_table;  // null where the map is not sampled, as the next four

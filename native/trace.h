@@ -29,6 +29,8 @@ inline uint32_t crossing_dimension(int depth) { return (1u << 20) + MAX_CROSSING
 struct alignas(64) Block {
     // Paths that are alive.
     IntRow slot, key;
+    // Of copies, until they leave their primary hits: keys of pairs, and all bits set for odd copies.
+    IntRow pair_key, odd;
     Row throughput[3], radiance[3];
     // Their next segments, as `Rays` of paths.py has them.
     Row vertex[3], origin[3], direction[3], pdf, alive;
@@ -189,7 +191,7 @@ class Tracing {
             int64_t before = path;
             while (before > 0 && record.owner[before - 1] == hit) --before;
             const uint32_t number = uint32_t(path - before), key = uint32_t(b.hit_key[hit - first_hit]);
-            b.key[i] = int32_t(number == 0 ? key : hash(key ^ hash(number)));
+            b.key[i] = copied(key, number), b.pair_key[i] = copied(key, number >> 1), b.odd[i] = -int32_t(number & 1);
             b.kept[i] = int32_t(hit - first_hit);
             b.slot[i] = i, b.ray[i] = int32_t(record.ray[hit] - first);
         }
@@ -201,6 +203,8 @@ class Tracing {
             std::memcpy(record.light_direction + row, b.surface[NORMAL_ROW + axis], sizeof(float) * size_t(paths));
         }
     }
+    // `PixelRandom.copies`.
+    static int32_t copied(uint32_t key, uint32_t number) { return int32_t(number == 0 ? key : hash(key ^ hash(number))); }
     void load_hits(int i, int64_t first_hit) {
         Block& b = block;
         const SplitRecord& record = *trace.split;
@@ -348,9 +352,7 @@ class Tracing {
         Vec3 light = gather3(b.throughput, path) * environment_radiance(t, direction);
         if (depth > 1) {
             const Vec3 vertex = gather3(b.vertex, path);
-            const Float other = learned(depth) ? ClusterSampler(t, *trace.lights, vertex, all(-1)).environment_pdf(direction)
-                                               : environment_pdf(t, vertex, direction);
-            light = light * power_heuristic(gather(b.pdf, path), other);
+            light = light * environment_weight(depth, vertex, direction, gather(b.pdf, path));
             add_images(path, light, all(MISS_DISTANCE), first_lanes(missed - i));
         }
         add_to_groups(path, light, all(-1), direction, first_lanes(missed - i));
@@ -362,6 +364,13 @@ class Tracing {
             b.radiance[2][path[lane]] = light.z[lane];
             if (depth == 1) trace.alpha[first + b.slot[path[lane]]] = alpha[lane];
         }
+    }
+
+    // MIS weight of BSDF samples that leave the scene.
+    Float environment_weight(int depth, Vec3 vertex, Vec3 direction, Float pdf) const {
+        if (!learned(depth)) return power_heuristic(pdf, environment_pdf(t, vertex, direction));
+        const ClusterSampler sampler(t, *trace.lights, vertex, all(-1));
+        return sampler.bsdf_weight(pdf, sampler.environment_pdf(direction));
     }
 
     // Surfaces, absorption on the way there, and emission from there.
@@ -409,36 +418,41 @@ class Tracing {
     }
 
     // Uniform numbers of `count` dimensions; those of primary hits are stratified.
-    template <int N> void numbers(int depth, uint32_t offset, Bits key, Float (&out)[N]) const {
+    template <int N> void numbers(int depth, uint32_t offset, const PathKeys& keys, Float (&out)[N]) const {
         const uint32_t dimension = vertex_dimension(depth) + offset;
         if (depth == 1) {
             const Stratified sequence(trace.random, dimension, N, uint32_t(trace.first_step));
-            for (int i = 0; i < N; ++i) out[i] = sequence(key, i);
+            for (int i = 0; i < N; ++i) out[i] = sequence(keys, i);
         } else {
-            for (int i = 0; i < N; ++i) out[i] = uniform(trace.random, key, dimension + uint32_t(i));
+            for (int i = 0; i < N; ++i) out[i] = uniform(trace.random, keys.own, dimension + uint32_t(i));
         }
+    }
+    PathKeys path_keys(int depth, int i) const {
+        const Bits own = bits<Bits>(load<Int>(block.key + i));
+        if (depth > 1 || trace.split == nullptr) return {own, own, Bits{}};
+        return {own, bits<Bits>(load<Int>(block.pair_key + i)), bits<Bits>(load<Int>(block.odd + i))};
     }
 
     // Sample lights and the BSDF; from ROULETTE_DEPTH on, play Russian roulette.
     void scatter(int depth, int i) {
         Block& b = block;
         const Int active = first_lanes(paths - i);
-        const Bits key = bits<Bits>(load<Int>(b.key + i));
+        const PathKeys keys = path_keys(depth, i);
         const Surface s = load_surface(b.surface[0] + i, ROW, t.surface_rows);
         Vec3 throughput = load3(b.throughput, i);
         Float part[1] = {all(0.0f)};
-        if (t.has_transmission) numbers(depth, PART, key, part);
+        if (t.has_transmission) numbers(depth, PART, keys, part);
         const Scattering scattering(t, s, part[0], throughput);
         if (lit()) {
             Float of_light[6];
-            numbers(depth, LIGHT, key, of_light);
-            const Light light = direct_light(depth, i, s, scattering, of_light, key, active);
+            numbers(depth, LIGHT, keys, of_light);
+            const Light light = direct_light(depth, i, s, scattering, of_light, keys, active);
             if (trace.images != nullptr) prepare_image(i, s, light, active);
             if (depth == 1 && trace.split != nullptr) record(trace.split->bsdf, i, light.scattered.value);
             aim_shadow_ray(i, s, throughput, light);
         }
         Float of_bsdf[3], pdf;
-        numbers(depth, BSDF, key, of_bsdf);
+        numbers(depth, BSDF, keys, of_bsdf);
         Vec3 weight, value;
         const Vec3 direction = scattering.sample(of_bsdf[0], of_bsdf[1], of_bsdf[2], weight, pdf, value);
         if (depth == 1 && trace.split != nullptr) {
@@ -450,7 +464,7 @@ class Tracing {
         Float survival = largest(throughput);
         if (depth >= ROULETTE_DEPTH) {
             const Float chance = at_most(survival, MAX_SURVIVAL);
-            survival = chance * one_if(uniform(trace.random, key, vertex_dimension(depth) + ROULETTE) < chance);
+            survival = chance * one_if(uniform(trace.random, keys.own, vertex_dimension(depth) + ROULETTE) < chance);
             throughput = throughput / divisor(chance, 1e-20f);
         }
         store3(b.throughput, i, throughput);
@@ -467,10 +481,11 @@ class Tracing {
         Int triangle;
     };
 
-    Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const Float (&u)[6], Bits key, Int active) {
+    Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const Float (&u)[6], const PathKeys& keys,
+                       Int active) {
         if (depth == 1 && trace.lights != nullptr) {
             const ClusterSampler sampler(t, *trace.lights, s.position, active);
-            const DirectLight found = sampler.sample(scattering, u, trace.random, key);
+            const DirectLight found = sampler.sample(scattering, u, trace.random, keys, vertex_dimension(1) + LIGHT, vertex_dimension(1) + BSDF);
             record_light(i, found);
             return {found.direction, found.distance, found.value, found.scattered, found.triangle};
         }

@@ -85,7 +85,7 @@ PARTS: dict[str, dict[str, object]] = {
     "split paths": {"split_count": 1, "max_split_count": 1},
     "reused primary hits": {"reuse_group": (1, 1)},
     "control variate": {"control_variate": False},
-    "resampled lights": {"light_candidates": 1},
+    "resampled lights": {"light_candidates": 1, "bsdf_candidates": 0},
     "learned visibility": {"learn_visibility": False},
     "learned lights": {"learn_lights": False},
 }
@@ -142,7 +142,8 @@ CHANGES = {
     "fixed-beta": values_of("fixed β", "blend", [0.5, 0.65, 0.9], "lis"),
     "guided": [guided_without(part) for part in PARTS],
     "alone": [guided_with("with none of its parts", ()), *map(alone, PARTS)],
-    "candidates": [Change("light candidates", str(count), "guided", {"light_candidates": count}) for count in (1, 2, 8)],
+    "candidates": [Change("light candidates", str(count), "guided", {"light_candidates": count}) for count in (1, 2, 7)],
+    "bsdf": [Change("BSDF candidates", str(count), "guided", {"bsdf_candidates": count}) for count in (0, 2)],
     "parts": [split(count) for count in (1, 4, 8)],
     "group": [group(1, 1), group(2, 2), group(4, 4)],
     "spread": values_of("α of reused surfaces by the views' angle", "min_spread", [0.25, 1.0, 2.0], "guided"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -18,6 +17,7 @@ from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.power_sampler import PowerLightSampler, voxel_share
 from bokehguide.render.lights.scene_lights import PointQuery
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import divisor, luminance
 from bokehguide.runtime.indexing import indices, scatter
 
@@ -37,33 +37,129 @@ class ClusterSample(NamedTuple):
     share: Tensor
 
 
-class VoxelLights:
-    """Distribution of light samples in the first epoch: the voxel grid chooses the clusters.
+class _Candidate(NamedTuple):
+    """N candidates of resampling. value: contribution, `[3, N]`. target: luminance of `value` times expected visibility, `[N]`.
 
-    row: row of each point in the table of probabilities that learns from the samples, int32 `[N]`. candidates: number of light
-    samples from which `resampled` keeps one.
+    share, cluster: see `ClusterSample`; 0 and -1 for BSDF samples, which the record of clusters ignores. triangle: see
+    `LightSample`.
     """
+
+    direction: Tensor
+    distance: Tensor
+    value: Tensor
+    share: Tensor
+    target: Tensor
+    cluster: Tensor
+    bsdf_pdf: Tensor
+    triangle: Tensor
+
+
+class Counts(NamedTuple):
+    """Numbers of light samples and of BSDF samples at a primary hit, from which resampling keeps one.
+
+    Without a sampled map, light samples take the place of the BSDF samples.
+    """
+
+    lights: int = GuidedConfig.light_candidates
+    bsdf: int = GuidedConfig.bsdf_candidates
+
+
+DEFAULT_COUNTS = Counts()
+
+
+class ResampledLights:
+    """Base class of distributions from which resampling keeps one sample.
+
+    row: row of each point in the table of probabilities that learns from the samples, int32 `[N]`.
+    """
+
+    first_step: int
+
+    def __init__(self, power: PowerLightSampler, row: Tensor, counts: Counts):
+        self._power, self._row, self._counts = power, row, counts
+        self.count, self.bsdf_count = sample_counts(power, counts)
+
+    def draw(self, query: PointQuery, uniforms: Tensor) -> ClusterSample:
+        """One light sample for each point of the query from uniform numbers `[6, N]`."""
+        raise NotImplementedError
+
+    def expected_visibility(self, cluster: Tensor) -> Tensor:
+        """Expected visible share of the light of each cluster `[N]`."""
+        raise NotImplementedError
+
+    def environment_pdf(self, points: Tensor, directions: Tensor) -> Tensor:
+        """See `LightDistribution`."""
+        raise NotImplementedError
+
+    def sample(self, surface: Surface, scattering: Scattering, uniforms: Tensor, random: PixelRandom) -> DirectLight:
+        """Resampled importance sampling (Talbot et al. 2005): keeps a candidate in proportion to its target.
+
+        Only the kept candidate needs a shadow ray. The MIS weights count all samples, because resampling draws directions with a
+        large contribution almost as often as all of them together. BSDF candidates compete with the light candidates for
+        directions of the map, as does the BSDF sample of the path itself: Bitterli et al. 2020 mix both kinds as well.
+        """
+        query, first = self._power.lights.query(surface.position), dimensions.vertex(1)
+        kept = self._light_candidate(query, scattering, uniforms)
+        total = kept.target
+        for number in range(1, self.count + self.bsdf_count - 1):
+            if number < self.count:
+                light = random.stratified(first + dimensions.LIGHT, dimensions.LIGHT_COUNT, self.first_step, number)
+                other = self._light_candidate(query, scattering, light)
+            else:
+                bsdf = random.stratified(first + dimensions.BSDF, 3, self.first_step, number - self.count + 1)
+                other = self._bsdf_candidate(surface.position, scattering, bsdf)
+            total = total + other.target
+            changes = random.uniform(dimensions.choice(number), 1)[0] * total < other.target
+            kept = _Candidate(*(torch.where(changes, one, two) for one, two in zip(other, kept)))
+        scale = total / (self.count * divisor(kept.target))
+        contribution_rms = luminance(kept.value) * (kept.share * scale).sqrt()
+        clusters = ClusterRecord(self._row, kept.cluster, contribution_rms)
+        return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.bsdf_pdf, kept.triangle, clusters)
+
+    def _light_candidate(self, query: PointQuery, scattering: Scattering, uniforms: Tensor) -> _Candidate:
+        """Candidates from uniform numbers `[6, N]`."""
+        light = self.draw(query, uniforms)
+        value, bsdf_pdf = scattering.evaluate(light.direction)
+        found = torch.where(light.distance >= MISS_DISTANCE, self.bsdf_count * bsdf_pdf, bsdf_pdf)
+        value = mis.light_contribution(light.radiance, light.pdf, value, found, self.count)
+        target = luminance(value) * self.expected_visibility(light.cluster)
+        return _Candidate(light.direction, light.distance, value, light.share, target, light.cluster, bsdf_pdf, light.triangle)
+
+    def _bsdf_candidate(self, points: Tensor, scattering: Scattering, uniforms: Tensor) -> _Candidate:
+        """Candidates from uniform numbers `[3, N]`."""
+        direction, weight, pdf = scattering.sample(uniforms)
+        environment, clusters = self._power.lights.sampled_environment, self._power.lights.clusters
+        cluster = clusters.cluster(environment.texels(direction))
+        other = self.count * self.environment_pdf(points, direction)
+        value = weight * environment.radiance(direction) * (mis.bsdf_weight(pdf, other, self.bsdf_count) * self.count)
+        target, far = luminance(value) * self.expected_visibility(cluster), torch.full_like(pdf, MISS_DISTANCE)
+        none = torch.full_like(cluster, -1)
+        return _Candidate(direction, far, value, torch.zeros_like(pdf), target, none, pdf, none)
+
+
+def sample_counts(power: PowerLightSampler, counts: Counts) -> tuple[int, int]:
+    """`count` and `bsdf_count` of a `LightDistribution` at primary hits."""
+    return (counts.lights, 1 + counts.bsdf) if power.lights.clusters.map else (counts.lights + counts.bsdf, 1)
+
+
+class VoxelLights(ResampledLights):
+    """Distribution of light samples in the first epoch: the voxel grid chooses the clusters."""
 
     first_step = 1
 
-    def __init__(self, power: PowerLightSampler, row: Tensor, candidates: int = GuidedConfig.light_candidates):
-        self._power, self._row, self.count = power, row, candidates
+    def __init__(self, power: PowerLightSampler, row: Tensor, counts: Counts = DEFAULT_COUNTS):
+        super().__init__(power, row, counts)
 
     def select(self, index: Tensor) -> VoxelLights:
         """See `LightDistribution`."""
-        return VoxelLights(self._power, self._row.index_select(0, index), self.count)
-
-    def sample(self, surface: Surface, scattering: Scattering, uniforms: Tensor, random: PixelRandom) -> DirectLight:
-        """See `LightDistribution`."""
-        draw = partial(self.draw, self._power.lights.query(surface.position))
-        return resampled(draw, self.expected_visibility, self._row, scattering, uniforms, random, self.count)
+        return VoxelLights(self._power, self._row.index_select(0, index), self._counts)
 
     def expected_visibility(self, cluster: Tensor) -> Tensor:
         """1 for each cluster `[N]`: the visibility is unknown."""
         return torch.ones(cluster.shape, device=cluster.device)
 
     def draw(self, query: PointQuery, uniforms: Tensor) -> ClusterSample:
-        """One light sample for each point of the query from uniform numbers `[6, N]`."""
+        """See `ResampledLights`."""
         is_far = uniforms[0] < query.environment_share
         return self._power.lights.draw_by_kind(is_far, query, uniforms[1:], self._draw_environment, self._draw_triangles)
 
@@ -116,30 +212,19 @@ class _MixtureQuery(NamedTuple):
         return _MixtureQuery(*(values.index_select(-1, index) for values in self))
 
 
-class MixtureLights:
+class MixtureLights(ResampledLights):
     """Mixture of two choices of clusters: by a table, and by the voxel grid with the weight VOXEL_SHARE."""
 
-    def __init__(
-        self, power: PowerLightSampler, row: Tensor, tables: ClusterTables, candidates: int = GuidedConfig.light_candidates
-    ):
-        self._power, self._row, self._tables, self.count = power, row, tables, candidates
-
-    @property
-    def first_step(self) -> int:
-        """See `LightDistribution`."""
-        return self._tables.first_step
+    def __init__(self, power: PowerLightSampler, row: Tensor, tables: ClusterTables, counts: Counts = DEFAULT_COUNTS):
+        super().__init__(power, row, counts)
+        self._tables, self.first_step = tables, tables.first_step
 
     def select(self, index: Tensor) -> MixtureLights:
         """See `LightDistribution`."""
-        return MixtureLights(self._power, self._row.index_select(0, index), self._tables, self.count)
-
-    def sample(self, surface: Surface, scattering: Scattering, uniforms: Tensor, random: PixelRandom) -> DirectLight:
-        """See `LightDistribution`."""
-        draw = partial(self.draw, self._power.lights.query(surface.position))
-        return resampled(draw, self.expected_visibility, self._row, scattering, uniforms, random, self.count)
+        return MixtureLights(self._power, self._row.index_select(0, index), self._tables, self._counts)
 
     def expected_visibility(self, cluster: Tensor) -> Tensor:
-        """Expected visible share of the light of each cluster `[N]`."""
+        """See `ResampledLights`."""
         visibility = self._tables.visibility
         return visibility.view(-1).index_select(0, self._row * visibility.shape[1] + cluster)
 
@@ -148,7 +233,7 @@ class MixtureLights:
         return self._tables.table.pdf(row, cluster)
 
     def draw(self, query: PointQuery, uniforms: Tensor) -> ClusterSample:
-        """One light sample for each point of the query from uniform numbers `[6, N]`."""
+        """See `ResampledLights`."""
         tables = self._tables
         chosen = _chosen(tables.table, self._row, query.environment_share, uniforms[0], tables.first_far)
         cluster, by_voxel, is_far = chosen[0], chosen[1] > 0.0, chosen[2] > 0.0
@@ -228,72 +313,3 @@ def _mixture_share(
     """Probability `[N]` of choosing each of the clusters `[N]` of triangles."""
     share = voxel_share(by_voxel, cells, environment_share, cluster)
     return VOXEL_SHARE * share + (1.0 - VOXEL_SHARE) * table.pdf(row, cluster)
-
-
-class _Reservoir(NamedTuple):
-    """The kept light sample. value: contribution, `[3, N]`. target: luminance of `value` times expected visibility, `[N]`."""
-
-    direction: Tensor
-    distance: Tensor
-    value: Tensor
-    share: Tensor
-    target: Tensor
-    cluster: Tensor
-    bsdf_pdf: Tensor
-    triangle: Tensor
-
-
-def resampled(
-    draw: Callable[[Tensor], ClusterSample],
-    expected_visibility: Callable[[Tensor], Tensor],
-    row: Tensor,
-    scattering: Scattering,
-    uniforms: Tensor,
-    random: PixelRandom,
-    candidates: int,
-) -> DirectLight:
-    """One of several light samples, chosen in proportion to the targets by resampled importance sampling (Talbot et al. 2005).
-
-    Only the kept light sample needs a shadow ray. The MIS weights count all light samples, because resampling draws
-    directions with a large contribution almost as often as all of them together.
-
-    draw: function that makes light samples from uniform numbers `[6, N]`. uniforms: numbers of the first light sample.
-    """
-    light = draw(uniforms)
-    scattered = scattering.evaluate(light.direction)
-    value, total = _target(light, scattered, expected_visibility(light.cluster), candidates)
-    kept = _Reservoir(light.direction, light.distance, value, light.share, total, light.cluster, scattered[1], light.triangle)
-    for number in range(1, candidates):
-        others = random.uniform(dimensions.candidate(number), dimensions.CANDIDATE_COUNT)
-        # Uniform numbers for the choice of clusters are stratified over the candidates.
-        others[0] = ((uniforms[0] + number / candidates) % 1.0).clamp(2.0**-24, 1.0 - 2.0**-24)
-        light = draw(others)
-        scattered = scattering.evaluate(light.direction)
-        target = _target(light, scattered, expected_visibility(light.cluster), candidates)
-        kept, total = _updated(kept, total, light, scattered, target, others[6])
-    scale = total / (candidates * divisor(kept.target))
-    contribution_rms = luminance(kept.value) * (kept.share * scale).sqrt()
-    clusters = ClusterRecord(row, kept.cluster, contribution_rms)
-    return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.bsdf_pdf, kept.triangle, clusters)
-
-
-def _target(light: ClusterSample, scattered: tuple[Tensor, Tensor], visibility: Tensor, candidates: int) -> tuple[Tensor, Tensor]:
-    """Contributions `[3, N]` and targets `[N]` of samples."""
-    value = mis.light_contribution(light.radiance, light.pdf, *scattered, candidates)
-    return value, luminance(value) * visibility
-
-
-def _updated(
-    kept: _Reservoir,
-    total: Tensor,
-    light: ClusterSample,
-    scattered: tuple[Tensor, Tensor],
-    targets: tuple[Tensor, Tensor],
-    uniform: Tensor,
-) -> tuple[_Reservoir, Tensor]:
-    """Reservoir after one more light sample, and the sum of the targets `[N]`. targets: see `_target`."""
-    value, target = targets
-    total = total + target
-    changes = uniform * total < target
-    new = (light.direction, light.distance, value, light.share, target, light.cluster, scattered[1], light.triangle)
-    return _Reservoir(*(torch.where(changes, one, other) for one, other in zip(new, kept))), total

@@ -77,7 +77,8 @@ class GuidedConfig:
 
     Light samples at primary hits:
     learn_lights: whether learned second moments determine the probabilities of clusters of lights.
-    light_candidates: number of light samples from which resampling keeps one.
+    light_candidates, bsdf_candidates: numbers of light samples and of BSDF samples from which resampling keeps one. Without an
+    environment map, light samples take the place of the BSDF samples.
     learn_visibility: whether the resampling weights include the learned visibility of the cluster.
     """
 
@@ -109,5 +110,6 @@ class GuidedConfig:
     control_shrinkage: float = 64.0
 
     learn_lights: bool = True
-    light_candidates: int = 4
+    light_candidates: int = 3
+    bsdf_candidates: int = 1
     learn_visibility: bool = True

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bokehguide.guiding.cluster_lights import ClusterTables, MixtureLights, VoxelLights
+from bokehguide.guiding.cluster_lights import ClusterTables, Counts, MixtureLights, VoxelLights, sample_counts
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lights.base import DirectLight, LightDistribution, LightSampler
@@ -107,7 +107,7 @@ class LearnedLightSampler(RankSums, LightSampler):
         # Constants are on the device, so that nothing waits for the host.
         self._count = torch.tensor([clusters.count], dtype=torch.int32, device=device)
         self._first_far = torch.tensor([clusters.triangles], device=device)
-        self._candidates, self._learns_visibility = config.light_candidates, config.learn_visibility
+        self._counts, self._learns_visibility = Counts(config.light_candidates, config.bsdf_candidates), config.learn_visibility
         self._tables: ClusterTables | None = None  # None in the first epoch
         self._core_lights: tuple[ClusterTables | None, object] | None = None
 
@@ -125,8 +125,8 @@ class LearnedLightSampler(RankSums, LightSampler):
         """Distribution of the present epoch at world points `[3, N]`."""
         tiles, tables = self.tiles(points), self._tables
         if tables is None:
-            return VoxelLights(self._power, tiles, self._candidates)
-        return MixtureLights(self._power, tiles, tables, self._candidates)
+            return VoxelLights(self._power, tiles, self._counts)
+        return MixtureLights(self._power, tiles, tables, self._counts)
 
     def core_lights(self, core: ModuleType) -> object:
         """See `LightSampler`."""
@@ -135,7 +135,8 @@ class LearnedLightSampler(RankSums, LightSampler):
             arrays, numbers = self._tile_numbers()
             arrays |= {} if tables is None else {"cumulative": tables.table.cumulative, "visibility": tables.visibility}
             levels, first_step = (0, 1) if tables is None else (tables.table.levels, tables.first_step)
-            numbers |= {"levels": levels, "first_step": first_step, "candidates": self._candidates}
+            count, bsdf_count = sample_counts(self._power, self._counts)
+            numbers |= {"levels": levels, "first_step": first_step, "candidates": count, "bsdf_count": bsdf_count}
             made = self._core_lights = (tables, cluster_lights(core, self._power.lights.clusters, arrays, numbers))
         return made[1]
 

@@ -7,7 +7,7 @@ dimension.
 | 2 … 6                      | lens point                                           |
 | 7, 8                       | lens point of the ray that initialises the film      |
 | 32 + 16 (d - 1) …          | vertex d of a path                                   |
-| 2^16 + 8 c …               | light candidate c of the primary hit, c ≥ 1          |
+| 2^16 + c                   | choice of candidate c of the primary hit, c ≥ 1      |
 | 2^20 + 256 d …             | translucent surfaces that segment d crosses          |
 | 2^30                       | neighbours of a pixel                                |
 | 2^30 + 1 …                 | choices among the samples of neighbours              |
@@ -27,11 +27,10 @@ NEIGHBOUR_CHOICE = NEIGHBOURS + 1
 PART, BSDF, ROULETTE, LIGHT = 0, 1, 4, 5
 """Offsets from `vertex`."""
 LIGHT_COUNT = 6
-CANDIDATE_COUNT = 7
 MAX_CROSSINGS = 256
 """Largest number of translucent surfaces that a ray passes. The ray stops at the next translucent surface."""
 _FIRST_VERTEX, _PER_VERTEX = 32, 16
-_FIRST_CANDIDATE, _PER_CANDIDATE = 1 << 16, 8
+_FIRST_CHOICE = 1 << 16
 _FIRST_CROSSING = 1 << 20
 
 
@@ -40,9 +39,12 @@ def vertex(depth: int) -> int:
     return _FIRST_VERTEX + _PER_VERTEX * (depth - 1)
 
 
-def candidate(number: int) -> int:
-    """First dimension of light sample `number` ≥ 1 of the primary hit. Light sample 0 uses the dimensions of the vertex."""
-    return _FIRST_CANDIDATE + _PER_CANDIDATE * number
+def choice(number: int) -> int:
+    """Dimension of the choice between candidate `number` ≥ 1 of the primary hit and the candidates before it.
+
+    All candidates are further samples of the dimensions of the vertex (`PixelRandom.stratified`).
+    """
+    return _FIRST_CHOICE + number
 
 
 def crossing(depth: int) -> int:

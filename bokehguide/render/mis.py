@@ -12,10 +12,15 @@ def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
     return 1.0 / (1.0 + (other / divisor(pdf)).square())
 
 
+def bsdf_weight(pdf: Tensor, other: Tensor, count: int) -> Tensor:
+    """MIS weight of each of `count` BSDF samples with the density `pdf`, if light samples together have the density `other`."""
+    return power_heuristic(count * pdf, other) / count
+
+
 def light_contribution(radiance: Tensor, pdf: Tensor, value: Tensor, bsdf_pdf: Tensor, count: int = 1) -> Tensor:
     """Reflected radiance `[3, N]` of light samples, divided by the density and multiplied by the MIS weight.
 
     radiance `[3, N]`, pdf `[N]`: of the light samples; value: BSDF times cosine, `[3, N]`; bsdf_pdf: density with which BSDF
-    sampling finds the directions, `[N]`. count: see `LightDistribution`.
+    samples together find the directions, `[N]`. count: see `LightDistribution`.
     """
     return value * radiance * (power_heuristic(count * pdf, bsdf_pdf) / divisor(pdf))

@@ -196,7 +196,7 @@ class _Segment:
         environment = self._tracer.lights.environment
         if environment is not None:
             other = paths.lights.count * paths.lights.environment_pdf(rays.vertex, rays.direction)
-            weight = mis.power_heuristic(rays.pdf, other)
+            weight = mis.bsdf_weight(rays.pdf, other, paths.lights.bsdf_count)
             arrived = paths.throughput * environment.radiance(rays.direction) * weight
             paths.radiance += arrived
             for observer in self._observers:

@@ -31,6 +31,7 @@ from bokehguide.runtime.device import to_device
 
 _MASK = 0xFFFFFFFF
 _BITS = 31
+_LONGEST_EPOCH = 1 << 20
 _DIRECTIONS = (torch.quasirandom.SobolEngine(8).sobolstate << 1).tolist()
 """Direction numbers of Sobol' sequences, of _BITS bits (Joe and Kuo 2008), by dimension and bit of the index."""
 
@@ -75,9 +76,12 @@ def sobol_point(index: int, dimension: int) -> int:
     return value
 
 
-def _places(point: int) -> list[int]:
-    """Positions of the ones among the _BITS bits of a point, from the highest bit down."""
-    return [place for place in range(_BITS) if point >> (_BITS - 1 - place) & 1]
+def _places(points: list[int], device: torch.device) -> Tensor:
+    """Positions of the ones among the _BITS bits of points, from the highest bit down, int32 `[ones, points]`, padded with
+    _BITS."""
+    ones = [[place for place in range(_BITS) if point >> (_BITS - 1 - place) & 1] for point in points]
+    rows = [[float(each[row] if row < len(each) else _BITS) for each in ones] for row in range(max(1, *map(len, ones)))]
+    return to_device(rows, device).to(torch.int32)
 
 
 def _to_unit(bits: Tensor) -> Tensor:
@@ -85,21 +89,30 @@ def _to_unit(bits: Tensor) -> Tensor:
     return bits.bitwise_right_shift_(8).bitwise_and_(0x7FFFFF).to(torch.float32).add_(0.5).mul_(2.0**-23)
 
 
+def _copied(pixel_keys: Tensor, number: Tensor) -> Tensor:
+    """Keys `[N]` of copies of pixels, int32; copies with the number 0 have the keys of the pixels."""
+    return torch.where(number > 0, hash_tensor(pixel_keys ^ hash_tensor(number.clone())), pixel_keys)
+
+
 def _uniform(pixel_keys: Tensor, keys: Tensor) -> Tensor:
     """Numbers float32 `[keys, N]` from a hash of every key and pixel."""
     return _to_unit(hash_tensor(pixel_keys ^ keys[:, None]).bitwise_right_shift_(1))
 
 
-def _scrambled(pixel_keys: Tensor, keys: Tensor, places: Tensor) -> Tensor:
+def _scrambled(pixel_keys: Tensor, keys: Tensor, points: list[int], odd: tuple[list[int], Tensor] | None) -> Tensor:
     """Points of Sobol' sequences, float32 `[keys, N]`, scrambled by each key and pixel.
 
-    places: positions of the ones among the bits of the points, from the highest bit down, float32 `[ones, keys]`, padded with
-    _BITS.
+    odd: what the points of odd copies have besides, and 1 for odd copies, else 0, int32 `[N]`.
     """
     values = hash_tensor(pixel_keys ^ keys[:, None])
     columns = (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)  # the first columns of the matrices
-    for place in places.to(torch.int32):
+    for place in _places(points, keys.device):
         values ^= columns >> place[:, None]
+    if odd is not None:
+        change = torch.zeros_like(values)
+        for place in _places(odd[0], keys.device):
+            change ^= columns >> place[:, None]
+        values ^= change * odd[1]
     return _to_unit(values)
 
 
@@ -110,23 +123,29 @@ class PixelRandom:
     """
 
     def __init__(self, seed: int, step: int, pixels: Tensor):
-        self.pixel_keys = hash_tensor(pixels.to(torch.int32) ^ _signed(hash_int(seed)))
+        self.pixel_keys = self._pair_keys = hash_tensor(pixels.to(torch.int32) ^ _signed(hash_int(seed)))
+        self._odd: Tensor | None = None
         self.step_key = hash_int(hash_int(seed ^ 0x9E3779B9) + step)
         self.seed_key = hash_int(seed ^ 0x2545F491)
         self.index = (step - 1) & 0x3FFFFFFF
 
     def select(self, index: Tensor) -> PixelRandom:
         """Random numbers of the paths at `index`, int64 `[M]`."""
-        return self._with(self.pixel_keys.index_select(0, index))
+        keys = (values.index_select(0, index) for values in (self.pixel_keys, self._pair_keys))
+        return self._with(*keys, None if self._odd is None else self._odd.index_select(0, index))
 
     def copies(self, number: Tensor) -> PixelRandom:
-        """Random numbers of copies of paths; number: int64 `[N]`, of the copy. Copy 0 has the random numbers of the path."""
-        others = hash_tensor(self.pixel_keys ^ hash_tensor(number.to(torch.int32)))
-        return self._with(torch.where(number > 0, others, self.pixel_keys))
+        """Random numbers of copies of paths; number: int64 `[N]`, of the copy. Copy 0 has the random numbers of the path.
 
-    def _with(self, pixel_keys: Tensor) -> PixelRandom:
+        The copies 2 k and 2 k + 1 are a pair, and share the scramble of `stratified`.
+        """
+        number = number.to(torch.int32)
+        return self._with(_copied(self.pixel_keys, number), _copied(self.pixel_keys, number >> 1), number & 1)
+
+    def _with(self, pixel_keys: Tensor, pair_keys: Tensor, odd: Tensor | None) -> PixelRandom:
         other = object.__new__(PixelRandom)
-        other.pixel_keys, other.step_key, other.seed_key, other.index = pixel_keys, self.step_key, self.seed_key, self.index
+        other.pixel_keys, other._pair_keys, other._odd = pixel_keys, pair_keys, odd
+        other.step_key, other.seed_key, other.index = self.step_key, self.seed_key, self.index
         return other
 
     def uniform(self, dimension: int, count: int) -> Tensor:
@@ -135,7 +154,7 @@ class PixelRandom:
         Multiples of 2^-23, shifted by half of that: neither 0 nor 1.
         """
         if self._core is not None:
-            return self._native(self._core, dimension, count, 0)
+            return self._native(self._core, self.pixel_keys, dimension, count, 0)
         return _uniform(self.pixel_keys, self._keys(self.step_key + 0x3C6EF372 * (dimension + i) for i in range(count)))
 
     @property
@@ -143,26 +162,44 @@ class PixelRandom:
         """The native core, whose numbers have the same bits."""
         return native.core() if self.pixel_keys.device.type == "cpu" else None
 
-    def _native(self, core: ModuleType, dimension: int, count: int, first: int) -> Tensor:
-        """Numbers of the native core; first: as in `stratified`, 0 for `uniform`."""
-        numbers = torch.empty(count, len(self.pixel_keys))
-        keys = core.Random(self.step_key, self.seed_key, self.index)
-        core.random(keys, self.pixel_keys.contiguous(), dimension & _MASK, count, first, numbers)
+    def _native(
+        self, core: ModuleType, keys: Tensor, dimension: int, count: int, first: int, number: int = 0, odd: Tensor | None = None
+    ) -> Tensor:
+        """Numbers of the native core; first, number: as in `stratified`, `first` is 0 for `uniform`. odd: see `_scrambled`."""
+        numbers, random = torch.empty(count, len(keys)), core.Random(self.step_key, self.seed_key, self.index)
+        odd = None if odd is None else odd.contiguous()
+        core.random(random, keys.contiguous(), dimension & _MASK, count, first, number, odd, numbers)
         return numbers
 
     def _keys(self, keys: Iterable[int]) -> Tensor:
         return to_device([_signed(hash_int(key)) for key in keys], self.pixel_keys.device, torch.int32)
 
-    def stratified(self, dimension: int, count: int, first: int = 1) -> Tensor:
+    def stratified(self, dimension: int, count: int, first: int = 1, number: int = 0) -> Tensor:
         """Like `uniform`, but with numbers of a `count`-dimensional sequence, count ≤ 8, over the steps from `first` on.
 
         Each pair of `dimension` and `first` has its own sequence. Different sequences have independent scrambles.
+
+        number: of a further sample of each path. In an epoch (`_in_epoch`) of n steps, the sequence goes on: copy c of a pair has
+        the points n (c + 2 number) … for its steps. All samples of both copies together are then stratified. Outside an epoch,
+        copies and further samples have scrambles of their own.
         """
+        together, odd = self._in_epoch(first), None
+        pixel_keys = self._pair_keys if together else self.pixel_keys
+        if together and self._odd is not None:
+            odd = self._odd
         if self._core is not None:
-            return self._native(self._core, dimension, count, first)
+            return self._native(self._core, pixel_keys, dimension, count, first, number, odd)
         key = hash_int(self.seed_key + 0x3C6EF372 * dimension + hash_int(first - 1))
-        index = shuffle_index(self.index - (first - 1), key)
-        ones = [_places(sobol_point(index, i)) for i in range(count)]
-        rows = max(1, *map(len, ones))
-        places = [[float(point[row] if row < len(point) else _BITS) for point in ones] for row in range(rows)]
-        return _scrambled(self.pixel_keys, self._keys(key + i for i in range(count)), to_device(places, self.pixel_keys.device))
+        if number and not together:
+            key = hash_int(key ^ hash_int(number))
+        steps = max(first - 1, 1)
+        index = shuffle_index(self.index - (first - 1), key) + (2 * steps * number if together else 0)
+        points = [sobol_point(index, i) for i in range(count)]
+        change = None if odd is None else ([sobol_point(steps, i) for i in range(count)], odd)
+        return _scrambled(pixel_keys, self._keys(key + i for i in range(count)), points, change)
+
+    def _in_epoch(self, first: int) -> bool:
+        """Whether the step is one of max(first - 1, 1) steps from `first` on. first - 1 is then 0 or a power of two, and small
+        enough for the indices of further samples."""
+        steps = max(first - 1, 1)
+        return self.index - (first - 1) < steps <= _LONGEST_EPOCH and steps & (steps - 1) == 0

@@ -106,12 +106,12 @@ def everything() -> Scene:
 def test_no_random_dimension_of_a_path_is_used_twice(mode, monkeypatch):
     """Of one step of one batch, in PyTorch: the native core has the same dimensions, as its agreement shows."""
     monkeypatch.setenv(native.SWITCH, "0")
-    used: list[tuple[str, int]] = []
+    used: list[tuple[str, int, int]] = []
 
     def noted(name, draw):
-        def called(self, dimension, count, *rest, **others):
-            used.extend((name, number) for number in range(dimension, dimension + count))
-            return draw(self, dimension, count, *rest, **others)
+        def called(self, dimension, count, first=1, number=0):
+            used.extend((name, each, number) for each in range(dimension, dimension + count))
+            return draw(self, dimension, count, *((first, number) if name == "stratified" else ()))
 
         return called
 

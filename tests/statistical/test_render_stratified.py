@@ -167,3 +167,45 @@ def test_the_lens_points_of_a_block_know_nothing_of_other_sequences(dimension, f
     random = PixelRandom(1, first + first // 2, pixels)
     lens, others = random.stratified(2, 3, first=first).numpy(), random.stratified(dimension, 1 if dimension == 32 else 2).numpy()
     assert sidak([independence(a, b) for a in lens for b in others]) > SIGNIFICANCE
+
+
+def together(first: int, copies: int, numbers: int, pixels: int = 64) -> np.ndarray:
+    """All samples of the epoch that begins at step `first`: `[3, steps * copies * numbers, pixels]`."""
+    found = []
+    for step in range(first, max(2 * first - 1, 2)):
+        for copy in range(copies):
+            random = PixelRandom(7, step, torch.arange(pixels)).copies(torch.full((pixels,), copy))
+            found += [random.stratified(33, 3, first, number) for number in range(numbers)]
+    return torch.stack(found, dim=1).numpy()
+
+
+@pytest.mark.parametrize("first", [1, 2, 3, 5, 9])
+@pytest.mark.parametrize("numbers", [1, 2, 4])
+def test_all_samples_of_a_pair_of_copies_are_stratified_together(first, numbers):
+    """Over an epoch: each dimension, and the elementary intervals of the first two. Copies of another pair are not among them."""
+    points = together(first, 2, numbers)
+    count = points.shape[1]
+    assert (np.sort((points * count).astype(int), axis=1) == np.arange(count)[None, :, None]).all()
+    m, (x, y) = count.bit_length() - 1, points[:2]
+    for across in range(m + 1):
+        cell = (x * (1 << across)).astype(int) * (1 << m - across) + (y * (1 << m - across)).astype(int)
+        assert (np.sort(cell, axis=0) == np.arange(count)[:, None]).all()
+    four = together(first, 4, numbers)[0]
+    assert not (np.sort((four * 2 * count).astype(int), axis=0) == np.arange(2 * count)[:, None]).all()
+
+
+@pytest.mark.parametrize("step, first", [(7, 1), (13, 5), (6, 6)])
+def test_copies_and_further_samples_are_independent_outside_an_epoch(step, first):
+    random = PixelRandom(1, step, torch.arange(PIXELS))
+    copies = [random.copies(torch.full((PIXELS,), copy)).stratified(33, 3, first) for copy in range(4)]
+    drawn = [numbers[0].numpy() for numbers in (*copies, *(random.stratified(33, 3, first, number) for number in (1, 2)))]
+    for at, numbers in enumerate(drawn):
+        assert uniformity(numbers) > SIGNIFICANCE
+        for other in drawn[:at]:
+            assert independence(numbers, other) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("copy, number", [(0, 1), (1, 0), (1, 3), (2, 1)])
+def test_copies_and_further_samples_of_an_epoch_are_uniform(copy, number):
+    random = PixelRandom(1, 6, torch.arange(PIXELS)).copies(torch.full((PIXELS,), copy))
+    assert sidak([uniformity(numbers) for numbers in random.stratified(37, 6, 5, number).numpy()]) > SIGNIFICANCE

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.guiding.cluster_lights import ClusterTables, MixtureLights
+from bokehguide.guiding.cluster_lights import ClusterTables, Counts, MixtureLights
 from bokehguide.guiding.light_sampler import LightSampleRecorder
 from bokehguide.render.lights.base import LightDistribution, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
@@ -51,13 +51,14 @@ def learned_choice(power: PowerLightSampler, count: int, spread: float = 2.0) ->
 class OneTable(LightSampler):
     """A light sampler with one row of a table for all points, in proportion to weights, uniform without any.
 
-    epoch: first step of the table; candidates: light samples of which resampling keeps one.
+    epoch: first step of the table; candidates, bsdf_candidates: light and BSDF samples of which resampling keeps one.
     """
 
     tracer: PathTracer
     weights: object = None
     epoch: int = 1
     candidates: int = 2
+    bsdf_candidates: int = 1
 
     def at(self, points: Tensor) -> MixtureLights:
         clusters = self.tracer.lights.clusters
@@ -65,7 +66,7 @@ class OneTable(LightSampler):
         table = ClusterTable(torch.from_numpy((weights / weights.sum())[None]))
         tables = ClusterTables(table, torch.ones(1, clusters.count), torch.tensor([clusters.triangles]), self.epoch)
         row = torch.zeros(points.shape[1], dtype=torch.int32)
-        return MixtureLights(self.tracer.light_sampler, row, tables, self.candidates)
+        return MixtureLights(self.tracer.light_sampler, row, tables, Counts(self.candidates, self.bsdf_candidates))
 
 
 @dataclass

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from bokehguide.render.bsdf.mixture import Scattering
 from bokehguide.render.path_tracer import PathTracer
@@ -34,10 +35,15 @@ def test_random_numbers_have_the_same_bits(step, monkeypatch):
     core()
     pixels = torch.tensor([0, 1, 2**31 - 1, -5, 77, 12, 13, 14, 15])
     random, kinds = PixelRandom(3, step, pixels), (("uniform", 2**30, 3), ("uniform", 2, 5), ("stratified", 32, 6))
-    found = [getattr(random, kind)(*given) for kind, *given in kinds] + [random.stratified(5, 2, step // 2 + 1)]
+    copies, first = random.copies(torch.arange(9)), (1 << (step - 1).bit_length() - 1) + 1 if step > 1 else 1
+
+    def numbers() -> list[Tensor]:
+        further = [copies.stratified(33, 3, begins, number) for begins in (1, first) for number in (0, 1, 5)]
+        return [getattr(random, kind)(*given) for kind, *given in kinds] + [random.stratified(5, 2, step // 2 + 1), *further]
+
+    found = numbers()
     monkeypatch.setenv(native.SWITCH, "0")
-    expected = [getattr(random, kind)(*given) for kind, *given in kinds] + [random.stratified(5, 2, step // 2 + 1)]
-    for one, other in zip(found, expected):
+    for one, other in zip(found, numbers()):
         assert torch.equal(one, other)
 
 

@@ -116,11 +116,11 @@ def test_distances_of_virtual_images_agree(name):
     found, expected = both(name)
     distances = expected.images.distances()
     own = expected.samples.distance
-    images = (distances != own) & (distances < 1e30)
+    images = distances != own
     assert differing(found.images.distances(), distances) <= 4.0 * FLIPS
     assert differing(found.images.distances()[images], distances[images]) <= 0.05
     if name in ("glass", "chrome"):
-        assert int(images.sum()) > 20
+        assert int((images & (distances < 1e30)).sum()) > 20
 
 
 def test_nan_and_infinite_rays_split_as_in_pytorch():

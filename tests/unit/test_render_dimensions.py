@@ -11,7 +11,7 @@ def test_no_two_numbers_of_a_path_share_a_dimension():
     ranges = [(dimensions.FILM, 2), (dimensions.LENS, dimensions.LENS_COUNT), (dimensions.INITIAL_LENS, 2)]
     parts = ((dimensions.PART, 1), (dimensions.BSDF, 3), (dimensions.ROULETTE, 1), (dimensions.LIGHT, dimensions.LIGHT_COUNT))
     ranges += [(dimensions.vertex(depth) + first, count) for depth in DEPTHS for first, count in parts]
-    ranges += [(dimensions.candidate(number), dimensions.CANDIDATE_COUNT) for number in CANDIDATES]
+    ranges += [(dimensions.choice(number), 1) for number in CANDIDATES]
     ranges += [(dimensions.crossing(depth), dimensions.MAX_CROSSINGS) for depth in DEPTHS]
     ranges += [(dimensions.NEIGHBOURS, 1), (dimensions.NEIGHBOUR_CHOICE, 1000)]
     used = [first + number for first, count in ranges for number in range(count)]

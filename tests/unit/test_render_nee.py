@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from bokehguide.guiding.cluster_lights import MixtureLights
-from bokehguide.guiding.config import GuidedConfig
+from bokehguide.guiding.cluster_lights import DEFAULT_COUNTS, ClusterSample, Counts, MixtureLights
 from bokehguide.render import dimensions
 from bokehguide.render.bsdf.mixture import Scattering
 from bokehguide.render.geometry import Geometry
@@ -22,8 +21,8 @@ COUNT = 40_000
 class Spot:
     """COUNT copies of a place on the floor of a room with emitters of several kinds and a sky, under a learned choice."""
 
-    def __init__(self, material: str = "coated", count: int = GuidedConfig.light_candidates):
-        self.count = count
+    def __init__(self, material: str = "coated", counts: Counts = DEFAULT_COUNTS):
+        self.count, self.bsdf_count = counts.lights, 1 + counts.bsdf
         tracer = PathTracer(room(MATERIALS[material], sky_with_a_window(6.0), checkered()))
         self.power = tracer.light_sampler
         self.geometry: Geometry = tracer.geometry
@@ -33,37 +32,48 @@ class Spot:
         self.scattering = Scattering(self.surface, None)
         learned = learned_choice(self.power, COUNT)
         shares = torch.linspace(0.05, 1.0, self.power.lights.clusters.count).repeat(3, 1)
-        self.lights = MixtureLights(self.power, learned._row, learned._tables._replace(visibility=shares), count)
+        self.lights = MixtureLights(self.power, learned._row, learned._tables._replace(visibility=shares), counts)
         self.random = PixelRandom(3, 1, torch.arange(COUNT))
 
     def sample(self) -> DirectLight:
         return self.lights.sample(self.surface, self.scattering, self.random.uniform(0, 6), self.random)
 
-    def weight(self, pdf: torch.Tensor, bsdf_pdf: torch.Tensor) -> torch.Tensor:
-        """Weight of the multi-sample power heuristic (Veach 1997), divided by the density of one candidate."""
-        return 1.0 / (1.0 + (bsdf_pdf / (self.count * pdf)).square()) / pdf
+    def light_value(self, light: ClusterSample) -> tuple[torch.Tensor, torch.Tensor]:
+        """Contribution of a light sample and the density of the BSDF. The contribution has the weight of the multi-sample power
+        heuristic (Veach 1997), and is divided by the density of one light sample."""
+        value, pdf = self.scattering.evaluate(light.direction)
+        of_bsdf = torch.where(light.distance > 1e30, self.bsdf_count, 1) * pdf
+        return value * light.radiance / (1.0 + (of_bsdf / (self.count * light.pdf)).square()) / light.pdf, pdf
+
+    def bsdf_value(self, uniforms: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """The same of a BSDF sample, as if it were one of as many samples as there are light samples; and its direction."""
+        direction, weight, pdf = self.scattering.sample(uniforms)
+        lights, together = self.count * self.lights.environment_pdf(self.surface.position, direction), self.bsdf_count * pdf
+        share = together.square() / (together.square() + lights.square()).clamp(min=1e-30) / self.bsdf_count
+        return weight * self.power.lights.environment.radiance(direction) * share * self.count, pdf, direction
 
     def candidates(self) -> tuple[torch.Tensor, ...]:
         """Direction `[C, 3, COUNT]` of each of C candidates; luminance and resampling target, float64, and density of the BSDF,
         `[C, COUNT]`."""
-        query = self.power.lights.query(self.surface.position)
-        first, directions, bright, target, densities = self.random.uniform(0, 6), [], [], [], []
+        query, first, found = self.power.lights.query(self.surface.position), dimensions.vertex(1), []
         for number in range(self.count):
-            uniforms = self.random.uniform(dimensions.candidate(number), 6) if number else first.clone()
-            uniforms[0] = ((first[0] + number / self.count) % 1.0).clamp(2.0**-24, 1.0 - 2.0**-24)
-            light = self.lights.draw(query, uniforms)
-            value, pdf = self.scattering.evaluate(light.direction)
-            weight = self.weight(light.pdf, pdf)
-            directions.append(light.direction)
-            bright.append(luminance(value * light.radiance * weight).double())
-            target.append(bright[-1] * self.lights.expected_visibility(light.cluster))
-            densities.append(pdf)
-        return tuple(torch.stack(values) for values in (directions, bright, target, densities))
+            light = self.random.stratified(first + dimensions.LIGHT, 6, 1, number) if number else self.random.uniform(0, 6)
+            drawn = self.lights.draw(query, light)
+            found.append((*self.light_value(drawn), drawn.direction, drawn.cluster))
+        for number in range(1, self.bsdf_count):
+            value, pdf, direction = self.bsdf_value(self.random.stratified(first + dimensions.BSDF, 3, 1, number))
+            texel = self.power.lights.sampled_environment.texels(direction)
+            found.append((value, pdf, direction, self.power.lights.clusters.cluster(texel)))
+        value, densities, directions, cluster = (torch.stack(each) for each in zip(*found))
+        bright = torch.stack([luminance(each).double() for each in value])
+        target = bright * torch.stack([self.lights.expected_visibility(each) for each in cluster])
+        return directions, bright, target, densities
 
 
-def test_candidates_are_kept_in_proportion_to_their_targets():
+@pytest.mark.parametrize("counts", [Counts(), Counts(3, 0), Counts(2, 3)])
+def test_candidates_are_kept_in_proportion_to_their_targets(counts):
     """Against plain arithmetic over all candidates: which one is kept, how often, and its weight."""
-    spot = Spot()
+    spot = Spot(counts=counts)
     directions, bright, target, densities = spot.candidates()
     found = spot.sample()
     lit = target.sum(0) > 0.0
@@ -79,14 +89,16 @@ def test_candidates_are_kept_in_proportion_to_their_targets():
     torch.testing.assert_close(luminance(found.value).double(), expected, rtol=1e-4, atol=1e-9)
 
 
+@pytest.mark.parametrize("bsdf, share", [(0, 0.6), (1, 1.0)])
 @pytest.mark.parametrize("material", ["coated", "glossy metal"])
-def test_resampling_keeps_the_mean_and_reduces_the_variance(material):
-    """With four candidates."""
-    spot = Spot(material, 4)
-    one, best = spot.candidates()[1][1], luminance(spot.sample().value).double()
+def test_resampling_keeps_the_mean_and_reduces_the_variance(material, bsdf, share):
+    """With four light samples; against one of them and the BSDF sample, if there is one."""
+    spot = Spot(material, Counts(4, bsdf))
+    bright, best = spot.candidates()[1], luminance(spot.sample().value).double()
+    one = bright[1] + bright[4:].sum(0) / 4
     error = ((one.var() + best.var()) / COUNT).sqrt()
     assert z_test((one.mean() - best.mean())[None].numpy(), error[None].numpy()) > SIGNIFICANCE
-    assert float(best.var()) < 0.6 * float(one.var())
+    assert float(best.var()) < share * float(one.var())
 
 
 def test_squared_contributions_are_second_moments_by_cluster():
@@ -94,9 +106,7 @@ def test_squared_contributions_are_second_moments_by_cluster():
     spot = Spot()
     query = spot.power.lights.query(spot.surface.position)
     light = spot.lights.draw(query, PixelRandom(9, 1, torch.arange(COUNT)).uniform(0, 6))
-    value, pdf = spot.scattering.evaluate(light.direction)
-    weight = spot.weight(light.pdf, pdf)
-    plain = (luminance(value * light.radiance * weight).square() * light.share).double()
+    plain = (luminance(spot.light_value(light)[0]).square() * light.share).double()
     found = spot.sample()
     squared = found.clusters.contribution_rms.double().square()
     differences, errors = [], []

@@ -62,7 +62,8 @@ class LightDistribution(Protocol):
 
     first_step: step since which the distribution has not changed. Its random numbers may be stratified over the steps from this
     step on. count: number of light samples from which `sample` makes one. The multi-sample power heuristic (Veach 1997)
-    multiplies their density by this number.
+    multiplies their density by this number. bsdf_count: number of BSDF samples whose directions into the environment count, with
+    the one that continues the path.
     """
 
     @property
@@ -70,6 +71,9 @@ class LightDistribution(Protocol):
 
     @property
     def count(self) -> int: ...
+
+    @property
+    def bsdf_count(self) -> int: ...
 
     def select(self, index: Tensor) -> Self:
         """Distribution for the paths at `index`, int64 `[M]`."""

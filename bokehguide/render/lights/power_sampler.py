@@ -22,7 +22,7 @@ class PowerLightSampler(LightSampler):
     The sampler is also the distribution that `at` returns. The distribution depends on the cell of a point, and never changes.
     """
 
-    first_step, count = 1, 1
+    first_step, count, bsdf_count = 1, 1, 1
     in_core = True
 
     def __init__(self, lights: Lights):
