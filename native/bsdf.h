@@ -69,7 +69,7 @@ struct Microfacets {
 struct CoatAlbedo {
     static constexpr int ROWS = 32, COLUMNS = 64, WIDTH = COLUMNS + 1;
     static constexpr float STEEP_MARGIN = 0.4f, GRAZING_MARGIN = 0.2f, LOWEST = 0.42169650343f;  // LOWEST: eighth root of MIN_ALPHA
-    const float* table;
+    const int32_t* table;
     Float f0, rise, margin, down;
     Int start;
     bool isotropic;
@@ -88,6 +88,12 @@ struct CoatAlbedo {
     }
     static Float between(Float first, Float second, Float share) { return first + (second - first) * share; }
     Float mixed(Float steep, Float grazing) const { return f0 * steep + rise * grazing; }
+    // Albedo at places in the table (`packed_table`).
+    Float corner(Int place) const {
+        const Int packed = gather(table, place);
+        const Float steep = to_float(packed & 0xffff), grazing = to_float((packed >> 16) & 0xffff);
+        return mixed(steep, grazing) * (1.0f / 65535.0f);
+    }
 
     Float towards(const Microfacets& facets, Vec3 direction, Float cosine) const {
         Int row = start;
@@ -96,8 +102,7 @@ struct CoatAlbedo {
         const Float column = sqrt(sqrt(at_most(at_least_zero(cosine), 1.0f))) * float(COLUMNS - 1);
         const Float left = at_most(floor(column), float(COLUMNS - 2)), right = column - left;
         const Int place = row + to_int(left);
-        const auto corner = [&](int step) { return mixed(gather(table, place + step), gather(table, place + (step + ROWS * WIDTH))); };
-        const Float albedo = between(between(corner(0), corner(1), right), between(corner(WIDTH), corner(WIDTH + 1), right), below);
+        const Float albedo = between(between(corner(place), corner(place + 1), right), between(corner(place + WIDTH), corner(place + (WIDTH + 1)), right), below);
         return isotropic ? albedo : albedo + margin * mixed(all(STEEP_MARGIN), GRAZING_MARGIN * fifth_power(1.0f - cosine));
     }
     Float mean(const Microfacets& facets) const {
@@ -105,8 +110,7 @@ struct CoatAlbedo {
         Float below = down;
         if (!isotropic) choose_row(facets.along, row, below);
         const Int place = row + COLUMNS;
-        const auto corner = [&](int step) { return mixed(gather(table, place + step), gather(table, place + (step + ROWS * WIDTH))); };
-        const Float albedo = between(corner(0), corner(WIDTH), below);
+        const Float albedo = between(corner(place), corner(place + WIDTH), below);
         return isotropic ? albedo : albedo + margin * mixed(all(STEEP_MARGIN), all(GRAZING_MARGIN / 21.0f));
     }
 };

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.render.bsdf.coat_albedo import coat_table
+from bokehguide.render.bsdf.coat_albedo import packed_table
 from bokehguide.render.bsdf.sheen import albedo_table
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.lights.base import LightSampler
@@ -282,7 +282,7 @@ def _material_tables(materials: Materials) -> Tables:
         "parameters": materials.parameters,
         "emission": materials.emission,
         "specular_color": materials.specular_color,
-        "coat_albedo": coat_table(torch.device("cpu")),
+        "coat_albedo": packed_table(),
         "clearcoat": materials.clearcoat,
         "sheen": materials.sheen,
         "sheen_albedo": None if materials.sheen is None else albedo_table(),

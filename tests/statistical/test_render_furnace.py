@@ -83,9 +83,8 @@ def test_a_white_base_under_a_coat_reflects_all_light_at_every_angle(roughness, 
     parameters = {"base_color": WHITE, "roughness": roughness, "ior": ior}
 
     def values(outgoing, incoming):
-        bsdf = OpaqueBSDF(
-            torch.from_numpy(outgoing).float().expand(3, incoming.shape[1]), surface(incoming.shape[1], **parameters)
-        )
+        count = incoming.shape[1]
+        bsdf = OpaqueBSDF(torch.from_numpy(outgoing).float().expand(3, count), surface(count, **parameters))
         return bsdf.evaluate(torch.from_numpy(incoming).float())[0].double().numpy()
 
     reflected = [albedo(degrees, 13, [max(roughness**2, MIN_ALPHA)], values).max() for degrees in DEGREES]

@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import grid_sample
 
 from bokehguide.render.bsdf.microfacets import MIN_COSINE, Microfacets, sample_visible_normal, smith_root
 from bokehguide.render.geometry import MIN_ALPHA
@@ -79,47 +80,42 @@ class CoatAlbedo:
 
     def __init__(self, facets: Microfacets, f0: Tensor, rise: Tensor):
         self._facets, self._f0, self._rise = facets, f0, rise
-        self._table = coat_table(f0.device).flatten()
+        self._table = coat_table(f0.device)[None]
         self._margin = None if facets.along is None else facets.along - facets.alpha
         self._row = _row(facets.alpha) if facets.along is None else None
 
     def towards(self, direction: Tensor, cosine: Tensor) -> Tensor:
         """Albedo `[N]` for directions `[3, N]` with the cosine `cosine` `[N]` to the normal."""
-        start, down = _row(self._facets.facing(direction)) if self._row is None else self._row
-        column = _at_least_zero(cosine).clamp(max=1.0).sqrt().sqrt() * (COLUMNS - 1)
-        left = column.floor().clamp(max=COLUMNS - 2)
-        place, right = start + left.long(), column - left
-        albedo = torch.lerp(
-            torch.lerp(self._corner(place), self._corner(place + 1), right),
-            torch.lerp(self._corner(place + WIDTH), self._corner(place + (WIDTH + 1)), right),
-            down,
-        )
+        row = _row(self._facets.facing(direction)) if self._row is None else self._row
+        albedo = self._lookup(cosine.clamp(0.0, 1.0).sqrt().sqrt() * (2.0 * (COLUMNS - 1) / COLUMNS) - 1.0, row)
         if self._margin is None:
             return albedo
         return albedo + self._margin * (self._f0 * STEEP_MARGIN + self._rise * fifth_power(1.0 - cosine) * GRAZING_MARGIN)
 
     def mean(self) -> Tensor:
         """Mean albedo `[N]` under uniform illumination; for anisotropic coats, a lower bound of the mean of `towards`."""
-        facets = self._facets
-        start, down = _row(facets.alpha if facets.along is None else facets.along)
-        albedo = torch.lerp(self._corner(start + COLUMNS), self._corner(start + (WIDTH + COLUMNS)), down)
+        row = _row(self._facets.along) if self._row is None and self._facets.along is not None else self._row
+        assert row is not None
+        albedo = self._lookup(torch.ones_like(row), row)
         if self._margin is None:
             return albedo
         return albedo + self._margin * (self._f0 * STEEP_MARGIN + self._rise * (GRAZING_MARGIN / 21.0))
 
-    def _corner(self, place: Tensor) -> Tensor:
-        """Albedo `[N]` at places in the table."""
-        return self._f0 * self._table[place] + self._rise * self._table[place + ROWS * WIDTH]
+    def _lookup(self, column: Tensor, row: Tensor) -> Tensor:
+        """Albedo `[N]`, bilinear, at columns and rows `[N]` from -1, the first, to 1, the last."""
+        place = torch.stack((column, row), dim=1)[None, None]
+        steep, grazing = grid_sample(self._table, place, padding_mode="border", align_corners=True)[0, :, 0]
+        return self._f0 * steep + self._rise * grazing
 
 
-def _row(alpha: Tensor) -> tuple[Tensor, Tensor]:
-    """Place of the first column of the row above α `[N]`, and the share of the row below."""
+def _row(alpha: Tensor) -> Tensor:
+    """Row of α `[N]` in the table, from -1 to 1."""
     lowest = MIN_ALPHA**0.125
-    row = _at_least_zero(alpha.sqrt().sqrt().sqrt() - lowest) * ((ROWS - 1) / (1.0 - lowest))
-    upper = row.floor().clamp(max=ROWS - 2)
-    return upper.long() * WIDTH, row - upper
+    return (alpha.sqrt().sqrt().sqrt() - lowest) * (2.0 / (1.0 - lowest)) - 1.0
 
 
-def _at_least_zero(x: Tensor) -> Tensor:
-    """The larger of `x` and 0; 0 for NaN, so that places stay in the table."""
-    return torch.fmax(x, x.new_zeros(()))
+def packed_table() -> Tensor:
+    """The table for the native core, `[ROWS * WIDTH]` int32: S in the lower 16 bits and B in the upper, in units of 1 / 65535."""
+    steep, grazing = (coat_table(torch.device("cpu")) * 65535.0).round().clamp(0.0, 65535.0).long().flatten(1)
+    packed = steep + 65536 * grazing
+    return torch.where(packed >= 2**31, packed - 2**32, packed).int()
