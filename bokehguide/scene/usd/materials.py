@@ -99,7 +99,7 @@ class _Surface:
     def look(self) -> Look:
         """The node as a material."""
         color, image = self._color("diffuseColor", DEFAULT_GREY)
-        if max(color) > 1.0:
+        if max(color) > 1.0 + 1e-6:
             self._opened.lose("diffuse colours above 1: 1 in their place", self._name)
         fields: dict[str, Any] = {"base_color": _fractions(color), "base_color_texture": self._whole(image)}
         fields |= self._specular() | self._clearcoat() | self._emission()
