@@ -21,7 +21,7 @@ from PIL import Image
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, group_layers, to_8_bit, write_exr, write_png
-from bokehguide.image.cryptomatte import require_hash
+from bokehguide.image.cryptomatte import LAYERS, manifest, mask, require_hash
 from bokehguide.image.oidn import require_denoiser
 from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
@@ -108,6 +108,20 @@ class Picture:
         else:
             raise BokehguideError(f"Picture.save: {shown(str(path))} has another suffix; give .exr or .png")
         return path
+
+    def matte(self, name: str, kind: str = "object") -> np.ndarray:
+        """The coverage of an object or a material through the lens, float32 `[H, W]` from 0 to 1. kind: "object" or "material".
+
+        Raises BokehguideError for another name or kind, and for a picture without mattes.
+        """
+        if kind not in LAYERS:
+            raise BokehguideError(f'Picture.matte: kind {shown(kind)} is unknown; give "object" or "material"')
+        if not self.mattes:
+            raise BokehguideError("Picture.matte: the picture has no mattes; render with cryptomatte=True")
+        names = manifest(kind, self.metadata)
+        if name not in names:
+            raise BokehguideError(f"Picture.matte: no {kind} is named {shown(name)}; {did_you_mean(name, names)}")
+        return mask(kind, names[name], self.mattes)
 
     def show(self) -> None:
         """Show the picture in the notebook, else in the desktop's image viewer."""

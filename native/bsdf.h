@@ -6,7 +6,7 @@
 
 namespace BOKEHGUIDE_ISA {
 
-constexpr float MIN_COSINE = 1e-6f, TRACE = 0.006f, SMOOTH_ALPHA = 4e-3f, DELTA_PDF = 1e30f;
+constexpr float MIN_COSINE = 1e-6f, FILM_TRACE = 0.006f, SMOOTH_ALPHA = 4e-3f, DELTA_PDF = 1e30f;
 
 inline Float ggx_density(Vec3 half, Float alpha) {
     const Float a2 = alpha * alpha, t = (half.x * half.x + half.y * half.y) / a2 + half.z * half.z;
@@ -24,10 +24,6 @@ inline Vec3 sample_visible_normal(Vec3 outgoing, Float alpha, Float along, Float
     const Float z = (1.0f - u) * (1.0f + stretched.z) - stretched.z, radius = sqrt(at_least(1.0f - z * z, 0.0f));
     const Vec3 half = Vec3{radius * cosine, radius * sine, z} + stretched;
     return normalize({half.x * along, half.y * alpha, at_least(half.z, 1e-12f)});
-}
-
-inline Float coat_spread(Float alpha) {
-    return 0.06f + 0.934f / (1.0f + alpha * alpha * alpha * float(1.0 / (0.27 * 0.27 * 0.27)));
 }
 
 inline Float smith_root(Float cosine, Float a2) { return sqrt(a2 + (1.0f - a2) * cosine * cosine); }
@@ -69,28 +65,78 @@ struct Microfacets {
     }
 };
 
+// `CoatAlbedo` of coat_albedo.py.
+struct CoatAlbedo {
+    static constexpr int ROWS = 32, COLUMNS = 64, WIDTH = COLUMNS + 1;
+    static constexpr float STEEP_MARGIN = 0.4f, GRAZING_MARGIN = 0.2f, LOWEST = 0.42169650343f;  // LOWEST: eighth root of MIN_ALPHA
+    const int32_t* table;
+    Float f0, rise, margin, down;
+    Int start;
+    bool isotropic;
+
+    CoatAlbedo() = default;
+    CoatAlbedo(const Tables& t, const Microfacets& facets, Float f0, Float rise)
+        : table(t.coat_albedo), f0(f0), rise(rise), margin(facets.along - facets.alpha), isotropic(facets.isotropic) {
+        if (isotropic) choose_row(facets.alpha, start, down);
+    }
+    // 0 for NaN, so that places stay in the table.
+    static Float at_least_zero(Float x) { return x > all(0.0f) ? x : all(0.0f); }
+    static void choose_row(Float alpha, Int& start, Float& down) {
+        const Float row = at_least_zero(sqrt(sqrt(sqrt(alpha))) - LOWEST) * (float(ROWS - 1) / (1.0f - LOWEST));
+        const Float upper = at_most(floor(row), float(ROWS - 2));
+        start = to_int(upper) * WIDTH, down = row - upper;
+    }
+    static Float between(Float first, Float second, Float share) { return first + (second - first) * share; }
+    Float mixed(Float steep, Float grazing) const { return f0 * steep + rise * grazing; }
+    // Albedo at places in the table (`packed_table`).
+    Float corner(Int place) const {
+        const Int packed = gather(table, place);
+        const Float steep = to_float(packed & 0xffff), grazing = to_float((packed >> 16) & 0xffff);
+        return mixed(steep, grazing) * (1.0f / 65535.0f);
+    }
+
+    Float towards(const Microfacets& facets, Vec3 direction, Float cosine) const {
+        Int row = start;
+        Float below = down;
+        if (!isotropic) choose_row(facets.facing(direction), row, below);
+        const Float column = sqrt(sqrt(at_most(at_least_zero(cosine), 1.0f))) * float(COLUMNS - 1);
+        const Float left = at_most(floor(column), float(COLUMNS - 2)), right = column - left;
+        const Int place = row + to_int(left);
+        const Float albedo = between(between(corner(place), corner(place + 1), right), between(corner(place + WIDTH), corner(place + (WIDTH + 1)), right), below);
+        return isotropic ? albedo : albedo + margin * mixed(all(STEEP_MARGIN), GRAZING_MARGIN * fifth_power(1.0f - cosine));
+    }
+    Float mean(const Microfacets& facets) const {
+        Int row = start;
+        Float below = down;
+        if (!isotropic) choose_row(facets.along, row, below);
+        const Int place = row + COLUMNS;
+        const Float albedo = between(corner(place), corner(place + WIDTH), below);
+        return isotropic ? albedo : albedo + margin * mixed(all(STEEP_MARGIN), all(GRAZING_MARGIN / 21.0f));
+    }
+};
+
 struct Clearcoat {
     bool tilted;
     Frame frame;
     Vec3 outgoing;
-    Float weight, minimum, spread, leaving, reflectance;
+    Float weight, leaving, reflectance;
     Microfacets facets;
+    CoatAlbedo albedo;
 
     Clearcoat() = default;
-    Clearcoat(Vec3 seen_from, const Surface& s, bool tilts, Vec3 normal) : tilted(tilts) {
+    Clearcoat(const Tables& t, Vec3 seen_from, const Surface& s, Vec3 normal) : tilted(t.tilts_coats) {
         if (tilted) frame = frame_about(normal);
         outgoing = to_own(seen_from);
         const Float cosine = at_least(outgoing.z, MIN_COSINE);
         weight = s.clearcoat;
         facets = Microfacets(outgoing, s.clearcoat_alpha);
-        minimum = weight * (CLEARCOAT_F0 + TRACE * (1.0f - CLEARCOAT_F0));
-        spread = weight * coat_spread(s.clearcoat_alpha) * (1.0f - CLEARCOAT_F0);
-        leaving = passing(cosine);
+        albedo = CoatAlbedo(t, facets, weight * CLEARCOAT_F0, weight * (1.0f - CLEARCOAT_F0));
+        leaving = passing(outgoing, cosine);
         reflectance = weight * (CLEARCOAT_F0 + (1.0f - CLEARCOAT_F0) * fifth_power(1.0f - cosine));
     }
     Vec3 to_own(Vec3 direction) const { return tilted ? to_local(direction, frame) : direction; }
     Vec3 from_own(Vec3 direction) const { return tilted ? to_world(direction, frame) : direction; }
-    Float passing(Float cosine) const { return 1.0f - minimum - spread * fifth_power(1.0f - cosine); }
+    Float passing(Vec3 direction, Float cosine) const { return 1.0f - albedo.towards(facets, direction, cosine); }
 
     void evaluate(Vec3 incoming, Vec3 half, Float grazing, Float& value, Float& pdf, Float& beneath, Float& above) const {
         incoming = to_own(incoming), half = to_own(half);
@@ -100,13 +146,13 @@ struct Clearcoat {
         facets.evaluate(half, incoming, visibility, pdf);
         value = weight * visibility * (CLEARCOAT_F0 + (1.0f - CLEARCOAT_F0) * grazing) * (cosine * above);
         pdf = pdf * one_if(half.z > all(0.0f));
-        beneath = min(leaving, passing(cosine));
+        beneath = min(leaving, passing(incoming, cosine));
     }
     // Weight of light from below the surface, and 1 below the clearcoat's horizon, else 0.
     Float transmitted(Vec3 incoming, Float& below) const {
-        const Float towards = to_own(incoming).z;
-        below = one_if(towards <= all(0.0f));
-        return min(leaving, passing(at_most(abs(towards), 1.0f)));
+        incoming = to_own(incoming);
+        below = one_if(incoming.z <= all(0.0f));
+        return min(leaving, passing(incoming, at_most(abs(incoming.z), 1.0f)));
     }
 };
 
@@ -213,8 +259,9 @@ inline Vec3 film_reflectance(Vec3 f0, Float ior, Float thickness, Float cosine) 
 struct Opaque {
     Vec3 outgoing, base_color, f0;
     bool coated, shines, transmits, filmed;
-    Float cosine, metallic, f90, minimum, rise, spread, leaving, specular_share, clearcoat_share, sheen_share, below_share;
+    Float cosine, metallic, f90, leaving, specular_share, clearcoat_share, sheen_share, below_share;
     Microfacets facets;
+    CoatAlbedo albedo;
     Clearcoat clearcoat;
     Sheen sheen;
     Float diffuse_transmission, specular;
@@ -241,21 +288,18 @@ struct Opaque {
         coated = t.clearcoat != nullptr, shines = t.sheen != nullptr, transmits = t.diffuse_transmission != nullptr;
         if (shines) sheen = Sheen(t, cosine, s);
         if (transmits) diffuse_transmission = s.diffuse_transmission, transmission_color = s.transmission_color;
-        if (coated) clearcoat = Clearcoat(outgoing, s, t.tilts_coats, to_local(s.clearcoat_normal, frame));
+        if (coated) clearcoat = Clearcoat(t, outgoing, s, to_local(s.clearcoat_normal, frame));
         choose_shares(peak);
-        rise = f90 - peak;
-        minimum = peak + TRACE * rise, spread = coat_spread(facets.along) * rise;
-        Float entering = at_least(1.0f - minimum - spread * (1.0f / 21.0f), 1e-4f);
+        albedo = CoatAlbedo(t, facets, peak, f90 - peak);
+        Float entering = at_least(1.0f - albedo.mean(facets), 1e-4f);
         if (filmed) entering = at_least(entering + (passing_film(all(1.0f)) * (20.0f / 21.0f) - entering) * iridescence, 1e-4f);
         leaving = (1.0f - metallic) * passing(outgoing, cosine) / (PI * entering);
     }
-    // spread: of isotropic coats, the same for all directions.
     Float passing(Vec3 direction, Float towards) const {
-        const Float share = facets.isotropic ? spread : coat_spread(facets.facing(direction)) * rise;
-        const Float passed = at_least(1.0f - minimum - share * fifth_power(1.0f - towards), 0.0f);
+        const Float passed = at_least(1.0f - albedo.towards(facets, direction, towards), 0.0f);
         return filmed ? passed + (passing_film(towards) - passed) * iridescence : passed;
     }
-    Float passing_film(Float towards) const { return (1.0f - TRACE) * (1.0f - film_bound(f0, film_ior, film_thickness, towards)); }
+    Float passing_film(Float towards) const { return (1.0f - FILM_TRACE) * (1.0f - film_bound(f0, film_ior, film_thickness, towards)); }
 
     // `_fresnel`: reflectances of coat and metal with a film.
     void film_fresnel(Float towards, Float grazing, Vec3& coat, Vec3& metal) const {

@@ -9,7 +9,7 @@ posters, and the specification of Psyop's repository.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import ModuleType
 
 import numpy as np
@@ -61,6 +61,24 @@ def attributes(kind: str, names: Iterable[str]) -> dict[str, str]:
     facts = {"name": layer, "hash": "MurmurHash3_32", "conversion": "uint32_to_float32"}
     facts["manifest"] = json.dumps(manifest, separators=(",", ":"))
     return {f"{key}/{fact}": text for fact, text in facts.items()}
+
+
+def manifest(kind: str, attributes: Mapping[str, object]) -> dict[str, str]:
+    """The identifier of each name, in hexadecimal digits, in header attributes; empty without the layer of `kind`."""
+    prefix = next(
+        (key.removesuffix("name") for key, value in attributes.items() if key.endswith("/name") and value == LAYERS[kind]), ""
+    )
+    return json.loads(str(attributes.get(f"{prefix}manifest", "{}"))) if prefix else {}
+
+
+def mask(kind: str, digits: str, layers: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The coverage of a name, float32 `[H, W]`. digits: its identifier, of the manifest; layers: by the keys of CHANNELS."""
+    wanted = np.uint32(int(digits, 16))
+    planes_of_kind = [layers[f"{kind}{number:02}"] for number in range(RANKS // 2)]
+    ranks = [np.ascontiguousarray(plane[..., start : start + 2]) for plane in planes_of_kind for start in (0, 2)]
+    return sum(
+        (rank[..., 1] * (rank[..., 0].view(np.uint32) == wanted) for rank in ranks), np.zeros(ranks[0].shape[:2], np.float32)
+    )
 
 
 def planes(kind: str, identifiers: np.ndarray, coverage: np.ndarray) -> dict[str, np.ndarray]:

@@ -62,7 +62,8 @@ def _materials(scene: Scene) -> str:
 def _lights(scene: Scene, emitters: Emitters) -> str:
     emitting = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
     triangles = sum(len(mesh.triangles) for mesh in emitting)
-    near = f"{triangles:,} emissive triangles in {(~emitters.infinite).sum()} emitters"
+    count = int((~emitters.infinite).sum())
+    near = f"{triangles:,} emissive {_plural(triangles, 'triangle')} in {count} {_plural(count, 'emitter')}"
     peaks = emitters.infinite.sum() - len(scene.suns)
     return "; ".join([near, *map(_sun, scene.suns), _environment(scene.environment, peaks)])
 
@@ -78,7 +79,11 @@ def _environment(environment: Environment | None, peaks: int) -> str:
     hidden = "" if environment.visible else ", not visible to the camera"
     if (height, width) == (1, 1):
         return f"environment of colour {_vector(environment.radiance[0, 0])}{hidden}"
-    return f"environment map of {width} × {height} texels with {peaks} peaks{hidden}"
+    return f"environment map of {width} × {height} texels with {peaks} {_plural(peaks, 'peak')}{hidden}"
+
+
+def _plural(count: int, noun: str) -> str:
+    return noun if count == 1 else f"{noun}s"
 
 
 def _lens(camera: Camera) -> str:

@@ -54,6 +54,10 @@ EXPOSURE = Limits(f'EV from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}, or "auto"', l
 COUNT = Limits(f"a whole number of 1 or more, up to {MAX_SIDE}", low=1, high=MAX_SIDE)
 
 
+LONGEST_LIST = 200
+"""Characters of a list of known words in an error."""
+
+
 class _Short(reprlib.Repr):
     """Values as they were written, shortened to one line."""
 
@@ -75,10 +79,15 @@ def is_number(value: Any) -> bool:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """A hint: the word of `known` that is most similar, or all of them."""
+    """A hint: the word of `known` that is most similar; all of them if none is, or the nearest three of a long list."""
     known = list(known)
     near = difflib.get_close_matches(word, known, n=1)
-    return f"did you mean {shown(near[0])}?" if near else printable(f"known are {', '.join(known)}", 600)
+    if near:
+        return f"did you mean {shown(near[0])}?"
+    listed = f"known are {', '.join(known)}"
+    if len(listed) > LONGEST_LIST:
+        listed = f"the nearest of {len(known)} known are {', '.join(difflib.get_close_matches(word, known, n=3, cutoff=0.0))}"
+    return printable(listed, LONGEST_LIST)
 
 
 class Table:

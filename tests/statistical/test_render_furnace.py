@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from bokehguide.render.bsdf.coat_albedo import CoatAlbedo
 from bokehguide.render.bsdf.dielectric import DielectricBSDF
+from bokehguide.render.bsdf.microfacets import Microfacets
 from bokehguide.render.bsdf.opaque import OpaqueBSDF
 from bokehguide.render.geometry import MIN_ALPHA
-from tests.support.scattering_formulas import brdf, glass_reflection, glass_refraction, sheet_transmission
+from tests.support.scattering_formulas import brdf, glass_reflection, glass_refraction, sheet_transmission, stopped
 from tests.support.sphere import LobeGrid, even_square, surface, tilted, visible_normals
 
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
@@ -73,6 +75,34 @@ def test_clearcoats_of_every_roughness_create_nothing(beneath, roughness):
     reflected = [check_opaque(parameters, degrees) for degrees in DEGREES]
     assert max(reflected) < 1.0 + ROUNDING
     assert reflected[0] > 0.93
+
+
+@pytest.mark.parametrize("ior", [1.1, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize("roughness", ROUGHNESS)
+def test_a_white_base_under_a_coat_reflects_all_light_at_every_angle(roughness, ior):
+    parameters = {"base_color": WHITE, "roughness": roughness, "ior": ior}
+
+    def values(outgoing, incoming):
+        count = incoming.shape[1]
+        bsdf = OpaqueBSDF(torch.from_numpy(outgoing).float().expand(3, count), surface(count, **parameters))
+        return bsdf.evaluate(torch.from_numpy(incoming).float())[0].double().numpy()
+
+    reflected = [albedo(degrees, 13, [max(roughness**2, MIN_ALPHA)], values).max() for degrees in DEGREES]
+    assert min(reflected) > 0.995 and max(reflected) < 1.0 + ROUNDING
+
+
+@pytest.mark.parametrize("alpha", [MIN_ALPHA, 0.0123, 0.087, 0.25, 0.5, 1.0])
+def test_the_table_of_coats_holds_their_albedos(alpha):
+    cosine = torch.linspace(0.15, 1.0, 97) ** 4
+    direction = torch.stack(((1.0 - cosine**2).sqrt(), torch.zeros_like(cosine), cosine))
+    facets = Microfacets(direction, torch.full_like(cosine, alpha))
+    for f0 in (0.0, 0.04, 0.5, 1.0):
+        coat = CoatAlbedo(facets, torch.full_like(cosine, f0), torch.full_like(cosine, 1.0 - f0))
+        expected = stopped(cosine.double().numpy(), f0, 1.0, alpha)
+        np.testing.assert_allclose(coat.towards(direction, cosine).numpy(), expected, atol=3e-3)
+        angle = (np.arange(4096) + 0.5) / 4096
+        mean = 2.0 * (stopped(angle, f0, 1.0, alpha) * angle).mean()
+        np.testing.assert_allclose(coat.mean().numpy(), mean, atol=1e-3)
 
 
 def check_glass(degrees: float, roughness: float, thin: bool, front: bool) -> None:

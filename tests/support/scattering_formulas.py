@@ -6,6 +6,8 @@ glTF 2.0 appendix B with KHR_materials_ior, _specular and _clearcoat; Walter et 
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 Alpha = float | tuple[float, float]
@@ -40,10 +42,55 @@ def facing(directions: np.ndarray, alpha: Alpha) -> np.ndarray:
     return np.sqrt((x * np.cos(azimuth)) ** 2 + (y * np.sin(azimuth)) ** 2)
 
 
+@cache
+def coat_albedos(alpha: float) -> np.ndarray:
+    """Albedos `[2, 257]` of microfacets that reflect all, and (1 - cos)⁵, of light; for cosines (n / 256)⁴.
+
+    Gauss-Legendre quadrature over the projected disc of visible normals (Heitz 2018).
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(80)
+    across, up = np.meshgrid(0.5 * (nodes + 1.0), 0.5 * (nodes + 1.0))
+    area = np.outer(weights, weights).ravel() * 0.5 * across.ravel()  # 2 r dr
+    radius, angle = across.ravel(), np.pi * up.ravel()  # the half turn in which x is at least 0
+    x, flat = radius * np.sin(angle), radius * np.cos(angle)
+    found = []
+    for cosine in np.maximum((np.arange(257) / 256.0) ** 4, 1e-6):
+        outgoing = np.array([np.sqrt(1.0 - cosine**2), 0.0, cosine])
+        view = outgoing * (alpha, alpha, 1.0)
+        view = view / np.linalg.norm(view)
+        side, down = np.array([0.0, 1.0, 0.0]), np.array([-view[2], 0.0, view[0]])
+        share = 0.5 * (1.0 + view[2])
+        y = (1.0 - share) * np.sqrt(1.0 - x * x) + share * flat
+        z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
+        half = (np.outer(side, x) + np.outer(down, y) + np.outer(view, z)) * np.array([alpha, alpha, 1.0])[:, None]
+        half = half / np.linalg.norm(half, axis=0)
+        towards = outgoing @ half
+        incoming = 2.0 * towards * half - outgoing[:, None]
+        incoming = np.where(incoming[2] > 1e-12, incoming, np.array([0.0, 0.0, 1.0])[:, None])
+        lost = smith_lambda(outgoing[:, None], alpha)
+        weight = (1.0 + lost) / (1.0 + lost + smith_lambda(incoming, alpha)) * (2.0 * towards * half[2] > outgoing[2])
+        found.append((area @ weight, area @ (weight * (1.0 - towards) ** 5)))
+    return np.array(found).T
+
+
 def stopped(cosine: np.ndarray, f0: float, f90: float, alpha: float) -> np.ndarray:
-    """T: what a coat keeps from the layers beneath it, never less than its albedo."""
-    spread = 0.06 + 0.934 / (1.0 + (alpha / 0.27) ** 3)
-    return f0 + (f90 - f0) * (0.006 + spread * (1.0 - cosine) ** 5)
+    """T: the albedo of an isotropic coat, `[N]`."""
+    steep, grazing = coat_albedos(alpha)
+    return np.interp(np.abs(cosine) ** 0.25, np.arange(257) / 256.0, f0 * steep + (f90 - f0) * grazing)
+
+
+def stopped_anisotropic(directions: np.ndarray, f0: float, f90: float, alphas: tuple[float, float]) -> np.ndarray:
+    """T of coats of α along x and along y: the albedo of the α towards the direction, and a margin; `[N]`."""
+    cosine, margin = np.abs(directions[2]), alphas[0] - alphas[1]
+    if margin == 0.0:
+        return stopped(cosine, f0, f90, alphas[0])
+    known = np.linspace(alphas[1] ** 0.125, alphas[0] ** 0.125, 24)
+    columns = np.stack([stopped(cosine, f0, f90, row**8) for row in known])
+    place = (facing(directions, alphas) ** 0.125 - known[0]) / (known[1] - known[0])
+    row = np.clip(np.floor(place).astype(int), 0, 22)
+    share, which = place - row, np.arange(len(cosine))
+    albedo = columns[row, which] * (1.0 - share) + columns[row + 1, which] * share
+    return albedo + margin * (0.4 * f0 + 0.2 * (f90 - f0) * (1.0 - cosine) ** 5)
 
 
 def brdf(
@@ -77,11 +124,10 @@ def brdf(
     f0 = np.minimum(((ior - 1.0) / (ior + 1.0)) ** 2 * np.asarray(specular_color), 1.0) * specular
     peak, base = f0.max(), np.asarray(base_color)[:, None]
     coat = f0[:, None] + (specular - f0[:, None]) * schlick
-    cosines = (outgoing[2], light[2])
-    planes = [facing(direction, alphas) for direction in (outgoing, light)]
-    under = np.multiply(*[1.0 - stopped(cosine, peak, specular, plane) for cosine, plane in zip(cosines, planes)])
+    under = np.multiply(*[1.0 - stopped_anisotropic(one, peak, specular, alphas) for one in (outgoing, light)])
     angle = (np.arange(4096) + 0.5) / 4096
-    entering = 2.0 * ((1.0 - stopped(angle, peak, specular, max(alphas))) * angle).mean()
+    margin = (alphas[0] - alphas[1]) * (0.4 * peak + 0.2 / 21.0 * (specular - peak))
+    entering = 2.0 * ((1.0 - stopped(angle, peak, specular, alphas[0])) * angle).mean() - margin
     facets = np.where(below, 0.0, mirrors(outgoing, light, alphas))
     through = np.asarray(transmission_color)[:, None] * diffuse_transmission
     lambertian = np.where(below, through, base * (1.0 - diffuse_transmission))

@@ -8,6 +8,7 @@ import torch
 from PIL import Image
 
 from bokehguide.color import srgb_to_linear
+from bokehguide.errors import BokehguideError
 from bokehguide.render.textures import TextureAtlas
 from bokehguide.scene import load_scene
 from bokehguide.scene.anisotropy import to_alphas
@@ -46,6 +47,21 @@ def test_roughness(tmp_path, remap, alpha):
         assert material(tmp_path, f'"{kind}" "float roughness" 0.25 {remap}').roughness ** 2 == pytest.approx(alpha)
     both = material(tmp_path, f'"conductor" "float uroughness" 0.25 "float vroughness" 0.25 {remap}')
     assert both.roughness**2 == pytest.approx(alpha)
+
+
+def test_reflectances_above_1_are_told(tmp_path):
+    scene = read(tmp_path, 'Material "diffuse" "rgb reflectance" [2 0.5 0.1]\nShape "sphere"\n')
+    assert "reflectances above 1: 1 in their place (diffuse)" in "\n".join(scene.warnings)
+    assert scene.materials[scene.meshes[0].material].base_color == (1.0, 0.5, 0.1)
+    scene = read(tmp_path, 'Material "diffuse" "rgb reflectance" [1 0.5 0.1]\nShape "sphere"\n')
+    assert "reflectances" not in "\n".join(scene.warnings)
+
+
+def test_materials_of_older_versions_name_the_converter(tmp_path):
+    with pytest.raises(BokehguideError, match="'matte': unknown in pbrt-v4; convert the file with pbrt --upgrade"):
+        material(tmp_path, '"matte"')
+    with pytest.raises(BokehguideError, match="did you mean 'diffuse'"):
+        material(tmp_path, '"difuse"')
 
 
 def test_metals(tmp_path):

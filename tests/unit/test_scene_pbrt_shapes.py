@@ -90,6 +90,18 @@ def test_ply_files_with_uvs(tmp_path):
     assert [mesh.name for mesh in scene.meshes] == ["a", "b"]
 
 
+def test_names_of_shapes_are_unique_and_their_groups_are_shared(tmp_path):
+    scene = read(
+        tmp_path,
+        'MakeNamedMaterial "gold" "string type" "conductor"\nShape "sphere"\n'
+        'NamedMaterial "gold"\nShape "sphere"\nShape "sphere"\n'
+        'ObjectBegin "tree"\nShape "disk"\nShape "sphere"\nObjectEnd\nObjectInstance "tree"\n',
+    )
+    assert [mesh.name for mesh in scene.meshes] == ["sphere", "sphere gold", "sphere gold 2", "tree", "tree 2"]
+    shared = [set(mesh.groups) for mesh in scene.meshes]
+    assert shared[2] == {"sphere gold", "sphere"} and shared[3] == {"tree", "disk"} and shared[4] == {"tree", "sphere"}
+
+
 MIXED = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0)], np.float32)
 
 

@@ -94,8 +94,11 @@ def test_the_defaults_are_those_of_the_specification(tmp_path):
 
 
 def test_wrong_constants_are_clamped(tmp_path):
-    found = Look(roughness=-3.0, metallic=float("nan"), diffuseColor=Gf.Vec3f(7, -1, 0.5), ior=0.0).of(tmp_path)
+    look = Look(roughness=-3.0, metallic=float("nan"), diffuseColor=Gf.Vec3f(7, -1, 0.5), ior=0.0)
+    found, text = look.of(tmp_path), "\n".join(look.scene(tmp_path).warnings)
     assert (found.roughness, found.metallic, found.ior) == (0, 0, 1) and found.base_color == (1, 0, 0.5)
+    for part in ("roughness outside 0 to 1: the nearest limit", "diffuse colours above 1", "colours below 0", "ior outside 1 to"):
+        assert part in text
 
 
 def test_the_specular_workflow(tmp_path):

@@ -166,6 +166,19 @@ def test_a_camera_without_an_f_stop_gets_a_lens_and_one_of_zero_none(tmp_path):
     assert loaded(stage, tmp_path).camera.focus_distance == pytest.approx(5.0), "of the middle of the frame"
 
 
+def test_cameras_with_negative_numbers_are_told_or_refused(tmp_path):
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    camera = UsdGeom.Camera.Define(stage, "/main")
+    camera.AddTranslateOp().Set(Gf.Vec3d(0, 0, 5))
+    camera.CreateFStopAttr(-1.0)
+    scene = loaded(stage, tmp_path)
+    assert scene.camera.aperture_radius == 0 and "f-stops below 0: a pinhole" in "\n".join(scene.warnings)
+    camera.CreateFocalLengthAttr(-35.0)
+    with pytest.raises(BokehguideError, match="/main: focalLength: -35 is out of range; give a number above 0"):
+        loaded(stage, tmp_path)
+
+
 def test_cameras_by_name_and_by_the_render_settings(tmp_path):
     stage = new_stage()
     add_mesh(stage, "/mesh")

@@ -16,8 +16,6 @@ from bokehguide.render.vector import normalize
 
 MIN_COSINE = 1e-6
 """Least cosine to the normal in BSDFs, so that terms of grazing directions stay finite."""
-TRACE = 0.006
-"""Residual of `coat_spread` at steep angles, where rough coats reflect more than Schlick's f0."""
 
 
 def ggx_density(half: Tensor, alpha: Tensor, along: Tensor | None = None) -> Tensor:
@@ -45,14 +43,6 @@ def sample_visible_normal(outgoing: Tensor, alpha: Tensor, uniforms: Tensor, alo
     hx, hy, hz = (torch.stack((sine * phi.cos(), sine * phi.sin(), z)) + stretched).unbind(0)
     # Half vectors stay above the surface, even if rounding makes their height 0.
     return normalize(torch.stack((hx * along, hy * alpha, hz.clamp(min=1e-12))))
-
-
-def coat_spread(alpha: Tensor) -> Tensor:
-    """Share `[N]` of Schlick's increase towards grazing angles in the albedo of a coat of roughness α `[N]`.
-
-    The share is an upper bound, fitted to numerical integrals of the microfacet coat for all f0 below 0.4.
-    """
-    return 0.06 + 0.934 / (1.0 + alpha * alpha * alpha * (1.0 / 0.27**3))
 
 
 def smith_root(cosine: Tensor, a2: Tensor) -> Tensor:

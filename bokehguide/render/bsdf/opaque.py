@@ -8,13 +8,13 @@ Directions are unit vectors `[3, N]` in the local shading frame, with z along th
 height-correlated Smith masking, anisotropic by KHR_materials_anisotropy.
 
 In glTF, the weight of the base under the coat is 1 - F(outgoing · half). At grazing angles, base and coat together then reflect
-up to 1.24 of the light. Here, the weight is the product of 1 - T for the incoming direction and 1 - T for the outgoing direction
-(Ashikhmin and Shirley 2000). T is an upper bound of the coat's albedo. At normal incidence, both weights are equal. At no angle
-does the surface reflect more light than arrives. For a coloured f0, T belongs to the largest channel.
+up to 1.24 of the light. Here, the weight is (1 - T(incoming)) (1 - T(outgoing)) / (1 - mean of T), with the albedo T of the coat
+(`coat_albedo.py`). A white base under a coat then reflects all light at every angle. The weight is reciprocal and conserves
+energy. For a coloured f0, T belongs to the largest channel. For anisotropic coats, T is an upper bound.
 
-A clearcoat covers base and coat. The weight of the layers beneath is min(1 - T(outgoing), 1 - T(incoming)), with the T of the
-clearcoat. The weight is reciprocal and conserves energy. Over a mirror, it equals the weight of glTF. Cosines and horizon refer
-to the clearcoat's normal.
+A clearcoat covers base and coat. The weight of the layers beneath is min(1 - T(outgoing), 1 - T(incoming)), with the albedo T of
+the clearcoat. The weight is reciprocal and conserves energy. Over a mirror, it equals the weight of glTF. Cosines and horizon
+refer to the clearcoat's normal.
 
 A thin film (KHR_materials_iridescence) changes the reflectances of coat and metal. T is then the reflectance of both faces of the
 film in phase, which is an upper bound.
@@ -32,11 +32,15 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.bsdf.clearcoat import Clearcoat
-from bokehguide.render.bsdf.microfacets import MIN_COSINE, TRACE, Microfacets, coat_spread, sample_visible_normal
+from bokehguide.render.bsdf.coat_albedo import CoatAlbedo
+from bokehguide.render.bsdf.microfacets import MIN_COSINE, Microfacets, sample_visible_normal
 from bokehguide.render.bsdf.sheen import Sheen, sample_hemisphere
 from bokehguide.render.bsdf.thin_film import film_bound, film_reflectance
 from bokehguide.render.geometry import Surface
 from bokehguide.render.vector import dot, fifth_power, luminance, normalize
+
+FILM_TRACE = 0.006
+"""Margin of the bound under a film at steep angles, where rough coats reflect more than smooth coats."""
 
 
 class OpaqueBSDF:
@@ -60,11 +64,9 @@ class OpaqueBSDF:
         self._clearcoat = None if surface.clearcoat is None else Clearcoat(outgoing, surface, clearcoat_normal)
         self._sheen = None if surface.sheen_color is None else Sheen(self._cosine, surface)
         self._choose_shares(peak)
-        rise = self._f90 - peak
-        self._minimum, self._rise = peak + TRACE * rise, rise
+        self._albedo = CoatAlbedo(self._facets, peak, self._f90 - peak)
         # Normalisation: mean transmittance of the coat under uniform illumination, or a bound of the mean with anisotropy.
-        roughest = surface.alpha if surface.alpha_along is None else surface.alpha_along
-        entering = (1.0 - self._minimum - coat_spread(roughest) * rise * (1.0 / 21.0)).clamp(min=1e-4)
+        entering = (1.0 - self._albedo.mean()).clamp(min=1e-4)
         if surface.iridescence is not None:
             steepest = self._passing_film(torch.ones_like(self._cosine)) * (20.0 / 21.0)
             entering = (entering + (steepest - entering) * surface.iridescence).clamp(min=1e-4)
@@ -86,8 +88,7 @@ class OpaqueBSDF:
 
     def _passing(self, direction: Tensor, cosine: Tensor) -> Tensor:
         """Transmittance 1 - T of the coat for directions `[3, N]` with the cosine `cosine` `[N]` to the normal."""
-        spread = coat_spread(self._facets.facing(direction)) * self._rise
-        passing = (1.0 - self._minimum - spread * fifth_power(1.0 - cosine)).clamp(min=0.0)
+        passing = (1.0 - self._albedo.towards(direction, cosine)).clamp(min=0.0)
         if self.surface.iridescence is None:
             return passing
         return passing + (self._passing_film(cosine) - passing) * self.surface.iridescence
@@ -95,7 +96,7 @@ class OpaqueBSDF:
     def _passing_film(self, cosine: Tensor) -> Tensor:
         """Transmittance 1 - T of a coat that the film covers, for cosines `[N]` to the normal."""
         _, ior, thickness = self._film()
-        return (1.0 - TRACE) * (1.0 - film_bound(self._f0.expand(3, -1), ior, thickness, cosine))
+        return (1.0 - FILM_TRACE) * (1.0 - film_bound(self._f0.expand(3, -1), ior, thickness, cosine))
 
     def _choose_shares(self, peak: Tensor) -> None:
         """Set the probabilities of sampling the clearcoat, the microfacets beneath it, the sheen, and the lobe below the surface.

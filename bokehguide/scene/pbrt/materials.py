@@ -88,7 +88,8 @@ class Materials:
             return None
         convert = KINDS.get(source.kind)
         if convert is None:
-            source.place.fail(f"material {printable(source.kind)!r}: unknown in pbrt-v4; {did_you_mean(source.kind, KINDS)}")
+            known = "convert the file with pbrt --upgrade" if source.kind in OLDER_KINDS else did_you_mean(source.kind, KINDS)
+            source.place.fail(f"material {printable(source.kind)!r}: unknown in pbrt-v4; {known}")
         if depth > MAX_NESTING:
             source.place.fail("mixtures of materials refer to each other; break the chain")
         material = convert(self, source, name, depth)
@@ -119,9 +120,12 @@ class Materials:
         both = self._textures.combined(color, alpha, _with_alpha)
         return replace(material, alpha_mode="blend", base_color_texture=self._textures.on_surface(both))
 
-    def _colored(self, value: Value, key: str = "base_color") -> dict[str, Any]:
-        """The fields of a colour, by its name in `Material`."""
-        value = value.map(lambda texels: np.broadcast_to(texels, (*texels.shape[:2], 3)).clip(0.0, 1.0))
+    def _colored(self, value: Value, name: str, key: str = "base_color") -> dict[str, Any]:
+        """The fields of a colour `key` of `Material`. name: of the material."""
+        value = value.map(lambda texels: np.broadcast_to(texels, (*texels.shape[:2], 3)))
+        if value.image.max(initial=0.0) > 1.0 + 1e-6:
+            self._contents.lose("reflectances above 1: 1 in their place", name)
+        value = value.map(lambda texels: texels.clip(0.0, 1.0))
         if value.constant:
             return {key: as_vector(value.image[0, 0])}
         return {key: (1.0, 1.0, 1.0), f"{key}_texture": self._textures.on_surface(value)}
@@ -170,14 +174,14 @@ class Materials:
         return max(eta, 1.0 / eta)
 
     def _diffuse(self, source: Parameters, name: str, depth: int) -> Material:
-        return Material(name, specular=0.0, **self._colored(self._textures.color(source, "reflectance", 0.5)))
+        return Material(name, specular=0.0, **self._colored(self._textures.color(source, "reflectance", 0.5), name))
 
     def _coated_diffuse(self, source: Parameters, name: str, depth: int) -> Material:
         ior = self._ior(source)
         inside = internal_reflectance(ior)
         color = self._textures.color(source, "reflectance", 0.5)
         seen = color.map(lambda texels: (1.0 - inside) * texels / (1.0 - inside * texels.clip(0.0, 1.0)))
-        return Material(name, ior=ior, **self._rough(source), **self._colored(seen))
+        return Material(name, ior=ior, **self._rough(source), **self._colored(seen, name))
 
     def _metal(self, source: Parameters, prefix: str) -> Value:
         """The reflectance of a conductor at normal incidence."""
@@ -186,11 +190,11 @@ class Materials:
         return constant(*metal(source, prefix, self._folder, self._files))
 
     def _conductor(self, source: Parameters, name: str, depth: int) -> Material:
-        return Material(name, metallic=1.0, **self._rough(source), **self._colored(self._metal(source, "")))
+        return Material(name, metallic=1.0, **self._rough(source), **self._colored(self._metal(source, ""), name))
 
     def _coated_conductor(self, source: Parameters, name: str, depth: int) -> Material:
         coat = self._alpha(source, "interface.").image.mean()
-        rough, color = self._rough(source, "conductor."), self._colored(self._metal(source, "conductor."))
+        rough, color = self._rough(source, "conductor."), self._colored(self._metal(source, "conductor."), name)
         coated = {"clearcoat": 1.0, "clearcoat_roughness": float(np.sqrt(coat.clip(0.0, 1.0)))}
         return Material(name, metallic=1.0, **coated, **rough, **color)
 
@@ -207,19 +211,19 @@ class Materials:
         scale = min(max(source.number("scale", 1.0), 0.0), 1.0)
         back, through = (self._textures.color(source, key, 0.25) for key in ("reflectance", "transmittance"))
         share = float(through.image.max() / max(back.image.max() + through.image.max(), 1e-6))
-        base = self._colored(back.map(lambda texels: texels * (scale / max(1.0 - share, 1e-6))))
-        color = self._colored(through.map(lambda texels: texels * (scale / max(share, 1e-6))), "diffuse_transmission_color")
+        base = self._colored(back.map(lambda texels: texels * (scale / max(1.0 - share, 1e-6))), name)
+        color = self._colored(through.map(lambda texels: texels * (scale / max(share, 1e-6))), name, "diffuse_transmission_color")
         return Material(name, specular=0.0, diffuse_transmission=share, **base, **color)
 
     def _subsurface(self, source: Parameters, name: str, depth: int) -> Material:
         self._contents.lose("subsurface scattering: a coated diffuse surface in its place", name)
         color = self._textures.color(source, "reflectance", 0.8)
         ior = max(source.number("eta", 1.33), 1.0)
-        return Material(name, ior=ior, **self._rough(source), **self._colored(color))
+        return Material(name, ior=ior, **self._rough(source), **self._colored(color, name))
 
     def _grey(self, source: Parameters, name: str, depth: int) -> Material:
         self._contents.lose(f"material {source.kind}: a diffuse surface in its place", name)
-        return Material(name, specular=0.0, **self._colored(self._textures.color(source, "reflectance", 0.5)))
+        return Material(name, specular=0.0, **self._colored(self._textures.color(source, "reflectance", 0.5), name))
 
     def _mix(self, source: Parameters, name: str, depth: int) -> Material | None:
         names = source.texts("materials")
@@ -263,3 +267,8 @@ KINDS: dict[str, Convert] = {
     "mix": Materials._mix,
 }
 """Materials of pbrt-v4; `interface` is no surface."""
+OLDER_KINDS = {
+    *("disney", "fourier", "glass", "kdsubsurface", "matte", "metal"),
+    *("mirror", "plastic", "substrate", "translucent", "uber"),
+}
+"""Materials of pbrt-v3 that pbrt-v4 lacks."""

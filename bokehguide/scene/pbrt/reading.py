@@ -72,6 +72,7 @@ class _Shapes:
         self.textures = Textures(self.contents, folder, self.files)
         self.materials = Materials(self.contents, self.textures, folder, self.files)
         self._triangles = 0
+        self._named: Counter[str] = Counter()
         uses = Counter(instance.name for instance in self.contents.instances)
         used = [(self.contents.shapes, 1), *((shapes, uses[name]) for name, shapes in self.contents.objects.items())]
         quadrics = sum(number * sum(shape.parameters.kind in QUADRICS for shape in shapes) for shapes, number in used)
@@ -86,7 +87,7 @@ class _Shapes:
             for shape in self.contents.objects[name]:
                 if shape.light is not None:
                     self.contents.lose("emission of instances: pbrt has none either", printable(name))
-                mesh = self._mesh(shape, shape.matrix, False)
+                mesh = self._mesh(shape, shape.matrix, False, printable(name))
                 if mesh is not None:
                     total = self._triangles + len(mesh.triangles) * len(matrices)
                     check_triangles(total, str(shape.parameters.place), self.files.most_triangles)
@@ -111,8 +112,8 @@ class _Shapes:
             uses.setdefault(instance.name, []).append(world @ instance.matrix)
         return {name: np.stack(matrices) for name, matrices in uses.items()}
 
-    def _mesh(self, shape: Shape, matrix: np.ndarray, emits: bool) -> Mesh | None:
-        """A shape under `matrix`, None for one that cannot be seen."""
+    def _mesh(self, shape: Shape, matrix: np.ndarray, emits: bool, instanced_as: str = "") -> Mesh | None:
+        """A shape under `matrix`, None for one that cannot be seen. instanced_as: the name of its object, "" without one."""
         parameters = shape.parameters
         opacity = self._opacity(shape)
         if opacity is not None and opacity.value.constant and not opacity.value.image.max() > 0.0:
@@ -136,12 +137,24 @@ class _Shapes:
             area = surface_area(mesh) / max(read.count, 1)
             emission = area_emission(shape.light, area, self.textures, self.path.parent, self.files)
         index = self.materials.index(shape, opacity, emission)
-        return None if index is None else replace(mesh, material=index, name=self._name(shape))
+        if index is None:
+            return None
+        name, groups = self._names(shape, instanced_as)
+        return replace(mesh, material=index, name=name, groups=groups)
 
-    def _name(self, shape: Shape) -> str:
-        """The name of a mesh: of its file, else of its kind."""
-        name = shape.parameters.text("filename") if shape.parameters.kind == "plymesh" else ""
-        return printable(Path(name).name.partition(".")[0] or shape.parameters.kind)
+    def _names(self, shape: Shape, instanced_as: str) -> tuple[str, tuple[str, ...]]:
+        """The name of a mesh, and names that it shares with other meshes.
+
+        The name is that of its file, of its object, or of its kind with a named material, and a number from the second use on.
+        """
+        parameters = shape.parameters
+        file = Path(parameters.text("filename")).name.partition(".")[0] if parameters.kind == "plymesh" else ""
+        material = f" {shape.material}" if isinstance(shape.material, str) else ""
+        shared = printable(file or instanced_as or f"{parameters.kind}{material}")
+        self._named[shared] += 1
+        number = self._named[shared]
+        groups = dict.fromkeys(name for name in (shared, printable(parameters.kind), instanced_as) if name)
+        return shared if number == 1 else f"{shared} {number}", tuple(groups)
 
     def _opacity(self, shape: Shape) -> Opacity | None:
         """The opacity of a shape, None for opaque ones."""

@@ -181,14 +181,14 @@ def emission(parameters: Parameters, key: str, folder: Path, files: SceneFiles) 
 
 
 def reflectance(parameters: Parameters, key: str, default: Vector, folder: Path, files: SceneFiles) -> Vector:
-    """The colour of a surface, from 0 to 1."""
+    """The colour of a surface, 0 or more; of a spectrum, at most 1."""
     found = parameters.values.get(key)
     if found is None:
         return default
     if found.type in ("rgb", "color"):
-        return as_vector(_rgb(parameters, key).clip(0.0, 1.0))
+        return as_vector(_rgb(parameters, key))
     if found.type == "float":
-        return as_vector(np.full(3, min(max(parameters.number(key, 0.5), 0.0), 1.0)))
+        return as_vector(np.full(3, max(parameters.number(key, 0.5), 0.0)))
     values = sampled(parameters, key, folder, files)
     return default if values is None else as_vector(reflected(values.clip(0.0, 1.0)))
 

@@ -62,7 +62,7 @@ class Textures:
         self._open: list[tuple[str, str]] = []
 
     def color(self, parameters: Parameters, key: str, default: float) -> Value:
-        """The colours of a parameter that may name a texture, 3 channels from 0 to 1."""
+        """The colours of a parameter that may name a texture, 3 channels of 0 or more."""
         name = parameters.texture(key)
         if name is not None:
             return self._named("spectrum", name, parameters)

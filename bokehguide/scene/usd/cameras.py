@@ -29,6 +29,9 @@ def read_camera(opened: Stage, placed: Placed) -> ModelCamera | None:
     axes = placed.matrices[0][:3, :3]
     lengths = np.linalg.norm(axes, axis=0)
     focal, across, down = (_number(opened, prim, key) for key in ("focalLength", "horizontalAperture", "verticalAperture"))
+    for key, value in (("focalLength", focal), ("horizontalAperture", across), ("verticalAperture", down)):
+        if value < 0.0:
+            opened.fail(prim, f"{key}: {value:g} is out of range; give a number above 0")
     if not (np.isfinite(placed.matrices[0]).all() and (lengths > 0.0).all() and min(focal, across, down) > 0.0):
         opened.lose("cameras with a scale, a focal length or an aperture of 0: left out", name)
         return None
@@ -53,6 +56,8 @@ def _lens(opened: Stage, camera: Any, focal: float, across: float, name: str) ->
     if not attribute.HasAuthoredValue():
         return None
     stop, focus = _number(opened, camera.GetPrim(), "fStop"), _number(opened, camera.GetPrim(), "focusDistance") * opened.unit
+    if stop < 0.0:
+        opened.lose("f-stops below 0: a pinhole in their place; give fStop above 0, or --f-number", name)
     length = TENTH * opened.unit * focal
     if length > LONG:
         opened.lose(f"focal lengths above {LONG:g} m: check metersPerUnit, or give --f-number", name)

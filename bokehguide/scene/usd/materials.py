@@ -99,6 +99,8 @@ class _Surface:
     def look(self) -> Look:
         """The node as a material."""
         color, image = self._color("diffuseColor", DEFAULT_GREY)
+        if max(color) > 1.0 + 1e-6:
+            self._opened.lose("diffuse colours above 1: 1 in their place", self._name)
         fields: dict[str, Any] = {"base_color": _fractions(color), "base_color_texture": self._whole(image)}
         fields |= self._specular() | self._clearcoat() | self._emission()
         normal = self._image("normal", normal=True)
@@ -120,6 +122,8 @@ class _Surface:
         """A number within the limits; `default` for one that is absent or not finite."""
         value = self._value(name)
         if isinstance(value, (int, float)) and math.isfinite(value):
+            if not low <= value <= high:
+                self._opened.lose(f"{name} outside {low:g} to {high:g}: the nearest limit in its place", self._name)
             return min(max(float(value), low), high)
         return default
 
@@ -128,7 +132,10 @@ class _Surface:
         value = self._value(name)
         if value is None or np.shape(value) != (3,):
             return default
-        return as_vector(np.nan_to_num(np.asarray(value, np.float64)).clip(0.0, LARGEST))
+        color = np.nan_to_num(np.asarray(value, np.float64))
+        if color.min() < 0.0:
+            self._opened.lose("colours below 0: 0 in their place", self._name)
+        return as_vector(color.clip(0.0, LARGEST))
 
     def _image(self, name: str, normal: bool = False) -> Source | None:
         """The image that feeds an input; None without one."""
