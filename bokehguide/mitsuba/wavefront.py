@@ -12,6 +12,9 @@ from bokehguide.mitsuba.emitters import EmitterScene, luminance
 from bokehguide.mitsuba.frame import Frame
 from bokehguide.mitsuba.lens import LensSamples, SeenLight
 
+ALIGNMENT = 64
+"""Bytes to which the largest vectors of a processor are aligned."""
+
 
 class Wavefront:
     """Traces the paths of a nested integrator through given lens points."""
@@ -26,11 +29,12 @@ class Wavefront:
         """Trace one path for each sample and put it on the block, if there is one. Returns the report, None if the lens does not
         learn."""
         self._sampler.seed(dr.opaque(mi.UInt32, seed), len(drawn.weight))
-        active, weight = mi.Bool(drawn.weight > 0.0), mi.Float(drawn.weight)
+        weight = shared(mi.Float, drawn.weight)
+        active = weight > 0.0
         raster = drawn.raster - np.float32(self._frame.border)
-        position = mi.Vector2f(mi.Float(raster[0]), mi.Float(raster[1]))
+        position = mi.Vector2f(shared(mi.Float, raster[0]), shared(mi.Float, raster[1]))
         # The x axis of the sensor points to the left.
-        disc = mi.Point2f(mi.Float(-drawn.points[0]), mi.Float(drawn.points[1]))
+        disc = mi.Point2f(shared(mi.Float, -drawn.points[0]), shared(mi.Float, drawn.points[1]))
         aperture = mi.warp.uniform_disk_to_square_concentric(dr.select(active, disc, 0.0))
         ray, value = self._paths(position, aperture, weight, active, spp, block)
         return self._seen(drawn, ray, value, active) if drawn.learned else None
@@ -40,7 +44,7 @@ class Wavefront:
         size, sampler = len(pixels) * count, self._sampler
         sampler.seed(dr.opaque(mi.UInt32, seed), size)
         number = dr.arange(mi.UInt32, size) // dr.opaque(mi.UInt32, count)
-        pixel = dr.gather(mi.UInt32, mi.UInt32(pixels.astype(np.uint32)), number)
+        pixel = dr.gather(mi.UInt32, shared(mi.UInt32, pixels), number)
         corner = mi.Vector2f(pixel % self._frame.width, pixel // self._frame.width) - self._frame.border
         position = corner + mi.Vector2f(sampler.next_2d())
         self._paths(position, sampler.next_2d(), mi.Float(1.0), mi.Bool(True), spp, block)
@@ -93,6 +97,19 @@ class Wavefront:
         away = local - np.stack((-points[0], points[1], np.zeros(points.shape[1])))
         distance = np.where(np.array(hit) > 0.0, np.linalg.norm(away, axis=0), np.inf).astype(np.float32)
         return SeenLight(np.broadcast_to(np.array(light), distance.shape), distance, np.array(number, np.int64))
+
+
+def shared(kind: Any, values: np.ndarray) -> Any:
+    """Values of four bytes `[N]` as an array of Dr.Jit.
+
+    Dr.Jit reads the memory of NumPy in place, and compiles a kernel for each alignment of its arrays. The memory here is always
+    aligned alike, so that one kernel serves all steps.
+    """
+    room = np.empty(len(values) + ALIGNMENT // 4, np.uint32 if kind is mi.UInt32 else np.float32)
+    start = -room.ctypes.data % ALIGNMENT // 4
+    place = room[start : start + len(values)]
+    place[:] = values
+    return kind(place)
 
 
 class TriangleNumbers:
