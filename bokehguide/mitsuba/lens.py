@@ -49,8 +49,8 @@ BATCH = 1 << 14
 
 LEARNED = 4
 """Steps of an epoch from which the lens learns. More of them would tell little that is new, and learning takes time."""
-MOST_STEPS, MOST_SAMPLES = 8, 1 << 21
-"""Largest numbers of steps and of samples that the renderer traces at once."""
+MOST_SAMPLES = 1 << 21
+"""Largest number of samples of several steps that the renderer traces at once."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class GuidedLens:
         """
         self._last = self._step + rest
         learned, steps = self._is_learned(self._step + 1), 1
-        limit = min(rest, MOST_STEPS, max(MOST_SAMPLES // self._size, 1)) if self._by_epoch else 1
+        limit = min(rest, max(MOST_SAMPLES // self._size, 1)) if self._by_epoch else 1
         while steps < limit and not starts_epoch(self._step + steps + 1) and self._is_learned(self._step + steps + 1) == learned:
             steps += 1
         self._drawn = []
