@@ -29,7 +29,7 @@ from bokehguide.render import dimensions
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.path_tracer import PathSamples, PathTracer
-from bokehguide.render.random import PixelRandom
+from bokehguide.render.random import PixelRandom, hash_int
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.runtime.distributed import Ranks, available_cores
 from bokehguide.runtime.workers import Workers
@@ -129,9 +129,12 @@ class GuidedLens:
         return np.zeros(self._size, bool) if candidates is None else candidates.counts().numpy()[self._pixels] > 0
 
     def restrict(self, pixels: np.ndarray) -> None:
-        """Draw samples of these pixels only from now on."""
+        """Draw samples of these pixels only from now on.
+
+        The choice of the pixels may depend on earlier samples, so the later random numbers are those of another seed.
+        """
         self._set_pixels(pixels)
-        self._everywhere = False
+        self._seed, self._everywhere = hash_int(self._seed), False
 
     def draw(self, rest: int) -> LensSamples:
         """The samples of the next steps, as many as have one distribution and are alike in being learned.

@@ -85,3 +85,16 @@ def test_pixels_near_highlights_are_guided(emitters):
         lens.restrict(np.flatnonzero(guided.ravel()))
         assert len(lens.draw(4).weight) == guided.sum()
     assert guided[15, 22] and not guided[:, 0].any()
+
+
+def test_restricted_pixels_get_other_random_numbers(emitters):
+    """The choice of the pixels depends on earlier film positions, from which later ones would follow."""
+    pixels, places = np.arange(45 * 31), []
+    for restricts in (False, False, True):
+        with GuidedLens(emitters, pixels, "guided", 0) as lens:
+            lens.draw(64)
+            if restricts:
+                lens.restrict(pixels)
+            places.append(lens.draw(63).raster)
+    np.testing.assert_array_equal(places[0], places[1])
+    assert (places[0] == places[2]).mean() < 0.01
