@@ -51,6 +51,8 @@ LEARNED = 4
 """Steps of an epoch from which the lens learns. More of them would tell little that is new, and learning takes time."""
 MOST_SAMPLES = 1 << 21
 """Largest number of samples of several steps that the renderer traces at once."""
+RESTRICTED = 0x5E1EC7
+"""Key of the random numbers of restricted pixels."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class GuidedLens:
         The choice of the pixels may depend on earlier samples, so the later random numbers are those of another seed.
         """
         self._set_pixels(pixels)
-        self._seed, self._everywhere = hash_int(self._seed), False
+        self._seed, self._everywhere = hash_int(self._seed ^ RESTRICTED), False
 
     def draw(self, rest: int) -> LensSamples:
         """The samples of the next steps, as many as have one distribution and are alike in being learned.
