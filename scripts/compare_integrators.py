@@ -41,6 +41,7 @@ from bokehguide.cli.scripts import run
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import markdown
 from bokehguide.metrics import EPSILON, mape
+from bokehguide.mitsuba.frame import matrix
 
 CHUNKS, BLOCK = 8, 8
 BLURRED = 4.0
@@ -83,14 +84,12 @@ def main() -> None:
     add("--json", type=Path, metavar="FILE", help="all figures")
     args = parser.parse_args()
     mi.set_variant("llvm_ad_rgb")
-    import bokehguide.mitsuba  # noqa: F401 - registers the integrator
-
-    found = []
+    found: list[dict[str, Any]] = []
     for path in args.scenes:
         found.append(compare(load(path, args.width, args.blur), args))
         print(table(found[-1:]), flush=True)
     if args.json:
-        write_json(args.json, found)
+        write_json(args.json, {one["scene"]: one for one in found})
     if len(found) > 1:
         print(table(found))
 
@@ -112,9 +111,9 @@ def load(path: Path, width: int, blur: float) -> View:
         lens = {"aperture_radius": blur * distance * np.tan(np.radians(fov) / 2.0), "focus_distance": distance}
     else:
         raise BokehguideError(f"{path}: the sensor is a {sensor.class_name()}; give a scene with a thin lens or a pinhole")
-    place = mi.ScalarTransform4f(np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4))
-    thin = {"type": "thinlens", "fov": fov, "fov_axis": "x", "to_world": place, "film": film} | lens
-    return View(path.parent.name, scene, scene.integrator(), mi.load_dict(thin))
+    place = matrix(sensor.world_transform())
+    thin = {"type": "thinlens", "fov": fov, "fov_axis": "x", "to_world": mi.ScalarTransform4f(place), "film": film} | lens
+    return View(f"{path.parent.name}-{path.stem}", scene, scene.integrator(), mi.load_dict(thin))
 
 
 def compare(view: View, args: argparse.Namespace) -> dict[str, Any]:
@@ -140,7 +139,7 @@ def compare(view: View, args: argparse.Namespace) -> dict[str, Any]:
     for name, mask in masks.items():
         if mask.any():
             both = [[error(picture, reference, mask) for picture, _ in runs] for runs in (own, plain)]
-            found[name] = {"mape": both, "reference": half_error(parts, mask), **ratio_of(*both, *seconds)}
+            found[name] = {"mape": both, "reference": half_error(parts, mask), **ratio_of(both, seconds)}
     return found | {"means": means(*long)}
 
 
@@ -155,14 +154,14 @@ def half_error(parts: torch.Tensor, mask: torch.Tensor) -> float:
     return 0.5 * ((first - second).abs() / (0.5 * (first + second) + EPSILON))[mask].mean().item()
 
 
-def ratio_of(own: list[float], plain: list[float], own_seconds: float, plain_seconds: float) -> dict[str, float]:
+def ratio_of(errors: list[list[float]], seconds: list[float]) -> dict[str, float]:
     """Ratio of the mean errors at the time of the guided renders, and its standard error from the spread over the seeds.
 
     Errors fall with the square root of the time, which removes what is left of the difference of the times.
     """
-    first, second = np.array(own), np.array(plain)
-    ratio = first.mean() / second.mean() * (own_seconds / plain_seconds) ** 0.5
-    spread = sum(values.var(ddof=1) / len(values) / values.mean() ** 2 for values in (first, second)) if len(own) > 1 else 0.0
+    first, second = map(np.array, errors)
+    ratio = first.mean() / second.mean() * (seconds[0] / seconds[1]) ** 0.5
+    spread = sum(values.var(ddof=1) / len(values) / values.mean() ** 2 for values in (first, second)) if len(first) > 1 else 0.0
     return {"ratio": float(ratio), "standard_error": float(ratio * spread**0.5)}
 
 
@@ -179,7 +178,7 @@ def long_render(view: View, integrator: Any, args: argparse.Namespace) -> torch.
 
 
 def bokeh_masks(view: View) -> dict[str, torch.Tensor]:
-    """The regions, bool `[H, W]`: all pixels, and those in the bokeh of an area emitter."""
+    """The regions, bool `[H, W]`: all pixels, those in the bokeh of an area emitter, and the rest."""
     width, height = view.sensor.film().size()
     values, pixels = mi.traverse(view.sensor), width * height
     seen, blurred = np.zeros(pixels), np.zeros(pixels)
@@ -200,7 +199,7 @@ def bokeh_masks(view: View) -> dict[str, torch.Tensor]:
     mask = (part >= SEEN[0]) & (part <= SEEN[1]) & (blurred >= 0.5 * seen)
     return {
         name: torch.from_numpy(np.reshape(each, (height, width)))
-        for name, each in (("frame", np.ones(pixels, bool)), ("bokeh", mask))
+        for name, each in (("frame", np.ones(pixels, bool)), ("bokeh", mask), ("rest", ~mask))
     }
 
 
@@ -237,7 +236,7 @@ def table(found: list[dict[str, Any]]) -> str:
     """A row for each region of each scene, in Markdown."""
     rows = [["scene", "region", "SPP", "seconds", "MAPE", "reference", "ratio", "frame z", "blocks above 3", "largest z"]]
     for one in found:
-        for name in ("frame", "bokeh"):
+        for name in ("frame", "bokeh", "rest"):
             if name not in one:
                 continue
             part, test = one[name], one["means"]
