@@ -39,6 +39,7 @@ def expected_gain(paths: Wavefront, emitters: Scene, frame: Frame, seed: int, sp
             drawn = lens.draw(STEPS - step)
             placed = replace(drawn, raster=drawn.raster * np.float32(cell) + start, learned=True)
             seen = paths.trace(placed, hash_int(seed + step), spp, None)
+            assert seen is not None
             step += len(drawn.weight) // len(pixels)
             if step == STEPS:
                 return error_ratio(drawn, seen.radiance, (MEASURED, len(rows), len(columns)))
