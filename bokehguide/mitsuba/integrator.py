@@ -50,10 +50,7 @@ def integrator_class() -> type:
         def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
             """The picture, as `mi.render` asks for it. Raises BokehguideError for a sensor that is no thin lens."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-            with (
-                nullcontext() if is_scalar() else dr.suspend_grad(),
-                Rendering(self._nested, self._mode, scene, sensor, int(first_number(seed))) as rendering,
-            ):
-                return rendering.picture(spp, develop)
+            with nullcontext() if is_scalar() else dr.suspend_grad():
+                return Rendering(self._nested, self._mode, scene, sensor, int(first_number(seed))).picture(spp, develop)
 
     return GuidedThinLens

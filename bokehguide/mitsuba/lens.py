@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import NamedTuple, Self, cast
 
 import numpy as np
 import torch
@@ -29,7 +29,7 @@ from bokehguide.render import dimensions
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.path_tracer import PathSamples, PathTracer
-from bokehguide.render.random import PixelRandom
+from bokehguide.render.random import PixelRandom, hash_int
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.runtime.distributed import Ranks, available_cores
 from bokehguide.runtime.workers import Workers
@@ -49,8 +49,10 @@ BATCH = 1 << 14
 
 LEARNED = 4
 """Steps of an epoch from which the lens learns. More of them would tell little that is new, and learning takes time."""
-MOST_STEPS, MOST_SAMPLES = 8, 1 << 21
-"""Largest numbers of steps and of samples that the renderer traces at once."""
+MOST_SAMPLES = 1 << 21
+"""Largest number of samples of several steps that the renderer traces at once."""
+RESTRICTED = 0x5E1EC7
+"""Key of the random numbers of restricted pixels."""
 
 
 @dataclass(frozen=True)
@@ -104,26 +106,46 @@ class GuidedLens:
 
     def __init__(self, scene: Scene, pixels: np.ndarray, mode: str, seed: int):
         self._camera = ThinLensCamera(scene.camera, scene.film.width, scene.film.height)
-        self._seed, self._step, self._mean = seed, 0, 1.0
+        self._seed, self._step, self._last, self._mean = seed, 0, 0, 1.0
         self._light = self._count = 0.0
         everywhere = torch.ones(self._camera.width * self._camera.height, dtype=torch.bool)
         tracer = cast(PathTracer, _SceneEmitters(find_emitters(scene)))
         size = scene.film.width, scene.film.height
         self._sampler = MODES[mode](ModeContext(scene, self._camera, tracer, *size, None, Ranks(), everywhere))
         self._by_epoch = not isinstance(self._sampler, GaussianGuide)
-        self._spans = [torch.from_numpy(part) for part in np.split(pixels, range(BATCH, len(pixels), BATCH))]
-        self._size = len(pixels)
+        self._set_pixels(pixels)
+        self._everywhere = True
         self._workers = Workers(available_cores(), torch.device("cpu"))
         self._drawn: list[list[_Drawn]] = []
 
-    def close(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         """End the threads."""
         self._workers.close()
 
-    def draw(self, most: int) -> LensSamples:
-        """The samples of the next steps, at most `most`: as many as have one distribution, and are alike in being learned."""
+    def guided(self) -> np.ndarray:
+        """Whether a pixel may see an emitter or highlight that the lens knows, bool `[P]`."""
+        candidates = self._sampler.candidates if isinstance(self._sampler, EmitterGuide) else None
+        return np.zeros(self._size, bool) if candidates is None else candidates.counts().numpy()[self._pixels] > 0
+
+    def restrict(self, pixels: np.ndarray) -> None:
+        """Draw samples of these pixels only from now on.
+
+        The choice of the pixels may depend on earlier samples, so the later random numbers are those of another seed.
+        """
+        self._set_pixels(pixels)
+        self._seed, self._everywhere = hash_int(self._seed ^ RESTRICTED), False
+
+    def draw(self, rest: int) -> LensSamples:
+        """The samples of the next steps, as many as have one distribution and are alike in being learned.
+
+        rest: number of steps until the end of the render.
+        """
+        self._last = self._step + rest
         learned, steps = self._is_learned(self._step + 1), 1
-        limit = min(most, MOST_STEPS, max(MOST_SAMPLES // self._size, 1)) if self._by_epoch else 1
+        limit = min(rest, max(MOST_SAMPLES // self._size, 1)) if self._by_epoch else 1
         while steps < limit and not starts_epoch(self._step + steps + 1) and self._is_learned(self._step + steps + 1) == learned:
             steps += 1
         self._drawn = []
@@ -140,19 +162,24 @@ class GuidedLens:
     def learn(self, seen: SeenLight) -> None:
         """Learn from the paths of the samples that were drawn last, which `learned` has asked for."""
         finite = np.nan_to_num(seen.radiance, nan=0.0, posinf=0.0, neginf=0.0)
-        weight = np.concatenate([drawn.points.weight.numpy() for step in self._drawn for drawn in step])
-        self._light += float(np.dot(finite.astype(np.float64), weight))
-        self._count += len(weight)
-        self._mean = self._light / self._count
+        if self._everywhere:
+            weight = np.concatenate([drawn.points.weight.numpy() for step in self._drawn for drawn in step])
+            self._light += float(np.dot(finite.astype(np.float64), weight))
+            self._count += len(weight)
+            self._mean = self._light / self._count
         first = self._step - len(self._drawn) + 1
         for number, step in enumerate(self._drawn):
             part = slice(number * self._size, (number + 1) * self._size)
             self._learn_step(first + number, step, SeenLight(finite[part], seen.distance[part], seen.triangle[part]))
 
+    def _set_pixels(self, pixels: np.ndarray) -> None:
+        self._pixels, self._size = pixels, len(pixels)
+        self._spans = [torch.from_numpy(part) for part in np.split(pixels, range(BATCH, len(pixels), BATCH))]
+
     def _is_learned(self, step: int) -> bool:
-        """Whether the lens learns from a step: from the last steps of each epoch."""
-        last = not self._by_epoch or any(starts_epoch(step + 1 + later) for later in range(LEARNED))
-        return self._sampler.learns and last
+        """Whether the lens learns from a step: from the last steps of each epoch before the last epoch."""
+        later = range(step + 1, min(step + LEARNED, self._last) + 1)
+        return self._sampler.learns and (any(map(starts_epoch, later)) if self._by_epoch else step < self._last)
 
     def _learn_step(self, step: int, drawn: list[_Drawn], seen: SeenLight) -> None:
         """Learn from one step."""

@@ -12,6 +12,9 @@ from bokehguide.mitsuba.emitters import EmitterScene, luminance
 from bokehguide.mitsuba.frame import Frame
 from bokehguide.mitsuba.lens import LensSamples, SeenLight
 
+ALIGNMENT = 64
+"""Bytes to which the largest vectors of a processor are aligned."""
+
 
 class Wavefront:
     """Traces the paths of a nested integrator through given lens points."""
@@ -22,38 +25,53 @@ class Wavefront:
         self._sampler = sensor.sampler().clone()
         self._triangles = TriangleNumbers(scene, emitters.first_triangles, emitters.per_triangle)
 
-    def trace(self, drawn: LensSamples, seed: int, spp: int, block: Any) -> SeenLight | None:
-        """Trace one path for each sample and put it on the block. Returns the report, None if the lens does not learn."""
-        sampler = self._sampler
-        sampler.seed(dr.opaque(mi.UInt32, seed), len(drawn.weight))
-        active = mi.Bool(drawn.weight > 0.0)
-        ray, ray_weight, position = self._rays(drawn, sampler, active)
-        ray.scale_differential(spp**-0.5)
-        value, valid, aovs = self._nested.sample(self._scene, sampler, ray, self._sensor.get_medium(), active)
-        value = mi.unpolarized_spectrum(value) * ray_weight
-        finite = active & dr.all(dr.isfinite(value))
-        value, weight = dr.select(finite, value, 0.0), mi.Float(drawn.weight)
-        channels = [each * weight for each in aovs]
-        self._splat(block, position, value * weight, dr.select(valid & active, weight, 0.0), channels, ray.wavelengths)
+    def trace(self, drawn: LensSamples, seed: int, spp: int, block: Any | None) -> SeenLight | None:
+        """Trace one path for each sample and put it on the block, if there is one. Returns the report, None if the lens does not
+        learn."""
+        self._sampler.seed(dr.opaque(mi.UInt32, seed), len(drawn.weight))
+        weight = shared(mi.Float, drawn.weight)
+        active = weight > 0.0
+        raster = drawn.raster - np.float32(self._frame.border)
+        position = mi.Vector2f(shared(mi.Float, raster[0]), shared(mi.Float, raster[1]))
+        # The x axis of the sensor points to the left.
+        disc = mi.Point2f(shared(mi.Float, -drawn.points[0]), shared(mi.Float, drawn.points[1]))
+        aperture = mi.warp.uniform_disk_to_square_concentric(dr.select(active, disc, 0.0))
+        ray, value = self._paths(position, aperture, weight, active, spp, block)
         return self._seen(drawn, ray, value, active) if drawn.learned else None
 
-    def _rays(self, drawn: LensSamples, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Rays through the lens points, their weights, and positions on the film."""
-        frame, film = self._frame, self._film
-        raster = drawn.raster - np.float32(frame.border)
-        sensor, x, y = self._sensor, mi.Float(raster[0]), mi.Float(raster[1])
-        (left, top), (across, down) = frame.corner, frame.size
-        # The x axis of the sensor points to the left.
-        disc = mi.Point2f(mi.Float(-drawn.points[0]), mi.Float(drawn.points[1]))
-        aperture = mi.warp.uniform_disk_to_square_concentric(dr.select(active, disc, 0.0))
+    def trace_uniform(self, pixels: np.ndarray, count: int, seed: int, spp: int, block: Any) -> None:
+        """Trace `count` paths for each pixel of the frame through uniform lens points, and put them on the block."""
+        size, sampler = len(pixels) * count, self._sampler
+        sampler.seed(dr.opaque(mi.UInt32, seed), size)
+        number = dr.arange(mi.UInt32, size) // dr.opaque(mi.UInt32, count)
+        pixel = dr.gather(mi.UInt32, shared(mi.UInt32, pixels), number)
+        corner = mi.Vector2f(pixel % self._frame.width, pixel // self._frame.width) - self._frame.border
+        position = corner + mi.Vector2f(sampler.next_2d())
+        self._paths(position, sampler.next_2d(), mi.Float(1.0), mi.Bool(True), spp, block)
+
+    def _paths(self, position: Any, aperture: Any, weight: Any, active: Any, spp: int, block: Any | None) -> tuple[Any, Any]:
+        """Trace paths from positions on the film and put them on the block. Returns the camera rays, and radiance."""
+        ray, ray_weight = self._rays(position, aperture, active)
+        ray.scale_differential(spp**-0.5)
+        value, valid, aovs = self._nested.sample(self._scene, self._sampler, ray, self._sensor.get_medium(), active)
+        value = mi.unpolarized_spectrum(value) * ray_weight
+        finite = active & dr.all(dr.isfinite(value))
+        value = dr.select(finite, value, 0.0)
+        if block is not None:
+            place = dr.floor(position) if self._film.rfilter().is_box_filter() else position
+            alpha = dr.select(valid & active, weight, 0.0)
+            self._splat(block, place, value * weight, alpha, [each * weight for each in aovs], ray.wavelengths)
+        return ray, value
+
+    def _rays(self, position: Any, aperture: Any, active: Any) -> tuple[Any, Any]:
+        """Rays through positions on the film and on the square of the lens, and their weights."""
+        sensor, ((left, top), (across, down)) = self._sensor, (self._frame.corner, self._frame.size)
         time = sensor.shutter_open()
         if sensor.shutter_open_time() > 0.0:
-            time += sampler.next_1d() * sensor.shutter_open_time()
-        wavelength = sampler.next_1d() if mi.is_spectral else 0.0
-        place = mi.Point2f((x - left) / across, (y - top) / down)
-        ray, weight = sensor.sample_ray_differential(time, wavelength, place, aperture, active)
-        position = mi.Vector2f(x, y)
-        return ray, weight, dr.floor(position) if film.rfilter().is_box_filter() else position
+            time += self._sampler.next_1d() * sensor.shutter_open_time()
+        wavelength = self._sampler.next_1d() if mi.is_spectral else 0.0
+        place = mi.Point2f((position.x - left) / across, (position.y - top) / down)
+        return sensor.sample_ray_differential(time, wavelength, place, aperture, active)
 
     def _splat(self, block: Any, position: Any, value: Any, alpha: Any, channels: list[Any], wavelengths: Any) -> None:
         """Put samples on a block in the form of the film."""
@@ -79,6 +97,19 @@ class Wavefront:
         away = local - np.stack((-points[0], points[1], np.zeros(points.shape[1])))
         distance = np.where(np.array(hit) > 0.0, np.linalg.norm(away, axis=0), np.inf).astype(np.float32)
         return SeenLight(np.broadcast_to(np.array(light), distance.shape), distance, np.array(number, np.int64))
+
+
+def shared(kind: Any, values: np.ndarray) -> Any:
+    """Values of four bytes `[N]` as an array of Dr.Jit.
+
+    Dr.Jit reads the memory of NumPy in place, and compiles a kernel for each alignment of its arrays. The memory here is always
+    aligned alike, so that one kernel serves all steps.
+    """
+    room = np.empty(len(values) + ALIGNMENT // 4, np.uint32 if kind is mi.UInt32 else np.float32)
+    start = -room.ctypes.data % ALIGNMENT // 4
+    place = room[start : start + len(values)]
+    place[:] = values
+    return kind(place)
 
 
 class TriangleNumbers:

@@ -21,6 +21,7 @@ import bokehguide.mitsuba  # noqa: F401 - registers the integrator
 from bokehguide.export import export_mitsuba
 from bokehguide.mitsuba.emitters import read_emitters
 from bokehguide.mitsuba.frame import read_frame
+from bokehguide.mitsuba.wavefront import Wavefront
 from bokehguide.scene.types import FilmSettings
 from tests.support.mitsuba_scenes import blocks, lamps
 from tests.support.statistical import SIGNIFICANCE, sidak
@@ -62,6 +63,48 @@ def test_a_wrong_lens_shows(expected):
     """The test above sees a lens that is wider by a third."""
     found = runs(mi.load_dict(lamps(sensor={"aperture_radius": 0.2})), guided(), 24)
     assert not agree(found, expected)
+
+
+def test_without_highlights_the_picture_is_mitsubas():
+    """The pilot finds nothing that a lens point could aim at."""
+    scene = mi.load_dict({name: part for name, part in lamps().items() if name not in ("round", "square", "cube")})
+    ours, theirs = (
+        np.array(mi.render(scene, integrator=integrator, spp=8, seed=3)) for integrator in (guided(), mi.load_dict(PATH))
+    )
+    np.testing.assert_allclose(ours, theirs, rtol=1e-5)
+
+
+def test_pixels_beside_highlights_have_mitsubas_lens_points(expected, monkeypatch):
+    """Their means, and the number of their paths: each pixel has as many as the render asks for."""
+    traced = []
+    original = Wavefront.trace_uniform
+
+    def trace_uniform(self, pixels, count, *others):
+        traced.append((pixels, count))
+        original(self, pixels, count, *others)
+
+    monkeypatch.setattr(Wavefront, "trace_uniform", trace_uniform)
+    scene, spp = mi.load_dict(lamps()), 256
+    found = runs(scene, guided(), spp)
+    assert all(count == spp - 4 for _, count in traced) and len(traced) == 8
+    beside = np.bincount(np.concatenate([pixels for pixels, _ in traced]), minlength=32 * 18).reshape(18, 32) == 8
+    inside = blocks(np.repeat(beside[..., None], 3, axis=2)) == 1.0
+    assert inside.sum() > 20, "blocks without a guided pixel"
+    assert agree(found[:, inside], expected[:, inside])
+    assert not agree(1.03 * found[:, inside], expected[:, inside]), "three per cent show"
+
+
+def test_one_kernel_serves_all_steps():
+    """After the first render, no seed compiles another kernel."""
+    scene, integrator = mi.load_dict(lamps()), guided()
+    np.array(mi.render(scene, integrator=integrator, spp=16, seed=0))
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        for seed in range(1, 5):
+            np.array(mi.render(scene, integrator=integrator, spp=16, seed=seed))
+        kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
+    dr.kernel_history_clear()
+    assert len(kernels) > 10 and not any(kernel["cache_disk"] or not kernel["cache_hit"] for kernel in kernels)
 
 
 @pytest.fixture
