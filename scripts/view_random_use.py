@@ -121,10 +121,12 @@ class User:
 
     def choose(self) -> None:
         name = self.dice.choice(("view", "mode", "layers"))
-        choices = self.driver.find_elements(By.CSS_SELECTOR, f"#{name} option" if name != "layers" else "#layers input")
-        self.driver.execute_script("arguments[0].click()", self.dice.choice(choices)) if name == "layers" else self.dice.choice(
-            choices
-        ).click()
+        selector = f"#{name} input" if name == "layers" else f"#{name} option"
+        choices = self.driver.find_elements(By.CSS_SELECTOR, selector)
+        if name == "layers" and choices:  # the inputs lie under their texts
+            self.driver.execute_script("arguments[0].click()", self.dice.choice(choices))
+        elif choices:  # none before the page has its scene
+            self.dice.choice(choices).click()
 
     def press(self) -> None:
         self.driver.execute_script("document.getElementById(arguments[0]).click()", self.dice.choice(BUTTONS))

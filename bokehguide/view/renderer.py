@@ -14,11 +14,14 @@ from typing import Any, NamedTuple, TypeVar
 
 from bokehguide.errors import BokehguideError
 from bokehguide.render import PathTracer
+from bokehguide.render.random import hash_int
 from bokehguide.runtime.distributed import available_cores
 from bokehguide.runtime.process import return_freed_memory
 from bokehguide.scene import Scene
 from bokehguide.view.finisher import Finisher
-from bokehguide.view.job import COARSE_PIXELS, PREVIEW_SPP, Job
+from bokehguide.view.hand import Hand
+from bokehguide.view.job import COARSE_PIXELS, PREVIEW_SPP, Job, reduced_sizes
+from bokehguide.view.kept import Kept
 from bokehguide.view.pictures import Shown, preview
 from bokehguide.view.preview import QuickDenoiser, prepare
 from bokehguide.view.state import Source, ViewState
@@ -69,9 +72,9 @@ class Listener:
 class Renderer:
     """Renders the picture of a state, and starts anew at once when the state changes.
 
-    The tracing structure, the tables of the lights and the list of the emitters stay. Samples and learned state stay while only
-    the display changes. Another camera, lens, environment or mode starts without learned state, as the command line does, so that
-    both give the same picture.
+    The tracing structure, the tables of the lights and the list of the emitters stay. A change of the display keeps all samples.
+    Learned state stays where another camera or lens can begin with it (see `Kept`). When such a picture rests, an exact job takes
+    its place: it begins without learned state, as the command line does, and gives the same picture as the command line.
 
     halves: whether a denoiser is installed. threads: None for one for each core.
     """
@@ -84,6 +87,13 @@ class Renderer:
         self._watched = self._closed = self._rendering = False
         self._questions: deque[tuple[Callable[[Job], Any], Future[Any]]] = deque()
         self._workers = StoppableWorkers(threads or available_cores())
+        """The workers of the present job."""
+        self._hand = Hand()
+        """Builds and advances jobs. A change does not wait for the end of its work."""
+        self._kept = Kept()
+        self._exact: Job | None = None
+        """The exact job that takes the place of the present one when it has as many samples."""
+        self._exact_questions: deque[tuple[Callable[[Job], Any], Future[Any]]] = deque()
         self._tracer = PathTracer(source.scene)
         self._rotation = _rotation(source.scene)
         self._job: Job | None = None
@@ -110,6 +120,7 @@ class Renderer:
         if self._thread.is_alive():
             self._thread.join()
         self._finisher.close()
+        self._hand.close()
         self._workers.close()
 
     @property
@@ -140,11 +151,14 @@ class Renderer:
             self._rendering = rendering
             self._changed.notify()
 
-    def ask(self, question: Callable[[Job], Answer]) -> Future[Answer]:
-        """The answer of a function of the present job, which runs between two steps. The future is cancelled without a job."""
+    def ask(self, question: Callable[[Job], Answer], exact: bool = False) -> Future[Answer]:
+        """The answer of a function of the present job, which runs between two steps. The future is cancelled without a job.
+
+        exact: whether to wait for the exact job with as many samples. Another state cancels the future.
+        """
         future: Future[Answer] = Future()
         with self._changed:
-            self._questions.append((question, future))
+            (self._exact_questions if exact else self._questions).append((question, future))
             self._changed.notify()
         return future
 
@@ -154,22 +168,22 @@ class Renderer:
                 self._changed.wait_for(self._has_work)
                 if self._closed:
                     break
-                self._workers.stop.clear()
                 wanted, active = self._wanted, self._watched or self._rendering
             try:
                 self._work(wanted, active)
             except AbandonedError:
-                self._job = None
+                self._drop()
             except (BokehguideError, RuntimeError, MemoryError) as error:
                 log.warning("%s", error)
-                self._rendering, self._job, self._failed = False, None, wanted.state
+                self._rendering, self._failed = False, wanted.state
+                self._drop()
                 self._listener.failed(error)
         self._forget()
         self._answer()
 
     def _has_work(self) -> bool:
         """Whether `_work` would do anything."""
-        if self._closed or self._questions:
+        if self._closed or self._questions or self._exact_questions:
             return True
         if not (self._watched or self._rendering):
             return self._job is not None or self._sight is not None
@@ -180,7 +194,7 @@ class Renderer:
             self._rendering
             or job is None
             or job.traced != self._wanted.state.traced
-            or not job.done(self._limit())
+            or not (job.exact and job.done(self._limit()))
             or not self._is_shown(job)
         )
 
@@ -203,26 +217,54 @@ class Renderer:
         start, job = time.monotonic(), self._job
         if job is None or job.traced != state.traced:
             job = self._job = self._new_job(state)
-        if not job.done(self._limit()):
-            job.advance()
+        at_first = job.at_first
+        job = self._job = self._advance(job, state)
         first = self._sight is None or self._sight.job is not job
         outdated = self._wanted.state.traced != state.traced
         if self._is_due(job, wanted) and (first or not outdated):
             self._show(job, wanted)
-            if first:
+            if at_first:
                 self._adapt(time.monotonic() - start)
         if self._rendering and job.done(state.spp):
             self._rendering = False
             self._listener.ended(job, state)
 
+    def _advance(self, job: Job, state: ViewState) -> Job:
+        """Take a step of the job, or of the exact job that takes its place; returns the job to show."""
+        if job.at_first:
+            job.advance()
+        elif job.exact or not (self._rendering or self._exact_questions or job.done(self._limit())):
+            if not job.done(self._limit()):
+                self._hand.do(job.advance, self._workers.stop)
+        else:
+            if self._exact is None:
+                self._exact = self._hand.do(lambda: self._make_job(state, exact=True), self._workers.stop)
+            self._hand.do(self._exact.advance, self._workers.stop)
+            if self._rendering or self._exact.done(job.loop.step_number):
+                job, self._exact = self._exact, None
+        return job
+
+    def _drop(self) -> None:
+        """Drop the job, and keep what it has learned."""
+        job, self._job, self._exact = self._job, None, None
+        if job is not None and job.full_size:
+            self._kept.take(job.loop)
+        while self._exact_questions:
+            self._exact_questions.popleft()[1].cancel()
+
     def _forget(self) -> None:
         """Free the picture."""
         self._finisher.stop()
-        self._job = self._sight = None
+        self._drop()
+        self._sight, self._kept = None, Kept()
+        self._hand.rest()
         gc.collect()
         return_freed_memory()
 
     def _answer(self) -> None:
+        if self._job is not None and self._job.exact:
+            self._questions.extend(self._exact_questions)
+            self._exact_questions.clear()
         while self._questions:
             question, future = self._questions.popleft()
             if self._job is None:
@@ -235,14 +277,28 @@ class Renderer:
 
     def _new_job(self, state: ViewState) -> Job:
         self._finisher.stop()
+        self._drop()
         self._job_count += 1
         if self._job_count % TRIMMED == 0:
             return_freed_memory()
+        with self._changed:
+            self._workers = self._workers.renewed()
         scene = self.source.scene_of(state.overrides)
         if _rotation(scene) != self._rotation:
             self._tracer = PathTracer(scene, geometry=self._tracer.geometry)
             self._rotation = _rotation(scene)
-        return Job(scene, state, self._tracer, self._workers, self._halves, self._coarse_pixels)
+        if len(reduced_sizes(scene.film, self._coarse_pixels)) > 1:
+            return self._make_job(state)
+        return self._hand.do(lambda: self._make_job(state), self._workers.stop)  # only the hand may read what is kept
+
+    def _make_job(self, state: ViewState, exact: bool = False) -> Job:
+        """A job of the present tracer. exact: at full size alone, without kept state."""
+        scene = self.source.scene_of(state.overrides)
+        arguments = scene, state, self._tracer, self._workers, self._halves
+        if exact:
+            return Job(*arguments, scene.film.width * scene.film.height)
+        seed = hash_int(hash_int(state.seed) + self._job_count)
+        return Job(*arguments, self._coarse_pixels, self._kept, seed)
 
     def _adapt(self, seconds: float) -> None:
         """Set the size of the next first picture by the time that this one took."""
