@@ -128,6 +128,12 @@ class Renderer:
         """Whether a render runs."""
         return self._rendering
 
+    @property
+    def exact(self) -> bool:
+        """Whether the samples of the picture are those of the command line."""
+        job = self._job
+        return job is not None and job.exact
+
     def update(self, state: ViewState, revision: int) -> None:
         """Show another state. revision: number of the change, which the facts of its pictures repeat."""
         with self._changed:
@@ -137,13 +143,18 @@ class Renderer:
             self._wanted = Wanted(state, revision)
             self._changed.notify()
 
-    def watch(self, watched: bool) -> None:
-        """Render while somebody watches. Otherwise the picture is freed, unless a render runs."""
+    def watch(self, watched: bool) -> bool:
+        """Render while somebody watches. Otherwise free the picture; a render pauses after its step, and keeps its samples.
+
+        Returns whether a paused render goes on.
+        """
         with self._changed:
+            resumes = watched and not self._watched and self._rendering
             self._watched = watched
             if not watched and not self._rendering:
                 self._workers.stop.set()
             self._changed.notify()
+        return resumes
 
     def render(self, rendering: bool) -> None:
         """Go on to the samples per pixel of the state, or pause."""
@@ -154,7 +165,7 @@ class Renderer:
     def ask(self, question: Callable[[Job], Answer], exact: bool = False) -> Future[Answer]:
         """The answer of a function of the present job, which runs between two steps. The future is cancelled without a job.
 
-        exact: whether to wait for the exact job with as many samples. Another state cancels the future.
+        exact: whether to wait for the exact job with as many samples. After another change, the future has a BokehguideError.
         """
         future: Future[Answer] = Future()
         with self._changed:
@@ -168,7 +179,7 @@ class Renderer:
                 self._changed.wait_for(self._has_work)
                 if self._closed:
                     break
-                wanted, active = self._wanted, self._watched or self._rendering
+                wanted, active = self._wanted, self._watched
             try:
                 self._work(wanted, active)
             except AbandonedError:
@@ -183,15 +194,16 @@ class Renderer:
 
     def _has_work(self) -> bool:
         """Whether `_work` would do anything."""
-        if self._closed or self._questions or self._exact_questions:
+        if self._closed or self._questions:
             return True
-        if not (self._watched or self._rendering):
-            return self._job is not None or self._sight is not None
+        if not self._watched:
+            return not self._rendering and (self._job is not None or self._sight is not None)
         if self._failed == self._wanted.state:
             return False
         job = self._job
         return (
             self._rendering
+            or bool(self._exact_questions)
             or job is None
             or job.traced != self._wanted.state.traced
             or not (job.exact and job.done(self._limit()))
@@ -208,7 +220,7 @@ class Renderer:
 
     def _work(self, wanted: Wanted, active: bool) -> None:
         """Answer questions, take one step, and show the picture."""
-        if not active:
+        if not (active or self._rendering):
             self._forget()
         self._answer()
         state = wanted.state
@@ -250,7 +262,8 @@ class Renderer:
         if job is not None and job.full_size:
             self._kept.take(job.loop)
         while self._exact_questions:
-            self._exact_questions.popleft()[1].cancel()
+            error = BokehguideError("the picture changed before its samples were exact; save it again")
+            self._exact_questions.popleft()[1].set_exception(error)
 
     def _forget(self) -> None:
         """Free the picture."""
@@ -308,6 +321,8 @@ class Renderer:
     def _is_due(self, job: Job, wanted: Wanted) -> bool:
         """Whether to show the picture now: at once after a change, at each reduced size, at intervals, and at the end."""
         sight = self._sight
+        if self._is_shown(job):
+            return False
         changed = sight is None or sight.job is not job or sight.wanted != wanted
         return changed or not job.full_size or job.done(self._limit()) or time.monotonic() - self._shown_at > LATEST
 
@@ -318,7 +333,7 @@ class Renderer:
         self._listener.shown(self._facts(job, wanted, shown), shown)
         self._sight = Sight(job, job.loop.step_number, wanted)
         self._shown_at = time.monotonic()
-        if job.done(self._limit()) and wanted.state.layer == "picture":
+        if job.exact and job.done(self._limit()) and wanted.state.layer == "picture":
             self._finisher.start(job, wanted.state, wanted.revision)
 
     def _publish_exact(self, job: Job, state: ViewState, revision: int, shown: Shown) -> None:

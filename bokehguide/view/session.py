@@ -92,7 +92,8 @@ class Session(Listener):
         self.renderer.close()
 
     def watch(self, watched: bool) -> None:
-        self.renderer.watch(watched)
+        if self.renderer.watch(watched):
+            self._send(Message("note", {"note": "the render goes on: it paused when the last page closed"}))
 
     def greeting(self) -> list[Message]:
         scene = self.source.scene
@@ -198,8 +199,15 @@ class Session(Listener):
         self._send(self._state_message())
 
     def _save_picture(self, request: Mapping[str, Any]) -> Future[Message]:
+        """Save the exact picture, which may need its samples first."""
         state = self.state
-        return self._asked(lambda job: Message("note", {"note": save(job, state, self.source, self.folder)}))
+
+        def saved(job: Job) -> Message:
+            return Message("note", {"note": save(job, state, self.source, self.folder)})
+
+        if not self.renderer.exact:
+            self._send(Message("note", {"note": "the file follows when its samples are those of the command"}))
+        return self.renderer.ask(saved, exact=True)
 
     def _save_scene(self, request: Mapping[str, Any]) -> Message:
         (path,) = free_paths(self.folder, f"{self.source.scene.name}-view", (".toml",))
@@ -210,7 +218,7 @@ class Session(Listener):
 
     def _hover(self, request: Mapping[str, Any]) -> Future[Message]:
         x, y = _place(request)
-        return self._asked(lambda job: Message("pixel", pixel_facts(job.loop, self._layers_of(job), x, y)))
+        return self.renderer.ask(lambda job: Message("pixel", pixel_facts(job.loop, self._layers_of(job), x, y)))
 
     def _layers_of(self, job: Job) -> dict[str, np.ndarray]:
         """The layers of a job's film, kept until its next step."""
@@ -218,9 +226,6 @@ class Session(Listener):
         if known is None or known[0] is not job.loop or known[1] != job.loop.step_number:
             known = self._layers = (job.loop, job.loop.step_number, job.loop.film.layers())
         return known[2]
-
-    def _asked(self, question: Callable[[Job], Message]) -> Future[Message]:
-        return self.renderer.ask(question)
 
 
 REQUESTS: dict[str, Callable[[Session, Mapping[str, Any]], Message | Future[Message] | None]] = {

@@ -171,6 +171,67 @@ def test_a_render_stops_and_goes_on_to_the_picture_of_the_command(box, tmp_path)
             np.testing.assert_array_equal(saved[name], again[name], err_msg=name)
 
 
+def test_a_render_pauses_while_no_page_is_open(box, tmp_path):
+    with served(box, tmp_path, mode="uniform", spp=1 << 20) as server:
+        with opened(server) as page:
+            page.send(type="render", on=True)
+            page.until("picture", lambda facts: facts["spp"] > 8)
+        renderer = server.shown.renderer
+        deadline = time.monotonic() + 60.0
+        while renderer.ask(lambda job: job.loop.step_number).result(60) != (spp := step_after(renderer, 0.5)):
+            assert time.monotonic() < deadline, "the render goes on without a page"
+        with opened(server) as page:
+            assert "the render goes on" in page.until("note")["note"] and page.facts["state"]["rendering"]
+            assert page.until("picture", lambda facts: facts["spp"] > spp)["rendering"]
+            page.send(type="render", on=False)
+            page.until("state", lambda facts: not facts["rendering"])
+
+
+def step_after(renderer, seconds: float) -> int:
+    """The number of steps some time later."""
+    time.sleep(seconds)
+    return renderer.ask(lambda job: job.loop.step_number).result(60)
+
+
+def test_learned_state_stays_when_the_lens_or_the_camera_changes(box, tmp_path):
+    """The first step at full size draws from what the picture before has learned, with other random numbers."""
+    with served(box, tmp_path, spp=1) as server, opened(server) as page:
+        renderer = server.shown.renderer
+        page.rested()
+        first = renderer.ask(lambda job: job.loop).result(60)
+        learned = [first.settings.seed]
+        for request in (
+            {"type": "set", "name": "f_number", "value": 0.2},
+            {"type": "move", "kind": "orbit", "x": 0.01, "y": 0.0},
+        ):
+            found = []
+            make = type(first).inherit
+
+            def inherit(loop, state, make=make, found=found):
+                make(loop, state)
+                found.append((loop.settings.seed, bool(loop.mode.lights.sampler.probability.any()), loop.mode.lens.beta.unique()))
+
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(type(first), "inherit", inherit)
+                page.change(**request)
+                page.rested()
+            [(seed, lights, beta)] = found
+            assert lights and len(beta) > 1
+            learned.append(seed)
+        assert len(set(learned)) == 3
+        assert renderer.ask(lambda job: job.exact and job.loop.settings.seed).result(60) == 0
+
+
+def test_another_environment_or_mode_begins_without_learned_state(box, tmp_path, monkeypatch):
+    monkeypatch.setattr(RenderLoop, "inherit", lambda *_: pytest.fail("inherited"))
+    with served(box, tmp_path, spp=1) as server, opened(server) as page:
+        page.rested()
+        for name, value in (("environment_rotation", 30.0), ("mode", "lis-o"), ("mode", "uniform")):
+            page.change(type="set", name=name, value=value)
+            page.rested()
+            assert server.shown.renderer.exact
+
+
 def test_a_picture_that_cannot_be_written_keeps_the_samples(page, tmp_path, monkeypatch):
     page.rested()
     monkeypatch.setattr(
