@@ -16,8 +16,8 @@ from bokehguide.view.workers import StoppableWorkers
 
 COARSE_PIXELS = 6_000
 """Approximate number of pixels of the first picture where nothing is known about the speed."""
-BATCH_PIXELS, LEAST_BATCH = 7_200, 2_400
-"""Pixels of a batch, and the least number of them. A change waits for the batches that have begun, some 50 ms. The batches change
+BATCH_PIXELS, LEAST_BATCH = 3_600, 1_200
+"""Pixels of a batch, and the least number of them. A change waits for the batches that have begun, some 30 ms. The batches change
 no bit of the picture."""
 PREVIEW_SPP = 32
 """Samples per pixel after which the picture rests, until a render is asked for."""

@@ -174,6 +174,10 @@ class Renderer:
         return future
 
     def _run(self) -> None:
+        with self._workers.serial():  # the operations of a small picture are too short for a second thread
+            self._work_on()
+
+    def _work_on(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(self._has_work)
