@@ -179,14 +179,15 @@ class LearnedLightSampler(RankSums, LightSampler):
     def inherit(self, learned: Learned, sums: Tensor) -> None:
         """Begin with sums of an earlier render, `[3, tiles, clusters]`, where its surfaces lie in this frame.
 
-        Tiles without samples get the mean of all tiles with the weight of one sample.
+        Tiles without samples get the mean of all tiles, with the weight of one sample.
         """
         if not bool(sums[1].any()):
             return
         if not learned.same_view(self._camera):
             sums = self._moved(learned, sums)
         mean = sums.mean(1, keepdim=True)
-        self.sums.copy_(learned.share * sums + mean * (1.0 / mean[1].sum()))
+        empty = sums[1].sum(1, keepdim=True) == 0.0
+        self.sums.copy_(learned.share * sums + empty * mean / mean[1].sum())
         self.update(1)
 
     def _moved(self, learned: Learned, sums: Tensor) -> Tensor:
