@@ -6,24 +6,23 @@ import gc
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 from bokehguide.errors import BokehguideError
-from bokehguide.render import PathTracer
-from bokehguide.render.random import hash_int
 from bokehguide.runtime.distributed import available_cores
 from bokehguide.runtime.process import return_freed_memory
-from bokehguide.scene import Scene
+from bokehguide.view.facts import picture_facts
 from bokehguide.view.finisher import Finisher
 from bokehguide.view.hand import Hand
-from bokehguide.view.job import COARSE_PIXELS, PREVIEW_SPP, Job, reduced_sizes
+from bokehguide.view.job import PREVIEW_SPP, Job
+from bokehguide.view.jobs import Jobs
 from bokehguide.view.kept import Kept
 from bokehguide.view.pictures import Shown, preview
 from bokehguide.view.preview import QuickDenoiser, prepare
+from bokehguide.view.questions import Questions
 from bokehguide.view.state import Source, ViewState
 from bokehguide.view.workers import AbandonedError, StoppableWorkers
 
@@ -32,12 +31,6 @@ log = logging.getLogger(__name__)
 Answer = TypeVar("Answer")
 LATEST = 0.25
 """Seconds after which a new picture is shown while steps go on."""
-FIRST = 0.06
-"""Seconds that the first picture after a change should take; its size follows from the last ones."""
-TRIMMED = 32
-"""Number of changes after which freed memory is returned: pictures of many sizes leave gaps of many sizes."""
-LEAST_COARSE, MOST_COARSE = 3_000, 60_000
-"""Bounds of the pixels of a first picture."""
 
 
 class Wanted(NamedTuple):
@@ -81,27 +74,22 @@ class Renderer:
 
     def __init__(self, source: Source, state: ViewState, listener: Listener, halves: bool, threads: int | None = None):
         self.source = source
-        self._listener, self._halves = listener, halves
+        self._listener = listener
         self._changed = threading.Condition()
         self._wanted = Wanted(state, 0)
         self._watched = self._closed = self._rendering = False
-        self._questions: deque[tuple[Callable[[Job], Any], Future[Any]]] = deque()
         self._workers = StoppableWorkers(threads or available_cores())
         """The workers of the present job."""
         self._hand = Hand()
         """Builds and advances jobs. A change does not wait for the end of its work."""
-        self._kept = Kept()
+        self._questions = Questions()
         self._exact: Job | None = None
         """The exact job that takes the place of the present one when it has as many samples."""
-        self._exact_questions: deque[tuple[Callable[[Job], Any], Future[Any]]] = deque()
-        self._tracer = PathTracer(source.scene)
-        self._rotation = _rotation(source.scene)
+        self._jobs = Jobs(source, halves, self._hand)
         self._job: Job | None = None
-        self._job_count = 0
         self._sight: Sight | None = None
         self._shown_at = 0.0
         self._failed: ViewState | None = None
-        self._coarse_pixels = float(COARSE_PIXELS)
         self._denoiser = QuickDenoiser() if halves else None
         self._finisher = Finisher(self._publish_exact)
         self._thread = threading.Thread(target=self._run, name="renderer", daemon=True)
@@ -167,9 +155,8 @@ class Renderer:
 
         exact: whether to wait for the exact job with as many samples. After another change, the future has a BokehguideError.
         """
-        future: Future[Answer] = Future()
         with self._changed:
-            (self._exact_questions if exact else self._questions).append((question, future))
+            future = self._questions.ask(question, exact)
             self._changed.notify()
         return future
 
@@ -194,11 +181,11 @@ class Renderer:
                 self._drop()
                 self._listener.failed(error)
         self._forget()
-        self._answer()
+        self._questions.answer(self._job)
 
     def _has_work(self) -> bool:
         """Whether `_work` would do anything."""
-        if self._closed or self._questions:
+        if self._closed or self._questions.of_any:
             return True
         if not self._watched:
             return not self._rendering and (self._job is not None or self._sight is not None)
@@ -207,7 +194,7 @@ class Renderer:
         job = self._job
         return (
             self._rendering
-            or bool(self._exact_questions)
+            or bool(self._questions.of_exact)
             or job is None
             or job.traced != self._wanted.state.traced
             or not (job.exact and job.done(self._limit()))
@@ -226,7 +213,7 @@ class Renderer:
         """Answer questions, take one step, and show the picture."""
         if not (active or self._rendering):
             self._forget()
-        self._answer()
+        self._questions.answer(self._job)
         state = wanted.state
         if not active or self._failed == state:
             return
@@ -240,7 +227,7 @@ class Renderer:
         if self._is_due(job, wanted) and (first or not outdated):
             self._show(job, wanted)
             if at_first:
-                self._adapt(time.monotonic() - start)
+                self._jobs.adapt(time.monotonic() - start)
         if self._rendering and job.done(state.spp):
             self._rendering = False
             self._listener.ended(job, state)
@@ -249,12 +236,12 @@ class Renderer:
         """Take a step of the job, or of the exact job that takes its place; returns the job to show."""
         if job.at_first:
             job.advance()
-        elif job.exact or not (self._rendering or self._exact_questions or job.done(self._limit())):
+        elif job.exact or not (self._rendering or self._questions.of_exact or job.done(self._limit())):
             if not job.done(self._limit()):
                 self._hand.do(job.advance, self._workers.stop)
         else:
             if self._exact is None:
-                self._exact = self._hand.do(lambda: self._make_job(state, exact=True), self._workers.stop)
+                self._exact = self._jobs.exact(state, self._workers)
             self._hand.do(self._exact.advance, self._workers.stop)
             if self._rendering or self._exact.done(job.loop.step_number):
                 job, self._exact = self._exact, None
@@ -264,63 +251,24 @@ class Renderer:
         """Drop the job, and keep what it has learned."""
         job, self._job, self._exact = self._job, None, None
         if job is not None and job.full_size:
-            self._kept.take(job.loop)
-        while self._exact_questions:
-            error = BokehguideError("the picture changed before its samples were exact; save it again")
-            self._exact_questions.popleft()[1].set_exception(error)
+            self._jobs.kept.take(job.loop)
+        self._questions.refuse()
 
     def _forget(self) -> None:
         """Free the picture."""
         self._finisher.stop()
         self._drop()
-        self._sight, self._kept = None, Kept()
+        self._sight, self._jobs.kept = None, Kept()
         self._hand.rest()
         gc.collect()
         return_freed_memory()
 
-    def _answer(self) -> None:
-        if self._job is not None and self._job.exact:
-            self._questions.extend(self._exact_questions)
-            self._exact_questions.clear()
-        while self._questions:
-            question, future = self._questions.popleft()
-            if self._job is None:
-                future.cancel()
-            elif future.set_running_or_notify_cancel():
-                try:
-                    future.set_result(question(self._job))
-                except Exception as error:  # for the one who asked
-                    future.set_exception(error)
-
     def _new_job(self, state: ViewState) -> Job:
         self._finisher.stop()
         self._drop()
-        self._job_count += 1
-        if self._job_count % TRIMMED == 0:
-            return_freed_memory()
         with self._changed:
             self._workers = self._workers.renewed()
-        scene = self.source.scene_of(state.overrides)
-        if _rotation(scene) != self._rotation:
-            self._tracer = PathTracer(scene, geometry=self._tracer.geometry)
-            self._rotation = _rotation(scene)
-        if len(reduced_sizes(scene.film, self._coarse_pixels)) > 1:
-            return self._make_job(state)
-        return self._hand.do(lambda: self._make_job(state), self._workers.stop)  # only the hand may read what is kept
-
-    def _make_job(self, state: ViewState, exact: bool = False) -> Job:
-        """A job of the present tracer. exact: at full size alone, without kept state."""
-        scene = self.source.scene_of(state.overrides)
-        arguments = scene, state, self._tracer, self._workers, self._halves
-        if exact:
-            return Job(*arguments, scene.film.width * scene.film.height)
-        seed = hash_int(hash_int(state.seed) + self._job_count)
-        return Job(*arguments, self._coarse_pixels, self._kept, seed)
-
-    def _adapt(self, seconds: float) -> None:
-        """Set the size of the next first picture by the time that this one took."""
-        wanted = self._coarse_pixels * min(max(FIRST / max(seconds, 1e-3), 0.5), 1.5)
-        self._coarse_pixels = min(max(wanted, LEAST_COARSE), MOST_COARSE)
+        return self._jobs.next(state, self._workers)
 
     def _is_due(self, job: Job, wanted: Wanted) -> bool:
         """Whether to show the picture now: at once after a change, at each reduced size, at intervals, and at the end."""
@@ -349,28 +297,4 @@ class Renderer:
         self._listener.shown({**self._facts(job, wanted, shown), "exact": True}, shown)
 
     def _facts(self, job: Job, wanted: Wanted, shown: Shown) -> dict[str, Any]:
-        """The facts beside a picture, as JSON values."""
-        limit, stats = self._limit(), job.stats
-        seconds = max(stats.seconds, 1e-9) if stats else 1.0
-        return {
-            "revision": wanted.revision,
-            "width": job.scene.film.width,
-            "height": job.scene.film.height,
-            "reduction": job.reduction,
-            "spp": job.loop.step_number if job.full_size else 0,
-            "limit": limit,
-            "rendering": self._rendering,
-            "done": job.done(limit),
-            "exact": False,
-            "seconds": job.seconds,
-            "rays_per_second": stats.rays / seconds if stats else 0.0,
-            "samples_per_second": stats.samples / seconds if stats else 0.0,
-            "error": job.curve[-1][1] if job.curve else None,
-            "curve": job.curve[-512:],
-            "exposure": shown.exposure,
-        }
-
-
-def _rotation(scene: Scene) -> float:
-    """Rotation of the environment, 0 without one."""
-    return 0.0 if scene.environment is None else scene.environment.rotation
+        return picture_facts(job, self._limit(), self._rendering, wanted.revision, shown.exposure)

@@ -7,6 +7,7 @@ import shlex
 import threading
 import time
 import weakref
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from bokehguide.image import Display, read_layers, to_8_bit
 from bokehguide.render import PathTracer
 from bokehguide.scene import FilmSettings, Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
+from bokehguide.view.history import LONGEST, History
 from bokehguide.view.job import Job, reduced_sizes
 from bokehguide.view.pictures import LAYERS_OF_DATA, data_image
 from bokehguide.view.pixel import BRIGHTEST, DIMMEST, lens_disc
@@ -96,6 +98,35 @@ def test_a_reset_returns_to_the_first_picture(page):
     page.rested()
     page.change(type="reset")
     np.testing.assert_array_equal(page.rested(), first)
+
+
+def test_changes_are_undone_one_by_one(page):
+    """The moves of a drag are one change; a layer is none."""
+    first = page.rested()
+    values = page.facts["state"]["values"]
+    assert page.facts["state"]["changes"] == 0
+    page.send(type="undo")
+    assert "nothing has been changed" in page.until("failure")["failure"]
+    focused = page.change(type="set", name="focus_distance", value=7.0)["values"]
+    for _ in range(4):
+        page.change(type="move", kind="orbit", x=0.01, y=0.0)
+    page.change(type="set", name="layer", value="depth")
+    assert page.facts["state"]["changes"] == 2
+    assert page.change(type="undo")["values"] == {**focused, "layer": "depth"}
+    page.change(type="set", name="layer", value="picture")
+    assert page.change(type="undo")["values"] == values and page.facts["state"]["changes"] == 0
+    np.testing.assert_array_equal(page.rested(), first)
+
+
+def test_a_pause_begins_another_change(monkeypatch):
+    history, state = History(), ViewState(Overrides())
+    for number in range(3):
+        monkeypatch.setattr(time, "monotonic", lambda number=number: 10.0 * number)
+        history.add(replace(state, seed=number), replace(state, seed=number + 1), "move")
+    assert len(history) == 3 and history.undone(state).seed == 2
+    for number in range(2 * LONGEST):
+        history.add(replace(state, seed=number), replace(state, seed=number + 1), number)
+    assert len(history) == LONGEST
 
 
 def test_the_display_changes_without_new_samples(page):
