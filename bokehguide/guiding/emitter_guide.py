@@ -28,6 +28,7 @@ from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.emitter_proposals import emitter_proposals
 from bokehguide.guiding.guide import Guide, GuideRecord, learned_of
 from bokehguide.guiding.highlight_fitting import fit_ellipsoids
+from bokehguide.guiding.inheritance import Learned, moved
 from bokehguide.guiding.layered_record import VoxelRecord
 from bokehguide.guiding.lens_queries import MixtureQuery, UniformQuery
 from bokehguide.guiding.protocols import BatchSamples, LensQuery, ModeContext, PixelBatch, StepSummary
@@ -70,6 +71,7 @@ class EmitterGuide(Guide):
     draws.
     """
 
+    inherits = True
     record_buffer: VoxelRecord
     beta: Tensor
     moments: Tensor
@@ -189,6 +191,22 @@ class EmitterGuide(Guide):
             self.moments /= mean_luminance**2
         self.refit(summary.mean_luminance)
         self.beta.copy_(self._least_variance_blend())
+
+    @torch.no_grad()
+    def inherit(self, learned: Learned, name: str) -> None:
+        """See `Strategy`. Highlights move with the camera; success rates, which belong to tiles, stay with the view alone."""
+        state, mean_luminance = learned.state[name], max(learned.mean_luminance, 1e-15)
+        self.record_buffer.inherit(learned, *(state[f"record_buffer.{each}"] for each in ("sums", "voxels", "waiting")))
+        moments = state["moments"]
+        if learned.same_view(self.camera):
+            self.success_rates.sums.copy_(learned.share * state["success_rates.sums"])
+            self.success_rates.update()
+        else:
+            moments = moved(moments, learned.pixels(self.camera))
+        self.refit(mean_luminance)
+        self.moments.copy_(learned.share * moments)
+        self.beta.copy_(self._least_variance_blend())
+        self.moments *= mean_luminance**2  # the unit of luminance in the first step is 1
 
     def _least_variance_blend(self) -> Tensor:
         squares = self.ranks.total(self.moments).reshape(2, 1, self.camera.height, self.camera.width)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from bokehguide.guiding.inheritance import Learned
 from bokehguide.guiding.record_buffer import Raster, Records
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.runtime.device import to_device
@@ -46,7 +47,7 @@ class VoxelRecord(Raster):
 
     def __init__(self, camera: ThinLensCamera, ranks: Ranks | None = None, by_depth: bool = True):
         super().__init__(camera, 2, ranks)
-        self._by_depth = by_depth
+        self._camera, self._by_depth = camera, by_depth
         self._focus_distance = camera.lens.focus_distance
         for name in ("voxels", "waiting"):
             self.register_buffer(name, torch.zeros(0, 6, dtype=torch.float64))
@@ -132,6 +133,28 @@ class VoxelRecord(Raster):
     def _mark_lit(self) -> None:
         self._lit.zero_()
         self._lit[self.voxels[:, 0].long() // LAYERS] = True
+
+    def inherit(self, learned: Learned, sums: Tensor, voxels: Tensor, waiting: Tensor) -> None:
+        """Begin with the voxels of an earlier record, at their places in this camera's frame.
+
+        sums, voxels, waiting: as those of this class. After a move of the camera, all cells have the mean number of samples.
+        """
+        rows = _summed([voxels, waiting])
+        rows = rows[rows[:, 3:].isfinite().all(1) & (rows[:, 2] > 0.0) & (rows[:, 5] > 0.0)]
+        count, light, x, y, inverse_depth = rows[:, 1:].T
+        points = (torch.stack((x, y, light)) / inverse_depth).float()
+        if learned.same_view(self._camera):
+            self.sums.copy_(learned.share * sums)
+        else:
+            points = learned.seen_by(self._camera, points)
+            self.sums[0] = learned.share * sums[0].sum() / (sums[0] > 0.0).sum().clamp(min=1)
+        cells = self.cells(self._camera, points)
+        kept = indices(cells >= 0)
+        before = torch.stack((count, light))[:, kept] * learned.share
+        x, y, depth = points[:, kept].double()
+        number = cells[kept] * LAYERS + self._layers(depth)
+        new = torch.stack((number, *before, before[1] * x / depth, before[1] * y / depth, before[1] / depth), dim=1)
+        self._set_waiting(_summed([new]))
 
     def bright(self, threshold: float) -> tuple[Tensor, Tensor, Tensor]:
         """Cells int64 `[K]`, positions `[3, K]` and mean luminance `[K]` of voxels whose mean luminance is above the threshold.

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import cast
 
 from bokehguide.guiding.config import GuidedConfig
+from bokehguide.guiding.inheritance import Learned
 from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSampleRecorder, LightSamples
 from bokehguide.guiding.protocols import BatchSamples, LightStrategy, ModeContext, StepSummary
 from bokehguide.render.observer import PathObserver
@@ -15,6 +16,7 @@ class LearnedLights(LightStrategy):
     """Light strategy in which a `LearnedLightSampler` chooses light samples. The sampler learns at the ends of epochs."""
 
     learns = True
+    inherits = True
     sampler: LearnedLightSampler
 
     def __init__(self, context: ModeContext, config: GuidedConfig):
@@ -37,6 +39,10 @@ class LearnedLights(LightStrategy):
     def update(self, summary: StepSummary) -> None:
         if summary.ends_epoch and self._learns:
             self.sampler.update(summary.step + 1)
+
+    def inherit(self, learned: Learned, name: str) -> None:
+        if self._learns:
+            self.sampler.inherit(learned, learned.state[name]["sampler.sums"])
 
     def merge(self) -> None:
         self.sampler.merge()

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from bokehguide.guiding.cluster_lights import ClusterTables, Counts, MixtureLights, VoxelLights, sample_counts
 from bokehguide.guiding.config import GuidedConfig
+from bokehguide.guiding.inheritance import Learned, moved
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lights.base import DirectLight, LightDistribution, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
@@ -175,6 +176,30 @@ class LearnedLightSampler(RankSums, LightSampler):
         self.probability.copy_(torch.where(whole > 0.0, roots / divisor(whole, 1e-300), 1.0 / roots.shape[1]))
         self.visibility.copy_(((arrived + PRIOR_VISIBLE) / (tried + PRIOR_VISIBLE)).clamp(min=MIN_VISIBILITY))
         self._tables = self._make_tables()
+
+    def inherit(self, learned: Learned, sums: Tensor) -> None:
+        """Begin with sums of an earlier render, `[3, tiles, clusters]`, where its surfaces lie in this frame.
+
+        Tiles without samples get the mean of all tiles, with the weight of one sample.
+        """
+        if not bool(sums[1].any()):
+            return
+        if not learned.same_view(self._camera):
+            sums = self._moved(learned, sums)
+        mean = sums.mean(1, keepdim=True)
+        empty = sums[1].sum(1, keepdim=True) == 0.0
+        self.sums.copy_(learned.share * sums + empty * mean / mean[1].sum())
+        self.update(1)
+
+    def _moved(self, learned: Learned, sums: Tensor) -> Tensor:
+        """Sums at the tiles of this camera in which the middles of the earlier tiles lie."""
+        tile = torch.arange(self._across * self._down)
+        width, height, half = self._camera.width, self._camera.height, self._size // 2
+        column = (tile % self._across * self._size + half).clamp(max=width - 1)
+        row = (tile // self._across * self._size + half).clamp(max=height - 1)
+        pixel = learned.pixels(self._camera)[row * width + column]
+        place = pixel // width // self._size * self._across + pixel % width // self._size
+        return torch.stack([moved(each.T, torch.where(pixel >= 0, place, -1)).T for each in sums])
 
     def _pooled(self, total: Tensor) -> Tensor:
         """A sum `[tiles, clusters]`, averaged over the squares around each tile."""

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from bokehguide.guiding.inheritance import Learned
 from bokehguide.models.base import LensDensity
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import FilmSamples
@@ -173,9 +174,11 @@ class Strategy(nn.Module):
     `update` and `merge` are collective: every rank calls them, in the same order.
 
     learns: whether the strategy needs `accumulate` and `update`. If no strategy learns, a render does not call the two methods.
+    inherits: whether `inherit` does anything.
     """
 
     learns = False
+    inherits = False
 
     def accumulate(self, records: Sequence[Any], summary: StepSummary) -> None:
         """Add the records of a step's batches, in the order of the pixels."""
@@ -185,6 +188,9 @@ class Strategy(nn.Module):
 
     def merge(self) -> None:
         """Exchange the samples of all ranks. Collective."""
+
+    def inherit(self, learned: Learned, name: str) -> None:
+        """Begin with the learned state of an earlier render, before the first step; `name` of this strategy in its state."""
 
     def check(self, step: int) -> None:
         """Raises ValueError if no render can have the loaded state after `step` steps."""

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.errors import BokehguideError
+from bokehguide.guiding.inheritance import Learned
 from bokehguide.guiding.modes import MODES
 from bokehguide.guiding.protocols import BatchSamples, LensPoints, LensQuery, ModeContext, PixelBatch, StepSummary
 from bokehguide.render import dimensions
@@ -106,6 +107,26 @@ class RenderLoop:
     def render_only(self, active: Tensor) -> None:
         """From now on, render only the `active` pixels of the film, bool `[pixels]`."""
         self._places = indices(active & self._mine_of_film().to(active.device))
+
+    def learned(self) -> Learned | None:
+        """What the strategies have learned, for `inherit`; None if they cannot hand it on. Its tensors are those of the loop."""
+        strategies = self.mode.strategies
+        if self.step_number == 0 or not any(strategy.inherits for strategy in strategies.values()):
+            return None
+        with self.workers.serial():
+            for strategy in strategies.values():
+                strategy.merge()
+        state = {name: strategy.state_dict() for name, strategy in strategies.items()}
+        depth = torch.from_numpy(self.film.layers()["depth"]).flatten()
+        return Learned(state, self.camera, depth, self.step_number, self._mean_luminance)
+
+    def inherit(self, learned: Learned) -> None:
+        """Begin with the learned state of a render of the same scene and mode, with another camera, lens and seed, but on one
+        rank, of the whole frame and of the same size. Call this method before the first step."""
+        with self.workers.serial():
+            for name, strategy in self.mode.strategies.items():
+                if strategy.inherits:
+                    strategy.inherit(learned, name)
 
     def freeze(self) -> None:
         """Stop learning."""

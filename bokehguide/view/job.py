@@ -10,13 +10,14 @@ from bokehguide.render import PathTracer
 from bokehguide.scene import FilmSettings, Scene
 from bokehguide.train import RenderLoop, RenderSettings, StepStats
 from bokehguide.train.scheduler import Batches
+from bokehguide.view.kept import Kept
 from bokehguide.view.state import ViewState
 from bokehguide.view.workers import StoppableWorkers
 
 COARSE_PIXELS = 6_000
 """Approximate number of pixels of the first picture where nothing is known about the speed."""
-BATCH_PIXELS, LEAST_BATCH = 7_200, 2_400
-"""Pixels of a batch, and the least number of them. A change waits for the batches that have begun, some 50 ms. The batches change
+BATCH_PIXELS, LEAST_BATCH = 3_600, 1_200
+"""Pixels of a batch, and the least number of them. A change waits for the batches that have begun, some 30 ms. The batches change
 no bit of the picture."""
 PREVIEW_SPP = 32
 """Samples per pixel after which the picture rests, until a render is asked for."""
@@ -33,7 +34,9 @@ class Job:
     """The steps of the pictures of one traced state: one step at each reduced size, then the full size.
 
     scene: with the overrides of the state. tracer: of the scene. halves: whether the film keeps halves, for a denoiser.
-    pixels: of the first picture, about. loop: of the present size. curve: numbers of steps and estimated MAPE at the full size.
+    pixels: of the first picture, about. kept: learned state with which the full size begins; None: the job is exact. seed: of the
+    full size where it begins with learned state, another one for each job. loop: of the present size. curve: numbers of steps and
+    estimated MAPE at the full size. exact: whether the samples are those of the command line.
     """
 
     def __init__(
@@ -44,21 +47,30 @@ class Job:
         workers: StoppableWorkers,
         halves: bool = False,
         pixels: float = COARSE_PIXELS,
+        kept: Kept | None = None,
+        seed: int = 0,
     ):
         self.traced = state.traced
         self.scene, self.tracer = scene, tracer
         self._workers = workers
+        self._kept, self._seed, self.exact = kept, seed, True
         self._settings = RenderSettings(state.mode, seed=state.seed, denoise=halves)
         self._sizes: Sequence[FilmSettings] = reduced_sizes(scene.film, pixels)
         self.curve: list[tuple[int, float]] = []
         self.seconds = 0.0
         self.stats: StepStats | None = None
         self.loop = self._next_loop()
+        self._sizes = self._sizes[1:]
 
     @property
     def full_size(self) -> bool:
         """Whether the loop has the full size."""
         return not self._sizes
+
+    @property
+    def at_first(self) -> bool:
+        """Whether the next step makes the first of several pictures, which takes little time."""
+        return not self.full_size and self.loop.step_number == 0
 
     @property
     def reduction(self) -> float:
@@ -73,6 +85,7 @@ class Job:
         """Take a step, at the next size if this size has its step. Raises AbandonedError where the workers are stopped."""
         if not self.full_size and self.loop.step_number > 0:
             self.loop = self._next_loop()
+            self._sizes = self._sizes[1:]  # last, for readers on other threads: they find no reduced loop at the full size
         self.stats = self.loop.step()
         self.seconds += self.stats.seconds
         return self.stats
@@ -84,11 +97,18 @@ class Job:
             self.curve.append((step, self.loop.film.relative_noise()))
 
     def _next_loop(self) -> RenderLoop:
-        film, *self._sizes = self._sizes
-        loop = RenderLoop(replace(self.scene, film=film), self._settings, tracer=self.tracer)
+        film, settings, learned = self._sizes[0], self._settings, None
+        reduced = len(self._sizes) > 1
+        if not reduced and self._kept is not None and self.scene.camera.aperture_radius > 0.0:
+            learned = self._kept.learned(settings.mode, self.tracer)
+        if learned is not None:
+            settings, self.exact = replace(settings, seed=self._seed), False
+        loop = RenderLoop(replace(self.scene, film=film), settings, tracer=self.tracer)
         loop.workers = self._workers
         count = max(self._workers.threads, film.width * film.height // BATCH_PIXELS)
         loop.batches = Batches(count, loop.mode.lens.paths_per_sample, LEAST_BATCH)
-        if self._sizes:  # a reduced size has one step, so that nothing can use what it learns
+        if learned is not None:
+            loop.inherit(learned)
+        if reduced:  # a reduced size has one step, so that nothing can use what it learns
             loop.freeze()
         return loop

@@ -6,21 +6,23 @@ import gc
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 from bokehguide.errors import BokehguideError
-from bokehguide.render import PathTracer
 from bokehguide.runtime.distributed import available_cores
 from bokehguide.runtime.process import return_freed_memory
-from bokehguide.scene import Scene
+from bokehguide.view.facts import picture_facts
 from bokehguide.view.finisher import Finisher
-from bokehguide.view.job import COARSE_PIXELS, PREVIEW_SPP, Job
+from bokehguide.view.hand import Hand
+from bokehguide.view.job import PREVIEW_SPP, Job
+from bokehguide.view.jobs import Jobs
+from bokehguide.view.kept import Kept
 from bokehguide.view.pictures import Shown, preview
 from bokehguide.view.preview import QuickDenoiser, prepare
+from bokehguide.view.questions import Questions
 from bokehguide.view.state import Source, ViewState
 from bokehguide.view.workers import AbandonedError, StoppableWorkers
 
@@ -29,12 +31,6 @@ log = logging.getLogger(__name__)
 Answer = TypeVar("Answer")
 LATEST = 0.25
 """Seconds after which a new picture is shown while steps go on."""
-FIRST = 0.06
-"""Seconds that the first picture after a change should take; its size follows from the last ones."""
-TRIMMED = 32
-"""Number of changes after which freed memory is returned: pictures of many sizes leave gaps of many sizes."""
-LEAST_COARSE, MOST_COARSE = 3_000, 60_000
-"""Bounds of the pixels of a first picture."""
 
 
 class Wanted(NamedTuple):
@@ -69,29 +65,31 @@ class Listener:
 class Renderer:
     """Renders the picture of a state, and starts anew at once when the state changes.
 
-    The tracing structure, the tables of the lights and the list of the emitters stay. Samples and learned state stay while only
-    the display changes. Another camera, lens, environment or mode starts without learned state, as the command line does, so that
-    both give the same picture.
+    The tracing structure, the tables of the lights and the list of the emitters stay. A change of the display keeps all samples.
+    Learned state stays where another camera or lens can begin with it (see `Kept`). When such a picture rests, an exact job takes
+    its place: it begins without learned state, as the command line does, and gives the same picture as the command line.
 
     halves: whether a denoiser is installed. threads: None for one for each core.
     """
 
     def __init__(self, source: Source, state: ViewState, listener: Listener, halves: bool, threads: int | None = None):
         self.source = source
-        self._listener, self._halves = listener, halves
+        self._listener = listener
         self._changed = threading.Condition()
         self._wanted = Wanted(state, 0)
         self._watched = self._closed = self._rendering = False
-        self._questions: deque[tuple[Callable[[Job], Any], Future[Any]]] = deque()
         self._workers = StoppableWorkers(threads or available_cores())
-        self._tracer = PathTracer(source.scene)
-        self._rotation = _rotation(source.scene)
+        """The workers of the present job."""
+        self._hand = Hand()
+        """Builds and advances jobs. A change does not wait for the end of its work."""
+        self._questions = Questions()
+        self._exact: Job | None = None
+        """The exact job that takes the place of the present one when it has as many samples."""
+        self._jobs = Jobs(source, halves, self._hand)
         self._job: Job | None = None
-        self._job_count = 0
         self._sight: Sight | None = None
         self._shown_at = 0.0
         self._failed: ViewState | None = None
-        self._coarse_pixels = float(COARSE_PIXELS)
         self._denoiser = QuickDenoiser() if halves else None
         self._finisher = Finisher(self._publish_exact)
         self._thread = threading.Thread(target=self._run, name="renderer", daemon=True)
@@ -110,12 +108,19 @@ class Renderer:
         if self._thread.is_alive():
             self._thread.join()
         self._finisher.close()
+        self._hand.close()
         self._workers.close()
 
     @property
     def rendering(self) -> bool:
         """Whether a render runs."""
         return self._rendering
+
+    @property
+    def exact(self) -> bool:
+        """Whether the samples of the picture are those of the command line."""
+        job = self._job
+        return job is not None and job.exact
 
     def update(self, state: ViewState, revision: int) -> None:
         """Show another state. revision: number of the change, which the facts of its pictures repeat."""
@@ -126,13 +131,18 @@ class Renderer:
             self._wanted = Wanted(state, revision)
             self._changed.notify()
 
-    def watch(self, watched: bool) -> None:
-        """Render while somebody watches. Otherwise the picture is freed, unless a render runs."""
+    def watch(self, watched: bool) -> bool:
+        """Render while somebody watches. Otherwise free the picture; a render pauses after its step, and keeps its samples.
+
+        Returns whether a paused render goes on.
+        """
         with self._changed:
+            resumes = watched and not self._watched and self._rendering
             self._watched = watched
             if not watched and not self._rendering:
                 self._workers.stop.set()
             self._changed.notify()
+        return resumes
 
     def render(self, rendering: bool) -> None:
         """Go on to the samples per pixel of the state, or pause."""
@@ -140,47 +150,54 @@ class Renderer:
             self._rendering = rendering
             self._changed.notify()
 
-    def ask(self, question: Callable[[Job], Answer]) -> Future[Answer]:
-        """The answer of a function of the present job, which runs between two steps. The future is cancelled without a job."""
-        future: Future[Answer] = Future()
+    def ask(self, question: Callable[[Job], Answer], exact: bool = False) -> Future[Answer]:
+        """The answer of a function of the present job, which runs between two steps. The future is cancelled without a job.
+
+        exact: whether to wait for the exact job with as many samples. After another change, the future has a BokehguideError.
+        """
         with self._changed:
-            self._questions.append((question, future))
+            future = self._questions.ask(question, exact)
             self._changed.notify()
         return future
 
     def _run(self) -> None:
+        with self._workers.serial():  # the operations of a small picture are too short for a second thread
+            self._work_on()
+
+    def _work_on(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(self._has_work)
                 if self._closed:
                     break
-                self._workers.stop.clear()
-                wanted, active = self._wanted, self._watched or self._rendering
+                wanted, active = self._wanted, self._watched
             try:
                 self._work(wanted, active)
             except AbandonedError:
-                self._job = None
+                self._drop()
             except (BokehguideError, RuntimeError, MemoryError) as error:
                 log.warning("%s", error)
-                self._rendering, self._job, self._failed = False, None, wanted.state
+                self._rendering, self._failed = False, wanted.state
+                self._drop()
                 self._listener.failed(error)
         self._forget()
-        self._answer()
+        self._questions.answer(self._job)
 
     def _has_work(self) -> bool:
         """Whether `_work` would do anything."""
-        if self._closed or self._questions:
+        if self._closed or self._questions.of_any:
             return True
-        if not (self._watched or self._rendering):
-            return self._job is not None or self._sight is not None
+        if not self._watched:
+            return not self._rendering and (self._job is not None or self._sight is not None)
         if self._failed == self._wanted.state:
             return False
         job = self._job
         return (
             self._rendering
+            or bool(self._questions.of_exact)
             or job is None
             or job.traced != self._wanted.state.traced
-            or not job.done(self._limit())
+            or not (job.exact and job.done(self._limit()))
             or not self._is_shown(job)
         )
 
@@ -194,64 +211,70 @@ class Renderer:
 
     def _work(self, wanted: Wanted, active: bool) -> None:
         """Answer questions, take one step, and show the picture."""
-        if not active:
+        if not (active or self._rendering):
             self._forget()
-        self._answer()
+        self._questions.answer(self._job)
         state = wanted.state
         if not active or self._failed == state:
             return
         start, job = time.monotonic(), self._job
         if job is None or job.traced != state.traced:
             job = self._job = self._new_job(state)
-        if not job.done(self._limit()):
-            job.advance()
+        at_first = job.at_first
+        job = self._job = self._advance(job, state)
         first = self._sight is None or self._sight.job is not job
         outdated = self._wanted.state.traced != state.traced
         if self._is_due(job, wanted) and (first or not outdated):
             self._show(job, wanted)
-            if first:
-                self._adapt(time.monotonic() - start)
+            if at_first:
+                self._jobs.adapt(time.monotonic() - start)
         if self._rendering and job.done(state.spp):
             self._rendering = False
             self._listener.ended(job, state)
 
+    def _advance(self, job: Job, state: ViewState) -> Job:
+        """Take a step of the job, or of the exact job that takes its place; returns the job to show."""
+        if job.at_first:
+            job.advance()
+        elif job.exact or not (self._rendering or self._questions.of_exact or job.done(self._limit())):
+            if not job.done(self._limit()):
+                self._hand.do(job.advance, self._workers.stop)
+        else:
+            if self._exact is None:
+                self._exact = self._jobs.exact(state, self._workers)
+            self._hand.do(self._exact.advance, self._workers.stop)
+            if self._rendering or self._exact.done(job.loop.step_number):
+                job, self._exact = self._exact, None
+        return job
+
+    def _drop(self) -> None:
+        """Drop the job, and keep what it has learned."""
+        job, self._job, self._exact = self._job, None, None
+        if job is not None and job.full_size:
+            self._jobs.kept.take(job.loop)
+        self._questions.refuse()
+
     def _forget(self) -> None:
         """Free the picture."""
         self._finisher.stop()
-        self._job = self._sight = None
+        self._drop()
+        self._sight, self._jobs.kept = None, Kept()
+        self._hand.rest()
         gc.collect()
         return_freed_memory()
 
-    def _answer(self) -> None:
-        while self._questions:
-            question, future = self._questions.popleft()
-            if self._job is None:
-                future.cancel()
-            elif future.set_running_or_notify_cancel():
-                try:
-                    future.set_result(question(self._job))
-                except Exception as error:  # for the one who asked
-                    future.set_exception(error)
-
     def _new_job(self, state: ViewState) -> Job:
         self._finisher.stop()
-        self._job_count += 1
-        if self._job_count % TRIMMED == 0:
-            return_freed_memory()
-        scene = self.source.scene_of(state.overrides)
-        if _rotation(scene) != self._rotation:
-            self._tracer = PathTracer(scene, geometry=self._tracer.geometry)
-            self._rotation = _rotation(scene)
-        return Job(scene, state, self._tracer, self._workers, self._halves, self._coarse_pixels)
-
-    def _adapt(self, seconds: float) -> None:
-        """Set the size of the next first picture by the time that this one took."""
-        wanted = self._coarse_pixels * min(max(FIRST / max(seconds, 1e-3), 0.5), 1.5)
-        self._coarse_pixels = min(max(wanted, LEAST_COARSE), MOST_COARSE)
+        self._drop()
+        with self._changed:
+            self._workers = self._workers.renewed()
+        return self._jobs.next(state, self._workers)
 
     def _is_due(self, job: Job, wanted: Wanted) -> bool:
         """Whether to show the picture now: at once after a change, at each reduced size, at intervals, and at the end."""
         sight = self._sight
+        if self._is_shown(job):
+            return False
         changed = sight is None or sight.job is not job or sight.wanted != wanted
         return changed or not job.full_size or job.done(self._limit()) or time.monotonic() - self._shown_at > LATEST
 
@@ -262,7 +285,7 @@ class Renderer:
         self._listener.shown(self._facts(job, wanted, shown), shown)
         self._sight = Sight(job, job.loop.step_number, wanted)
         self._shown_at = time.monotonic()
-        if job.done(self._limit()) and wanted.state.layer == "picture":
+        if job.exact and job.done(self._limit()) and wanted.state.layer == "picture":
             self._finisher.start(job, wanted.state, wanted.revision)
 
     def _publish_exact(self, job: Job, state: ViewState, revision: int, shown: Shown) -> None:
@@ -274,28 +297,4 @@ class Renderer:
         self._listener.shown({**self._facts(job, wanted, shown), "exact": True}, shown)
 
     def _facts(self, job: Job, wanted: Wanted, shown: Shown) -> dict[str, Any]:
-        """The facts beside a picture, as JSON values."""
-        limit, stats = self._limit(), job.stats
-        seconds = max(stats.seconds, 1e-9) if stats else 1.0
-        return {
-            "revision": wanted.revision,
-            "width": job.scene.film.width,
-            "height": job.scene.film.height,
-            "reduction": job.reduction,
-            "spp": job.loop.step_number if job.full_size else 0,
-            "limit": limit,
-            "rendering": self._rendering,
-            "done": job.done(limit),
-            "exact": False,
-            "seconds": job.seconds,
-            "rays_per_second": stats.rays / seconds if stats else 0.0,
-            "samples_per_second": stats.samples / seconds if stats else 0.0,
-            "error": job.curve[-1][1] if job.curve else None,
-            "curve": job.curve[-512:],
-            "exposure": shown.exposure,
-        }
-
-
-def _rotation(scene: Scene) -> float:
-    """Rotation of the environment, 0 without one."""
-    return 0.0 if scene.environment is None else scene.environment.rotation
+        return picture_facts(job, self._limit(), self._rendering, wanted.revision, shown.exposure)

@@ -16,6 +16,7 @@ from bokehguide.image import replacing
 from bokehguide.limits import VIEWS
 from bokehguide.scene.tables import did_you_mean
 from bokehguide.train import MODES
+from bokehguide.view.history import History
 from bokehguide.view.job import PREVIEW_SPP, Job
 from bokehguide.view.motion import move
 from bokehguide.view.pictures import Shown, png
@@ -72,6 +73,8 @@ class Session(Listener):
         self.source, self.folder, self.halves = source, folder, halves
         self._first = self.state = state
         self._revision = 0
+        self._history, self._kind = History(), ("", "", "")
+        """Earlier states, and the kind of the request that is followed."""
         self._marked = False
         self._send: Send = lambda message: None
         self._latest: Message | None = None
@@ -92,7 +95,8 @@ class Session(Listener):
         self.renderer.close()
 
     def watch(self, watched: bool) -> None:
-        self.renderer.watch(watched)
+        if self.renderer.watch(watched):
+            self._send(Message("note", {"note": "the render goes on: it paused when the last page closed"}))
 
     def greeting(self) -> list[Message]:
         scene = self.source.scene
@@ -119,6 +123,7 @@ class Session(Listener):
         if kind not in REQUESTS:
             raise BokehguideError(f"{str(kind)[:40]!r} is no request; {did_you_mean(str(kind), REQUESTS)}")
         with self._lock:
+            self._kind = kind, str(request.get("name")), str(request.get("kind"))
             return REQUESTS[kind](self, request)
 
     def shown(self, facts: dict[str, Any], shown: Shown) -> None:
@@ -141,6 +146,8 @@ class Session(Listener):
         if self.renderer.rendering and (state.traced, state.spp) != (self.state.traced, self.state.spp):
             raise BokehguideError("a render is running; stop it before you change the picture")
         before, self.state = self.state, state
+        if self._kind[0] != "undo":
+            self._history.add(before, state, self._kind)
         self._revision += 1
         self.renderer.update(state, self._revision)
         self._send(self._state_message())
@@ -154,6 +161,7 @@ class Session(Listener):
             "command": command_line(self.state, self.source),
             "rendering": self.renderer.rendering,
             "marked": self._marked,
+            "changes": len(self._history),
         }
         return Message("state", facts)
 
@@ -171,6 +179,11 @@ class Session(Listener):
 
     def _reset(self, request: Mapping[str, Any]) -> None:
         self._change(replace(self._first, layer=self.state.layer))
+
+    def _undo(self, request: Mapping[str, Any]) -> None:
+        if self.renderer.rendering:
+            raise BokehguideError("a render is running; stop it before you undo a change")
+        self._change(self._history.undone(self.state))
 
     def _mark(self, request: Mapping[str, Any]) -> None:
         self._marked = bool(request.get("on"))
@@ -198,8 +211,15 @@ class Session(Listener):
         self._send(self._state_message())
 
     def _save_picture(self, request: Mapping[str, Any]) -> Future[Message]:
+        """Save the exact picture, which may need its samples first."""
         state = self.state
-        return self._asked(lambda job: Message("note", {"note": save(job, state, self.source, self.folder)}))
+
+        def saved(job: Job) -> Message:
+            return Message("note", {"note": save(job, state, self.source, self.folder)})
+
+        if not self.renderer.exact:
+            self._send(Message("note", {"note": "the file follows when its samples are those of the command"}))
+        return self.renderer.ask(saved, exact=True)
 
     def _save_scene(self, request: Mapping[str, Any]) -> Message:
         (path,) = free_paths(self.folder, f"{self.source.scene.name}-view", (".toml",))
@@ -210,7 +230,7 @@ class Session(Listener):
 
     def _hover(self, request: Mapping[str, Any]) -> Future[Message]:
         x, y = _place(request)
-        return self._asked(lambda job: Message("pixel", pixel_facts(job.loop, self._layers_of(job), x, y)))
+        return self.renderer.ask(lambda job: Message("pixel", pixel_facts(job.loop, self._layers_of(job), x, y)))
 
     def _layers_of(self, job: Job) -> dict[str, np.ndarray]:
         """The layers of a job's film, kept until its next step."""
@@ -219,15 +239,13 @@ class Session(Listener):
             known = self._layers = (job.loop, job.loop.step_number, job.loop.film.layers())
         return known[2]
 
-    def _asked(self, question: Callable[[Job], Message]) -> Future[Message]:
-        return self.renderer.ask(question)
-
 
 REQUESTS: dict[str, Callable[[Session, Mapping[str, Any]], Message | Future[Message] | None]] = {
     "set": Session._set,
     "focus": Session._focus,
     "move": Session._move,
     "reset": Session._reset,
+    "undo": Session._undo,
     "mark": Session._mark,
     "render": Session._render,
     "save_picture": Session._save_picture,

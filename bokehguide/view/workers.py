@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
+from copy import copy
 from typing import TypeVar
 
 import torch
@@ -15,7 +16,7 @@ Result = TypeVar("Result")
 
 
 class AbandonedError(Exception):
-    """The step was abandoned. Its loop holds a part of the step and must not be used again."""
+    """The step was abandoned. Its loop holds a part of the step and must take no further step."""
 
 
 class StoppableWorkers(Workers):
@@ -24,6 +25,12 @@ class StoppableWorkers(Workers):
     def __init__(self, threads: int):
         super().__init__(threads, torch.device("cpu"))
         self.stop = threading.Event()
+
+    def renewed(self) -> StoppableWorkers:
+        """The same threads with a `stop` of their own."""
+        other = copy(self)
+        other.stop = threading.Event()
+        return other
 
     def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
         """As `Workers.map`."""

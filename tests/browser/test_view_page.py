@@ -219,6 +219,14 @@ def test_a_second_browser_watches_until_it_takes_over(browser):
     browser.until(lambda: browser.find("f_number").is_enabled())
 
 
+def test_ctrl_z_undoes_the_last_change(browser):
+    first, focus = browser.rest(), browser.find("focus_distance").get_attribute("value")
+    browser.changed(lambda: browser.write("focus_distance", "7"))
+    browser.changed(lambda: browser.find("frame").send_keys(Keys.CONTROL, "z"))
+    assert browser.find("focus_distance").get_attribute("value") == focus and not browser.find("undo").is_enabled()
+    np.testing.assert_array_equal(browser.rest(), first)
+
+
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
 def test_the_page_fits_its_window(width, height, browser):
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}

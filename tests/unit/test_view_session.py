@@ -7,6 +7,7 @@ import shlex
 import threading
 import time
 import weakref
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from bokehguide.image import Display, read_layers, to_8_bit
 from bokehguide.render import PathTracer
 from bokehguide.scene import FilmSettings, Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
+from bokehguide.view.history import LONGEST, History
 from bokehguide.view.job import Job, reduced_sizes
 from bokehguide.view.pictures import LAYERS_OF_DATA, data_image
 from bokehguide.view.pixel import BRIGHTEST, DIMMEST, lens_disc
@@ -98,6 +100,35 @@ def test_a_reset_returns_to_the_first_picture(page):
     np.testing.assert_array_equal(page.rested(), first)
 
 
+def test_changes_are_undone_one_by_one(page):
+    """The moves of a drag are one change; a layer is none."""
+    first = page.rested()
+    values = page.facts["state"]["values"]
+    assert page.facts["state"]["changes"] == 0
+    page.send(type="undo")
+    assert "nothing has been changed" in page.until("failure")["failure"]
+    focused = page.change(type="set", name="focus_distance", value=7.0)["values"]
+    for _ in range(4):
+        page.change(type="move", kind="orbit", x=0.01, y=0.0)
+    page.change(type="set", name="layer", value="depth")
+    assert page.facts["state"]["changes"] == 2
+    assert page.change(type="undo")["values"] == {**focused, "layer": "depth"}
+    page.change(type="set", name="layer", value="picture")
+    assert page.change(type="undo")["values"] == values and page.facts["state"]["changes"] == 0
+    np.testing.assert_array_equal(page.rested(), first)
+
+
+def test_a_pause_begins_another_change(monkeypatch):
+    history, state = History(), ViewState(Overrides())
+    for number in range(3):
+        monkeypatch.setattr(time, "monotonic", lambda number=number: 10.0 * number)
+        history.add(replace(state, seed=number), replace(state, seed=number + 1), "move")
+    assert len(history) == 3 and history.undone(state).seed == 2
+    for number in range(2 * LONGEST):
+        history.add(replace(state, seed=number), replace(state, seed=number + 1), number)
+    assert len(history) == LONGEST
+
+
 def test_the_display_changes_without_new_samples(page):
     page.rested()
     seconds = page.facts["picture"]["seconds"]
@@ -169,6 +200,67 @@ def test_a_render_stops_and_goes_on_to_the_picture_of_the_command(box, tmp_path)
         saved, again = (read_layers(path)[0] for path in ("box-view.exr", "again.exr"))
         for name in again:
             np.testing.assert_array_equal(saved[name], again[name], err_msg=name)
+
+
+def test_a_render_pauses_while_no_page_is_open(box, tmp_path):
+    with served(box, tmp_path, mode="uniform", spp=1 << 20) as server:
+        with opened(server) as page:
+            page.send(type="render", on=True)
+            page.until("picture", lambda facts: facts["spp"] > 8)
+        renderer = server.shown.renderer
+        deadline = time.monotonic() + 60.0
+        while renderer.ask(lambda job: job.loop.step_number).result(60) != (spp := step_after(renderer, 0.5)):
+            assert time.monotonic() < deadline, "the render goes on without a page"
+        with opened(server) as page:
+            assert "the render goes on" in page.until("note")["note"] and page.facts["state"]["rendering"]
+            assert page.until("picture", lambda facts: facts["spp"] > spp)["rendering"]
+            page.send(type="render", on=False)
+            page.until("state", lambda facts: not facts["rendering"])
+
+
+def step_after(renderer, seconds: float) -> int:
+    """The number of steps some time later."""
+    time.sleep(seconds)
+    return renderer.ask(lambda job: job.loop.step_number).result(60)
+
+
+def test_learned_state_stays_when_the_lens_or_the_camera_changes(box, tmp_path):
+    """The first step at full size draws from what the picture before has learned, with other random numbers."""
+    with served(box, tmp_path, spp=1) as server, opened(server) as page:
+        renderer = server.shown.renderer
+        page.rested()
+        first = renderer.ask(lambda job: job.loop).result(60)
+        learned = [first.settings.seed]
+        for request in (
+            {"type": "set", "name": "f_number", "value": 0.2},
+            {"type": "move", "kind": "orbit", "x": 0.01, "y": 0.0},
+        ):
+            found = []
+            make = type(first).inherit
+
+            def inherit(loop, state, make=make, found=found):
+                make(loop, state)
+                found.append((loop.settings.seed, bool(loop.mode.lights.sampler.probability.any()), loop.mode.lens.beta.unique()))
+
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(type(first), "inherit", inherit)
+                page.change(**request)
+                page.rested()
+            [(seed, lights, beta)] = found
+            assert lights and len(beta) > 1
+            learned.append(seed)
+        assert len(set(learned)) == 3
+        assert renderer.ask(lambda job: job.exact and job.loop.settings.seed).result(60) == 0
+
+
+def test_another_environment_or_mode_begins_without_learned_state(box, tmp_path, monkeypatch):
+    monkeypatch.setattr(RenderLoop, "inherit", lambda *_: pytest.fail("inherited"))
+    with served(box, tmp_path, spp=1) as server, opened(server) as page:
+        page.rested()
+        for name, value in (("environment_rotation", 30.0), ("mode", "lis-o"), ("mode", "uniform")):
+            page.change(type="set", name=name, value=value)
+            page.rested()
+            assert server.shown.renderer.exact
 
 
 def test_a_picture_that_cannot_be_written_keeps_the_samples(page, tmp_path, monkeypatch):

@@ -53,6 +53,7 @@ const handlers = {
     document.body.dataset.state = message.revision;
     controls.show(message);
     find("command").value = message.command;
+    find("undo").disabled = !message.changes;
     const layer = document.querySelector(`#layers input[value="${message.values.layer}"]`);
     if (layer) layer.checked = true;
     showButton();
@@ -96,6 +97,10 @@ function showButton() {
   find("render").textContent = state?.rendering ? "Stop" : begun ? "Continue" : "Render";
 }
 
+function undo() {
+  if (!find("undo").matches(":disabled")) send({ type: "undo" });
+}
+
 async function copy() {
   const field = find("command");
   try {
@@ -114,6 +119,14 @@ radios(find("tools"), TOOLS, "orbit", (value) => {
 find("render").addEventListener("click", () => send({ type: "render", on: !state?.rendering }));
 find("save_picture").addEventListener("click", () => send({ type: "save_picture" }));
 find("save_scene").addEventListener("click", () => send({ type: "save_scene" }));
+find("undo").addEventListener("click", undo);
+addEventListener("keydown", (event) => {
+  // A field with its own history keeps the key.
+  const typing = event.target.matches?.("input[type=number], textarea");
+  if (typing || !(event.ctrlKey || event.metaKey) || event.shiftKey || event.altKey || event.key.toLowerCase() !== "z") return;
+  event.preventDefault();
+  undo();
+});
 find("reset").addEventListener("click", () => send({ type: "reset" }));
 find("marked").addEventListener("change", (event) => send({ type: "mark", on: event.target.checked }));
 find("steer").addEventListener("click", () => send({ type: "steer" }));

@@ -72,7 +72,7 @@ export class Controls {
     this.parts.environment_rotation.holder.hidden = !facts.environment;
     for (const id of ["lens", "aperture", "tools", "reset"]) document.getElementById(id).hidden = facts.follows;
     for (const part of [document.getElementById("mode").parentElement, this.parts.spp.holder]) part.hidden = facts.follows;
-    for (const id of ["render", "save_picture", "save_scene"]) document.getElementById(id).hidden = facts.follows;
+    for (const id of ["render", "undo", "save_picture", "save_scene"]) document.getElementById(id).hidden = facts.follows;
   }
 
   fill(name, names) {
