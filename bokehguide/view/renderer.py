@@ -210,7 +210,7 @@ class Renderer:
         if self._is_due(job, wanted) and (first or not outdated):
             self._show(job, wanted)
             if first:
-                self._adapt(time.monotonic() - start)
+                self._coarse_pixels = coarse_pixels(self._coarse_pixels, time.monotonic() - start)
         if self._rendering and job.done(state.spp):
             self._rendering = False
             self._listener.ended(job, state)
@@ -243,11 +243,6 @@ class Renderer:
             self._tracer = PathTracer(scene, geometry=self._tracer.geometry)
             self._rotation = _rotation(scene)
         return Job(scene, state, self._tracer, self._workers, self._halves, self._coarse_pixels)
-
-    def _adapt(self, seconds: float) -> None:
-        """Set the size of the next first picture by the time that this one took."""
-        wanted = self._coarse_pixels * min(max(FIRST / max(seconds, 1e-3), 0.5), 1.5)
-        self._coarse_pixels = min(max(wanted, LEAST_COARSE), MOST_COARSE)
 
     def _is_due(self, job: Job, wanted: Wanted) -> bool:
         """Whether to show the picture now: at once after a change, at each reduced size, at intervals, and at the end."""
@@ -294,6 +289,11 @@ class Renderer:
             "curve": job.curve[-512:],
             "exposure": shown.exposure,
         }
+
+
+def coarse_pixels(pixels: float, seconds: float) -> float:
+    """Pixels of the next first picture after a change, where one of `pixels` took `seconds`."""
+    return min(max(pixels * min(max(FIRST / max(seconds, 1e-3), 0.5), 1.5), LEAST_COARSE), MOST_COARSE)
 
 
 def _rotation(scene: Scene) -> float:
