@@ -13,6 +13,7 @@ from .passes import Passes
 from .preferences import interpreter
 from .process import ProcessError, Render
 from .scene_export import Exported, export_scene
+from .viewport import Viewport
 
 POLL = 0.1
 """Seconds between two checks for a cancellation."""
@@ -26,6 +27,33 @@ class BokehguideEngine(bpy.types.RenderEngine):
     bl_use_eevee_viewport = True
     bl_use_postprocess = True
     bl_use_shading_nodes_custom = False
+
+    _viewport: Viewport | None = None
+
+    def __del__(self) -> None:
+        """Called when a viewport leaves Rendered shading, and when Blender ends."""
+        if self._viewport is not None:
+            self._viewport.close()
+        getattr(super(), "__del__", lambda: None)()  # from Blender 4.4 on
+
+    def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Take note of changes of the scene in a viewport."""
+        if self._viewport is None or self._viewport.closed:
+            try:
+                self._viewport = Viewport(context.area.as_pointer())
+            except ProcessError as error:
+                self.update_stats("", f"Bokehguide: {error}")
+                return
+        self._viewport.scene.note(depsgraph)
+
+    def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Draw a viewport."""
+        if self._viewport is None:
+            return
+        self.update_stats("", self._viewport.status)
+        self.bind_display_space_shader(depsgraph.scene)
+        self._viewport.draw(context, depsgraph, int(self.get_preview_pixel_size(depsgraph.scene)))
+        self.unbind_display_space_shader()
 
     def update_render_passes(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
         """Tell Blender which passes a render delivers."""
