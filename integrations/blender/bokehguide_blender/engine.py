@@ -32,8 +32,10 @@ class BokehguideEngine(bpy.types.RenderEngine):
 
     def __del__(self) -> None:
         """Called when a viewport leaves Rendered shading, and when Blender ends."""
-        if self._viewport is not None:
-            self._viewport.close()
+        # Blender has removed its own data of the engine by now, and refuses access to all attributes.
+        viewport = object.__getattribute__(self, "_viewport")
+        if viewport is not None:
+            viewport.close()
         getattr(super(), "__del__", lambda: None)()  # from Blender 4.4 on
 
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:

@@ -119,7 +119,7 @@ def _status(message: dict[str, Any]) -> str | None:
         if key in message:
             return f"Bokehguide: {message[key]}"
     if "picture" in message:
-        return f"Sample {message['step']}/{message['of']}"
+        return f"Sample {message['step']}/{message['of']}" if message["step"] else "Coarse picture"
     return message.get("stage")
 
 

@@ -23,7 +23,7 @@ KEPT = 2
 class ViewportScene:
     """Writes the scene of a viewport into a folder whenever it has changed.
 
-    path: of the latest scene file, None before the first. warnings: of this file.
+    path: of the latest scene file, None before the first. warnings: of this file. waiting: whether changes wait for their export.
     """
 
     def __init__(self, folder: Path):
@@ -32,7 +32,7 @@ class ViewportScene:
         self._folder, self._geometry = folder, folder / "geometry-0.glb"
         self._count = 0
         self._due = 0.0
-        self._changed = self._geometry_changed = True
+        self.waiting = self._geometry_changed = True
         self._has_meshes = False
         self._names: set[str] = set()
 
@@ -41,17 +41,17 @@ class ViewportScene:
         ids = [update.id for update in depsgraph.updates]
         if ids and all(_is_camera(each) for each in ids):  # the camera is a part of the view
             return
-        self._changed, self._due = True, time.monotonic() + PAUSE
+        self.waiting, self._due = True, time.monotonic() + PAUSE
         self._geometry_changed |= not all(_keeps_geometry(each) for each in ids)
 
     @property
     def due(self) -> bool:
         """Whether it is time to export the scene."""
-        return self._changed and time.monotonic() >= self._due
+        return self.waiting and time.monotonic() >= self._due
 
     def export(self, depsgraph: bpy.types.Depsgraph) -> bool:
         """Write the scene in the main thread; returns whether the file is another one. Raises RenderError."""
-        self._changed = False
+        self.waiting = False
         before = self.path.read_bytes() if self.path else None
         names = {each.object.original.name_full for each in depsgraph.object_instances if each.object.type in SURFACES}
         other_geometry = self._geometry_changed or names != self._names
