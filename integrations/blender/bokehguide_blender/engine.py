@@ -85,7 +85,7 @@ class BokehguideEngine(bpy.types.RenderEngine):
         """Render a scene file and show the pictures. Raises RenderError, ProcessError and Cancelled."""
         if scene.bokehguide.use_pass_albedo:
             self.add_pass("Albedo", 3, "RGB", layer=layer.name)
-        passes = Passes(self, layer.name, exported.framing.window[2:])
+        passes = Passes(self, layer.name, exported.framing.window[2:], not scene.render.film_transparent)
         with Render(interpreter(), exported.path, folder, _options(scene, exported)) as process:
             while (message := process.message(POLL)) is not None:
                 if is_cancelled(self):

@@ -41,6 +41,7 @@ class BOKEHGUIDE_PT_sampling(Panel):
         self.layout.use_property_split = True
         for name in ("samples", "viewport_samples", "time_limit", "seed", "max_bounces", "use_denoise"):
             self.layout.prop(context.scene.bokehguide, name)
+        self.layout.prop(context.scene.render, "preview_pixel_size", text="Viewport Pixel Size")
 
 
 class BOKEHGUIDE_PT_film(Panel):
