@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+BRIGHTEST = 65504.0
+"""Largest number in half precision."""
+
 
 class ViewportTexture:
     """Draws a picture over a region.
@@ -21,8 +24,9 @@ class ViewportTexture:
         from gpu_extras.presets import draw_texture_2d
 
         if self.pixels is not None:
-            rows, columns, channels = self.pixels.shape
-            buffer = gpu.types.Buffer("FLOAT", rows * columns * channels, np.ascontiguousarray(self.pixels).ravel())
+            rows, columns, _ = self.pixels.shape
+            values = np.minimum(self.pixels, BRIGHTEST, dtype=np.float32).ravel()
+            buffer = gpu.types.Buffer("FLOAT", values.size, values)
             self._texture = gpu.types.GPUTexture((columns, rows), format="RGBA16F", data=buffer)
             self.pixels = None
         if self._texture is not None:
