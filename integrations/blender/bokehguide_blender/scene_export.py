@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import bpy
 
+from .axes import Vector
 from .camera import in_frame, read_camera, read_framing
 from .framing import Framing
 from .geometry import export_rendered, rendered_objects
@@ -41,7 +43,7 @@ def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph,
     view = read_camera(camera, framing, warnings)
     layer = scene.original.view_layers[depsgraph.view_layer.name]
     rendered = rendered_objects(depsgraph)
-    tables = scene_tables(depsgraph, view, framing, folder, warnings)
+    tables = scene_tables(depsgraph, view, framing.size, lambda each: in_frame(view, framing, each), folder, warnings)
     geometry = folder / GEOMETRY
     in_main_thread(lambda: export_rendered(scene.original, layer, rendered, geometry), engine.test_break)
     path = folder / "scene.toml"
@@ -50,18 +52,27 @@ def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph,
 
 
 def scene_tables(
-    depsgraph: bpy.types.Depsgraph, view: dict[str, Any], framing: Framing, folder: Path, warnings: list[str]
+    depsgraph: bpy.types.Depsgraph,
+    view: dict[str, Any],
+    size: tuple[int, int],
+    seen: Callable[[Vector], bool],
+    folder: Path,
+    warnings: list[str],
 ) -> dict[str, Any]:
-    """The tables of a scene file without its geometry. view: the `[camera]` table. folder: for maps of the world."""
+    """The tables of a scene file without its geometry.
+
+    view: the `[camera]` table. size: of the frame in pixels. seen: whether the camera sees a light at this position, of which
+    users are warned. folder: for maps of the world.
+    """
     scene = depsgraph.scene
     tables: dict[str, Any] = {
         "camera": view,
-        "film": {"width": framing.size[0], "height": framing.size[1], "max_depth": scene.bokehguide.max_bounces + 2},
+        "film": {"width": size[0], "height": size[1], "max_depth": scene.bokehguide.max_bounces + 2},
     }
     environment = read_world(scene, folder, warnings)
     if environment is not None:
         tables["environment"] = environment
-    tables |= read_lights(depsgraph, lambda position: in_frame(view, framing, position), warnings)
+    tables |= read_lights(depsgraph, seen, warnings)
     warnings += material_warnings(depsgraph)
     return tables
 

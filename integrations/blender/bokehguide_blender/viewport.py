@@ -88,7 +88,7 @@ class Viewport:
         except RenderError as error:
             self.status = str(error)
             return True
-        if self.scene.warnings:
+        if changed and self.scene.warnings:
             print(*(f"Bokehguide: {warning}" for warning in self.scene.warnings), sep="\n")
         return changed
 

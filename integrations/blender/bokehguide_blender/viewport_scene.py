@@ -8,14 +8,15 @@ from pathlib import Path
 import bpy
 
 from .camera import camera_table
-from .framing import Framing
 from .geometry import SURFACES, export_visible
 from .glb import complete_glb
 from .scene_export import scene_tables, write_scene
 
 PAUSE = 0.3
 """Seconds without a change after which the scene is exported, so that a drag is not interrupted."""
-ORIGIN = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+ORIGIN = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
+FOV, SIZE = 40.0, (64, 64)
+"""Camera and frame of the scene file, which each view replaces."""
 KEPT = 2
 """Number of the latest scene files and models that stay: bokehguide may read the last but one."""
 
@@ -59,8 +60,7 @@ class ViewportScene:
             other_geometry = self._export_geometry(depsgraph)
             self._geometry_changed, self._names = False, names
         self.warnings = []
-        view, framing = camera_table(ORIGIN, 40.0), Framing(40.0, (64, 64), (0, 0, 64, 64))
-        tables = scene_tables(depsgraph, view, framing, self._folder, self.warnings)
+        tables = scene_tables(depsgraph, camera_table(ORIGIN, FOV), SIZE, lambda _: False, self._folder, self.warnings)
         path = self._numbered("scene", ".toml")
         write_scene(tables, self._geometry if self._has_meshes else None, path)
         if not other_geometry and path.read_bytes() == before:
