@@ -22,6 +22,9 @@ no bit of the picture."""
 PREVIEW_SPP = 32
 """Samples per pixel after which the picture rests, until a render is asked for."""
 
+Window = tuple[int, int, int, int]
+"""Left, top, width and height in pixels."""
+
 
 def reduced_sizes(film: FilmSettings, pixels: float = COARSE_PIXELS) -> list[FilmSettings]:
     """Sizes of the film, each twice as wide as the one before, from one with about `pixels` pixels to its own."""
@@ -30,13 +33,26 @@ def reduced_sizes(film: FilmSettings, pixels: float = COARSE_PIXELS) -> list[Fil
     return [*(replace(film, width=width, height=height) for width, height in sizes), film]
 
 
+def reduced_window(window: Window, width: int, film: FilmSettings) -> Window:
+    """The window of a frame `width` pixels wide, in a reduced frame of the size of `film`; at least a pixel wide and high."""
+    scale = film.width / width
+    left, top = (min(int(start * scale), side - 1) for start, side in zip(window[:2], (film.width, film.height)))
+    return (
+        left,
+        top,
+        min(max(1, round(window[2] * scale)), film.width - left),
+        min(max(1, round(window[3] * scale)), film.height - top),
+    )
+
+
 class Job:
     """The steps of the pictures of one traced state: one step at each reduced size, then the full size.
 
     scene: with the overrides of the state. tracer: of the scene. halves: whether the film keeps halves, for a denoiser.
-    pixels: of the first picture, about. kept: learned state with which the full size begins; None: the job is exact. seed: of the
-    full size where it begins with learned state, another one for each job. loop: of the present size. curve: numbers of steps and
-    estimated MAPE at the full size. exact: whether the samples are those of the command line.
+    pixels: of the first picture, about. window: the part of the frame that is rendered, None for all. kept: learned state with
+    which the full size begins; None: the job is exact. seed: of the full size where it begins with learned state, another one for
+    each job. loop: of the present size. curve: numbers of steps and estimated MAPE at the full size. exact: whether the samples
+    are those of the command line.
     """
 
     def __init__(
@@ -47,6 +63,7 @@ class Job:
         workers: StoppableWorkers,
         halves: bool = False,
         pixels: float = COARSE_PIXELS,
+        window: Window | None = None,
         kept: Kept | None = None,
         seed: int = 0,
     ):
@@ -55,7 +72,9 @@ class Job:
         self._workers = workers
         self._kept, self._seed, self.exact = kept, seed, True
         self._settings = RenderSettings(state.mode, seed=state.seed, denoise=halves)
-        self._sizes: Sequence[FilmSettings] = reduced_sizes(scene.film, pixels)
+        self._window = window
+        seen = 1.0 if window is None else window[2] * window[3] / (scene.film.width * scene.film.height)
+        self._sizes: Sequence[FilmSettings] = reduced_sizes(scene.film, pixels / seen)
         self.curve: list[tuple[int, float]] = []
         self.seconds = 0.0
         self.stats: StepStats | None = None
@@ -75,7 +94,7 @@ class Job:
     @property
     def reduction(self) -> float:
         """Width of the full size over the present width."""
-        return self.scene.film.width / self.loop.film.width
+        return self.scene.film.width / self.loop.camera.width
 
     def done(self, spp: int) -> bool:
         """Whether the full size has `spp` samples per pixel."""
@@ -103,9 +122,11 @@ class Job:
             learned = self._kept.learned(settings.mode, self.tracer)
         if learned is not None:
             settings, self.exact = replace(settings, seed=self._seed), False
+        if self._window is not None:
+            settings = replace(settings, crop=reduced_window(self._window, self.scene.film.width, film))
         loop = RenderLoop(replace(self.scene, film=film), settings, tracer=self.tracer)
         loop.workers = self._workers
-        count = max(self._workers.threads, film.width * film.height // BATCH_PIXELS)
+        count = max(self._workers.threads, loop.film.width * loop.film.height // BATCH_PIXELS)
         loop.batches = Batches(count, loop.mode.lens.paths_per_sample, LEAST_BATCH)
         if learned is not None:
             loop.inherit(learned)

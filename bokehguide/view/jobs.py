@@ -46,7 +46,7 @@ class Jobs:
         seed = hash_int(hash_int(state.seed) + self._count)
 
         def make() -> Job:
-            return Job(scene, state, self._tracer, workers, self._halves, self._coarse_pixels, self.kept, seed)
+            return Job(scene, state, self._tracer, workers, self._halves, self._coarse_pixels, kept=self.kept, seed=seed)
 
         if len(reduced_sizes(scene.film, self._coarse_pixels)) > 1:
             return make()
@@ -60,8 +60,12 @@ class Jobs:
 
     def adapt(self, seconds: float) -> None:
         """Set the size of the next first picture by the time that the last one took."""
-        wanted = self._coarse_pixels * min(max(FIRST / max(seconds, 1e-3), 0.5), 1.5)
-        self._coarse_pixels = min(max(wanted, LEAST_COARSE), MOST_COARSE)
+        self._coarse_pixels = coarse_pixels(self._coarse_pixels, seconds)
+
+
+def coarse_pixels(pixels: float, seconds: float) -> float:
+    """Pixels of the next first picture after a change, where one of `pixels` took `seconds`."""
+    return min(max(pixels * min(max(FIRST / max(seconds, 1e-3), 0.5), 1.5), LEAST_COARSE), MOST_COARSE)
 
 
 def _rotation(scene: Scene) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import math
 import runpy
@@ -19,6 +20,7 @@ import bokehguide
 from bokehguide.scene.environments import load_environment_map
 from tests.support.gltf_square import write_gltf
 from tests.support.paths import REPOSITORY
+from tests.support.scene_text import BOX_AND_EMITTER
 
 FOLDER = REPOSITORY / "integrations" / "blender"
 IDENTITY = np.eye(4).tolist()
@@ -54,6 +56,85 @@ def test_shift_and_border(addon):
     assert framing.window == (40 + 10, 20 + 0, 40, 45)
     assert math.tan(math.radians(framing.fov / 2.0)) == pytest.approx(18.0 / 50.0 * 1.4)
     assert framing.cropped
+
+
+def test_a_projection_has_the_frame_of_its_camera(addon):
+    """The matrix of a lens with a shift, as OpenGL defines it."""
+    framing = addon("framing")
+    slopes, shifts = (18.0 / 50.0, 18.0 / 50.0 * 0.6), (0.4, 2.0 * -0.1 / 0.6)
+    matrix = [[1 / slopes[0], 0, shifts[0], 0], [0, 1 / slopes[1], shifts[1], 0], [0, 0, -1, -0.2], [0, 0, -1, 0]]
+    found, back = framing.projected(matrix, (100, 60), 5.0)
+    assert found == framing.frame(50.0, (36.0, 24.0), "AUTO", (100, 60), (0.2, -0.1))
+    assert back == 0.0
+
+
+def test_a_projection_without_perspective_is_seen_from_far_away(addon):
+    matrix = [[1 / 2.0, 0, 0, 0.1], [0, 1 / 1.2, 0, 0], [0, 0, -0.02, -1], [0, 0, 0, 1]]
+    found, back = addon("framing").projected(matrix, (100, 60), 5.0)
+    # The plane 5 m from the viewport's camera keeps its half width of 2 m; the axis meets it 0.1 half widths to the right.
+    distance = 5.0 + back
+    assert distance == pytest.approx(200.0)
+    per_pixel = 2.0 * distance * math.tan(math.radians(found.fov) / 2.0) / found.size[0]
+    assert per_pixel == pytest.approx(4.0 / 100.0)
+    assert found.window == (0, 0, 100, 60) and found.size == (110, 60)
+
+
+@pytest.fixture
+def preview(addon, tmp_path):
+    """A running `preview_driver.py`, and a scene file."""
+    (tmp_path / "box.toml").write_text(BOX_AND_EMITTER)
+    with addon("process").Preview(sys.executable, tmp_path) as running:
+        yield running
+
+
+def view_of_box(tmp_path, **values):
+    camera = {"position": [0.0, 0.0, 4.0], "target": [0.0, 0.0, 0.0], "up": [0.0, 1.0, 0.0], "fov": 40.0, "aperture_radius": 0.1}
+    view = {"scene": str(tmp_path / "box.toml"), "camera": camera, "size": [60, 40], "window": [10, 0, 50, 40]}
+    return view | {"spp": 2, "seed": 3, "denoise": False, "transparent": False} | values
+
+
+def until(running, key, **values):
+    """The next message with a key and values."""
+    while (message := running.message(60.0)) is not None:
+        if key in message and values.items() <= message.items():
+            return message
+    pytest.fail(f"the process has ended: {running.failure()}")
+
+
+def test_pictures_of_a_viewport(preview, tmp_path):
+    view = view_of_box(tmp_path)
+    preview.show(view)
+    path = Path(until(preview, "picture", step=2)["picture"])
+    scene = bokehguide.load_scene(view["scene"])
+    camera = dataclasses.replace(scene.camera, aperture_radius=0.1, focus_distance=4.0)
+    scene = dataclasses.replace(scene, camera=camera)
+    expected = bokehguide.render(scene, spp=2, seed=3, size=(60, 40), crop=(10, 0, 50, 40), quiet=True)
+    pixels = np.load(path)
+    np.testing.assert_array_equal(pixels[::-1, :, :3], expected.beauty)
+    assert pixels[..., 3].min() == 1.0
+    preview.show(view_of_box(tmp_path, seed=4))
+    until(preview, "picture", step=2)
+    assert not path.exists()  # nobody has read the picture
+    assert len(list(tmp_path.glob("*.npy"))) == 1
+
+
+def test_a_viewport_tells_mistakes_and_goes_on(preview, tmp_path):
+    preview.show(view_of_box(tmp_path, scene=str(tmp_path / "missing.toml")))
+    assert "missing.toml" in until(preview, "failure")["failure"]
+    view = view_of_box(tmp_path)
+    preview.show(view | {"camera": view["camera"] | {"fov": 500.0}})
+    assert "fov" in until(preview, "failure")["failure"]
+    preview.show(view)
+    until(preview, "picture", step=2)
+
+
+def test_the_end_of_stdin_ends_a_viewport(preview, tmp_path):
+    preview.show(view_of_box(tmp_path, spp=100_000))
+    until(preview, "picture")
+    preview._process.stdin.close()
+    while preview.message(20.0):
+        pass
+    assert preview.failure() is None
 
 
 def test_aperture_radius(addon):
@@ -147,6 +228,7 @@ def test_planes(addon):
     np.testing.assert_array_equal(planes["Normal"], [0.0, 0.0, 0.0, 1.0, -3.0, 2.0])
     np.testing.assert_array_equal(planes["Combined"], [0.25, 0.25, 0.25, 0.5] * 2)
     assert addon("passes").planes_of(layers | {"denoised": normal})["Combined"][4] == 1.0
+    assert addon("passes").planes_of(layers, opaque=True)["Combined"][3] == 1.0
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 
 from .axes import Vector, column, dot, scaled, unit, y_up
-from .framing import Framing, aperture_radius, frame
+from .framing import Framing, Matrix, aperture_radius, frame
 from .messages import RenderError
 
 RATIOS = (0.1, 10.0)
@@ -30,22 +30,34 @@ def read_framing(
 
 def read_camera(camera: bpy.types.Object, framing: Framing, warnings: list[str]) -> dict[str, Any]:
     """The `[camera]` table, and `[camera.aperture]`, of an evaluated camera."""
-    matrix, lens = camera.matrix_world, camera.data
-    position, forward = column(matrix, 3), scaled(unit(column(matrix, 2)), -1.0)
-    table: dict[str, Any] = {
+    return camera_table(camera.matrix_world, framing.fov) | read_lens(camera, warnings)
+
+
+def camera_table(matrix: Matrix, fov: float, back: float = 0.0) -> dict[str, Any]:
+    """The `[camera]` table of a pinhole. matrix: rows, from the camera to the world. back: metres that the pinhole steps back."""
+    forward = scaled(unit(column(matrix, 2)), -1.0)
+    position = [a - back * b for a, b in zip(column(matrix, 3), forward)]
+    return {
         "position": y_up(position),
         "target": y_up([a + b for a, b in zip(position, forward)]),
         "up": y_up(unit(column(matrix, 1))),
-        "fov": framing.fov,
+        "fov": fov,
         "aperture_radius": 0.0,
         "focus_distance": 1.0,
     }
+
+
+def read_lens(camera: bpy.types.Object, warnings: list[str]) -> dict[str, Any]:
+    """The keys of a `[camera]` table for the depth of field of an evaluated camera; empty where it is off."""
+    matrix, lens = camera.matrix_world, camera.data
     if not lens.dof.use_dof:
-        return table
-    table["aperture_radius"] = aperture_radius(lens.lens, lens.dof.aperture_fstop)
-    table["focus_distance"] = focus_distance(lens.dof, position, forward)
-    table["aperture"] = _aperture(lens.dof, warnings)
-    return table
+        return {}
+    forward = scaled(unit(column(matrix, 2)), -1.0)
+    return {
+        "aperture_radius": aperture_radius(lens.lens, lens.dof.aperture_fstop),
+        "focus_distance": focus_distance(lens.dof, column(matrix, 3), forward),
+        "aperture": _aperture(lens.dof, warnings),
+    }
 
 
 def in_frame(table: dict[str, Any], framing: Framing, position: Vector) -> bool:

@@ -25,8 +25,9 @@ LAYERS = ("beauty", "alpha", "depth", "normal", "albedo", "denoised")
 
 
 def tell(**fields: object) -> None:
-    """Write one line to stdout."""
-    print(json.dumps(fields), flush=True)
+    """Write one line to stdout. Threads may write at the same time."""
+    sys.stdout.write(json.dumps(fields) + "\n")
+    sys.stdout.flush()
 
 
 class Stages(logging.Handler):

@@ -13,6 +13,7 @@ from .passes import Passes
 from .preferences import interpreter
 from .process import ProcessError, Render
 from .scene_export import Exported, export_scene
+from .viewport import Viewport
 
 POLL = 0.1
 """Seconds between two checks for a cancellation."""
@@ -26,6 +27,35 @@ class BokehguideEngine(bpy.types.RenderEngine):
     bl_use_eevee_viewport = True
     bl_use_postprocess = True
     bl_use_shading_nodes_custom = False
+
+    _viewport: Viewport | None = None
+
+    def __del__(self) -> None:
+        """Called when a viewport leaves Rendered shading, and when Blender ends."""
+        # Blender has removed its own data of the engine by now, and refuses access to all attributes.
+        viewport = object.__getattribute__(self, "_viewport")
+        if viewport is not None:
+            viewport.close()
+        getattr(super(), "__del__", lambda: None)()  # from Blender 4.4 on
+
+    def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Take note of changes of the scene in a viewport."""
+        if self._viewport is None or self._viewport.closed:
+            try:
+                self._viewport = Viewport(context.area.as_pointer())
+            except ProcessError as error:
+                self.update_stats("", f"Bokehguide: {error}")
+                return
+        self._viewport.scene.note(depsgraph)
+
+    def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Draw a viewport."""
+        if self._viewport is None:
+            return
+        self.update_stats("", self._viewport.status)
+        self.bind_display_space_shader(depsgraph.scene)
+        self._viewport.draw(context, depsgraph, int(self.get_preview_pixel_size(depsgraph.scene)))
+        self.unbind_display_space_shader()
 
     def update_render_passes(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
         """Tell Blender which passes a render delivers."""
@@ -55,7 +85,7 @@ class BokehguideEngine(bpy.types.RenderEngine):
         """Render a scene file and show the pictures. Raises RenderError, ProcessError and Cancelled."""
         if scene.bokehguide.use_pass_albedo:
             self.add_pass("Albedo", 3, "RGB", layer=layer.name)
-        passes = Passes(self, layer.name, exported.framing.window[2:])
+        passes = Passes(self, layer.name, exported.framing.window[2:], not scene.render.film_transparent)
         with Render(interpreter(), exported.path, folder, _options(scene, exported)) as process:
             while (message := process.message(POLL)) is not None:
                 if is_cancelled(self):

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 Border = tuple[float, float, float, float]
 """Left, right, bottom and top edge, in fractions of the frame from its bottom left corner."""
+
+Matrix = Sequence[Sequence[float]]
+FARNESS = 100.0
+"""Distance of the camera of a view without perspective, in halves of the view's width."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,23 @@ def frame(
     window = (column + columns[0], row + height - rows[1], columns[1] - columns[0], rows[1] - rows[0])
     fov = 2.0 * math.degrees(math.atan(0.5 * slope * whole_width))
     return Framing(fov, (whole_width, whole_height), window)
+
+
+def projected(matrix: Matrix, size: tuple[int, int], depth: float) -> tuple[Framing, float]:
+    """The frame of a 3D viewport of `size` pixels, and how many metres its camera stands behind the viewport's.
+
+    matrix: rows of the projection. A projection without perspective becomes that of a camera far away, so that the plane at
+    `depth` metres has its size: the distance of this plane is FARNESS times half of the viewport's width.
+    """
+    width, height = size
+    perspective = matrix[3][3] == 0.0
+    across, up = (-matrix[0][2], -matrix[1][2]) if perspective else (matrix[0][3], matrix[1][3])  # the axis, from -1 to 1
+    whole_width, column = _around(width, -0.5 * across * width)
+    whole_height, row = _around(height, 0.5 * up * height)
+    half = whole_width / width * (1.0 / matrix[0][0] if perspective else 1.0 / FARNESS)
+    back = 0.0 if perspective else FARNESS / matrix[0][0] - depth
+    fov = 2.0 * math.degrees(math.atan(half))
+    return Framing(fov, (whole_width, whole_height), (column, row, width, height)), back
 
 
 def _around(side: int, shift: float) -> tuple[int, int]:

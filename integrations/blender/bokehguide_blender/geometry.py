@@ -25,7 +25,6 @@ EXPORT = {
     "export_image_format": "AUTO",
     "export_tangents": False,
     "use_active_scene": True,
-    "use_renderable": True,
     "check_existing": False,
 }
 """Options of the exporter; those that a release of Blender lacks are left out."""
@@ -38,16 +37,26 @@ def rendered_objects(depsgraph: bpy.types.Depsgraph) -> set[str]:
     return {instance.object.original.name_full for instance in depsgraph.object_instances if not instance.is_instance}
 
 
-def export_geometry(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, rendered: set[str], path: Path) -> None:
-    """Write the objects of a view layer in the axes of glTF. rendered: as of `rendered_objects`.
+def export_rendered(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, rendered: set[str], path: Path) -> None:
+    """Write the objects of a render. rendered: as of `rendered_objects`. Raises RenderError as `export_visible`."""
+    with as_rendered(scene, rendered):
+        _export(scene, layer, path, use_renderable=True)
 
-    Raises RenderError where the exporter fails.
+
+def export_visible(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, path: Path) -> None:
+    """Write the objects of a view layer that the viewport shows, in the axes of glTF.
+
+    Changes nothing in the scene. Raises RenderError where the exporter fails.
     """
+    _export(scene, layer, path, use_visible=True)
+
+
+def _export(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, path: Path, **chosen: bool) -> None:
     if not hasattr(bpy.types, "EXPORT_SCENE_OT_gltf"):
         bpy.ops.preferences.addon_enable(module="io_scene_gltf2")
     known = {each.identifier for each in bpy.ops.export_scene.gltf.get_rna_type().properties}
-    options = {name: value for name, value in EXPORT.items() if name in known}
-    with bpy.context.temp_override(scene=scene, view_layer=layer), as_rendered(scene, rendered):
+    options = {name: value for name, value in (EXPORT | chosen).items() if name in known}
+    with bpy.context.temp_override(scene=scene, view_layer=layer):
         try:
             bpy.ops.export_scene.gltf(filepath=str(path), **options)
         except RuntimeError as error:  # the exporter's traceback

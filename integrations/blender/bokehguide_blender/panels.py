@@ -39,8 +39,9 @@ class BOKEHGUIDE_PT_sampling(Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         self.layout.use_property_split = True
-        for name in ("samples", "time_limit", "seed", "max_bounces", "use_denoise"):
+        for name in ("samples", "viewport_samples", "time_limit", "seed", "max_bounces", "use_denoise"):
             self.layout.prop(context.scene.bokehguide, name)
+        self.layout.prop(context.scene.render, "preview_pixel_size", text="Viewport Pixel Size")
 
 
 class BOKEHGUIDE_PT_film(Panel):

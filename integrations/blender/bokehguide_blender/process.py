@@ -1,4 +1,4 @@
-"""A render in a process of its own. Needs no Blender."""
+"""Renders in processes of their own. Needs no Blender."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import queue
 import subprocess
 import tempfile
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Self
 
-DRIVER = Path(__file__).with_name("driver.py")
+FOLDER = Path(__file__).parent
 PATIENCE = 3.0
 """Seconds from the request to end to the forced end of a process."""
 
@@ -20,22 +21,20 @@ class ProcessError(Exception):
     """A message for the user."""
 
 
-class Render:
-    """A running render; a context that ends the process. python: interpreter with bokehguide. folder: for the job and pictures.
+class Driver:
+    """A running program of this folder; a context that ends the process. python: interpreter with bokehguide.
 
     Raises ProcessError where the interpreter is missing or cannot start.
     """
 
-    def __init__(self, python: str, scene: Path, folder: Path, options: dict[str, Any]):
+    def __init__(self, python: str, program: str, argument: Path, stdin: int = subprocess.DEVNULL):
         require_python(python)
-        job = folder / "job.json"
-        job.write_text(json.dumps({"scene": str(scene), "folder": str(folder), "options": options}), encoding="utf-8")
         self._messages: queue.Queue[dict[str, Any] | None] = queue.Queue()
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed in __exit__
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed in close
         try:
             self._process = subprocess.Popen(
-                [python, "-u", str(DRIVER), str(job)],
-                stdin=subprocess.DEVNULL,
+                [python, "-u", str(FOLDER / program), str(argument)],
+                stdin=stdin,
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
                 env=clean_environment(),
@@ -50,7 +49,7 @@ class Render:
     def message(self, timeout: float) -> dict[str, Any] | None:
         """The next line of the driver; empty if none arrives within `timeout` seconds, None at the end of the process."""
         try:
-            return self._messages.get(timeout=timeout)
+            return self._messages.get(timeout > 0.0, timeout)
         except queue.Empty:
             return {}
 
@@ -58,6 +57,9 @@ class Render:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
         """End the process if it still runs."""
         if self._process.poll() is None:
             self._process.terminate()
@@ -66,6 +68,9 @@ class Render:
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
+        if self._process.stdin is not None:
+            with suppress(OSError):
+                self._process.stdin.close()
         self._errors.close()
 
     @property
@@ -92,6 +97,29 @@ class Render:
                 if isinstance(message, dict):
                     self._messages.put(message)
         self._messages.put(None)
+
+
+class Render(Driver):
+    """A render of a scene file. folder: for the job and pictures. options: of `bokehguide.render`."""
+
+    def __init__(self, python: str, scene: Path, folder: Path, options: dict[str, Any]):
+        job = folder / "job.json"
+        job.write_text(json.dumps({"scene": str(scene), "folder": str(folder), "options": options}), encoding="utf-8")
+        super().__init__(python, "driver.py", job)
+
+
+class Preview(Driver):
+    """Renders the latest of the views that are shown to it. folder: for pictures."""
+
+    def __init__(self, python: str, folder: Path):
+        super().__init__(python, "preview_driver.py", folder, subprocess.PIPE)
+
+    def show(self, view: dict[str, Any]) -> None:
+        """Render this view from now on; see `preview_driver.py`. The end of the process is told by `message`."""
+        assert self._process.stdin is not None
+        with suppress(OSError):
+            self._process.stdin.write(json.dumps(view).encode() + b"\n")
+            self._process.stdin.flush()
 
 
 def require_python(python: str) -> None:

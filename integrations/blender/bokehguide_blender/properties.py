@@ -9,6 +9,13 @@ class BokehguideSettings(bpy.types.PropertyGroup):
     """Settings of bokehguide, `scene.bokehguide`."""
 
     samples: bpy.props.IntProperty(name="Samples", description="Samples per pixel", default=256, min=1, max=65536)
+    viewport_samples: bpy.props.IntProperty(
+        name="Viewport Samples",
+        description="Samples per pixel at which a viewport in Rendered shading rests",
+        default=32,
+        min=1,
+        max=65536,
+    )
     seed: bpy.props.IntProperty(name="Seed", description="Seed of the random numbers", default=0, min=0)
     time_limit: bpy.props.FloatProperty(
         name="Time Limit",

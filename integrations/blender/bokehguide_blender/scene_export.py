@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import bpy
 
+from .axes import Vector
 from .camera import in_frame, read_camera, read_framing
 from .framing import Framing
-from .geometry import export_geometry, rendered_objects
+from .geometry import export_rendered, rendered_objects
 from .glb import complete_glb
 from .lights import read_lights
 from .main_thread import in_main_thread
@@ -39,25 +41,49 @@ def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph,
     camera = (engine.camera_override or scene.camera).evaluated_get(depsgraph)
     framing = read_framing(camera.data, scene.render, (engine.resolution_x, engine.resolution_y), warnings)
     view = read_camera(camera, framing, warnings)
-    tables: dict[str, object] = {
+    layer = scene.original.view_layers[depsgraph.view_layer.name]
+    rendered = rendered_objects(depsgraph)
+    tables = scene_tables(depsgraph, view, framing.size, lambda each: in_frame(view, framing, each), folder, warnings)
+    geometry = folder / GEOMETRY
+    in_main_thread(lambda: export_rendered(scene.original, layer, rendered, geometry), engine.test_break)
+    path = folder / "scene.toml"
+    write_scene(tables, geometry if complete_glb(geometry) else None, path)
+    return Exported(path, framing, warnings)
+
+
+def scene_tables(
+    depsgraph: bpy.types.Depsgraph,
+    view: dict[str, Any],
+    size: tuple[int, int],
+    seen: Callable[[Vector], bool],
+    folder: Path,
+    warnings: list[str],
+) -> dict[str, Any]:
+    """The tables of a scene file without its geometry.
+
+    view: the `[camera]` table. size: of the frame in pixels. seen: whether the camera sees a light at this position, of which
+    users are warned. folder: for maps of the world.
+    """
+    scene = depsgraph.scene
+    tables: dict[str, Any] = {
         "camera": view,
-        "film": {"width": framing.size[0], "height": framing.size[1], "max_depth": scene.bokehguide.max_bounces + 2},
+        "film": {"width": size[0], "height": size[1], "max_depth": scene.bokehguide.max_bounces + 2},
     }
     environment = read_world(scene, folder, warnings)
     if environment is not None:
         tables["environment"] = environment
-    tables |= read_lights(depsgraph, lambda position: in_frame(view, framing, position), warnings)
+    tables |= read_lights(depsgraph, seen, warnings)
     warnings += material_warnings(depsgraph)
-    layer = scene.original.view_layers[depsgraph.view_layer.name]
-    rendered = rendered_objects(depsgraph)
-    in_main_thread(lambda: export_geometry(scene.original, layer, rendered, folder / GEOMETRY), engine.test_break)
-    if complete_glb(folder / GEOMETRY):
-        tables["object"] = [{"file": GEOMETRY}]
+    return tables
+
+
+def write_scene(tables: dict[str, Any], geometry: Path | None, path: Path) -> None:
+    """Write a scene file beside its geometry. geometry: None where the scene has none."""
+    if geometry is not None:
+        tables["object"] = [{"file": geometry.name}]
     elif "light" not in tables:
-        tables |= _speck(view)
-    path = folder / "scene.toml"
+        tables |= _speck(tables["camera"])
     path.write_text(dumps(tables), encoding="utf-8")
-    return Exported(path, framing, warnings)
 
 
 def _speck(view: dict[str, Any]) -> dict[str, object]:

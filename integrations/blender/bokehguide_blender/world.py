@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from pathlib import Path
 from typing import Any
@@ -110,6 +111,7 @@ def _file(image: bpy.types.Image, folder: Path) -> Path:
     colors = pixels.reshape(height, width, image.channels)[::-1, :, : min(image.channels, 3)]
     if not image.is_float and image.colorspace_settings.name == "sRGB":
         colors = np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
-    target = folder / "world.hdr"
-    write_hdr(target, np.broadcast_to(colors, (height, width, 3)))
+    target = folder / f"world-{hashlib.sha256(pixels).hexdigest()[:16]}.hdr"
+    if not target.exists():
+        write_hdr(target, np.broadcast_to(colors, (height, width, 3)))
     return target

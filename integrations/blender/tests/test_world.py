@@ -71,3 +71,16 @@ def test_unknown_nodes_are_told(scene, tmp_path, capfd):
     scenes.camera()
     scenes.render("BOKEHGUIDE", tmp_path, samples=1)
     assert "use an Environment Texture" in "".join(capfd.readouterr())
+
+
+@pytest.mark.parametrize("transparent", [False, True])
+def test_alpha_without_a_world(scene, tmp_path, transparent):
+    """A black world is opaque, unless it is made transparent."""
+    scene.render.film_transparent = transparent
+    scenes.mesh("cube")
+    scenes.light("POINT")
+    scenes.camera()
+    cycles, ours = scenes.both(tmp_path, samples=16)
+    assert cycles[..., 3].min() == (0.0 if transparent else 1.0)
+    assert np.abs(ours[..., 3] - cycles[..., 3]).max() < 0.3
+    assert np.abs(ours[..., 3] - cycles[..., 3]).mean() < 0.01
