@@ -131,8 +131,8 @@ class PixelRandom:
 
     def select(self, index: Tensor) -> PixelRandom:
         """Random numbers of the paths at `index`, int64 `[M]`."""
-        keys = (values.index_select(0, index) for values in (self.pixel_keys, self._pair_keys))
-        return self._with(*keys, None if self._odd is None else self._odd.index_select(0, index))
+        odd = None if self._odd is None else self._odd.index_select(0, index)
+        return self._with(self.pixel_keys.index_select(0, index), self._pair_keys.index_select(0, index), odd)
 
     def copies(self, number: Tensor) -> PixelRandom:
         """Random numbers of copies of paths; number: int64 `[N]`, of the copy. Copy 0 has the random numbers of the path.
