@@ -180,7 +180,8 @@ def test_what_is_handed_on_has_the_samples_since_the_last_epoch():
     for steps in (2, 3):
         found = after(steps).learned()
         assert found is not None
-        counts.append(float(found.state["lights"]["sampler.sums"][1].sum()))
+        rows = [found.state["lens"][f"record_buffer.{name}"] for name in ("voxels", "waiting")]
+        counts.append(float(torch.cat(rows)[:, 1].sum()))
     assert counts[1] > 1.3 * counts[0]
 
 
