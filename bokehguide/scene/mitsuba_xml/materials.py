@@ -88,6 +88,10 @@ class Materials:
     def _diffuse(self, bsdf: Plugin, name: str) -> Material:
         return Material(name, specular=0.0, **self._color(bsdf, "reflectance"))
 
+    def _roughdiffuse(self, bsdf: Plugin, name: str) -> Material:
+        self.lose("roughness of diffuse BSDFs: left out", name)
+        return self._diffuse(bsdf, name)
+
     def _plastic(self, bsdf: Plugin, name: str) -> Material:
         rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughplastic" else 0.0
         return Material(name, roughness=rough, ior=self._ior(bsdf, 1.49), **self._color(bsdf, "diffuse_reflectance"))
@@ -198,7 +202,7 @@ class Materials:
 
 
 KNOWN = {
-    *("diffuse", "plastic", "roughplastic", "conductor", "roughconductor", "principled"),
+    *("diffuse", "roughdiffuse", "plastic", "roughplastic", "conductor", "roughconductor", "principled"),
     *("dielectric", "roughdielectric", "thindielectric"),
 }
 """BSDFs that have a counterpart."""
