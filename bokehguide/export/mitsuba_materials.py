@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.scene.anisotropy import to_alphas
+from bokehguide.scene.disney_sheen import to_disney
 from bokehguide.scene.types import Material, Texture, Vector
 
 SMOOTH_GLASS = 0.063
@@ -41,10 +42,11 @@ def _glass(material: Material) -> dict[str, Any]:
 def _opaque(material: Material) -> dict[str, Any]:
     """A Lambertian surface, or Disney's principled BSDF, whose `specular` of 0.5 is a refractive index of 1.5."""
     base, packed = color(material.base_color, material.base_color_texture), material.metallic_roughness_texture
-    if _is_matte(material) and material.metallic == 0.0 and material.clearcoat == 0.0:
+    sheen = to_disney(material)
+    if _is_matte(material) and material.metallic == 0.0 and material.clearcoat == 0.0 and sheen is None:
         bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": base}
     else:
-        reflectance = material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2
+        reflectance = 0.0 if _is_matte(material) else material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2
         bsdf = {
             "type": "principled",
             "base_color": base,
@@ -55,6 +57,8 @@ def _opaque(material: Material) -> dict[str, Any]:
         if _exports_anisotropy(material):
             most, least = to_alphas(material.roughness, material.anisotropy)
             bsdf |= {"roughness": (most * least) ** 0.25, "anisotropic": (1.0 - least / most) / 0.9}
+        if sheen is not None:
+            bsdf |= dict(zip(("sheen", "sheen_tint"), sheen))
         if material.clearcoat > 0.0:
             bsdf |= {"clearcoat": material.clearcoat, "clearcoat_gloss": 1.0 - material.clearcoat_roughness}
     if material.normal_texture is not None:
@@ -135,7 +139,7 @@ def lost_terms(material: Material) -> Sequence[str]:
         "specular texture": material.specular_texture is not None,
         "clear coat textures": material.clearcoat > 0.0
         and any((material.clearcoat_texture, material.clearcoat_roughness_texture, material.clearcoat_normal_texture)),
-        "sheen": any(material.sheen_color),
+        "sheen": any(material.sheen_color) and (glass or to_disney(material) is None),
         "anisotropy": material.anisotropy > 0.0 and (glass or not _exports_anisotropy(material)),
         "diffuse transmission": material.diffuse_transmission > 0.0,
         "iridescence": material.iridescence > 0.0,

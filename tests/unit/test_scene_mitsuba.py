@@ -109,7 +109,7 @@ def test_materials(tmp_path):
         '<float name="alpha" value="0.25"/></bsdf>'
         '<bsdf type="dielectric" id="water"><string name="int_ior" value="water"/></bsdf>'
         '<bsdf type="principled" id="car"><rgb name="base_color" value="0 0 0.5"/><float name="clearcoat" value="0.7"/>'
-        '<float name="clearcoat_gloss" value="0.9"/><float name="sheen" value="1"/></bsdf>'
+        '<float name="clearcoat_gloss" value="0.9"/><float name="spec_tint" value="1"/></bsdf>'
         '<bsdf type="mask" id="veil"><float name="opacity" value="0.25"/><bsdf type="diffuse"/></bsdf>'
         '<bsdf type="hair" id="wig"/>'
     )
@@ -124,7 +124,7 @@ def test_materials(tmp_path):
     assert found["water"].transmission == 1.0 and found["water"].ior == pytest.approx(1.333, rel=1e-3)
     assert found["car"].clearcoat == pytest.approx(0.7) and found["car"].clearcoat_roughness == pytest.approx(0.1)
     assert (found["veil"].alpha_mode, found["veil"].opacity) == ("blend", 0.25)
-    assert scene.warnings[0] == "scene.xml: sheen of principled BSDFs: left out (car)"
+    assert scene.warnings[0] == "scene.xml: spec_tint of principled BSDFs: left out (car)"
     assert scene.warnings[1] == "scene.xml: BSDF hair: grey in its place (wig)"
 
 

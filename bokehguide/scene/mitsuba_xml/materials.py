@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.scene.anisotropy import from_alphas
+from bokehguide.scene.disney_sheen import from_disney
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.images import load_texture
 from bokehguide.scene.mitsuba_xml.tree import Plugin, mitsuba
@@ -87,6 +88,10 @@ class Materials:
     def _diffuse(self, bsdf: Plugin, name: str) -> Material:
         return Material(name, specular=0.0, **self._color(bsdf, "reflectance"))
 
+    def _roughdiffuse(self, bsdf: Plugin, name: str) -> Material:
+        self.lose("roughness of diffuse BSDFs: left out", name)
+        return self._diffuse(bsdf, name)
+
     def _plastic(self, bsdf: Plugin, name: str) -> Material:
         rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughplastic" else 0.0
         return Material(name, roughness=rough, ior=self._ior(bsdf, 1.49), **self._color(bsdf, "diffuse_reflectance"))
@@ -121,18 +126,23 @@ class Materials:
             return min(max(_mean(bsdf.values.get(key, default)), 0.0), 1.0)
 
         aspect, rough = math.sqrt(1.0 - 0.9 * scalar("anisotropic", 0.0)), scalar("roughness", 0.5)
-        for key in ("sheen", "spec_tint", "flatness"):
+        for key in ("spec_tint", "flatness"):
             if isinstance(bsdf.values.get(key), Plugin) or _mean(bsdf.values.get(key, 0.0)) > 0.0:
                 self.lose(f"{key} of principled BSDFs: left out", name)
+        color, metallic, sheen = self._color(bsdf, "base_color"), scalar("metallic", 0.0), scalar("sheen", 0.0)
+        tint = scalar("sheen_tint", 0.0) if sheen > 0.0 else 0.0
+        if tint > 0.0 and "base_color_texture" in color:
+            self.lose("sheen_tint of principled BSDFs with a texture: a white sheen", name)
         return Material(
             name,
-            metallic=scalar("metallic", 0.0),
+            metallic=metallic,
             specular=min(2.0 * scalar("specular", 0.5), 1.0),
             transmission=scalar("spec_trans", 0.0),
             clearcoat=scalar("clearcoat", 0.0),
             clearcoat_roughness=1.0 - scalar("clearcoat_gloss", 0.0),
             **from_alphas(rough**2 / aspect, rough**2 * aspect),
-            **self._color(bsdf, "base_color"),
+            **from_disney(sheen, tint, color["base_color"], metallic),
+            **color,
         )
 
     def _roughness(self, bsdf: Plugin, default: float) -> float:
@@ -192,7 +202,7 @@ class Materials:
 
 
 KNOWN = {
-    *("diffuse", "plastic", "roughplastic", "conductor", "roughconductor", "principled"),
+    *("diffuse", "roughdiffuse", "plastic", "roughplastic", "conductor", "roughconductor", "principled"),
     *("dielectric", "roughdielectric", "thindielectric"),
 }
 """BSDFs that have a counterpart."""

@@ -16,6 +16,7 @@ from bokehguide.scene.files import SceneFiles, require_map
 from bokehguide.scene.losses import loss_lines
 from bokehguide.scene.mitsuba_xml.materials import Materials, color_of
 from bokehguide.scene.mitsuba_xml.shapes import read_shape
+from bokehguide.scene.mitsuba_xml.sunsky import read_sunsky
 from bokehguide.scene.mitsuba_xml.tree import Plugin, read_tree
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
 from bokehguide.scene.shapes import spheres
@@ -98,6 +99,10 @@ def _lights(
             environment = Environment(constant_radiance(color_of(emitter.values.get("radiance", 1.0))))
         elif emitter.type == "envmap":
             environment = _map(emitter, path, files, materials)
+        elif emitter.type == "sunsky":
+            with located(emitter.place):
+                environment, found = read_sunsky(emitter, materials)
+            suns += found
         elif emitter.type == "directional":
             suns.append(_sun(emitter))
             materials.lose(f"directional lights: discs of {LightSizes.sun_angle}°", name)
