@@ -12,7 +12,7 @@ from bokehguide.view.kept import Kept
 from bokehguide.view.state import Source, ViewState
 from bokehguide.view.workers import StoppableWorkers
 
-FIRST = 0.06
+FIRST = 0.045
 """Seconds that the first picture after a change should take; its size follows from the last ones."""
 TRIMMED = 32
 """Number of changes after which freed memory is returned: pictures of many sizes leave gaps of many sizes."""
