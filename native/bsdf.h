@@ -6,7 +6,7 @@
 
 namespace BOKEHGUIDE_ISA {
 
-constexpr float MIN_COSINE = 1e-6f, FILM_TRACE = 0.006f, SMOOTH_ALPHA = 4e-3f, DELTA_PDF = 1e30f;
+constexpr float MIN_COSINE = 1e-6f, FILM_TRACE = 0.006f, LEAST_ENTERING = 0.1f, SMOOTH_ALPHA = 4e-3f, DELTA_PDF = 1e30f;
 
 inline Float ggx_density(Vec3 half, Float alpha) {
     const Float a2 = alpha * alpha, t = (half.x * half.x + half.y * half.y) / a2 + half.z * half.z;
@@ -67,7 +67,7 @@ struct Microfacets {
 
 // `CoatAlbedo` of coat_albedo.py.
 struct CoatAlbedo {
-    static constexpr int ROWS = 32, COLUMNS = 64, WIDTH = COLUMNS + 1;
+    static constexpr int ROWS = 64, COLUMNS = 96, WIDTH = COLUMNS + 1;
     static constexpr float STEEP_MARGIN = 0.4f, GRAZING_MARGIN = 0.2f, LOWEST = 0.42169650343f;  // LOWEST: eighth root of MIN_ALPHA
     const int32_t* table;
     Float f0, rise, margin, down;
@@ -291,7 +291,7 @@ struct Opaque {
         if (coated) clearcoat = Clearcoat(t, outgoing, s, to_local(s.clearcoat_normal, frame));
         choose_shares(peak);
         albedo = CoatAlbedo(t, facets, peak, f90 - peak);
-        Float entering = at_least(1.0f - albedo.mean(facets), 1e-4f);
+        Float entering = at_least(1.0f - albedo.mean(facets), LEAST_ENTERING);
         if (filmed) entering = at_least(entering + (passing_film(all(1.0f)) * (20.0f / 21.0f) - entering) * iridescence, 1e-4f);
         leaving = (1.0f - metallic) * passing(outgoing, cosine) / (PI * entering);
     }

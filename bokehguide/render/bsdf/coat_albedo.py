@@ -18,7 +18,7 @@ from bokehguide.render.bsdf.microfacets import MIN_COSINE, Microfacets, sample_v
 from bokehguide.render.geometry import MIN_ALPHA
 from bokehguide.render.vector import dot, fifth_power
 
-ROWS, COLUMNS = 32, 64
+ROWS, COLUMNS = 64, 96
 """Size of the table: rows over the eighth root of α, from `MIN_ALPHA` to 1, and columns over the fourth root of the cosine."""
 WIDTH = COLUMNS + 1
 """Columns of the table with the last one, which has the cosine-weighted mean of its row."""

@@ -39,6 +39,8 @@ from bokehguide.render.bsdf.thin_film import film_bound, film_reflectance
 from bokehguide.render.geometry import Surface
 from bokehguide.render.vector import dot, fifth_power, luminance, normalize
 
+LEAST_ENTERING = 0.1
+"""Least share of light below a coat as a divisor, so that errors of the table stay small beneath coats that reflect almost all."""
 FILM_TRACE = 0.006
 """Margin of the bound under a film at steep angles, where rough coats reflect more than smooth coats."""
 
@@ -66,7 +68,7 @@ class OpaqueBSDF:
         self._choose_shares(peak)
         self._albedo = CoatAlbedo(self._facets, peak, self._f90 - peak)
         # Normalisation: mean transmittance of the coat under uniform illumination, or a bound of the mean with anisotropy.
-        entering = (1.0 - self._albedo.mean()).clamp(min=1e-4)
+        entering = (1.0 - self._albedo.mean()).clamp(min=LEAST_ENTERING)
         if surface.iridescence is not None:
             steepest = self._passing_film(torch.ones_like(self._cosine)) * (20.0 / 21.0)
             entering = (entering + (steepest - entering) * surface.iridescence).clamp(min=1e-4)
