@@ -6,7 +6,7 @@
 
 namespace BOKEHGUIDE_ISA {
 
-constexpr float MIN_COSINE = 1e-6f, FILM_TRACE = 0.006f, LEAST_ENTERING = 0.1f, SMOOTH_ALPHA = 4e-3f, DELTA_PDF = 1e30f;
+constexpr float MIN_COSINE = 1e-6f, FILM_TRACE = 0.006f, LEAST_ENTERING = 0.2f, SMOOTH_ALPHA = 4e-3f, DELTA_PDF = 1e30f;
 
 inline Float ggx_density(Vec3 half, Float alpha) {
     const Float a2 = alpha * alpha, t = (half.x * half.x + half.y * half.y) / a2 + half.z * half.z;

@@ -131,7 +131,7 @@ def brdf(
     facets = np.where(below, 0.0, mirrors(outgoing, light, alphas))
     through = np.asarray(transmission_color)[:, None] * diffuse_transmission
     lambertian = np.where(below, through, base * (1.0 - diffuse_transmission))
-    dielectric = lambertian / np.pi * under / max(entering, 0.1) + coat * facets
+    dielectric = lambertian / np.pi * under / max(entering, 0.2) + coat * facets
     metal = (base + (1.0 - base) * schlick) * facets
     beneath = (1.0 - metallic) * dielectric + metallic * metal
     if any(sheen_color):
