@@ -40,7 +40,7 @@ from bokehguide.render.geometry import Surface
 from bokehguide.render.vector import dot, fifth_power, luminance, normalize
 
 LEAST_ENTERING = 0.2
-"""Least share of light below a coat as a divisor, so that errors of the table stay small beneath coats that reflect almost all."""
+"""Least share of light below a coat as a divisor: errors of the table stay small under coats that reflect almost all."""
 FILM_TRACE = 0.006
 """Margin of the bound under a film at steep angles, where rough coats reflect more than smooth coats."""
 
