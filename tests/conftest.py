@@ -33,3 +33,22 @@ def bokehguide(tmp_path: Path):
         return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
 
     return run
+
+
+@pytest.fixture(autouse=True, scope="module")
+def mitsuba_variant(request: pytest.FixtureRequest):
+    """The variant of Mitsuba that a test module names in MITSUBA_VARIANT; the earlier variant returns after the module.
+
+    A variant belongs to the process, and pytest imports all modules before the first test.
+    """
+    wanted = getattr(request.module, "MITSUBA_VARIANT", None)
+    if wanted is None:
+        yield
+        return
+    import mitsuba as mi
+
+    before = mi.variant()
+    mi.set_variant(wanted)
+    yield
+    if before is not None:
+        mi.set_variant(before)

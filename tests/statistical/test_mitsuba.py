@@ -30,6 +30,7 @@ from bokehguide.render.lights.environment import EnvironmentLight
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.types import Cone, Environment, Material, Scene, Sun, Texture
 
+MITSUBA_VARIANT = mi.variant()
 pytestmark = pytest.mark.slow
 SIZE = (96, 54)
 SPP, RUNS, MITSUBA_SPP = 48, 8, 512

@@ -26,6 +26,7 @@ from bokehguide.scene.types import FilmSettings
 from tests.support.mitsuba_scenes import blocks, lamps
 from tests.support.statistical import SIGNIFICANCE, sidak
 
+MITSUBA_VARIANT = mi.variant()
 PATH = {"type": "path", "max_depth": 4}
 
 

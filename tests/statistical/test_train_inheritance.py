@@ -18,7 +18,7 @@ from bokehguide.train import RenderLoop, RenderSettings
 from tests.support.statistical import SIGNIFICANCE, block_means, z_test
 
 SIZE = 128, 72
-RENDERS, STEPS = 40, 2
+RENDERS, STEPS = 64, 2
 REFERENCE_SPP = 768
 CHANGES = ("lens", "camera")
 

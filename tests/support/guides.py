@@ -20,12 +20,13 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.runtime import native
 from bokehguide.runtime.distributed import Ranks
 from bokehguide.scene.types import Camera
+from bokehguide.train import RenderSettings
 
 
 def context(camera: ThinLensCamera, ranks: Ranks | None = None) -> ModeContext:
     """The context of a whole frame, without a scene."""
     owned = torch.ones(camera.width * camera.height, dtype=torch.bool)
-    return ModeContext(None, camera, None, camera.width, camera.height, None, ranks or Ranks(), owned)
+    return ModeContext(None, camera, None, camera.width, camera.height, RenderSettings("guided"), ranks or Ranks(), owned)
 
 
 def gaussian_guide(camera: ThinLensCamera, mode: str = "lis-o", config: GaussianConfig | None = None) -> GaussianGuide:

@@ -10,6 +10,7 @@ pytest.importorskip("mitsuba")
 import mitsuba as mi
 
 mi.set_variant("scalar_rgb")
+MITSUBA_VARIANT = "scalar_rgb"
 
 from bokehguide.mitsuba.frame import Frame
 from bokehguide.mitsuba.lens import GuidedLens, LensSamples

@@ -18,12 +18,12 @@ from bokehguide.scene.types import Camera, FilmSettings, Material, Scene, Textur
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 HEIGHTS, ANGLES = 0.5 * (NODES + 1.0), np.pi * (NODES + 1.0)
+MITSUBA_VARIANT = "scalar_rgb"
 CAMERA = Camera((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), aperture_radius=0.1, focus_distance=4.0)
 
 
 def theirs(cosine: float, base=(0.0, 0.0, 0.0), **values: float) -> np.ndarray:
     """Albedo of Mitsuba's sheen, by the difference of the BSDFs with and without, RGB."""
-    mi.set_variant("scalar_rgb")
     plain = {"type": "principled", "base_color": {"type": "rgb", "value": list(base)}, "specular": 0.0}
     plain["metallic"] = values.pop("metallic", 0.0)
     pair = [mi.load_dict(plain | values), mi.load_dict(plain)]

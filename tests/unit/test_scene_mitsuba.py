@@ -18,6 +18,7 @@ from bokehguide.scene.anisotropy import to_alphas
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_sphere
 from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Scene, Texture
 
+MITSUBA_VARIANT = "scalar_rgb"
 SENSOR = (
     '<sensor type="thinlens"><float name="aperture_radius" value="0.1"/><float name="focus_distance" value="3"/>'
     '<float name="fov" value="40"/><transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>'
@@ -82,7 +83,6 @@ def test_shapes_are_mitsubas(tmp_path, kind):
     if kind == "sphere":
         move = '<point name="center" x="1" y="2" z="-3"/><float name="radius" value="0.7"/>'
     (mesh,) = read(tmp_path, f'<shape type="{kind}">{move}</shape>').meshes
-    mi.set_variant("scalar_rgb")
     shape = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0]
     corners = mesh.vertices[mesh.triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
@@ -96,7 +96,6 @@ def test_shapes_are_mitsubas(tmp_path, kind):
 def test_fields_of_view_are_mitsubas(tmp_path, axis):
     sensor = SENSOR.replace("<film", f'<string name="fov_axis" value="{axis}"/><film')
     scene = read(tmp_path, '<shape type="sphere"/>', sensor)
-    mi.set_variant("scalar_rgb")
     theirs = mi.traverse(mi.load_file(str(tmp_path / "scene.xml")).sensors()[0])["x_fov"]
     assert scene.camera.fov == pytest.approx(float(np.ravel(np.array(theirs))[0]), rel=1e-4)
 
@@ -162,7 +161,6 @@ def test_old_files_and_overrides(tmp_path):
 
 
 def test_the_variant_of_the_process_stays(tmp_path):
-    mi.set_variant("scalar_rgb")
     read(tmp_path, '<shape type="sphere"/>')
     assert mi.variant() == "scalar_rgb"
 
