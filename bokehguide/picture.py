@@ -119,6 +119,8 @@ class Picture:
         if not self.mattes:
             raise BokehguideError("Picture.matte: the picture has no mattes; render with cryptomatte=True")
         names = manifest(kind, self.metadata)
+        if not isinstance(name, str):
+            raise BokehguideError(f"Picture.matte: name {shown(name)}: give a string")
         if name not in names:
             raise BokehguideError(f"Picture.matte: no {kind} is named {shown(name)}; {did_you_mean(name, names)}")
         return mask(kind, names[name], self.mattes)

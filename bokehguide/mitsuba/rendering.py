@@ -21,6 +21,9 @@ LEAST_GAIN = 1.1
 SURVEY = 4
 """Steps of all pixels, after which pixels that see no known emitter or highlight get uniform lens points."""
 
+PATHS_PER_PASS = 1 << 24
+"""Paths through uniform lens points that are traced at once; their random numbers take 16 bytes each."""
+
 
 class Rendering:
     """A render of a scene with a nested integrator. Raises BokehguideError as `read_frame`."""
@@ -62,10 +65,16 @@ class Rendering:
             if step == SURVEY < spp and self._mode == "guided" and isinstance(self._paths, Wavefront):
                 guided = lens.guided()
                 if not guided.all():
-                    self._paths.trace_uniform(pixels[~guided], spp - step, self._step_seed(spp), spp, block)
+                    self._trace_uniform(self._paths, pixels[~guided], spp - step, spp, block)
                     pixels = pixels[guided]
                     lens.restrict(pixels)
             self._film.put_block(block)
+
+    def _trace_uniform(self, paths: Wavefront, pixels: np.ndarray, count: int, spp: int, block: Any) -> None:
+        """Trace `count` of `spp` samples of the pixels through uniform lens points, in passes of bounded memory."""
+        each = max(PATHS_PER_PASS // len(pixels), 1)
+        for number, first in enumerate(range(0, count, each)):
+            paths.trace_uniform(pixels, min(each, count - first), self._step_seed(spp + number), spp, block)
 
     def _step_seed(self, step: int) -> int:
         return hash_int(self._seed ^ hash_int(step))

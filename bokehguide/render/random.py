@@ -202,4 +202,4 @@ class PixelRandom:
         """Whether the step is one of max(first - 1, 1) steps from `first` on. first - 1 is then 0 or a power of two, and small
         enough for the indices of further samples."""
         steps = max(first - 1, 1)
-        return self.index - (first - 1) < steps <= _LONGEST_EPOCH and steps & (steps - 1) == 0
+        return 0 <= self.index - (first - 1) < steps <= _LONGEST_EPOCH and steps & (steps - 1) == 0

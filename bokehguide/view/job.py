@@ -100,6 +100,10 @@ class Job:
         """Whether the full size has `spp` samples per pixel."""
         return self.full_size and self.loop.step_number >= spp
 
+    def serves(self, state: ViewState) -> bool:
+        """Whether the picture is one of the state, without more samples than the state asks for."""
+        return self.traced == state.traced and not self.done(state.spp + 1)
+
     def advance(self) -> StepStats:
         """Take a step, at the next size if this size has its step. Raises AbandonedError where the workers are stopped."""
         if not self.full_size and self.loop.step_number > 0:

@@ -196,7 +196,7 @@ class Renderer:
             self._rendering
             or bool(self._questions.of_exact)
             or job is None
-            or job.traced != self._wanted.state.traced
+            or not job.serves(self._wanted.state)
             or not (job.exact and job.done(self._limit()))
             or not self._is_shown(job)
         )
@@ -218,7 +218,7 @@ class Renderer:
         if not active or self._failed == state:
             return
         start, job = time.monotonic(), self._job
-        if job is None or job.traced != state.traced:
+        if job is None or not job.serves(state):
             job = self._job = self._new_job(state)
         at_first = job.at_first
         job = self._job = self._advance(job, state)

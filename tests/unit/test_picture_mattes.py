@@ -37,6 +37,8 @@ def test_unknown_names_and_kinds_are_refused(picture):
         picture.matte(f"{name}x", "material")
     with pytest.raises(BokehguideError, match='kind \'pixel\' is unknown; give "object" or "material"'):
         picture.matte(name, "pixel")
+    with pytest.raises(BokehguideError, match="name 3: give a string"):
+        picture.matte(3, "material")
 
 
 def test_a_picture_without_mattes_says_how_to_get_them():

@@ -55,6 +55,19 @@ def png_of(path: str) -> np.ndarray:
     return np.asarray(Image.open(path))
 
 
+def test_fewer_samples_than_the_picture_has_start_anew(page):
+    """At rest and in a render."""
+    page.rested()
+    page.change(type="set", name="spp", value=SPP - 1)
+    command = page.facts["state"]["command"]
+    assert page.until("picture", lambda facts: facts["done"])["spp"] == SPP - 1
+    run(command, "--out=again.exr")
+    np.testing.assert_array_equal(page.rested(), png_of("again.png"))
+    page.change(type="set", name="spp", value=1)
+    page.send(type="render", on=True)
+    assert page.until("note")["note"].endswith(", 1 SPP")
+
+
 @pytest.mark.parametrize("denoise", [False, True])
 def test_the_picture_at_rest_is_that_of_the_command(denoise, page):
     page.change(type="set", name="denoise", value=denoise)
