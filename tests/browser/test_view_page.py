@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from itertools import pairwise
@@ -63,8 +62,7 @@ class Browser:
         # Movements wait for the next frame of the screen, and changes for the answer to the one before.
         self.driver.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
         self.until(lambda: self.data("pending") in ("", "0") and int(self.data("state")) >= after)
-        self.until(lambda: self.data("exact") == "true" and self.data("revision") == self.data("state"))
-        time.sleep(0.3)  # the picture is drawn when it is decoded
+        self.until(lambda: self.data("drawn") == self.data("state"))
         script = "return document.getElementById('picture').toDataURL('image/png').split(',')[1]"
         return np.asarray(Image.open(BytesIO(base64.b64decode(self.driver.execute_script(script)))).convert("RGB"))
 

@@ -66,7 +66,6 @@ const handlers = {
     showButton();
     document.body.dataset.revision = message.revision;
     document.body.dataset.spp = message.reduction > 1.001 ? 0 : message.spp;
-    document.body.dataset.exact = message.exact;
   },
   marker(message, blob) {
     stage.mark(message.on, blob);

@@ -59,6 +59,7 @@ export class Stage {
     pen.imageSmoothingQuality = "high";
     pen.drawImage(image, 0, 0, this.picture.width, this.picture.height);
     image.close();
+    document.body.dataset.drawn = facts.exact ? facts.revision : "";
     document.getElementById("waiting").hidden = true;
   }
 
