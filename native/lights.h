@@ -15,8 +15,6 @@ using bokehguide::LEVELS_IN_LINE;
 
 constexpr float MISS_DISTANCE = 1e37f, LEAST_COSINE = 1e-12f;
 
-typedef double Double __attribute__((vector_size(64)));
-
 // `AliasTable.sample`: entries of rows that begin at `start` and have `count` entries.
 inline Int alias_sample(const AliasEntry* table, Int start, Int count, Float u0, Float u1) {
     const Double fine = __builtin_convertvector(u0, Double) + (__builtin_convertvector(u1, Double) - 0.5) * 0x1p-23;

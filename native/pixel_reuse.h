@@ -148,7 +148,7 @@ class ViewFinder {
         inside_[member] = 0;
         if (!any(seen)) return;
         viewer = seen ? viewer : all(0);
-        Int pixel = Int{0, 1, 2, 3, 4, 5, 6, 7} + int32_t(first_);
+        Int pixel = lane_numbers() + int32_t(first_);
         pixel = seen ? pixel : all(0);
         const Float depth = load<Float>(views_.depth + first_);
         const Float own_x = gather(samples_.points, pixel), own_y = gather(samples_.points + count, pixel);

@@ -1,4 +1,4 @@
-// Eight lanes at once: floats and integers of which every operator works lane by lane.
+// Eight or sixteen lanes at once: floats and integers of which every operator works lane by lane.
 //
 // GCC's and Clang's vector extensions compile the same source for every instruction set. Only loads by index, roots and
 // conversions need code of their own. A comparison gives a mask of 0 or -1; `mask ? a : b` chooses lane by lane.
@@ -9,22 +9,33 @@
 #include <cstdint>
 #include <cstring>
 
-#if defined(__AVX2__)
+#if defined(__AVX512F__) || defined(__AVX2__)
 #include <immintrin.h>
 #endif
 
 namespace BOKEHGUIDE_ISA {
 
+#if defined(__AVX512F__)
+constexpr int LANES = 16;
+#else
 constexpr int LANES = 8;
-typedef float Float __attribute__((vector_size(32)));
-typedef int32_t Int __attribute__((vector_size(32)));
-typedef uint32_t Bits __attribute__((vector_size(32)));
+#endif
+typedef float Float __attribute__((vector_size(4 * LANES)));
+typedef int32_t Int __attribute__((vector_size(4 * LANES)));
+typedef uint32_t Bits __attribute__((vector_size(4 * LANES)));
+typedef double Double __attribute__((vector_size(8 * LANES)));
 
 constexpr float PI = 3.14159265358979323846f;
 
-inline Float all(float x) { return Float{x, x, x, x, x, x, x, x}; }
-inline Int all(int32_t x) { return Int{x, x, x, x, x, x, x, x}; }
-inline Bits all(uint32_t x) { return Bits{x, x, x, x, x, x, x, x}; }
+inline Float all(float x) { return x - Float{}; }  // keeps the sign of 0
+inline Int all(int32_t x) { return x + Int{}; }
+inline Bits all(uint32_t x) { return x + Bits{}; }
+#if defined(__AVX512F__)
+inline Int lane_numbers() { return Int{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}; }
+#else
+inline Int lane_numbers() { return Int{0, 1, 2, 3, 4, 5, 6, 7}; }
+#endif
+inline Int first_lanes(int count) { return lane_numbers() < count; }
 
 template <class V, class T> inline V load(const T* place) {
     V value;
@@ -44,7 +55,14 @@ inline Float to_float(Int x) { return __builtin_convertvector(x, Float); }
 // Towards 0; NaN and values out of range give any integer.
 inline Int to_int(Float x) { return __builtin_convertvector(x, Int); }
 
-#if defined(__AVX2__)
+#if defined(__AVX512F__)
+inline Float gather(const float* table, Int index) { return (Float)_mm512_i32gather_ps((__m512i)index, table, 4); }
+inline Int gather(const int32_t* table, Int index) { return (Int)_mm512_i32gather_epi32((__m512i)index, table, 4); }
+inline Float sqrt(Float x) { return (Float)_mm512_sqrt_ps((__m512)x); }
+inline Float floor(Float x) { return (Float)_mm512_roundscale_ps((__m512)x, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC); }
+inline unsigned lanes(Int mask) { return unsigned(_mm512_movepi32_mask((__m512i)mask)); }
+inline bool any(Int mask) { return lanes(mask) != 0; }
+#elif defined(__AVX2__)
 inline Float gather(const float* table, Int index) { return (Float)_mm256_i32gather_ps(table, (__m256i)index, 4); }
 inline Int gather(const int32_t* table, Int index) { return (Int)_mm256_i32gather_epi32(table, (__m256i)index, 4); }
 inline Float sqrt(Float x) { return (Float)_mm256_sqrt_ps((__m256)x); }
