@@ -225,6 +225,7 @@ NB_MODULE(_native, m) {
     using namespace bokehguide;
     nb::set_leak_warnings(false);  // scenes in caches of Python live until the process ends
     m.def("load_embree", &load_embree);
+    m.attr("MOST_LANES") = MOST_LANES;
     m.def("instruction_sets", &instruction_sets);
     m.def("use_instruction_set", &use_instruction_set);
     nb::class_<Triangles>(m, "Triangles")
