@@ -97,6 +97,8 @@ inline Int texel_at(const Tables& t, Vec3 direction) {
     return within(to_int(row), 0, t.map_height - 1) * t.map_width + within(to_int(column), 0, t.map_width - 1);
 }
 
+typedef float Quad __attribute__((vector_size(16)));
+
 inline Vec3 map_radiance(const Tables& t, Vec3 direction) {
     Float x, y;
     place(t, direction, x, y);
@@ -107,11 +109,17 @@ inline Vec3 map_radiance(const Tables& t, Vec3 direction) {
         return within(to_int(place - floor(place / float(t.map_width)) * float(t.map_width)), 0, t.map_width - 1);
     };
     const Int upper = row(top), lower = row(top + 1.0f), first = column(left), second = column(left + 1.0f);
-    const int64_t size = int64_t(t.map_width) * t.map_height;
-    const auto at = [&](Int texel) { return gather3(t.map_texels, size, texel); };
-    const Vec3 above = (1.0f - across) * at(upper + first) + across * at(upper + second);
-    const Vec3 below = (1.0f - across) * at(lower + first) + across * at(lower + second);
-    return (1.0f - down) * above + down * below;
+    const Float before = 1.0f - across, over = 1.0f - down;
+    // One load for each texel: loads by index are slow on many processors.
+    alignas(64) float red[LANES], green[LANES], blue[LANES];
+    for (int lane = 0; lane < LANES; ++lane) {
+        const auto at = [&](int32_t texel) { return load<Quad>(t.map_texels + 3 * int64_t(texel)); };
+        const Quad above = before[lane] * at(upper[lane] + first[lane]) + across[lane] * at(upper[lane] + second[lane]);
+        const Quad below = before[lane] * at(lower[lane] + first[lane]) + across[lane] * at(lower[lane] + second[lane]);
+        const Quad color = over[lane] * above + down[lane] * below;
+        red[lane] = color[0], green[lane] = color[1], blue[lane] = color[2];
+    }
+    return {load<Float>(red), load<Float>(green), load<Float>(blue)};
 }
 
 // `EnvironmentLight.radiance`.
