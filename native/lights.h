@@ -97,8 +97,6 @@ inline Int texel_at(const Tables& t, Vec3 direction) {
     return within(to_int(row), 0, t.map_height - 1) * t.map_width + within(to_int(column), 0, t.map_width - 1);
 }
 
-typedef float Quad __attribute__((vector_size(16)));
-
 inline Vec3 map_radiance(const Tables& t, Vec3 direction) {
     Float x, y;
     place(t, direction, x, y);
@@ -110,16 +108,15 @@ inline Vec3 map_radiance(const Tables& t, Vec3 direction) {
     };
     const Int upper = row(top), lower = row(top + 1.0f), first = column(left), second = column(left + 1.0f);
     const Float before = 1.0f - across, over = 1.0f - down;
-    // One load for each texel: loads by index are slow on many processors.
-    alignas(64) float red[LANES], green[LANES], blue[LANES];
+    alignas(16) float colors[LANES][4];
     for (int lane = 0; lane < LANES; ++lane) {
         const auto at = [&](int32_t texel) { return load<Quad>(t.map_texels + 3 * int64_t(texel)); };
         const Quad above = before[lane] * at(upper[lane] + first[lane]) + across[lane] * at(upper[lane] + second[lane]);
         const Quad below = before[lane] * at(lower[lane] + first[lane]) + across[lane] * at(lower[lane] + second[lane]);
-        const Quad color = over[lane] * above + down[lane] * below;
-        red[lane] = color[0], green[lane] = color[1], blue[lane] = color[2];
+        store(colors[lane], over[lane] * above + down[lane] * below);
     }
-    return {load<Float>(red), load<Float>(green), load<Float>(blue)};
+    const RowFields<1> color([&](int lane) { return colors[lane]; });
+    return {color(0), color(1), color(2)};
 }
 
 // `EnvironmentLight.radiance`.
@@ -232,7 +229,7 @@ inline Float emitter_field(const Tables& t, Int emitter, int field) {
 inline LightSample sample_triangle(const Tables& t, Vec3 point, Int cluster, Float share, const Float (&u)[5], Int active) {
     const Int start = gather(t.within_start, cluster), count = gather(t.within_start, cluster + 1) - start;
     const Int emitter = alias_sample(t.within_table, start, count, u[1], u[2]);
-    const auto field = [&](int number) { return emitter_field(t, emitter, number); };
+    const RowFields<4> field([&](int lane) { return reinterpret_cast<const float*>(t.emitter_rows + emitter[lane]); });
     const auto vector = [&](int number) { return Vec3{field(number), field(number + 1), field(number + 2)}; };
     const Float root = sqrt(u[3]), a = root * (1.0f - u[4]), b = root * u[4];
     const Vec3 first = vector(3), second = vector(6);
@@ -243,7 +240,7 @@ inline LightSample sample_triangle(const Tables& t, Vec3 point, Int cluster, Flo
     const Float front = one_if(cosine > all(0.0f));
     const Float pdf = share * field(13) * squared / divisor(abs(cosine), LEAST_COSINE);
     Vec3 radiance = emitted(vector(9), field(12), front);
-    const Int triangle = gather(&t.emitter_rows[0].triangle, emitter * 16);
+    const Int triangle = field.integer(14);
     if (!t.plain_emission || t.absorption != nullptr || t.translucent != nullptr) {
         const Hits hit = {triangle, distance, a, b};
         if (!t.plain_emission) radiance = radiance * emission_share(t, hit, -direction, active);

@@ -184,7 +184,8 @@ inline Int same_normals(const Tables& t, const HitRecord& record, Int hit, const
     if (t.clearcoat != nullptr && t.tilts_coats) same &= faces(s.clearcoat_normal);
     const bool mapped = t.normal_scales[bokehguide::NORMAL] != nullptr || t.normal_scales[bokehguide::CLEARCOAT_NORMAL] != nullptr;
     if (mapped) {
-        const Vec3 own = corner_normal(t, {gather(record.triangle, hit), all(0.0f), gather(record.u, hit), gather(record.v, hit)});
+        const RowFields<4> triangle = triangle_fields(t, gather(record.triangle, hit));
+        const Vec3 own = corner_normal(triangle, {all(0), all(0.0f), gather(record.u, hit), gather(record.v, hit)});
         same &= faces(normalize(own * copysign(all(1.0f), dot(own, s.geometric_normal))));
     }
     return same;

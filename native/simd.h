@@ -193,6 +193,44 @@ inline Float logarithm(Float x) {
 // Power of numbers from 0 to 1 with a positive exponent.
 inline Float power_of_fraction(Float x, Float exponent) { return exp_of_negative(exponent * logarithm(at_least(x, 1e-37f))); }
 
+typedef float Quad __attribute__((vector_size(16)));
+
+// Numbers of two vectors: 0 to 3 are those of `a`, and 4 to 7 those of `b`.
+template <int I, int J, int K, int L> inline Quad numbers_of(Quad a, Quad b) {
+#if defined(__clang__)
+    return __builtin_shufflevector(a, b, I, J, K, L);
+#else
+    typedef int32_t Places __attribute__((vector_size(16)));
+    return __builtin_shuffle(a, b, Places{I, J, K, L});
+#endif
+}
+// Columns of four rows: `a` gets the first numbers of all rows.
+inline void transpose(Quad& a, Quad& b, Quad& c, Quad& d) {
+    const Quad ab = numbers_of<0, 4, 1, 5>(a, b), ab2 = numbers_of<2, 6, 3, 7>(a, b);
+    const Quad cd = numbers_of<0, 4, 1, 5>(c, d), cd2 = numbers_of<2, 6, 3, 7>(c, d);
+    a = numbers_of<0, 1, 4, 5>(ab, cd), b = numbers_of<2, 3, 6, 7>(ab, cd);
+    c = numbers_of<0, 1, 4, 5>(ab2, cd2), d = numbers_of<2, 3, 6, 7>(ab2, cd2);
+}
+// Numbers of rows of a table, four for each of QUADS loads, lane by lane. Loads by index are slow on many processors, and one takes
+// a single number.
+template <int QUADS> struct RowFields {
+    alignas(4 * LANES) float fields[4 * QUADS][LANES];
+
+    // row: the first number of a lane's row.
+    template <class Row> explicit RowFields(Row row) {
+        for (int lane = 0; lane < LANES; lane += 4) {
+            for (int quad = 0; quad < QUADS; ++quad) {
+                Quad part[4];
+                for (int i = 0; i < 4; ++i) part[i] = load<Quad>(row(lane + i) + 4 * quad);
+                transpose(part[0], part[1], part[2], part[3]);
+                for (int i = 0; i < 4; ++i) store(&fields[4 * quad + i][lane], part[i]);
+            }
+        }
+    }
+    Float operator()(int field) const { return load<Float>(fields[field]); }
+    Int integer(int field) const { return load<Int>(fields[field]); }
+};
+
 struct Vec3 {
     Float x, y, z;
 };

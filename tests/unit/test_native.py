@@ -14,7 +14,17 @@ from bokehguide.runtime import native
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
-from tests.support.native_cases import BUILT_IN, FEATURES, both_tracers, core, each_instruction_set, feature_scene, rays, rows_of, tables
+from tests.support.native_cases import (
+    BUILT_IN,
+    FEATURES,
+    both_tracers,
+    core,
+    each_instruction_set,
+    feature_scene,
+    rays,
+    rows_of,
+    tables,
+)
 
 COUNT = 4000
 ROUNDING = 2e-3
