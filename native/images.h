@@ -1,4 +1,4 @@
-// Virtual images in mirrors and glass: the ray transfer of guiding/virtual_images.py, for eight paths at a time.
+// Virtual images in mirrors and glass: the ray transfer of guiding/virtual_images.py, for a vector of paths at a time.
 
 #pragma once
 

@@ -1,4 +1,4 @@
-// Mixtures of shapes on the lens plane: `EllipseMixture` of models/ellipse_mixture.py, for eight candidates or pixels at a time.
+// Mixtures of shapes on the lens plane: `EllipseMixture` of models/ellipse_mixture.py, for a vector of candidates or pixels at a time.
 
 #pragma once
 

@@ -1,4 +1,4 @@
-// Light sampling by power: render/lights/power_sampler.py, scene_lights.py, voxel_grid.py and environment.py, for eight points at
+// Light sampling by power: render/lights/power_sampler.py, scene_lights.py, voxel_grid.py and environment.py, for a vector of points at
 // a time.
 
 #pragma once

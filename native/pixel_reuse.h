@@ -234,7 +234,7 @@ class alignas(64) ViewTracing {
         for (int axis = 0; axis < 3; ++axis) views_.outgoing[axis * views_.columns + to] = outgoing_[axis][ray];
     }
 
-    // Aim the rays of up to eight views; returns the number of rays so far.
+    // Aim the rays of a vector of views; returns the number of rays so far.
     int aim(int64_t first, int i, int size, int traced) {
         const int64_t view = first + i;  // rows have entries for whole vectors
         const Int active = first_lanes(size - i) & (load<Float>(views_.passing + view) > all(0.0f));

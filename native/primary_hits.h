@@ -47,7 +47,7 @@ inline void add_parts(const ReusedGroups& groups, int64_t columns, int32_t path,
     }
 }
 
-// Radiance of one hit towards eight unit directions, added up over the paths of the hit (`PrimaryHits.radiance` without emission).
+// Radiance of one hit towards a vector of unit directions, added up over the paths of the hit (`PrimaryHits.radiance` without emission).
 // parts: the radiance of light groups is added to them; null for none.
 inline Vec3 reflected(const Tables& t, const PathLight& of, int32_t hit, Vec3 outgoing, const ReusedGroups* groups, Vec3* parts) {
     const float* directions[2] = {of.light_direction, of.scattered_direction};
