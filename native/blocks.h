@@ -15,7 +15,6 @@ typedef int32_t IntRow[ROW];
 inline Vec3 load3(const Row* rows, int first) { return {load<Float>(rows[0] + first), load<Float>(rows[1] + first), load<Float>(rows[2] + first)}; }
 inline void store3(Row* rows, int first, Vec3 v) { store(rows[0] + first, v.x), store(rows[1] + first, v.y), store(rows[2] + first, v.z); }
 inline Vec3 gather3(const Row* rows, Int index) { return {gather(rows[0], index), gather(rows[1], index), gather(rows[2], index)}; }
-inline Int first_lanes(int count) { return Int{0, 1, 2, 3, 4, 5, 6, 7} < count; }
 
 // Keeps the entries of a list for which a condition holds; returns their number. Entries up to the next whole vector are 0.
 template <class Condition> int keep_if(IntRow& list, int count, Condition keeps) {

@@ -47,7 +47,7 @@ struct DirectLight {
     Float contribution_rms;
 };
 
-// Light samples at eight surfaces; active: lanes that count.
+// Light samples at a vector of surfaces; active: lanes that count.
 class ClusterSampler {
   public:
     ClusterSampler(const Tables& tables, const ClusterLights& lights, Vec3 point, Int active)

@@ -229,7 +229,7 @@ struct MapPoint {
     float density = 0.0f;
 };
 
-// `EnvironmentEmitters.evaluate`, in single precision, for lens points of eight pixels; only lanes in use are looked up.
+// `EnvironmentEmitters.evaluate`, in single precision, for lens points of a vector of pixels; only lanes in use are looked up.
 inline void points_on_map(const EnvironmentTable& e, Float point_x, Float point_y, Vec3 focus, Int used, MapPoint (&found)[LANES]) {
     const Vec3 ray = {focus.x - point_x, focus.y - point_y, focus.z};
     const float* m = e.float_axes;

@@ -12,7 +12,7 @@ using bokehguide::FilmSums;
 constexpr float NO_DEPTH = 1e10f;
 constexpr int FEATURES = 9;
 
-// Eight pixels: consecutive from `first`, or any. Only the first `count` lanes are read and written.
+// A vector of pixels: consecutive from `first`, or any. Only the first `count` lanes are read and written.
 struct PixelLanes {
     const int64_t* pixels;
     int64_t first;
@@ -41,7 +41,7 @@ inline Float lerp(Float start, Float end, Float weight) {
     return weight < all(0.5f) ? start + weight * difference : end - difference * (1.0f - weight);
 }
 
-// Adds eight samples; returns the lanes whose samples are finite.
+// Adds a vector of samples; returns the lanes whose samples are finite.
 inline Int expose(const FilmSums& film, const FilmSamples& s, const PixelLanes& lanes, const PixelLanes& samples, bool recenter) {
     const auto sample = [&](const float* row) { return samples.get<Float>(row); };
     Float weight = sample(s.weight);

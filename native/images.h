@@ -1,4 +1,4 @@
-// Virtual images in mirrors and glass: the ray transfer of guiding/virtual_images.py, for eight paths at a time.
+// Virtual images in mirrors and glass: the ray transfer of guiding/virtual_images.py, for a vector of paths at a time.
 
 #pragma once
 
@@ -29,11 +29,11 @@ struct Corners {
     Vec3 position[3], normal[3];
 
     Corners(const Tables& t, Int triangle) {
+        const RowFields<4> field = triangle_fields(t, triangle);
         for (int corner = 0; corner < 3; ++corner) {
             const Int vertex = 3 * gather(t.corners + corner, 3 * triangle);
             position[corner] = {gather(t.vertices, vertex), gather(t.vertices + 1, vertex), gather(t.vertices + 2, vertex)};
-            const auto field = [&](int axis) { return triangle_field(t, triangle, 3 + 3 * corner + axis); };
-            normal[corner] = {field(0), field(1), field(2)};
+            normal[corner] = {field(3 + 3 * corner), field(4 + 3 * corner), field(5 + 3 * corner)};
         }
         normal[1] = normal[0] + normal[1], normal[2] = normal[0] + normal[2];
     }

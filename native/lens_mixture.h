@@ -1,4 +1,4 @@
-// Mixtures of shapes on the lens plane: `EllipseMixture` of models/ellipse_mixture.py, for eight candidates or pixels at a time.
+// Mixtures of shapes on the lens plane: `EllipseMixture` of models/ellipse_mixture.py, for a vector of candidates or pixels at a time.
 
 #pragma once
 
@@ -360,7 +360,7 @@ inline void evaluate_mixture(const MixtureRows& m, int64_t count, const int32_t*
     for (int64_t first = 0; first < count; first += LANES) {
         const int size = count - first < LANES ? int(count - first) : LANES;
         const Int active = first_lanes(size);
-        Int entry = Int{0, 1, 2, 3, 4, 5, 6, 7} + int32_t(first);
+        Int entry = lane_numbers() + int32_t(first);
         entry = active ? entry : all(int32_t(count - 1));
         const Int pixel = pixels == nullptr ? entry : gather(pixels, entry);
         const Float at_x = gather(x, entry), at_y = gather(y, entry);

@@ -1,4 +1,4 @@
-// Light sampling by power: render/lights/power_sampler.py, scene_lights.py, voxel_grid.py and environment.py, for eight points at
+// Light sampling by power: render/lights/power_sampler.py, scene_lights.py, voxel_grid.py and environment.py, for a vector of points at
 // a time.
 
 #pragma once
@@ -14,8 +14,6 @@ using bokehguide::EmitterRow;
 using bokehguide::LEVELS_IN_LINE;
 
 constexpr float MISS_DISTANCE = 1e37f, LEAST_COSINE = 1e-12f;
-
-typedef double Double __attribute__((vector_size(64)));
 
 // `AliasTable.sample`: entries of rows that begin at `start` and have `count` entries.
 inline Int alias_sample(const AliasEntry* table, Int start, Int count, Float u0, Float u1) {
@@ -109,11 +107,16 @@ inline Vec3 map_radiance(const Tables& t, Vec3 direction) {
         return within(to_int(place - floor(place / float(t.map_width)) * float(t.map_width)), 0, t.map_width - 1);
     };
     const Int upper = row(top), lower = row(top + 1.0f), first = column(left), second = column(left + 1.0f);
-    const int64_t size = int64_t(t.map_width) * t.map_height;
-    const auto at = [&](Int texel) { return gather3(t.map_texels, size, texel); };
-    const Vec3 above = (1.0f - across) * at(upper + first) + across * at(upper + second);
-    const Vec3 below = (1.0f - across) * at(lower + first) + across * at(lower + second);
-    return (1.0f - down) * above + down * below;
+    const Float before = 1.0f - across, over = 1.0f - down;
+    alignas(16) float colors[LANES][4];
+    for (int lane = 0; lane < LANES; ++lane) {
+        const auto at = [&](int32_t texel) { return load<Quad>(t.map_texels + 3 * int64_t(texel)); };
+        const Quad above = before[lane] * at(upper[lane] + first[lane]) + across[lane] * at(upper[lane] + second[lane]);
+        const Quad below = before[lane] * at(lower[lane] + first[lane]) + across[lane] * at(lower[lane] + second[lane]);
+        store(colors[lane], over[lane] * above + down[lane] * below);
+    }
+    const RowFields<1> color([&](int lane) { return colors[lane]; });
+    return {color(0), color(1), color(2)};
 }
 
 // `EnvironmentLight.radiance`.
@@ -226,7 +229,7 @@ inline Float emitter_field(const Tables& t, Int emitter, int field) {
 inline LightSample sample_triangle(const Tables& t, Vec3 point, Int cluster, Float share, const Float (&u)[5], Int active) {
     const Int start = gather(t.within_start, cluster), count = gather(t.within_start, cluster + 1) - start;
     const Int emitter = alias_sample(t.within_table, start, count, u[1], u[2]);
-    const auto field = [&](int number) { return emitter_field(t, emitter, number); };
+    const RowFields<4> field([&](int lane) { return reinterpret_cast<const float*>(t.emitter_rows + emitter[lane]); });
     const auto vector = [&](int number) { return Vec3{field(number), field(number + 1), field(number + 2)}; };
     const Float root = sqrt(u[3]), a = root * (1.0f - u[4]), b = root * u[4];
     const Vec3 first = vector(3), second = vector(6);
@@ -237,7 +240,7 @@ inline LightSample sample_triangle(const Tables& t, Vec3 point, Int cluster, Flo
     const Float front = one_if(cosine > all(0.0f));
     const Float pdf = share * field(13) * squared / divisor(abs(cosine), LEAST_COSINE);
     Vec3 radiance = emitted(vector(9), field(12), front);
-    const Int triangle = gather(&t.emitter_rows[0].triangle, emitter * 16);
+    const Int triangle = field.integer(14);
     if (!t.plain_emission || t.absorption != nullptr || t.translucent != nullptr) {
         const Hits hit = {triangle, distance, a, b};
         if (!t.plain_emission) radiance = radiance * emission_share(t, hit, -direction, active);

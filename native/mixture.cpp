@@ -56,7 +56,7 @@ EllipseMixture::EllipseMixture(nb::dict arrays, nb::dict numbers, nb::object env
     MixtureRows& m = rows_;
     const auto whole = [&](const char* name) { return nb::cast<Out<const int64_t>>(arrays[name], false); };
     const auto start = whole("start"), given = whole("component");
-    m.pixels = int64_t(start.size()) - 1, m.candidates = int64_t(given.size()), m.columns = (m.candidates + 7) / 8 * 8;
+    m.pixels = int64_t(start.size()) - 1, m.candidates = int64_t(given.size()), m.columns = whole_vectors(m.candidates);
     m.start = start.data(), m.given = given.data();
     m.components = int64_t(nb::cast<Floats>(arrays["strength"], false).size());
     const size_t pixels = size_t(m.pixels), candidates = size_t(m.candidates), components = size_t(m.components);

@@ -1,6 +1,7 @@
 // The Python module `bokehguide._native`: scenes for Embree and whole scenes, on the arrays of PyTorch's tensors.
 
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
 #include <atomic>
 #include <chrono>
@@ -25,27 +26,43 @@ double seconds() { return std::chrono::duration<double>(std::chrono::steady_cloc
 
 namespace {
 
-bool has_avx2() {
-#if defined(BOKEHGUIDE_HAS_AVX2)
-    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
-#else
-    return false;
+struct Core {
+    const char* name;
+    const Kernels* kernels;
+};
+
+// The cores that the processor can run, the fastest last. All have the same bits.
+std::vector<Core> find_cores() {
+    std::vector<Core> found = {{"baseline", &baseline::kernels}};
+#if defined(BOKEHGUIDE_X86)
+    const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
+    const bool avx512 = avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
+                        __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq");
+    if (avx2) found.push_back({"avx2", &avx2::kernels});
+    if (avx512) found.push_back({"avx512", &avx512::kernels});
 #endif
+    return found;
 }
 
-std::atomic<bool> modern{has_avx2()};
+const std::vector<Core> cores = find_cores();
+std::atomic<const Kernels*> chosen{cores.back().kernels};
 
-// Whether the AVX2 core serves from now on, where the processor has it; the other core has the same bits.
-bool use_avx2(bool wanted) { return modern = wanted && has_avx2(); }
+std::vector<std::string> instruction_sets() {
+    std::vector<std::string> names;
+    for (const Core& core : cores) names.push_back(core.name);
+    return names;
+}
+
+void use_instruction_set(const std::string& name) {
+    for (const Core& core : cores) {
+        if (name == core.name) return void(chosen = core.kernels);
+    }
+    throw std::invalid_argument("the processor has no instruction set " + name);
+}
 
 }  // namespace
 
-const Kernels& kernels() {
-#if defined(BOKEHGUIDE_HAS_AVX2)
-    if (modern) return avx2::kernels;
-#endif
-    return baseline::kernels;
-}
+const Kernels& kernels() { return *chosen; }
 
 namespace {
 
@@ -208,7 +225,9 @@ NB_MODULE(_native, m) {
     using namespace bokehguide;
     nb::set_leak_warnings(false);  // scenes in caches of Python live until the process ends
     m.def("load_embree", &load_embree);
-    m.def("use_avx2", &use_avx2);
+    m.attr("MOST_LANES") = MOST_LANES;
+    m.def("instruction_sets", &instruction_sets);
+    m.def("use_instruction_set", &use_instruction_set);
     nb::class_<Triangles>(m, "Triangles")
         .def(nb::init<const nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>&,
                       const nb::ndarray<const int32_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>&>())

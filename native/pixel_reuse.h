@@ -148,7 +148,7 @@ class ViewFinder {
         inside_[member] = 0;
         if (!any(seen)) return;
         viewer = seen ? viewer : all(0);
-        Int pixel = Int{0, 1, 2, 3, 4, 5, 6, 7} + int32_t(first_);
+        Int pixel = lane_numbers() + int32_t(first_);
         pixel = seen ? pixel : all(0);
         const Float depth = load<Float>(views_.depth + first_);
         const Float own_x = gather(samples_.points, pixel), own_y = gather(samples_.points + count, pixel);
@@ -184,7 +184,8 @@ inline Int same_normals(const Tables& t, const HitRecord& record, Int hit, const
     if (t.clearcoat != nullptr && t.tilts_coats) same &= faces(s.clearcoat_normal);
     const bool mapped = t.normal_scales[bokehguide::NORMAL] != nullptr || t.normal_scales[bokehguide::CLEARCOAT_NORMAL] != nullptr;
     if (mapped) {
-        const Vec3 own = corner_normal(t, {gather(record.triangle, hit), all(0.0f), gather(record.u, hit), gather(record.v, hit)});
+        const RowFields<4> triangle = triangle_fields(t, gather(record.triangle, hit));
+        const Vec3 own = corner_normal(triangle, {all(0), all(0.0f), gather(record.u, hit), gather(record.v, hit)});
         same &= faces(normalize(own * copysign(all(1.0f), dot(own, s.geometric_normal))));
     }
     return same;
@@ -233,7 +234,7 @@ class alignas(64) ViewTracing {
         for (int axis = 0; axis < 3; ++axis) views_.outgoing[axis * views_.columns + to] = outgoing_[axis][ray];
     }
 
-    // Aim the rays of up to eight views; returns the number of rays so far.
+    // Aim the rays of a vector of views; returns the number of rays so far.
     int aim(int64_t first, int i, int size, int traced) {
         const int64_t view = first + i;  // rows have entries for whole vectors
         const Int active = first_lanes(size - i) & (load<Float>(views_.passing + view) > all(0.0f));

@@ -14,14 +14,18 @@ constexpr float FAINTEST = 1e-20f;
 // The BSDF of the opaque part of surfaces, seen from some directions (`opaque_values`).
 inline Scattering opaque_part(const Tables& t, const Surface& s) { return Scattering(t, s, all(2.0f)); }
 
-// Rows of recorded hits, as fields of surfaces from some field on.
-inline void fill(const PathLight& of, Int hit, Surface& s, Float* field, int count = 1) {
+// Numbers of recorded hits: of different ones, or of one hit in all lanes.
+inline Float recorded(const float* row, Int hit) { return gather(row, hit); }
+inline Float recorded(const float* row, int32_t hit) { return all(row[hit]); }
+
+// Rows of recorded hits, as fields of surfaces from some field on. Hit: see `recorded`.
+template <class Hit> void fill(const PathLight& of, Hit hit, Surface& s, Float* field, int count = 1) {
     const int first = int(field - reinterpret_cast<Float*>(&s));
-    for (int row = 0; row < count; ++row) field[row] = gather(of.surface + (first + row) * of.hit_columns, hit);
+    for (int row = 0; row < count; ++row) field[row] = recorded(of.surface + (first + row) * of.hit_columns, hit);
 }
 
-// Surfaces of recorded hits, with the fields that the opaque part needs; the others are 0.
-inline Surface recorded_surface(const Tables& t, const PathLight& of, Int hit) {
+// The surface of a recorded hit, with the fields that the opaque part needs; the others are 0.
+inline Surface recorded_surface(const Tables& t, const PathLight& of, int32_t hit) {
     Surface s = {};
     fill(of, hit, s, &s.outgoing.x, 9);  // with both normals
     fill(of, hit, s, &s.base_color.x, 6), fill(of, hit, s, &s.ior);
@@ -43,11 +47,11 @@ inline void add_parts(const ReusedGroups& groups, int64_t columns, int32_t path,
     }
 }
 
-// Radiance of one hit towards eight unit directions, added up over the paths of the hit (`PrimaryHits.radiance` without emission).
+// Radiance of one hit towards a vector of unit directions, added up over the paths of the hit (`PrimaryHits.radiance` without emission).
 // parts: the radiance of light groups is added to them; null for none.
 inline Vec3 reflected(const Tables& t, const PathLight& of, int32_t hit, Vec3 outgoing, const ReusedGroups* groups, Vec3* parts) {
     const float* directions[2] = {of.light_direction, of.scattered_direction};
-    Surface s = recorded_surface(t, of, all(hit));
+    Surface s = recorded_surface(t, of, hit);
     s.outgoing = outgoing;
     const Scattering scattering = opaque_part(t, s);
     const auto column = [&](const float* rows, int32_t path) {

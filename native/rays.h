@@ -13,6 +13,7 @@ using bokehguide::RayHitsOf;
 using bokehguide::RaysOf;
 
 constexpr float FAR = 1e37f;
+constexpr int PACKET = 8;
 
 struct RayRows {
     const float *origin[3], *direction[3], *limit;  // limit: null for none
@@ -61,18 +62,19 @@ inline void visible(void* scene, const RayRows& rays, float* visible, int64_t co
 // As `visible`, for rays of which neighbours have much of their way in common; rows have entries for whole packets. What happens to
 // a ray does not depend on the others of its packet.
 inline void visible_coherent(void* scene, const RayRows& rays, float* visible, int64_t count) {
-    RaysOf<LANES> packet;
+    RaysOf<PACKET> packet{};
+    for (unsigned& mask : packet.mask) mask = ~0u;
     bokehguide::OccludedArguments coherent;
-    for (int64_t first = 0; first < count; first += LANES) {
-        alignas(32) int valid[LANES];
-        for (int lane = 0; lane < LANES; ++lane) valid[lane] = first + lane < count ? -1 : 0;
+    for (int64_t first = 0; first < count; first += PACKET) {
+        alignas(32) int valid[PACKET];
+        for (int lane = 0; lane < PACKET; ++lane) valid[lane] = first + lane < count ? -1 : 0;
         for (int axis = 0; axis < 3; ++axis) {
-            store(packet.origin[axis], load<Float>(rays.origin[axis] + first)), store(packet.direction[axis], load<Float>(rays.direction[axis] + first));
+            std::memcpy(packet.origin[axis], rays.origin[axis] + first, sizeof packet.far);
+            std::memcpy(packet.direction[axis], rays.direction[axis] + first, sizeof packet.far);
         }
-        store(packet.near, all(0.0f)), store(packet.time, all(0.0f)), store(packet.far, load<Float>(rays.limit + first));
-        store(packet.mask, all(-1)), store(packet.id, all(0)), store(packet.flags, all(0));
+        std::memcpy(packet.far, rays.limit + first, sizeof packet.far);
         embree.occluded8(valid, scene, &packet, &coherent);
-        store(visible + first, load<Float>(packet.far) < all(0.0f) ? all(0.0f) : all(1.0f));
+        for (int lane = 0; lane < PACKET; ++lane) visible[first + lane] = packet.far[lane] < 0.0f ? 0.0f : 1.0f;
     }
 }
 

@@ -160,7 +160,7 @@ class Views {
         ViewRows& v = views_;
         v.members = groups_.across * groups_.down;
         if (v.members < 1 || v.members > 64) throw std::invalid_argument("groups of at most 64 pixels");
-        v.pixels = (samples_.count + 7) / 8 * 8, v.columns = samples_.count * (v.members - 1) + 8;
+        v.pixels = whole_vectors(samples_.count), v.columns = samples_.count * (v.members - 1) + MOST_LANES;
         v.numbers = int32_t(span);
         const size_t needed = 10 * size_t(v.columns) + 11 * size_t(v.pixels) + (groups_.pixels ? size_t(span) : 0);
         memory_.swap(pool());

@@ -1,4 +1,4 @@
-// Eight lanes at once: floats and integers of which every operator works lane by lane.
+// Eight or sixteen lanes at once: floats and integers of which every operator works lane by lane.
 //
 // GCC's and Clang's vector extensions compile the same source for every instruction set. Only loads by index, roots and
 // conversions need code of their own. A comparison gives a mask of 0 or -1; `mask ? a : b` chooses lane by lane.
@@ -9,22 +9,33 @@
 #include <cstdint>
 #include <cstring>
 
-#if defined(__AVX2__)
+#if defined(__AVX512F__) || defined(__AVX2__)
 #include <immintrin.h>
 #endif
 
 namespace BOKEHGUIDE_ISA {
 
+#if defined(__AVX512F__)
+constexpr int LANES = 16;
+#else
 constexpr int LANES = 8;
-typedef float Float __attribute__((vector_size(32)));
-typedef int32_t Int __attribute__((vector_size(32)));
-typedef uint32_t Bits __attribute__((vector_size(32)));
+#endif
+typedef float Float __attribute__((vector_size(4 * LANES)));
+typedef int32_t Int __attribute__((vector_size(4 * LANES)));
+typedef uint32_t Bits __attribute__((vector_size(4 * LANES)));
+typedef double Double __attribute__((vector_size(8 * LANES)));
 
 constexpr float PI = 3.14159265358979323846f;
 
-inline Float all(float x) { return Float{x, x, x, x, x, x, x, x}; }
-inline Int all(int32_t x) { return Int{x, x, x, x, x, x, x, x}; }
-inline Bits all(uint32_t x) { return Bits{x, x, x, x, x, x, x, x}; }
+inline Float all(float x) { return x - Float{}; }  // keeps the sign of 0
+inline Int all(int32_t x) { return x + Int{}; }
+inline Bits all(uint32_t x) { return x + Bits{}; }
+#if defined(__AVX512F__)
+inline Int lane_numbers() { return Int{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}; }
+#else
+inline Int lane_numbers() { return Int{0, 1, 2, 3, 4, 5, 6, 7}; }
+#endif
+inline Int first_lanes(int count) { return lane_numbers() < count; }
 
 template <class V, class T> inline V load(const T* place) {
     V value;
@@ -44,7 +55,14 @@ inline Float to_float(Int x) { return __builtin_convertvector(x, Float); }
 // Towards 0; NaN and values out of range give any integer.
 inline Int to_int(Float x) { return __builtin_convertvector(x, Int); }
 
-#if defined(__AVX2__)
+#if defined(__AVX512F__)
+inline Float gather(const float* table, Int index) { return (Float)_mm512_i32gather_ps((__m512i)index, table, 4); }
+inline Int gather(const int32_t* table, Int index) { return (Int)_mm512_i32gather_epi32((__m512i)index, table, 4); }
+inline Float sqrt(Float x) { return (Float)_mm512_sqrt_ps((__m512)x); }
+inline Float floor(Float x) { return (Float)_mm512_roundscale_ps((__m512)x, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC); }
+inline unsigned lanes(Int mask) { return unsigned(_mm512_movepi32_mask((__m512i)mask)); }
+inline bool any(Int mask) { return lanes(mask) != 0; }
+#elif defined(__AVX2__)
 inline Float gather(const float* table, Int index) { return (Float)_mm256_i32gather_ps(table, (__m256i)index, 4); }
 inline Int gather(const int32_t* table, Int index) { return (Int)_mm256_i32gather_epi32(table, (__m256i)index, 4); }
 inline Float sqrt(Float x) { return (Float)_mm256_sqrt_ps((__m256)x); }
@@ -174,6 +192,44 @@ inline Float logarithm(Float x) {
 }
 // Power of numbers from 0 to 1 with a positive exponent.
 inline Float power_of_fraction(Float x, Float exponent) { return exp_of_negative(exponent * logarithm(at_least(x, 1e-37f))); }
+
+typedef float Quad __attribute__((vector_size(16)));
+
+// Numbers of two vectors: 0 to 3 are those of `a`, and 4 to 7 those of `b`.
+template <int I, int J, int K, int L> inline Quad numbers_of(Quad a, Quad b) {
+#if defined(__clang__)
+    return __builtin_shufflevector(a, b, I, J, K, L);
+#else
+    typedef int32_t Places __attribute__((vector_size(16)));
+    return __builtin_shuffle(a, b, Places{I, J, K, L});
+#endif
+}
+// Columns of four rows: `a` gets the first numbers of all rows.
+inline void transpose(Quad& a, Quad& b, Quad& c, Quad& d) {
+    const Quad ab = numbers_of<0, 4, 1, 5>(a, b), ab2 = numbers_of<2, 6, 3, 7>(a, b);
+    const Quad cd = numbers_of<0, 4, 1, 5>(c, d), cd2 = numbers_of<2, 6, 3, 7>(c, d);
+    a = numbers_of<0, 1, 4, 5>(ab, cd), b = numbers_of<2, 3, 6, 7>(ab, cd);
+    c = numbers_of<0, 1, 4, 5>(ab2, cd2), d = numbers_of<2, 3, 6, 7>(ab2, cd2);
+}
+// Numbers of rows of a table, four for each of QUADS loads, lane by lane. Loads by index are slow on many processors, and one takes
+// a single number.
+template <int QUADS> struct RowFields {
+    alignas(4 * LANES) float fields[4 * QUADS][LANES];
+
+    // row: the first number of a lane's row.
+    template <class Row> explicit RowFields(Row row) {
+        for (int lane = 0; lane < LANES; lane += 4) {
+            for (int quad = 0; quad < QUADS; ++quad) {
+                Quad part[4];
+                for (int i = 0; i < 4; ++i) part[i] = load<Quad>(row(lane + i) + 4 * quad);
+                transpose(part[0], part[1], part[2], part[3]);
+                for (int i = 0; i < 4; ++i) store(&fields[4 * quad + i][lane], part[i]);
+            }
+        }
+    }
+    Float operator()(int field) const { return load<Float>(fields[field]); }
+    Int integer(int field) const { return load<Int>(fields[field]); }
+};
 
 struct Vec3 {
     Float x, y, z;

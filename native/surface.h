@@ -22,7 +22,7 @@ struct Hits {
     Float distance, u, v;
 };
 
-// Eight surfaces; the fields are those of `Surface` in render/geometry.py, in its order.
+// A vector of surfaces; the fields are those of `Surface` in render/geometry.py, in its order.
 struct Surface {
     Vec3 position, outgoing, geometric_normal, normal;
     Float front, offset, facing;
@@ -57,12 +57,17 @@ inline Vec3 gather3(const float* table, int64_t columns, Int index) {
     return {gather(table, index), gather(table + columns, index), gather(table + 2 * columns, index)};
 }
 
-inline Float triangle_field(const Tables& t, Int triangle, int field) {
-    return gather(reinterpret_cast<const float*>(t.triangles) + field, triangle * 16);
-}
 inline Int material_of(const Tables& t, Int triangle) {
     return gather(&t.triangles[0].material, triangle * 16);
 }
+// Values of materials; materials that are the same in all lanes are read once.
+struct MaterialValues {
+    Int material;
+    bool same;
+
+    explicit MaterialValues(Int of) : material(of), same(!any(of != all(of[0]))) {}
+    Float operator()(const float* row) const { return same ? all(row[material[0]]) : gather(row, material); }
+};
 inline Int emitter_of(const Tables& t, Int triangle) { return gather(&t.triangles[0].emitter, triangle * 16); }
 // Value at a hit from rows `[3 C, columns]` of first corners and differences; count: C.
 inline Float interpolated(const float* rows, int64_t columns, int count, int row, Int column, Float u, Float v) {
@@ -74,11 +79,12 @@ inline Vec3 interpolated3(const float* rows, int64_t columns, int count, Int col
             interpolated(rows, columns, count, 2, column, u, v)};
 }
 
-inline Vec3 corner_normal(const Tables& t, const Hits& hit) {
-    const auto at = [&](int row) {
-        return triangle_field(t, hit.triangle, 3 + row) + hit.u * triangle_field(t, hit.triangle, 6 + row) +
-               hit.v * triangle_field(t, hit.triangle, 9 + row);
-    };
+// Fields of `TriangleRow`.
+inline RowFields<4> triangle_fields(const Tables& t, Int triangle) {
+    return RowFields<4>([&](int lane) { return reinterpret_cast<const float*>(t.triangles + triangle[lane]); });
+}
+inline Vec3 corner_normal(const RowFields<4>& triangle, const Hits& hit) {
+    const auto at = [&](int row) { return triangle(3 + row) + hit.u * triangle(6 + row) + hit.v * triangle(9 + row); };
     return {at(0), at(1), at(2)};
 }
 
@@ -98,6 +104,7 @@ inline float half_to_float(uint16_t half) {
 }
 
 inline int64_t floored_modulo(int64_t index, int64_t size) {
+    if (index >= 0 && index < size) return index;  // spares most lookups a division
     const int64_t rest = index % size;
     return rest < 0 ? rest + size : rest;
 }
@@ -271,21 +278,22 @@ inline void clear_rare_fields(Surface& s) {
 // `Geometry.surface`. active: lanes with a valid hit.
 inline Surface surface_at(const Tables& t, Vec3 origin, Vec3 direction, const Hits& hit, Int active) {
     Surface s;
-    const auto triangle = [&](int field) { return triangle_field(t, hit.triangle, field); };
+    const RowFields<4> triangle = triangle_fields(t, hit.triangle);
     s.outgoing = -direction;
     const Vec3 face = {triangle(0), triangle(1), triangle(2)};
     const Float side = dot(face, s.outgoing);
     s.front = one_if(side > all(0.0f));
     s.geometric_normal = face * copysign(all(1.0f), side);
-    Vec3 normal = corner_normal(t, hit);
+    Vec3 normal = corner_normal(triangle, hit);
     normal = normalize(normal * copysign(all(1.0f), dot(normal, s.geometric_normal)));
     const Int faces = dot(normal, s.outgoing) > all(MIN_FACING);
     s.facing = one_if(faces);
     s.normal = choose(faces, normal, s.geometric_normal);
     s.position = origin + hit.distance * direction;
     s.offset = leaving_distance(s.position, hit.distance);
-    const Int material = material_of(t, hit.triangle);
-    const auto parameter = [&](int row) { return gather(t.parameters + row * t.materials, material); };
+    const Int material = triangle.integer(12);
+    const MaterialValues value(material);
+    const auto parameter = [&](int row) { return value(t.parameters + row * t.materials); };
     s.base_color = {parameter(0), parameter(1), parameter(2)};
     s.metallic = parameter(3), s.alpha = parameter(4), s.specular = parameter(5);
     s.transmission = parameter(6), s.thin = parameter(7), s.ior = parameter(8);
@@ -319,7 +327,7 @@ inline Vec3 emitted(Vec3 emission, Float double_sided, Float front) { return emi
 
 inline Float through_clearcoat(const Tables& t, const Hits& hit, Int material, Vec3 direction, Int active) {
     const Float weight = gather(t.clearcoat, material) * texels(t, bokehguide::CLEARCOAT, hit, material, active).rgba[0];
-    const Float grazing = fifth_power(1.0f - at_most(abs(dot(normalize(corner_normal(t, hit)), direction)), 1.0f));
+    const Float grazing = fifth_power(1.0f - at_most(abs(dot(normalize(corner_normal(triangle_fields(t, hit.triangle), hit)), direction)), 1.0f));
     return 1.0f - weight * (CLEARCOAT_F0 + (1.0f - CLEARCOAT_F0) * grazing);
 }
 

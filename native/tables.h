@@ -10,6 +10,10 @@
 
 namespace bokehguide {
 
+// Lanes of the widest core; rows of whole vectors are padded to them.
+constexpr int64_t MOST_LANES = 16;
+inline int64_t whole_vectors(int64_t count) { return (count + MOST_LANES - 1) / MOST_LANES * MOST_LANES; }
+
 double seconds();  // of a steady clock
 
 // Texture slots, in the order of `SLOTS` in render/materials.py.

@@ -108,7 +108,7 @@ class Tracing {
         std::memset(b.brightest, 0, sizeof b.brightest);
         for (int i = 0; i < paths; ++i) trace.distance[first + i] = MISS_DISTANCE, trace.triangle[first + i] = -1;
         for (int i = 0; i < paths; i += LANES) {
-            store(b.slot + i, Int{0, 1, 2, 3, 4, 5, 6, 7} + i);
+            store(b.slot + i, lane_numbers() + i);
             store3(b.throughput, i, grey(all(1.0f)));
             store3(b.radiance, i, grey(all(0.0f)));
             store(b.pdf + i, all(DELTA_PDF));
@@ -394,9 +394,9 @@ class Tracing {
             const Float other = learned(depth) ? ClusterSampler(t, *trace.lights, vertex, all(-1)).triangle_pdf(hit.triangle, distance, cosine)
                                                : triangle_pdf(t, vertex, hit.triangle, distance, cosine);
             light = light * power_heuristic(load<Float>(b.pdf + i), other);
-            add_images(Int{0, 1, 2, 3, 4, 5, 6, 7} + i, light, distance, emits);
+            add_images(lane_numbers() + i, light, distance, emits);
         }
-        add_to_groups(Int{0, 1, 2, 3, 4, 5, 6, 7} + i, light, hit.triangle, s.outgoing, emits);
+        add_to_groups(lane_numbers() + i, light, hit.triangle, s.outgoing, emits);
         const Vec3 radiance = load3(b.radiance, i);
         store3(b.radiance, i, choose(emits, radiance + light, radiance));
     }
@@ -543,7 +543,7 @@ class Tracing {
         const Block& b = block;
         for (int i = 0; i < paths; i += LANES) {
             const Vec3 light = load3(b.contribution, i) * load<Float>(b.visibility + i);
-            const Int column = in_order ? Int{0, 1, 2, 3, 4, 5, 6, 7} + i : load<Int>(b.slot + i), triangle = load<Int>(b.light_triangle + i);
+            const Int column = in_order ? lane_numbers() + i : load<Int>(b.slot + i), triangle = load<Int>(b.light_triangle + i);
             BOKEHGUIDE_ISA::add_to_groups(t, *trace.groups, rows, column, light, triangle, load3(b.light_direction, i), first_lanes(paths - i));
         }
     }

@@ -59,7 +59,8 @@ class NativeEllipseMixture(LensMixture):
     ):
         self.lens, self.focus, self._start = lens, focus, start
         count, pixels = len(component), focus.shape[1]
-        self.weight, self._contribution = torch.empty(count), torch.empty(-(-count // 8) * 8)
+        lanes = field.extension.MOST_LANES
+        self.weight, self._contribution = torch.empty(count), torch.empty(-(-count // lanes) * lanes)
         self.beta, self.guided = torch.empty(pixels), torch.empty(pixels, dtype=torch.bool)
         given = {"start": start, "component": component, "focus": focus, "beta": beta, "scale": learned_scale}
         results = {

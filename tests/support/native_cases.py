@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from types import ModuleType
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.types import Cone, Environment, Material, Mesh, Scene, Sun, Texture
 from tests.support.tracing import DOWN, UP, emitter, rectangle, scene, sphere
 
+T = TypeVar("T")
 BUILT_IN = ("fairy-lights", "night-street", "chrome", "daylight", "cutout", "glitter", "occluded")
 SUNS = (Sun((0.6, 0.8, 0.0), 3.0, (2.0, 1.5, 1.0)), Sun((0.0, 0.6, 0.8), 20.0, (0.3, 0.4, 0.5)))
 FEATURES = (
@@ -46,6 +48,21 @@ def core() -> ModuleType:
     if found is None:
         pytest.skip("the native core is not built")
     return found
+
+
+def each_instruction_set(work: Callable[[], T]) -> list[T]:
+    """Results of a function with each core that the processor can run; skips the test where there is one."""
+    names = core().instruction_sets()
+    if len(names) == 1:
+        pytest.skip("the processor has one instruction set")
+    results = []
+    try:
+        for name in names:
+            core().use_instruction_set(name)
+            results.append(work())
+    finally:
+        core().use_instruction_set(names[-1])
+    return results
 
 
 def texture(seed: int, channels: int = 4, low: float = 0.2, **others) -> Texture:

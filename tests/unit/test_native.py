@@ -14,7 +14,17 @@ from bokehguide.runtime import native
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
-from tests.support.native_cases import BUILT_IN, FEATURES, both_tracers, core, feature_scene, rays, rows_of, tables
+from tests.support.native_cases import (
+    BUILT_IN,
+    FEATURES,
+    both_tracers,
+    core,
+    each_instruction_set,
+    feature_scene,
+    rays,
+    rows_of,
+    tables,
+)
 
 COUNT = 4000
 ROUNDING = 2e-3
@@ -151,19 +161,18 @@ def test_a_path_does_not_depend_on_its_batch(name):
 
 
 @pytest.mark.parametrize("name", ("textures", "glass", "sheets", "lamps"))
-def test_both_instruction_sets_give_the_same_bits(name):
+def test_all_instruction_sets_give_the_same_bits(name):
     tracer, _ = both_tracers(name)
-    if not core().use_avx2(True):
-        pytest.skip("the processor has one instruction set")
     origin, direction, random = rays(name, 1001)
-    found = tracer.trace(origin, direction, random, PhaseTimer())
-    try:
-        assert not core().use_avx2(False)
-        expected = tracer.trace(origin, direction, random, PhaseTimer())
-    finally:
-        core().use_avx2(True)
-    for field in ("radiance", "normal", "albedo", "distance"):
-        torch.testing.assert_close(getattr(found, field), getattr(expected, field), rtol=0.0, atol=0.0, equal_nan=True)
+    first, *others = each_instruction_set(lambda: tracer.trace(origin, direction, random, PhaseTimer()))
+    for other in others:
+        for field in ("radiance", "normal", "albedo", "distance"):
+            torch.testing.assert_close(getattr(other, field), getattr(first, field), rtol=0.0, atol=0.0, equal_nan=True)
+
+
+def test_unknown_instruction_sets_are_refused():
+    with pytest.raises(ValueError, match="the processor has no instruction set mmx"):
+        core().use_instruction_set("mmx")
 
 
 @pytest.mark.parametrize("mode", ("uniform", "guided", pytest.param("lis-o", marks=pytest.mark.slow)))

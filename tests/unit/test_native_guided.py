@@ -15,7 +15,7 @@ from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.splitting import SplitPaths
 from bokehguide.runtime.timer import PhaseTimer
-from tests.support.native_cases import FEATURES, both_tracers, core, feature_scene, rays
+from tests.support.native_cases import FEATURES, both_tracers, each_instruction_set, feature_scene, rays
 
 COUNT = 3000
 FLIPS = 0.004
@@ -159,16 +159,10 @@ def test_a_split_path_does_not_depend_on_its_batch(name):
     assert torch.equal(alone.lights.samples[0].contribution_rms, whole.lights.samples[0].contribution_rms[every])
 
 
-def test_both_instruction_sets_give_the_same_bits_of_guided():
+def test_all_instruction_sets_give_the_same_bits_of_guided():
     tracer, _ = both_tracers("lamps")
-    if not core().use_avx2(True):
-        pytest.skip("the processor has one instruction set")
     given = rays("lamps", 1001)
-    found = Traced(tracer, "lamps", given)
-    try:
-        core().use_avx2(False)
-        expected = Traced(tracer, "lamps", given)
-    finally:
-        core().use_avx2(True)
-    torch.testing.assert_close(found.samples.radiance, expected.samples.radiance, rtol=0.0, atol=0.0, equal_nan=True)
-    assert torch.equal(found.images.distances(), expected.images.distances())
+    first, *others = each_instruction_set(lambda: Traced(tracer, "lamps", given))
+    for other in others:
+        torch.testing.assert_close(other.samples.radiance, first.samples.radiance, rtol=0.0, atol=0.0, equal_nan=True)
+        assert torch.equal(other.images.distances(), first.images.distances())

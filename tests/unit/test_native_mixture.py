@@ -20,7 +20,7 @@ from bokehguide.scene.types import Aperture, Camera
 from bokehguide.train import RenderLoop, RenderSettings
 from tests.support import scenes
 from tests.support.guides import mixture_of, pixel_batch, pytorch_mixture
-from tests.support.native_cases import core, feature_scene
+from tests.support.native_cases import core, each_instruction_set, feature_scene
 from tests.support.sharing_cases import step_of, terrace
 
 WIDTH, HEIGHT = 64, 36
@@ -128,20 +128,16 @@ def test_the_mixture_of_a_pixel_does_not_depend_on_its_batch(name):
     assert torch.equal(alone.pdf(points), whole.pdf(every)[part])
 
 
-def test_both_instruction_sets_give_the_same_bits_of_mixtures():
-    if not core().use_avx2(True):
-        pytest.skip("the processor has one instruction set")
+def test_all_instruction_sets_give_the_same_bits_of_mixtures():
     guide = guide_of("night-street")
-    results = []
-    try:
-        for modern in (True, False):
-            core().use_avx2(modern)
-            mixture = mixture_of(guide, pixel_batch(guide))
-            points = mixture.sample(numbers(6)).points
-            results.append((points, mixture.pdf(points), mixture.weight))
-    finally:
-        core().use_avx2(True)
-    assert all(torch.equal(one, other) for one, other in zip(*results))
+
+    def results() -> tuple[Tensor, ...]:
+        mixture = mixture_of(guide, pixel_batch(guide))
+        points = mixture.sample(numbers(6)).points
+        return points, mixture.pdf(points), mixture.weight
+
+    first, *others = each_instruction_set(results)
+    assert all(torch.equal(one, two) for other in others for one, two in zip(first, other))
 
 
 @pytest.mark.parametrize("name", REUSE)

@@ -112,7 +112,9 @@ class EnvironmentMap:
         radiance = np.asarray(environment.radiance, np.float32)
         self.height, self.width = radiance.shape[:2]
         log.info("preparing the environment map of %d x %d texels", self.width, self.height)
-        self.texels = torch.from_numpy(radiance.reshape(-1, 3)).T.contiguous().to(device)
+        texels = torch.zeros(radiance.size + 1, device=device)[:-1].view(-1, 3)
+        self.texels = texels.copy_(torch.from_numpy(radiance.reshape(-1, 3)))
+        """Radiance, `[texels, 3]`, with a number behind the last texel: the native core loads four numbers for each texel."""
         self.layout = Equirectangular(self.height, self.width, environment.rotation, device)
         rows = np.cos(np.pi * np.arange(self.height + 1) / self.height)
         self._solid_angle = torch.from_numpy((rows[:-1] - rows[1:]) * 2.0 * math.pi / self.width).float().to(device)
@@ -126,7 +128,7 @@ class EnvironmentMap:
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
         texels, across, down = _texels_about(self.layout, directions)
-        return _blended(tuple(self.texels.index_select(1, texel) for texel in texels), across, down)
+        return _blended(tuple(self.texels.index_select(0, texel).T for texel in texels), across, down)
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         """Unit directions `[3, N]` and their solid-angle densities `[N]` from uniform numbers `[4, N]`."""
