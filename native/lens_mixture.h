@@ -203,7 +203,7 @@ class MixtureDensity {
   public:
     explicit MixtureDensity(const MixtureRows& rows) : m(rows) {}
 
-    // p_GMM of eight pixels. components: where not null, the density of each candidate is written here.
+    // p_GMM of a vector of pixels. components: where not null, the density of each candidate is written here.
     Float mixture(Int pixel, Float x, Float y, Int active, float* components) const {
         Int begin = all(0), count = all(0);
         for (int lane = 0; lane < LANES; ++lane) {
@@ -272,7 +272,7 @@ class MixtureDensity {
     }
 };
 
-// Lens points of eight pixels from uniform numbers, where the pixels draw from their candidates (`EllipseMixture.sample`).
+// Lens points of a vector of pixels from uniform numbers, where the pixels draw from their candidates (`EllipseMixture.sample`).
 class MixtureSampler {
   public:
     explicit MixtureSampler(const MixtureRows& rows) : m(rows) {}

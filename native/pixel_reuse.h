@@ -1,4 +1,4 @@
-// Reuse of primary hits among neighbouring pixels: guiding/pixel_reuse.py, for eight views at a time.
+// Reuse of primary hits among neighbouring pixels: guiding/pixel_reuse.py, for a vector of views at a time.
 
 #pragma once
 
@@ -99,7 +99,7 @@ class PixelHits {
     }
 };
 
-// A member of eight pixels' groups (`_members`), as indices into the batch; -1 for none.
+// A member of the groups of a vector of pixels (`_members`), as indices into the batch; -1 for none.
 inline Int member_of(const PixelGroups& groups, const ViewRows& v, int member, int64_t i) {
     const Int x = load<Int>(v.column + i), line = load<Int>(v.line + i);
     const Int column = ((x + groups.right) ^ (member % groups.across)) - groups.right;
@@ -113,7 +113,7 @@ inline Int member_of(const PixelGroups& groups, const ViewRows& v, int member, i
 
 inline Float plane_distance(Vec3 plane, Float x, Float y) { return abs(plane.z - plane.x * x - plane.y * y); }
 
-// The views of eight pixels' hits, where the lens contains their lens points.
+// The views of the hits of a vector of pixels, where the lens contains their lens points.
 class ViewFinder {
   public:
     ViewFinder(const LensCamera& lens, const PixelGroups& groups, const LensSamples& samples, ViewRows& views)
@@ -302,7 +302,7 @@ class SeenRadiance {
     const ReusedGroups* groups_;
     Vec3 parts_[bokehguide::MOST_LIGHT_GROUPS];
 
-    // Up to eight views of one hit.
+    // A vector of views of one hit, or fewer.
     void shade(int64_t first, int count) {
         const int32_t source = views_.source[first], hit = views_.place[source];
         for (int group = 0; groups_ != nullptr && group < groups_->count; ++group) {

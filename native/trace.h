@@ -570,7 +570,7 @@ class Tracing {
         store(block.sample_image + i, image);
     }
 
-    // Follow eight paths through a mirror or glass; other paths show no image from here on.
+    // Follow a vector of paths through a mirror or glass; other paths show no image from here on.
     void transfer_through(int i, const Surface& s, Vec3 direction, Float pdf, Int active) {
         Block& b = block;
         const Int slot = load<Int>(b.slot + i), narrow = active & gather(b.narrow, slot), goes_on = narrow & (pdf > all(NARROW));
