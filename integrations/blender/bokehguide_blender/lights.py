@@ -10,6 +10,7 @@ import bpy
 
 from . import light_tables
 from .axes import Vector, column, length
+from .light_groups import LightGroups
 from .messages import Losses
 
 ROUNDING = 1e-3
@@ -17,7 +18,7 @@ ROUNDING = 1e-3
 
 
 def read_lights(
-    depsgraph: bpy.types.Depsgraph, in_frame: Callable[[Vector], bool], warnings: list[str]
+    depsgraph: bpy.types.Depsgraph, in_frame: Callable[[Vector], bool], groups: LightGroups, warnings: list[str]
 ) -> dict[str, list[dict[str, Any]]]:
     """The tables of all lights, instances included, by the names `light` and `sun`. in_frame: whether the camera sees a point."""
     lights, suns, losses = [], [], Losses()
@@ -29,9 +30,9 @@ def read_lights(
         if not _shines(light, color, name, losses):
             continue
         if light.type == "SUN":
-            suns.append(_sun(light, matrix, name, color, losses))
+            suns.append(_sun(light, matrix, name, color, losses) | groups.entry(instance.object))
             continue
-        lights.append(_light(light, matrix, name, color, losses))
+        lights.append(_light(light, matrix, name, color, losses) | groups.entry(instance.object))
         if not instance.object.visible_camera and in_frame(column(matrix, 3)):
             losses.add("the camera sees lights, also those that Blender hides from it", name)
     warnings += losses.lines()
