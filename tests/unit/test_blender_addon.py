@@ -213,10 +213,10 @@ def test_transmission_is_solid(addon, tmp_path):
     path = tmp_path / "glass.glb"
     path.write_bytes(struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text)
     assert bokehguide.load_scene(path).materials[0].thin
-    assert addon("glb").complete_glb(path)
+    assert addon("glb").complete_glb(path, {})
     assert not bokehguide.load_scene(path).materials[0].thin
     before = path.read_bytes()
-    assert addon("glb").complete_glb(path)
+    assert addon("glb").complete_glb(path, {})
     assert path.read_bytes() == before
 
 

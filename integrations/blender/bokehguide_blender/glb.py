@@ -33,13 +33,13 @@ def write_glb(path: Path, document: Document, rest: bytes) -> None:
     path.write_bytes(header + CHUNK.pack(len(text), b"JSON") + text + rest)
 
 
-def complete_glb(path: Path) -> bool:
-    """Make the transmissive materials of a file solid; returns whether the file has meshes.
+def complete_glb(path: Path, materials: Mapping[str, Document]) -> bool:
+    """Replace the materials of a file by name, and make transmissive ones solid; returns whether the file has meshes.
 
     Cycles refracts at every transmissive surface. In glTF, a transmissive surface is a thin sheet without a thickness.
     """
     document, rest = read_glb(path)
-    if _make_solid(document):
+    if _replace(document, materials) | _make_solid(document):
         write_glb(path, document, rest)
     return bool(document.get("meshes"))
 
@@ -75,6 +75,15 @@ def _emissive_meshes(document: Document) -> set[int]:
         for number, mesh in enumerate(document.get("meshes", ()))
         if any("material" in part and materials[part["material"]] for part in mesh["primitives"])
     }
+
+
+def _replace(document: Document, materials: Mapping[str, Document]) -> bool:
+    """Replace keys of the named materials; returns whether there are any."""
+    named = [each for each in document.get("materials", ()) if each.get("name") in materials]
+    for material in named:
+        material |= materials[material["name"]]
+        document["extensionsUsed"] = sorted({*material.get("extensions", ()), *document.get("extensionsUsed", ())})
+    return bool(named)
 
 
 def _make_solid(document: Document) -> bool:
