@@ -243,6 +243,20 @@ def test_passes_of_mattes_and_light_groups(addon):
     assert set(planes) == {"Combined", "Depth", "Normal", "Albedo", "CryptoObject00", "Combined_key light"}
 
 
+def test_materials_are_replaced_by_name(addon, tmp_path):
+    glb, path = addon("glb"), tmp_path / "geometry.glb"
+    document = {"meshes": [{}], "materials": [{"name": "clay", "doubleSided": True}, {"name": "other"}, {"name": "glass"}]}
+    glb.write_glb(path, document, b"rest")
+    glass = {"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1.0}}}
+    assert glb.complete_glb(path, {"clay": {"alphaMode": "MASK"}, "glass": glass})
+    found, rest = glb.read_glb(path)
+    assert rest == b"rest"
+    assert found["materials"][0] == {"name": "clay", "doubleSided": True, "alphaMode": "MASK"}
+    assert found["materials"][1] == {"name": "other"}
+    assert found["materials"][2]["extensions"]["KHR_materials_volume"] == {"thicknessFactor": 1.0}
+    assert found["extensionsUsed"] == ["KHR_materials_transmission", "KHR_materials_volume"]
+
+
 def test_split_of_light_groups(addon, tmp_path):
     """Emissive nodes of a group stand in a file of their own, all others stay."""
     glb, path = addon("glb"), tmp_path / "geometry.glb"

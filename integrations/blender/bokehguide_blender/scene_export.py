@@ -19,6 +19,7 @@ from .lights import read_lights
 from .main_thread import in_main_thread
 from .materials import material_warnings, simple_materials
 from .messages import RenderError
+from .scene_losses import render_warnings, scene_warnings
 from .toml_text import dumps
 from .world import read_world
 
@@ -38,7 +39,7 @@ class Exported:
 
 def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, folder: Path) -> Exported:
     """Write the scene of a render into a folder. Raises RenderError for a scene without a perspective camera."""
-    scene, warnings = depsgraph.scene, []
+    scene, warnings = depsgraph.scene, render_warnings(depsgraph)
     if engine.camera_override is None and scene.camera is None:
         raise RenderError("the scene has no camera; add one, and make it the active camera of the scene")
     camera = (engine.camera_override or scene.camera).evaluated_get(depsgraph)
@@ -95,7 +96,7 @@ def scene_tables(
     if environment is not None:
         tables["environment"] = environment
     tables |= read_lights(depsgraph, seen, groups, warnings)
-    warnings += material_warnings(depsgraph)
+    warnings += scene_warnings(depsgraph) + material_warnings(depsgraph)
     return tables
 
 
