@@ -28,6 +28,8 @@ TEXTURED = {
 """Inputs of the Principled BSDF node that may have an image."""
 IGNORED = ("Subsurface Weight", "Anisotropic", "Thin Film Thickness", "Diffuse Roughness")
 """Inputs of the Principled BSDF node that the exporter leaves out."""
+ROUGH = 0.45
+"""Roughness at which multiple scattering makes a metal brighter by a twentieth."""
 NODE_LOSS = "nodes of materials are ignored; bake them to images"
 INPUT_LOSS = "inputs of shader nodes are ignored"
 
@@ -69,17 +71,31 @@ def _check_surface(material: str, node: bpy.types.Node | None, losses: Losses) -
         _check_input(material, node.inputs["Color"], True, losses)
         _check_input(material, node.inputs["Strength"], False, losses)
     elif node is not None and is_simple(node):
+        if node.type == "BSDF_GLOSSY":
+            _check_distribution(material, node, losses)
         for name in ignored_inputs(node):
             losses.add(INPUT_LOSS, f"{material} ({name})")
     elif node is None or node.type != "BSDF_PRINCIPLED":
         losses.add("materials without a Principled BSDF at their output lose their look", material)
     else:
+        if _reaches(node.inputs["Metallic"], 0.0):
+            _check_distribution(material, node, losses)
         for socket in node.inputs:
-            ignored = socket.name in IGNORED and (socket.is_linked or socket.default_value > 0.0)
-            if ignored and node.inputs.get(socket.name) == socket:
+            if socket.name in IGNORED and _reaches(socket, 0.0):
                 losses.add(INPUT_LOSS, f"{material} ({socket.name})")
             elif socket.name not in IGNORED and socket.name != "Tangent":
                 _check_input(material, socket, socket.name in TEXTURED, losses)
+
+
+def _check_distribution(material: str, node: bpy.types.Node, losses: Losses) -> None:
+    """Add the loss of a metal that multiple scattering makes brighter."""
+    if node.distribution == "MULTI_GGX" and _reaches(node.inputs["Roughness"], ROUGH):
+        losses.add("rough metals are darker, as Multiscatter GGX becomes GGX", material)
+
+
+def _reaches(socket: bpy.types.NodeSocket, value: float) -> bool:
+    """Whether an input may be greater than a value."""
+    return socket.is_linked or socket.default_value > value
 
 
 def _check_input(material: str, socket: bpy.types.NodeSocket, textured: bool, losses: Losses) -> None:

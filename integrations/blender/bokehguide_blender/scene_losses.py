@@ -37,10 +37,12 @@ def scene_warnings(depsgraph: bpy.types.Depsgraph) -> list[str]:
 
 
 def _losses_of(item: bpy.types.Object) -> Iterator[str]:
-    """What of an object is lost."""
+    """What of an object is lost, other than a light's."""
+    if item.type == "LIGHT":
+        return
     if item.type in LOST_TYPES:
         yield "hair, points, grease pencil and volumes are left out"
-    elif item.type != "LIGHT" and not all(getattr(item, name) for name in RAYS):
+    elif not all(getattr(item, name) for name in RAYS):
         yield "the ray visibility of objects is ignored"
     if item.is_holdout or item.is_shadow_catcher:
         yield "holdouts and shadow catchers become ordinary objects"

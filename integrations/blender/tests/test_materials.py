@@ -92,7 +92,7 @@ def textured(name, picture=None, socket="Base Color", between=None, output=0):
     last, node = texture.outputs[output], None
     if between:
         node = tree.nodes.new(between)
-        tree.links.new(last, next(each for each in node.inputs if each.name in ("Color", "Fac", "Factor", "Height", "A")))
+        tree.links.new(last, next(each for each in node.inputs if each.name in ("Color", "Fac", "Factor", "Height")))
         last = node.outputs[0]
     tree.links.new(last, tree.nodes["Principled BSDF"].inputs[socket])
     return made, texture, node
@@ -141,6 +141,27 @@ def test_inputs_that_are_lost_are_told(scene, tmp_path, capfd):
     assert "inputs of Material Output nodes are ignored: relief (Displacement)" in said
 
 
+def test_rough_metals_are_told(scene, tmp_path, capfd):
+    """Multiscatter GGX, the default, is brighter than GGX, which bokehguide has."""
+    metals = [scenes.material(f"metal {value}", Metallic=1.0, Roughness=value) for value in (0.3, 0.7)]
+    single = scenes.material("single", Metallic=1.0, Roughness=0.7)
+    single.node_tree.nodes["Principled BSDF"].distribution = "GGX"
+    clay = scenes.material("clay", Metallic=0.0, Roughness=0.7)
+    said = told(tmp_path, capfd, *metals, single, clay)
+    assert "rough metals are darker, as Multiscatter GGX becomes GGX: metal 0.7\n" in said
+
+
+@pytest.mark.parametrize("roughness", [0.6, 1.0])
+def test_rough_metals_equal_those_of_ggx(scene, tmp_path, roughness):
+    scenes.world((0.5, 0.5, 0.5))
+    metal = scenes.material("metal", (0.8, 0.6, 0.4), Metallic=1.0, Roughness=roughness)
+    metal.node_tree.nodes["Principled BSDF"].distribution = "GGX"
+    scenes.mesh("plane", metal, size=10)
+    scenes.camera((0, -2, 2))
+    cycles, ours = (each[..., :3].mean((0, 1)) for each in scenes.both(tmp_path, size=(24, 16), samples=64))
+    np.testing.assert_allclose(ours, cycles, rtol=0.01)
+
+
 def test_images_that_are_lost_are_told(scene, tmp_path, capfd):
     wide = textured("wide", image("wide", "ACEScg"))[0]
     numbers = textured("numbers", image("rough", "sRGB"), "Roughness")[0]
@@ -154,10 +175,11 @@ def test_images_that_are_lost_are_told(scene, tmp_path, capfd):
 
 def test_what_the_exporter_stores_is_not_told(scene, tmp_path, capfd):
     """Images by factors, channels and mappings, alpha, normal maps and node groups."""
-    factor, _, node = textured("factor", between="ShaderNodeMix")
-    node.data_type, node.blend_type, node.inputs[0].default_value = "RGBA", "MULTIPLY", 1.0
+    factor, texture, _ = textured("factor")
     tree = factor.node_tree
-    tree.links.new(tree.nodes["Image Texture"].outputs[0], node.inputs[6])
+    node = tree.nodes.new("ShaderNodeMix")
+    node.data_type, node.blend_type, node.inputs[0].default_value = "RGBA", "MULTIPLY", 1.0
+    tree.links.new(texture.outputs[0], node.inputs[6])
     tree.links.new(node.outputs[2], tree.nodes["Principled BSDF"].inputs["Base Color"])
     channel = textured("channel", image("channels", "Non-Color"), "Roughness", "ShaderNodeSeparateColor")[0]
     relief = textured("relief", image("normals", "Non-Color"), "Normal", "ShaderNodeNormalMap")[0]
