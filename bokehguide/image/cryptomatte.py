@@ -53,10 +53,15 @@ def floats(names: Sequence[str]) -> np.ndarray:
     return np.array([identifier(name) for name in names], np.uint32).view(np.float32)
 
 
+def layer_key(layer: str) -> str:
+    """Prefix of the header attributes of a layer, of seven digits of its name's hash."""
+    return f"cryptomatte/{require_hash().hash(_encoded(layer), 0, signed=False):08x}"[:-1]
+
+
 def attributes(kind: str, names: Iterable[str]) -> dict[str, str]:
     """Header attributes of a layer. kind: a key of LAYERS; names: of all objects or materials, in which a name may recur."""
     layer = LAYERS[kind]
-    key = f"cryptomatte/{require_hash().hash(layer.encode(), 0, signed=False):08x}"[:-1]
+    key = layer_key(layer)
     manifest = {name: f"{identifier(name):08x}" for name in names}
     facts = {"name": layer, "hash": "MurmurHash3_32", "conversion": "uint32_to_float32"}
     facts["manifest"] = json.dumps(manifest, separators=(",", ":"))

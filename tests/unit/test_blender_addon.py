@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import json
 import math
 import runpy
 import struct
@@ -212,10 +213,10 @@ def test_transmission_is_solid(addon, tmp_path):
     path = tmp_path / "glass.glb"
     path.write_bytes(struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text)
     assert bokehguide.load_scene(path).materials[0].thin
-    assert addon("glb").complete_glb(path)
+    assert addon("glb").complete_glb(path, {})
     assert not bokehguide.load_scene(path).materials[0].thin
     before = path.read_bytes()
-    assert addon("glb").complete_glb(path)
+    assert addon("glb").complete_glb(path, {})
     assert path.read_bytes() == before
 
 
@@ -231,6 +232,51 @@ def test_planes(addon):
     assert addon("passes").planes_of(layers, opaque=True)["Combined"][3] == 1.0
 
 
+def test_passes_of_mattes_and_light_groups(addon):
+    plane = np.arange(8, dtype=np.float32).reshape(2, 1, 4)
+    zero = np.zeros((2, 1, 3), np.float32)
+    layers = {"beauty": zero, "alpha": zero[..., 0], "depth": zero[..., 0], "normal": zero, "albedo": zero}
+    layers |= {"CryptoObject00": plane, "group_0": zero + 0.5, "ungrouped": zero}
+    planes = addon("passes").planes_of(layers, light_groups=addon("light_groups").LightGroups(["key light"]).passes)
+    np.testing.assert_array_equal(planes["CryptoObject00"], [4.0, 5.0, 6.0, 7.0, 0.0, 1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(planes["Combined_key light"], [0.5] * 6)
+    assert set(planes) == {"Combined", "Depth", "Normal", "Albedo", "CryptoObject00", "Combined_key light"}
+
+
+def test_materials_are_replaced_by_name(addon, tmp_path):
+    glb, path = addon("glb"), tmp_path / "geometry.glb"
+    document = {"meshes": [{}], "materials": [{"name": "clay", "doubleSided": True}, {"name": "other"}, {"name": "glass"}]}
+    glb.write_glb(path, document, b"rest")
+    glass = {"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1.0}}}
+    assert glb.complete_glb(path, {"clay": {"alphaMode": "MASK"}, "glass": glass})
+    found, rest = glb.read_glb(path)
+    assert rest == b"rest"
+    assert found["materials"][0] == {"name": "clay", "doubleSided": True, "alphaMode": "MASK"}
+    assert found["materials"][1] == {"name": "other"}
+    assert found["materials"][2]["extensions"]["KHR_materials_volume"] == {"thicknessFactor": 1.0}
+    assert found["extensionsUsed"] == ["KHR_materials_transmission", "KHR_materials_volume"]
+
+
+def test_split_of_light_groups(addon, tmp_path):
+    """Emissive nodes of a group stand in a file of their own, all others stay."""
+    glb, path = addon("glb"), tmp_path / "geometry.glb"
+    document = {
+        "materials": [{"emissiveFactor": [1.0, 0.0, 0.0]}, {}],
+        "meshes": [{"primitives": [{"material": 0}]}, {"primitives": [{"material": 1}]}],
+        "nodes": [{"name": "sign", "mesh": 0, "children": [1]}, {"name": "wall", "mesh": 1}, {"name": "lamp", "mesh": 0}],
+    }
+    glb.write_glb(path, document, b"rest")
+    files = glb.split_glb(path, {"sign": "group_0", "wall": "group_0"})
+    assert set(files) == {"", "group_0"}
+    contents = {group: glb.read_glb(file) for group, file in files.items()}
+    assert all(rest == b"rest" for _, rest in contents.values())
+    kept = {group: [node["name"] for node in found["nodes"] if "mesh" in node] for group, (found, _) in contents.items()}
+    assert kept == {"": ["wall", "lamp"], "group_0": ["sign"]}
+    assert contents["group_0"][0]["nodes"][0]["children"] == [1]
+    glb.write_glb(path, document, b"")
+    assert glb.split_glb(path, {"wall": "group_0"}) == {"": path}
+
+
 @pytest.fixture
 def quick(addon, tmp_path):
     """The process module, and a job with some samples of a small scene."""
@@ -240,6 +286,7 @@ def quick(addon, tmp_path):
         sys.executable,
         tmp_path / "scene.toml",
         tmp_path,
+        "Layer",
         {"spp": 3, "seed": 1} | options,
     )
 
@@ -261,6 +308,22 @@ def test_driver(quick, tmp_path):
         np.testing.assert_array_equal(layers["beauty"], expected.beauty)
         np.testing.assert_array_equal(layers["depth"], expected.depth)
     assert any("step" in message and message["of"] == 3 for message in told)
+
+
+def test_mattes_of_the_driver(quick, tmp_path):
+    """The metadata name the layers as Cycles does, under the hash of these names."""
+    hashes = pytest.importorskip("mmh3")
+    process, job = quick
+    with process.Render(*job(cryptomatte=True)) as render:
+        told = messages(render)
+    metadata = next(message["metadata"] for message in told if "metadata" in message)
+    for kind in ("Object", "Material"):
+        key = f"cryptomatte/{hashes.hash(f'Layer.Crypto{kind}'.encode(), 0, signed=False):08x}"[:-1]
+        assert metadata[f"{key}/name"] == f"Layer.Crypto{kind}"
+        assert metadata[f"{key}/hash"] == "MurmurHash3_32"
+        assert "bulb" in json.loads(metadata[f"{key}/manifest"])
+    with np.load([message["picture"] for message in told if "picture" in message][-1]) as layers:
+        assert {"CryptoObject00", "CryptoObject02", "CryptoMaterial00"} <= set(layers)
 
 
 def test_errors_of_the_driver(quick, tmp_path):

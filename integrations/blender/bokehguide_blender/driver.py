@@ -1,8 +1,9 @@
 """Renders one scene. Runs in the Python environment of bokehguide, without Blender: `python driver.py JOB.json`.
 
 The job: `scene`, the path of a scene file; `folder` for pictures; `options` of `bokehguide.render`. stdout gets one JSON object
-per line: `stage`, `warning`, `step` with `of`, `picture` with a path, or `error`. A picture is an .npz file with the layers of
-`bokehguide.Picture`; the reader removes it.
+per line: `stage`, `warning`, `step` with `of`, `picture` with a path, `metadata`, or `error`. A picture is an .npz file with the
+layers of `bokehguide.Picture`, those of mattes and light groups among them; the reader removes it. `metadata` describes the
+Cryptomatte layers, whose names begin with the job's `layer`.
 """
 
 from __future__ import annotations
@@ -65,9 +66,30 @@ class Pictures:
         path = self._folder / f"picture-{self._number}.npz"
         partial = path.with_suffix(".part")
         with partial.open("wb") as file:
-            np.savez(file, **{name: layer for name in LAYERS if (layer := getattr(picture, name)) is not None})
+            np.savez(file, **{name: layer for name in LAYERS if (layer := getattr(picture, name)) is not None}, **_named(picture))
         partial.replace(path)
         tell(picture=str(path), step=picture.metadata["spp"])
+
+
+def _named(picture: Any) -> dict[str, Any]:
+    """The mattes under the names of Cryptomatte, such as `CryptoObject00`, and the light groups under their own."""
+    from bokehguide.image.cryptomatte import CHANNELS
+
+    mattes = {CHANNELS[key][0].partition(".")[0]: layer for key, layer in picture.mattes.items()}
+    return mattes | dict(picture.light_groups)
+
+
+def _metadata(attributes: dict[str, Any], layer: str) -> dict[str, str]:
+    """The attributes of Cryptomatte layers, under their names in Blender: those of the EXR after the view layer's."""
+    from bokehguide.image.cryptomatte import layer_key
+
+    given = {name: str(value) for name, value in attributes.items() if name.startswith("cryptomatte/")}
+    names = {key.removesuffix("name"): f"{layer}.{name}" for key, name in given.items() if key.endswith("/name")}
+    found = {}
+    for old, name in names.items():
+        facts = {key.removeprefix(old): value for key, value in given.items() if key.startswith(old)} | {"name": name}
+        found |= {f"{layer_key(name)}/{fact}": value for fact, value in facts.items()}
+    return found
 
 
 def main(job_path: str) -> int:
@@ -96,6 +118,8 @@ def main(job_path: str) -> int:
         tell(error=str(error) or "the memory does not suffice; give a smaller resolution or fewer triangles")
         return 2
     pictures.write(picture)
+    if picture.mattes:
+        tell(metadata=_metadata(picture.metadata, job["layer"]))
     return 0
 
 

@@ -8,13 +8,16 @@ from typing import Any
 
 import bpy
 
+from .light_groups import LightGroups
 from .messages import Cancelled, RenderError
-from .passes import Passes
+from .passes import MATTES, Passes, passes_of
 from .preferences import interpreter
 from .process import ProcessError, Render
 from .scene_export import Exported, export_scene
 from .viewport import Viewport
 
+BUILT_IN = {"Combined", "Depth", "Normal"}
+"""Passes that Blender makes by itself."""
 POLL = 0.1
 """Seconds between two checks for a cancellation."""
 
@@ -59,13 +62,8 @@ class BokehguideEngine(bpy.types.RenderEngine):
 
     def update_render_passes(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
         """Tell Blender which passes a render delivers."""
-        self.register_pass(scene, layer, "Combined", 4, "RGBA", "COLOR")
-        if layer.use_pass_z:
-            self.register_pass(scene, layer, "Depth", 1, "Z", "VALUE")
-        if layer.use_pass_normal:
-            self.register_pass(scene, layer, "Normal", 3, "XYZ", "VECTOR")
-        if scene.bokehguide.use_pass_albedo:
-            self.register_pass(scene, layer, "Albedo", 3, "RGB", "COLOR")
+        for each in passes_of(scene, layer, LightGroups.of(layer).passes):
+            self.register_pass(scene, layer, each.name, len(each.channels), each.channels, each.content)
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Render one view layer. A mistake of the user is told in Blender and ends the render."""
@@ -83,10 +81,12 @@ class BokehguideEngine(bpy.types.RenderEngine):
 
     def _run(self, exported: Exported, folder: Path, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
         """Render a scene file and show the pictures. Raises RenderError, ProcessError and Cancelled."""
-        if scene.bokehguide.use_pass_albedo:
-            self.add_pass("Albedo", 3, "RGB", layer=layer.name)
-        passes = Passes(self, layer.name, exported.framing.window[2:], not scene.render.film_transparent)
-        with Render(interpreter(), exported.path, folder, _options(scene, exported)) as process:
+        names = exported.groups.passes
+        for each in passes_of(scene, layer, names):
+            if each.name not in BUILT_IN:
+                self.add_pass(each.name, len(each.channels), each.channels, layer=layer.name)
+        passes = Passes(self, layer.name, exported.framing.window[2:], not scene.render.film_transparent, names)
+        with Render(interpreter(), exported.path, folder, layer.name, _options(scene, layer, exported)) as process:
             while (message := process.message(POLL)) is not None:
                 if is_cancelled(self):
                     raise Cancelled
@@ -103,6 +103,8 @@ class BokehguideEngine(bpy.types.RenderEngine):
             self.report({"WARNING"}, message["warning"])
         elif "picture" in message:
             passes.show(Path(message["picture"]))
+        elif "metadata" in message:
+            passes.describe(message["metadata"])
         elif "step" in message:
             self.update_progress(message["step"] / message["of"])
             self.update_stats("", f"Sample {message['step']}/{message['of']}")
@@ -115,7 +117,7 @@ def is_cancelled(engine: bpy.types.RenderEngine) -> bool:
     return engine.test_break()
 
 
-def _options(scene: bpy.types.Scene, exported: Exported) -> dict[str, Any]:
+def _options(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, exported: Exported) -> dict[str, Any]:
     """The options of `bokehguide.render`."""
     settings, framing = scene.bokehguide, exported.framing
     options: dict[str, Any] = {"spp": settings.samples, "seed": settings.seed, "denoise": settings.use_denoise}
@@ -123,6 +125,10 @@ def _options(scene: bpy.types.Scene, exported: Exported) -> dict[str, Any]:
         options["time_limit"] = settings.time_limit
     if framing.cropped:
         options["crop"] = framing.window
+    if exported.has_groups:
+        options["light_groups"] = True
+    if any(getattr(layer, setting) for setting in MATTES):
+        options["cryptomatte"] = True
     if scene.render.threads_mode == "FIXED":
         options["threads"] = scene.render.threads
     return options

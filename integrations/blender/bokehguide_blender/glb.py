@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,27 +13,80 @@ HEADER = struct.Struct("<4sII")
 CHUNK = struct.Struct("<I4s")
 """Length and type of a chunk."""
 TRANSMISSION, VOLUME = "KHR_materials_transmission", "KHR_materials_volume"
+Document = dict[str, Any]
 
 
-def complete_glb(path: Path) -> bool:
-    """Make the transmissive materials of a file solid; returns whether the file has meshes.
-
-    Cycles refracts at every transmissive surface. In glTF, a transmissive surface is a thin sheet without a thickness.
-    """
+def read_glb(path: Path) -> tuple[Document, bytes]:
+    """The JSON document of a file, and the chunks after it."""
     data = path.read_bytes()
     start = HEADER.size + CHUNK.size
     (length, _) = CHUNK.unpack_from(data, HEADER.size)
-    document: dict[str, Any] = json.loads(data[start : start + length])
-    if _make_solid(document):
-        text = json.dumps(document).encode()
-        text += b" " * (-len(text) % 4)
-        rest = data[start + length :]
-        header = HEADER.pack(b"glTF", 2, start + len(text) + len(rest))
-        path.write_bytes(header + CHUNK.pack(len(text), b"JSON") + text + rest)
+    return json.loads(data[start : start + length]), data[start + length :]
+
+
+def write_glb(path: Path, document: Document, rest: bytes) -> None:
+    """Write a file of a document and the chunks after it."""
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    start = HEADER.size + CHUNK.size
+    header = HEADER.pack(b"glTF", 2, start + len(text) + len(rest))
+    path.write_bytes(header + CHUNK.pack(len(text), b"JSON") + text + rest)
+
+
+def complete_glb(path: Path, materials: Mapping[str, Document]) -> bool:
+    """Replace the materials of a file by name, and make transmissive ones solid; returns whether the file has meshes.
+
+    Cycles refracts at every transmissive surface. In glTF, a transmissive surface is a thin sheet without a thickness.
+    """
+    document, rest = read_glb(path)
+    if _replace(document, materials) | _make_solid(document):
+        write_glb(path, document, rest)
     return bool(document.get("meshes"))
 
 
-def _make_solid(document: dict[str, Any]) -> bool:
+def split_glb(path: Path, groups: Mapping[str, str]) -> dict[str, Path]:
+    """Move the emissive nodes of light groups into files beside `path`; returns the files by group, the others under "".
+
+    groups: the light group of nodes by name. Files without a mesh are left out. A file is complete, with the nodes of `path`.
+    """
+    document, rest = read_glb(path)
+    emissive = _emissive_meshes(document)
+    placed = [
+        groups.get(node.get("name", ""), "") if node.get("mesh") in emissive else "" if "mesh" in node else None
+        for node in document.get("nodes", ())
+    ]
+    files = {}
+    for group in dict.fromkeys(each for each in placed if each is not None):
+        files[group] = path.with_stem(f"{path.stem}-{group}") if group else path
+        nodes = [
+            {key: value for key, value in node.items() if key != "mesh" or of == group}
+            for node, of in zip(document["nodes"], placed)
+        ]
+        if any(placed):
+            write_glb(files[group], document | {"nodes": nodes}, rest)
+    return files
+
+
+def _emissive_meshes(document: Document) -> set[int]:
+    """The indices of the meshes with an emissive material."""
+    materials = [max(each.get("emissiveFactor", (0.0,))) > 0.0 for each in document.get("materials", ())]
+    return {
+        number
+        for number, mesh in enumerate(document.get("meshes", ()))
+        if any("material" in part and materials[part["material"]] for part in mesh["primitives"])
+    }
+
+
+def _replace(document: Document, materials: Mapping[str, Document]) -> bool:
+    """Replace keys of the named materials; returns whether there are any."""
+    named = [each for each in document.get("materials", ()) if each.get("name") in materials]
+    for material in named:
+        material |= materials[material["name"]]
+        document["extensionsUsed"] = sorted({*material.get("extensions", ()), *document.get("extensionsUsed", ())})
+    return bool(named)
+
+
+def _make_solid(document: Document) -> bool:
     """Add a thickness to transmissive materials without one; returns whether there are any."""
     found = False
     for material in document.get("materials", ()):

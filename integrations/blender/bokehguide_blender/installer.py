@@ -41,13 +41,13 @@ def chosen_source(given: str) -> str:
 
 
 def install(base: str, folder: Path, source: str, tell: Callable[[str], None]) -> Path:
-    """Make an environment in `folder` and install `source` with the denoiser; returns its interpreter.
+    """Make an environment in `folder` and install `source` with the denoiser and Cryptomatte; returns its interpreter.
 
     tell: called with each line of the output. Raises ProcessError where a command fails.
     """
     python = environment_python(folder)
     _run([base, "-m", "venv", "--clear", str(folder)], tell)
-    _run([str(python), "-m", "pip", "install", "--no-input", f"{source}[denoise]"], tell)
+    _run([str(python), "-m", "pip", "install", "--no-input", f"{source}[cryptomatte,denoise]"], tell)
     _run([str(python), "-c", "import bokehguide; print('installed bokehguide', bokehguide.__version__)"], tell)
     return python
 

@@ -1,14 +1,17 @@
-"""What the glTF exporter loses of the materials of a scene."""
+"""What of the materials of a scene the glTF file has, and what it lacks."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import bpy
 
-from .messages import listed
+from .messages import Losses
+from .node_chains import has_constant, lost_nodes, source
+from .shaders import gltf_material, ignored_inputs, is_simple
 
-TEXTURED = (
+TEXTURED = {
     "Base Color",
     "Metallic",
     "Roughness",
@@ -17,64 +20,90 @@ TEXTURED = (
     "Transmission Weight",
     "Coat Weight",
     "Coat Roughness",
+    "Coat Normal",
     "Specular IOR Level",
+    "Specular Tint",
     "Emission Color",
-)
+}
 """Inputs of the Principled BSDF node that may have an image."""
-STORED = {"TEX_IMAGE", "VERTEX_COLOR", "ATTRIBUTE", "RGB", "VALUE"}
-"""Sources of an input that the exporter stores."""
+IGNORED = ("Subsurface Weight", "Anisotropic", "Thin Film Thickness", "Diffuse Roughness")
+"""Inputs of the Principled BSDF node that the exporter leaves out."""
+ROUGH = 0.45
+"""Roughness at which multiple scattering makes a metal brighter by a twentieth."""
+NODE_LOSS = "nodes of materials are ignored; bake them to images"
+INPUT_LOSS = "inputs of shader nodes are ignored"
 
 
 def material_warnings(depsgraph: bpy.types.Depsgraph) -> list[str]:
     """Warnings with the names of the materials that are not exported whole."""
-    shaders, textures = [], []
-    for material in _materials(depsgraph):
-        if not material.use_nodes or material.node_tree is None:
-            continue
-        node = _surface(material.node_tree)
-        if node is None or node.type != "BSDF_PRINCIPLED":
-            shaders.append(material.name)
-        elif any(_is_lost(node.inputs[name]) for name in TEXTURED if name in node.inputs):
-            textures.append(material.name)
-    warnings = []
-    if shaders:
-        warnings.append(f"materials without a Principled BSDF at their output lose their look: {listed(shaders)}")
-    if textures:
-        warnings.append(f"procedural textures are lost; bake them to images: {listed(textures)}")
-    return warnings
+    losses = Losses()
+    for material, tree in _trees(depsgraph):
+        output = tree.get_output_node("CYCLES")
+        if output is not None:
+            for name in ("Volume", "Displacement"):
+                if output.inputs[name].is_linked:
+                    losses.add("inputs of Material Output nodes are ignored", f"{material} ({name})")
+        _check_surface(material, source(output.inputs["Surface"]) if output else None, losses)
+    return losses.lines()
 
 
-def _materials(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Material]:
-    """The materials of the rendered objects, each once."""
+def simple_materials(depsgraph: bpy.types.Depsgraph) -> dict[str, dict[str, Any]]:
+    """The keys of glTF materials that replace those of the exporter, by name."""
+    found = {}
+    for material, tree in _trees(depsgraph):
+        output = tree.get_output_node("CYCLES")
+        node = source(output.inputs["Surface"]) if output else None
+        if node is not None and is_simple(node):
+            found[material] = gltf_material(node)
+    return found
+
+
+def _trees(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, bpy.types.NodeTree]]:
+    """The name and the node tree of each material of the rendered objects."""
     slots = (slot for instance in depsgraph.object_instances for slot in instance.object.material_slots)
-    return list({slot.material.name: slot.material for slot in slots if slot.material is not None}.values())
+    materials = {slot.material.name: slot.material for slot in slots if slot.material is not None}
+    return ((name, each.node_tree) for name, each in materials.items() if each.use_nodes and each.node_tree is not None)
 
 
-def _surface(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
-    """The shader node at the output, beyond reroutes."""
-    output = tree.get_output_node("CYCLES")
-    return next(_sources(output.inputs["Surface"]), None) if output else None
+def _check_surface(material: str, node: bpy.types.Node | None, losses: Losses) -> None:
+    """Add the losses of the shader node at the output of a material."""
+    if node is not None and node.type == "EMISSION":
+        _check_input(material, node.inputs["Color"], True, losses)
+        _check_input(material, node.inputs["Strength"], False, losses)
+    elif node is not None and is_simple(node):
+        if node.type == "BSDF_GLOSSY":
+            _check_distribution(material, node, losses)
+        for name in ignored_inputs(node):
+            losses.add(INPUT_LOSS, f"{material} ({name})")
+    elif node is None or node.type != "BSDF_PRINCIPLED":
+        losses.add("materials without a Principled BSDF at their output lose their look", material)
+    else:
+        if _reaches(node.inputs["Metallic"], 0.0):
+            _check_distribution(material, node, losses)
+        for socket in node.inputs:
+            if socket.name in IGNORED and _reaches(socket, 0.0):
+                losses.add(INPUT_LOSS, f"{material} ({socket.name})")
+            elif socket.name not in IGNORED and socket.name != "Tangent":
+                _check_input(material, socket, socket.name in TEXTURED, losses)
 
 
-def _is_lost(socket: bpy.types.NodeSocket) -> bool:
-    """Whether an input has a source that the exporter does not store."""
-    if not socket.is_linked:
-        return False
-    waiting, seen = list(_sources(socket)), set()
-    while waiting:
-        node = waiting.pop()
-        if node.type in STORED:
-            return False
-        if node.name not in seen:
-            seen.add(node.name)
-            waiting += [source for each in node.inputs for source in _sources(each)]
-    return True
+def _check_distribution(material: str, node: bpy.types.Node, losses: Losses) -> None:
+    """Add the loss of a metal that multiple scattering makes brighter."""
+    if node.distribution == "MULTI_GGX" and _reaches(node.inputs["Roughness"], ROUGH):
+        losses.add("rough metals are darker, as Multiscatter GGX becomes GGX", material)
 
 
-def _sources(socket: bpy.types.NodeSocket) -> Iterator[bpy.types.Node]:
-    """The nodes that are linked to an input, beyond reroutes."""
-    for link in socket.links:
-        if link.from_node.type == "REROUTE":
-            yield from _sources(link.from_node.inputs[0])
-        else:
-            yield link.from_node
+def _reaches(socket: bpy.types.NodeSocket, value: float) -> bool:
+    """Whether an input may be greater than a value."""
+    return socket.is_linked or socket.default_value > value
+
+
+def _check_input(material: str, socket: bpy.types.NodeSocket, textured: bool, losses: Losses) -> None:
+    """Add the losses of an input. textured: whether the exporter stores its image."""
+    if not socket.is_linked or has_constant(socket):
+        return
+    if not textured:
+        losses.add(INPUT_LOSS, f"{material} ({socket.name})")
+        return
+    for text, name in lost_nodes(socket):
+        losses.add(text or NODE_LOSS, name if text else f"{material} ({name})")

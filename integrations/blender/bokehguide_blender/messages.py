@@ -13,5 +13,19 @@ def listed(names: list[str], most: int = 3) -> str:
     return ", ".join(names[:most]) + more
 
 
+class Losses:
+    """Losses of a scene by their text, each with the names of the parts that have it."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, dict[str, None]] = {}
+
+    def add(self, text: str, name: str) -> None:
+        self._names.setdefault(text, {})[name] = None
+
+    def lines(self) -> list[str]:
+        """One warning for each text, with some of the names."""
+        return [f"{text}: {listed(list(names))}" for text, names in self._names.items()]
+
+
 class Cancelled(Exception):
     """The user has ended the render."""

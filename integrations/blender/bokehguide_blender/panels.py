@@ -60,9 +60,53 @@ class BOKEHGUIDE_PT_passes(Panel):
         self.layout.prop(context.view_layer, "use_pass_z")
         self.layout.prop(context.view_layer, "use_pass_normal")
         self.layout.prop(context.scene.bokehguide, "use_pass_albedo")
+        column = self.layout.column(heading="Cryptomatte", align=True)
+        column.prop(context.view_layer, "use_pass_cryptomatte_object", text="Object")
+        column.prop(context.view_layer, "use_pass_cryptomatte_material", text="Material")
 
 
-CLASSES = (BOKEHGUIDE_PT_sampling, BOKEHGUIDE_PT_film, BOKEHGUIDE_PT_passes)
+class BOKEHGUIDE_PT_light_groups(Panel):
+    bl_label, bl_context = "Light Groups", "view_layer"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layer, row = context.view_layer, self.layout.row()
+        row.template_list("UI_UL_list", "lightgroups", layer, "lightgroups", layer, "active_lightgroup_index", rows=3)
+        column = row.column(align=True)
+        column.operator("scene.view_layer_add_lightgroup", icon="ADD", text="")
+        column.operator("scene.view_layer_remove_lightgroup", icon="REMOVE", text="")
+
+
+class LightGroupPanel(Panel):
+    """The light group of an object or of a world."""
+
+    bl_label = "Light Group"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        self.layout.use_property_split = True
+        owner = getattr(context, self.bl_context)
+        self.layout.prop_search(owner, "lightgroup", context.view_layer, "lightgroups", text="Light Group")
+
+
+class BOKEHGUIDE_PT_object_light_group(LightGroupPanel):
+    bl_context = "object"
+
+
+class BOKEHGUIDE_PT_world_light_group(LightGroupPanel):
+    bl_context = "world"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return super().poll(context) and context.world is not None
+
+
+CLASSES = (
+    BOKEHGUIDE_PT_sampling,
+    BOKEHGUIDE_PT_film,
+    BOKEHGUIDE_PT_passes,
+    BOKEHGUIDE_PT_light_groups,
+    BOKEHGUIDE_PT_object_light_group,
+    BOKEHGUIDE_PT_world_light_group,
+)
 
 
 def shared_panels() -> Iterator[type[bpy.types.Panel]]:

@@ -100,11 +100,12 @@ class Driver:
 
 
 class Render(Driver):
-    """A render of a scene file. folder: for the job and pictures. options: of `bokehguide.render`."""
+    """A render of a scene file. folder: for the job and pictures. layer: of the scene. options: of `bokehguide.render`."""
 
-    def __init__(self, python: str, scene: Path, folder: Path, options: dict[str, Any]):
+    def __init__(self, python: str, scene: Path, folder: Path, layer: str, options: dict[str, Any]):
         job = folder / "job.json"
-        job.write_text(json.dumps({"scene": str(scene), "folder": str(folder), "options": options}), encoding="utf-8")
+        content = {"scene": str(scene), "folder": str(folder), "layer": layer, "options": options}
+        job.write_text(json.dumps(content), encoding="utf-8")
         super().__init__(python, "driver.py", job)
 
 

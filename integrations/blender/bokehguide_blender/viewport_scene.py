@@ -10,6 +10,8 @@ import bpy
 from .camera import camera_table
 from .geometry import SURFACES, export_visible
 from .glb import complete_glb
+from .light_groups import LightGroups
+from .materials import simple_materials
 from .scene_export import scene_tables, write_scene
 
 PAUSE = 0.3
@@ -60,9 +62,11 @@ class ViewportScene:
             other_geometry = self._export_geometry(depsgraph)
             self._geometry_changed, self._names = False, names
         self.warnings = []
-        tables = scene_tables(depsgraph, camera_table(ORIGIN, FOV), SIZE, lambda _: False, self._folder, self.warnings)
+        tables = scene_tables(
+            depsgraph, camera_table(ORIGIN, FOV), SIZE, lambda _: False, self._folder, LightGroups([]), self.warnings
+        )
         path = self._numbered("scene", ".toml")
-        write_scene(tables, self._geometry if self._has_meshes else None, path)
+        write_scene(tables, {"": self._geometry} if self._has_meshes else {}, path)
         if not other_geometry and path.read_bytes() == before:
             path.unlink()
             return False
@@ -74,7 +78,7 @@ class ViewportScene:
         path, before = self._numbered("geometry", ".glb"), self._geometry
         scene = depsgraph.scene.original
         export_visible(scene, scene.view_layers[depsgraph.view_layer.name], path)
-        self._has_meshes = complete_glb(path)
+        self._has_meshes = complete_glb(path, simple_materials(depsgraph))
         if before.exists() and before.read_bytes() == path.read_bytes():
             path.unlink()
             return False

@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from .light_groups import LightGroups
 from .messages import RenderError
 from .radiance_hdr import write_hdr
 
@@ -19,7 +20,7 @@ LINEAR = ("Linear Rec.709", "Linear", "Non-Color", "Raw")
 """Colour spaces of images whose files hold linear Rec.709."""
 
 
-def read_world(scene: bpy.types.Scene, folder: Path, warnings: list[str]) -> dict[str, Any] | None:
+def read_world(scene: bpy.types.Scene, folder: Path, groups: LightGroups, warnings: list[str]) -> dict[str, Any] | None:
     """The `[environment]` table, None for a black world. folder: for maps that are no .hdr or .exr file yet."""
     world = scene.world
     if world is None:
@@ -30,7 +31,7 @@ def read_world(scene: bpy.types.Scene, folder: Path, warnings: list[str]) -> dic
         table = {"color": tuple(world.color)}
     if table is None or max(table.get("color", (1.0,))) <= 0.0 or table.get("intensity", 1.0) <= 0.0:
         return None
-    return table | ({"visible": False} if scene.render.film_transparent else {})
+    return table | groups.entry(world) | ({"visible": False} if scene.render.film_transparent else {})
 
 
 def _from_nodes(tree: bpy.types.NodeTree, folder: Path, warnings: list[str]) -> dict[str, Any] | None:

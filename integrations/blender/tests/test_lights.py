@@ -47,6 +47,39 @@ def test_brightness(scene, tmp_path, name):
     check(*scenes.both(tmp_path, samples=256))
 
 
+def test_losses_are_told(scene, tmp_path, capfd):
+    """A negative light darkens nothing, and is told; so are angles and spreads that are not those of Blender."""
+    for kind, values in (
+        ("POINT", {"energy": -5.0}),
+        ("SUN", {"energy": -1.0}),
+        ("SUN", {"energy": 1.0, "angle": math.radians(120)}),
+        ("AREA", {"spread": 1.0}),
+        ("AREA", {"spread": 2.0}),
+        ("SPOT", {"use_square": True}),
+    ):
+        scenes.light(kind, **values)
+    scenes.camera((0, -4, 30))
+    scenes.render("BOKEHGUIDE", tmp_path, samples=1)
+    said = "".join(capfd.readouterr())
+    assert "lights of negative power or colour are left out: point, sun" in said
+    assert "the angles of suns are limited to 0.01° … 90°: sun.001" in said
+    assert "the spread of area lights is ignored; these lights shine in all directions of their front: area, area.001" in said
+    assert "the square cones of spotlights become round: spot" in said
+
+
+def test_lights_within_the_limits_are_not_told(scene, tmp_path, capfd):
+    for angle in (0.01, 0.5, 90.0):
+        scenes.light("SUN", energy=1.0, angle=math.radians(angle))
+    scenes.light("POINT", energy=0.0)
+    scenes.light("AREA")
+    scenes.camera((0, -4, 30))
+    scenes.render("BOKEHGUIDE", tmp_path, samples=1)
+    said = "".join(capfd.readouterr())
+    assert "are limited" not in said
+    assert "left out" not in said
+    assert "spread" not in said
+
+
 def check(cycles, ours):
     """The means of each channel agree, and the pictures do."""
     means = ours[..., :3].mean((0, 1)) / cycles[..., :3].mean((0, 1))

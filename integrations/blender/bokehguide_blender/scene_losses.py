@@ -1,0 +1,50 @@
+"""What of the settings and objects of a scene a render leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+
+from .messages import Losses
+
+LOST_TYPES = {"VOLUME", "CURVES", "POINTCLOUD", "GPENCIL", "GREASEPENCIL"}
+"""Types of objects that a glTF file cannot have."""
+RAYS = ("visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission", "visible_shadow")
+WORKING_SPACE = "Linear Rec.709"
+
+
+def render_warnings(depsgraph: bpy.types.Depsgraph) -> list[str]:
+    """Warnings of settings that only a render has."""
+    scene, layer = depsgraph.scene, depsgraph.view_layer
+    found = {
+        "motion blur is ignored": scene.render.use_motion_blur,
+        "stereoscopy is ignored; all views are the same picture": scene.render.use_multiview,
+        "the material override of the view layer is ignored": layer.material_override is not None,
+    }
+    return [text for text, lost in found.items() if lost]
+
+
+def scene_warnings(depsgraph: bpy.types.Depsgraph) -> list[str]:
+    """Warnings of objects and colours."""
+    losses = Losses()
+    for instance in depsgraph.object_instances:
+        for text in _losses_of(instance.object):
+            losses.add(text, instance.object.name)
+    space = getattr(getattr(bpy.data, "colorspace", None), "working_space", WORKING_SPACE)  # from Blender 5.0 on
+    told = [] if space == WORKING_SPACE else [f"colours of the working space {space} are taken as {WORKING_SPACE}"]
+    return told + losses.lines()
+
+
+def _losses_of(item: bpy.types.Object) -> Iterator[str]:
+    """What of an object is lost, other than a light's."""
+    if item.type == "LIGHT":
+        return
+    if item.type in LOST_TYPES:
+        yield "hair, points, grease pencil and volumes are left out"
+    elif not all(getattr(item, name) for name in RAYS):
+        yield "the ray visibility of objects is ignored"
+    if item.is_holdout or item.is_shadow_catcher:
+        yield "holdouts and shadow catchers become ordinary objects"
+    if any(each.settings.type == "HAIR" and each.settings.render_type == "PATH" for each in item.particle_systems):
+        yield "hair of particle systems is left out"
