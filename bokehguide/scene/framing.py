@@ -23,6 +23,9 @@ from bokehguide.scene.validation import checked
 SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))
 """White at the zenith, grey at the horizon, dim below."""
 
+GLOW = 1.0
+"""Greatest emission of a mesh that does not count as light: labels, screens and unlit surfaces."""
+
 FRAME = "frame"
 """Name of the framing camera for `--camera`."""
 
@@ -32,19 +35,18 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
 
     The camera is the one that `overrides` select, or the file's first. Without one, or if `overrides` set its position or
     target, `compose` chooses the view. A camera without a lens focuses on the part of the model in the middle of the frame, and
-    highlights at infinity have a diameter of HIGHLIGHT of its width. A model without emitters and without an environment gets a
-    soft sky, unless `overrides` set the environment. Raises BokehguideError as `load_model` does.
+    highlights at infinity have a diameter of HIGHLIGHT of its width. A model without light (`_lit`) gets a soft sky, unless
+    `overrides` set the environment. Raises BokehguideError as `load_model` does.
     """
     model = load_model(path, files, state=overrides.state)
     meshes = model.meshes + model.emitters
-    lit = model.suns or model.environment or any(model.materials[mesh.material].emits for mesh in meshes)
     scene = Scene(
         name=path.stem,
         camera=Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),
         meshes=meshes,
         materials=model.materials,
         film=override_film(model.film or FilmSettings(), overrides),
-        environment=model.environment if lit or overrides.environment is not None else SOFT_SKY,
+        environment=model.environment if _lit(model) or overrides.environment is not None else SOFT_SKY,
         suns=model.suns,
         warnings=model.warnings,
         supported=model.supported,
@@ -53,6 +55,12 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
     own = _select_camera(model.cameras, overrides, str(path))
     scene = _framed(scene, model, overrides, str(path)) if own is None else _photographed(scene, own, overrides)
     return scene, override_camera(asdict(scene.camera), overrides, str(path), files)
+
+
+def _lit(model: Model) -> bool:
+    """Whether `model` has a light: a sun, an environment, an emitter, or a mesh with emission beyond GLOW in some channel."""
+    brightest = max((max(model.materials[mesh.material].emission) for mesh in model.meshes), default=0.0)
+    return bool(model.suns or model.emitters) or model.environment is not None or brightest > GLOW
 
 
 def _used_vertices(meshes: tuple[Mesh, ...], file: str) -> np.ndarray:
