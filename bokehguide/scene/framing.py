@@ -25,6 +25,9 @@ SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.
 
 GLOW = 1.0
 """Greatest emission of a mesh that does not count as light: labels, screens and unlit surfaces."""
+LEAST_LIGHT = 1e-3
+"""Least sum of emission times area of the brighter meshes that counts as light, relative to the squared diagonal of the model.
+Smaller lamps, such as the landing lights of an aeroplane, give less than a thousandth of the light of the sky."""
 
 FRAME = "frame"
 """Name of the framing camera for `--camera`."""
@@ -58,9 +61,18 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
 
 
 def _lit(model: Model) -> bool:
-    """Whether `model` has a light: a sun, an environment, an emitter, or a mesh with emission beyond GLOW in some channel."""
-    brightest = max((max(model.materials[mesh.material].emission) for mesh in model.meshes), default=0.0)
-    return bool(model.suns or model.emitters) or model.environment is not None or brightest > GLOW
+    """Whether `model` has a light: a sun, an environment, an emitter, or meshes with emission beyond GLOW and LEAST_LIGHT."""
+    if model.suns or model.emitters or model.environment is not None:
+        return True
+    emission = [max(model.materials[mesh.material].emission) for mesh in model.meshes]
+    power = sum(each * _area(mesh) for mesh, each in zip(model.meshes, emission) if each > GLOW)
+    low, high = _bounds(model.meshes)
+    return power > LEAST_LIGHT * float(((high - low) ** 2).sum())
+
+
+def _area(mesh: Mesh) -> float:
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.triangles], 1, 0)
+    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
 def _used_vertices(meshes: tuple[Mesh, ...], file: str) -> np.ndarray:

@@ -52,6 +52,11 @@ def test_a_glow_does_not_replace_the_sky(tmp_path):
     lights = {"KHR_lights_punctual": {"lights": [{"type": "point", "intensity": 1e-3}]}}
     nodes = [{"mesh": 0}, {"translation": [0, 0, 2], "extensions": {"KHR_lights_punctual": {"light": 0}}}]
     assert environment(1.0, nodes=nodes, extensions=lights) is None, "a light of the file counts however dim"
+    far = [{"mesh": 0}, {"mesh": 1, "translation": [0.0, 40.0, 0.0]}]
+    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2}
+    meshes = [{"primitives": [primitive | {"material": 0}]}, {"primitives": [primitive]}]
+    assert environment(1.01, nodes=far, meshes=meshes) is None, "4.04 of 1,768"
+    assert environment(1.01, nodes=[far[0], far[1] | {"translation": [0, 80, 0]}], meshes=meshes) is SOFT_SKY, "4.04 of 6,728"
     unlit = load_scene(write_gltf(tmp_path / "unlit.gltf", {"extensions": {"KHR_materials_unlit": {}}}))
     assert unlit.environment is SOFT_SKY and unlit.materials[0].emits
 
