@@ -22,6 +22,9 @@ from bokehguide.scene.validation import checked
 
 SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))
 """White at the zenith, grey at the horizon, dim below."""
+SKY_EXPOSURE = 1.0
+"""Exposure in EV of a model before the soft sky, whose light gives an upright white surface half the radiance of diffuse white. A
+meter would show the sky, which fills most of the frame, as middle grey."""
 
 GLOW = 1.0
 """Greatest emission of a mesh that does not count as light: labels, screens and unlit surfaces."""
@@ -39,23 +42,28 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
     The camera is the one that `overrides` select, or the file's first. Without one, or if `overrides` set its position or
     target, `compose` chooses the view. A camera without a lens focuses on the part of the model in the middle of the frame, and
     highlights at infinity have a diameter of HIGHLIGHT of its width. A model without light (`_lit`) gets a soft sky, unless
-    `overrides` set the environment. Raises BokehguideError as `load_model` does.
+    `overrides` set the environment. A model that the framing camera shows before the soft sky has the exposure SKY_EXPOSURE.
+    Raises BokehguideError as `load_model` does.
     """
     model = load_model(path, files, state=overrides.state)
     meshes = model.meshes + model.emitters
+    own = _select_camera(model.cameras, overrides, str(path))
+    under_sky = overrides.environment is None and not _lit(model)
+    film = override_film(model.film or FilmSettings(), overrides)
+    if under_sky and own is None and overrides.camera_position is None and film.exposure is None:
+        film = replace(film, exposure=SKY_EXPOSURE)
     scene = Scene(
         name=path.stem,
         camera=Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),
         meshes=meshes,
         materials=model.materials,
-        film=override_film(model.film or FilmSettings(), overrides),
-        environment=model.environment if _lit(model) or overrides.environment is not None else SOFT_SKY,
+        film=film,
+        environment=SOFT_SKY if under_sky else model.environment,
         suns=model.suns,
         warnings=model.warnings,
         supported=model.supported,
     )
     scene = override_environment(scene, overrides)
-    own = _select_camera(model.cameras, overrides, str(path))
     scene = _framed(scene, model, overrides, str(path)) if own is None else _photographed(scene, own, overrides)
     return scene, override_camera(asdict(scene.camera), overrides, str(path), files)
 

@@ -68,6 +68,21 @@ def test_a_model_is_framed_and_lit(tmp_path, suffix):
     assert sky.shape == (32, 64, 3) and (np.diff(sky[:, 0, 1]) <= 0.0).all() and sky.min() > 0.0
 
 
+def test_a_model_before_the_sky_is_exposed_for_the_model(tmp_path):
+    """An upright white surface becomes diffuse white; a meter would take the sky for it. Own light or another view is metered."""
+    path = tmp_path / "ball.stl"
+    trimesh.creation.icosphere(radius=1.0).export(path)
+    scene = load_scene(str(path))
+    sky = scene.environment.radiance[:, 0, 1]
+    elevation = np.radians(90.0 - (np.arange(len(sky)) + 0.5) * 180.0 / len(sky))
+    # Irradiance of a wall by a sky of rotational symmetry: 2 ∫ L cos² d elevation, as the cosine of the azimuth integrates to 2.
+    radiance = float((2.0 * sky * np.cos(elevation) ** 2).sum() * np.pi / len(sky)) / np.pi
+    assert radiance * 2.0**scene.film.exposure == pytest.approx(1.0, abs=0.15)
+    assert load_scene(str(path), Overrides(camera_target=(0.1, 0.0, 0.0))).film.exposure == scene.film.exposure
+    for overrides in (Overrides(environment="1,1,1"), Overrides(camera_position=(0.0, 0.0, 0.5))):
+        assert load_scene(str(path), overrides).film.exposure is None
+
+
 def test_overrides_of_a_models_camera(tmp_path):
     path = tmp_path / "ball.stl"
     trimesh.creation.icosphere(radius=1.0).export(path)
