@@ -26,6 +26,8 @@ SKY_EXPOSURE = 1.0
 """Exposure in EV of a model before the soft sky, whose light gives an upright white surface half the radiance of diffuse white. A
 meter would show the sky, which fills most of the frame, as middle grey."""
 
+GROUND, FLAT = 3.0, 0.05
+"""A ground is flat, of a thickness up to FLAT of its length, and its diagonal exceeds GROUND times that of all smaller meshes."""
 GLOW = 1.0
 """Greatest emission of a mesh that does not count as light: labels, screens and unlit surfaces."""
 LEAST_LIGHT = 1e-3
@@ -74,8 +76,7 @@ def _lit(model: Model) -> bool:
         return True
     emission = [max(model.materials[mesh.material].emission) for mesh in model.meshes]
     power = sum(each * _area(mesh) for mesh, each in zip(model.meshes, emission) if each > GLOW)
-    low, high = _bounds(model.meshes)
-    return power > LEAST_LIGHT * float(((high - low) ** 2).sum())
+    return power > LEAST_LIGHT * _diagonal(model.meshes) ** 2
 
 
 def _area(mesh: Mesh) -> float:
@@ -94,6 +95,23 @@ def _used_vertices(meshes: tuple[Mesh, ...], file: str) -> np.ndarray:
     if not np.ptp(points, axis=0).any():
         raise BokehguideError(f"{file}: all vertices are one point; give a model with a surface")
     return points
+
+
+def _without_grounds(meshes: tuple[Mesh, ...]) -> tuple[Mesh, ...]:
+    """`meshes` by size, without planes that would make all others tiny in the frame."""
+    left = sorted(meshes, key=lambda mesh: _diagonal((mesh,)))
+    while len(left) > 1:
+        *rest, largest = left
+        extent = np.ptp(_bounds((largest,)), axis=0)
+        others = _diagonal(tuple(rest))
+        if extent.min() > FLAT * extent.max() or others == 0.0 or _diagonal((largest,)) <= GROUND * others:
+            break
+        left = rest
+    return tuple(left)
+
+
+def _diagonal(meshes: tuple[Mesh, ...]) -> float:
+    return float(np.linalg.norm(np.ptp(_bounds(meshes), axis=0)))
 
 
 def _select_camera(cameras: tuple[ModelCamera, ...], overrides: Overrides, file: str) -> ModelCamera | None:
@@ -133,11 +151,11 @@ def _photographed(scene: Scene, own: ModelCamera, overrides: Overrides) -> Scene
 
 
 def _framed(scene: Scene, model: Model, overrides: Overrides, file: str) -> Scene:
-    """`scene` with a camera that frames `model`. Position, target and fov of `overrides` take precedence.
+    """`scene` with a camera that frames `model`, but for grounds. Position, target and fov of `overrides` take precedence.
 
     An environment of the model's own does not turn.
     """
-    points, film = _used_vertices(model.meshes, file), scene.film
+    points, film = _used_vertices(_without_grounds(model.meshes), file), scene.film
     fov = FOV if overrides.fov is None else overrides.fov
     sight = Sight(scene.meshes, scene.materials)
     position, target = overrides.camera_position, overrides.camera_target

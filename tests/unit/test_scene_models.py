@@ -68,6 +68,21 @@ def test_a_model_is_framed_and_lit(tmp_path, suffix):
     assert sky.shape == (32, 64, 3) and (np.diff(sky[:, 0, 1]) <= 0.0).all() and sky.min() > 0.0
 
 
+def test_a_wide_ground_does_not_make_a_model_tiny(tmp_path):
+    def camera(*boxes):
+        """Of a file with boxes, each by its extents."""
+        trimesh.Scene([trimesh.creation.box(extents) for extents in boxes]).export(tmp_path / "boxes.glb")
+        return load_scene(str(tmp_path / "boxes.glb")).camera.position
+
+    alone, ground, landscape = (1.0, 1.0, 1.0), (40.0, 0.0, 40.0), (400.0, 15.0, 400.0)
+    assert camera(ground, alone, landscape) == pytest.approx(camera(alone))
+    for wide in ((4.0, 0.0, 4.0), (0.0, 4.0, 4.0), (3.8, 0.18, 3.8)):
+        assert camera(alone, wide) == pytest.approx(camera(alone))
+    for part_of_it in ((3.4, 0.0, 3.4), (4.0, 0.25, 4.0)):  # 2.8 diagonals, and too thick
+        assert np.linalg.norm(camera(alone, part_of_it)) > 1.5 * np.linalg.norm(camera(alone))
+    assert np.linalg.norm(camera(ground)) > 40.0, "a ground alone is the model"
+
+
 def test_a_model_before_the_sky_is_exposed_for_the_model(tmp_path):
     """An upright white surface becomes diffuse white; a meter would take the sky for it. Own light or another view is metered."""
     path = tmp_path / "ball.stl"
