@@ -89,7 +89,7 @@ class Picture:
         """The same picture, shown with another exposure in EV or another view ("photo", "aces" or "srgb")."""
         given = {"exposure": exposure, "view": view}
         display = replace(self.display, **{name: value for name, value in given.items() if value is not None})
-        return replace(self, display=display, metadata=self.metadata | {"exposure": display.exposure, "view": display.view})
+        return replace(self, display=display, metadata=self.metadata | display.attributes)
 
     def image(self) -> np.ndarray:
         """The picture for a display, uint8 `[H, W, 3]` in sRGB; the denoised one where there is one."""
@@ -213,7 +213,7 @@ def _picture(loop: RenderLoop | AdaptiveLoop) -> Picture:
         mattes = matte_layers(loop.scene, film)
     return Picture(
         **layers,
-        metadata={**facts, "exposure": display.exposure or 0.0, "view": display.view},
+        metadata=facts | display.attributes,
         estimated_mape=error,
         display=display,
         corner=film.corner,

@@ -13,6 +13,7 @@ from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.pictures import chosen_exposure
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.image import Display, check_writable, read_layers, write_png
+from bokehguide.image.views import VIEW_ATTRIBUTE
 from bokehguide.limits import MAX_EXPOSURE, VIEWS
 
 NEEDED = ("beauty", "variance", "albedo", "normal")
@@ -36,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
 
 def display_of(options: argparse.Namespace, header: Mapping[str, Any]) -> Display:
     """Exposure and view of the options, else of the header; values in the header that do not fit are ignored."""
-    stored, view = header.get("exposure"), header.get("view")
+    stored, view = header.get("exposure"), header.get(VIEW_ATTRIBUTE)
     known = isinstance(stored, float) and math.isfinite(stored) and abs(stored) <= MAX_EXPOSURE
     return Display(
         chosen_exposure(options.exposure, stored if known else None), options.view or (view if view in VIEWS else VIEWS[0])

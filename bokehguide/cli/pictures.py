@@ -46,7 +46,7 @@ class Pictures:
         display = self.display.metered(self.delivered, layers["alpha"])
         self.exposure = display.exposure or 0.0
         facts = describe_render(loop.scene, loop.settings, loop.step_number)
-        facts |= {"command": command_line(self._options, loop.step_number), "exposure": self.exposure, "view": display.view}
+        facts |= {"command": command_line(self._options, loop.step_number), **display.attributes}
         if self._options.cryptomatte:
             layers |= matte_layers(loop.scene, picture)
             facts |= matte_attributes(loop.scene)

@@ -16,6 +16,8 @@ from bokehguide.image.reading import read_channels
 
 GROUP_LAYER = "Combined_"
 """Prefix of the layers of light groups, as in the files of Blender."""
+REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""Chromaticities x, y of red, green, blue and white."""
 HALF_MAX = float(np.finfo(np.float16).max)
 
 # Alpha is associated, as EXR defines it: the beauty is multiplied by alpha. R, G, B and A without a layer are "Combined" in
@@ -45,8 +47,8 @@ def write_exr(
     """Write layers in 32-bit float or, with `half`, in 16-bit float. The file appears only when it is complete.
 
     layers: by the keys of `CHANNELS`, `[H, W]` for one channel, `[H, W, C]` for C, and those of `group_layers`; metadata: header
-    attributes, of which OpenEXR reserves names such as `version` and `type`; corner, frame: position (column, row) of the layers
-    in a larger frame and its (width, height), which become data window and display window.
+    attributes, except for names that OpenEXR reserves, such as `version`, `type` and `view`; corner, frame: position (column,
+    row) of the layers in a larger frame and its (width, height), which become data window and display window.
 
     Raises BokehguideError if the folder cannot be written, or if a value exceeds the range of `half`.
     """
@@ -56,6 +58,7 @@ def write_exr(
             plane = pixels if pixels.ndim == 2 else pixels[..., index]
             channels[name] = _plane(path, name, plane, np.float16 if half else np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header |= {"chromaticities": REC709, "colorInteropID": "lin_rec709_scene"}
     height, width = next(iter(channels.values())).shape
     header |= {"dataWindow": _window(corner, (width, height)), "displayWindow": _window((0, 0), frame or (width, height))}
     with replacing(path) as temporary:

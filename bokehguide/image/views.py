@@ -28,6 +28,10 @@ ROLL_OFF = 1.5
 """Radiance above which `photo` compresses; diffuse white has 1."""
 
 
+VIEW_ATTRIBUTE = "display_view"
+"""Header attribute of an EXR that holds the view: `view` is the standard attribute for the eye of a stereo picture."""
+
+
 @dataclass(frozen=True)
 class Display:
     """The way radiance is shown. exposure: EV, None to meter each picture; view: a name in VIEWS."""
@@ -40,6 +44,11 @@ class Display:
         if self.exposure is not None:
             return self
         return replace(self, exposure=metered_exposure(torch.as_tensor(radiance).cpu().numpy(), alpha))
+
+    @property
+    def attributes(self) -> dict[str, str | float]:
+        """Header attributes of an EXR."""
+        return {"exposure": self.exposure or 0.0, VIEW_ATTRIBUTE: self.view}
 
     def show(self, radiance: Tensor | np.ndarray, alpha: np.ndarray | None = None) -> Tensor:
         """Display values as of `to_display`."""

@@ -22,6 +22,17 @@ from bokehguide.scene.validation import checked
 
 SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))
 """White at the zenith, grey at the horizon, dim below."""
+SKY_EXPOSURE = 1.0
+"""Exposure in EV of a model before the soft sky, whose light gives an upright white surface half the radiance of diffuse white. A
+meter would show the sky, which fills most of the frame, as middle grey."""
+
+GROUND, FLAT = 3.0, 0.05
+"""A ground is flat, of a thickness up to FLAT of its length, and its diagonal exceeds GROUND times that of all smaller meshes."""
+GLOW = 1.0
+"""Greatest emission of a mesh that does not count as light: labels, screens and unlit surfaces."""
+LEAST_LIGHT = 1e-3
+"""Least sum of emission times area of the brighter meshes that counts as light, relative to the squared diagonal of the model.
+Smaller lamps, such as the landing lights of an aeroplane, give less than a thousandth of the light of the sky."""
 
 FRAME = "frame"
 """Name of the framing camera for `--camera`."""
@@ -32,27 +43,45 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
 
     The camera is the one that `overrides` select, or the file's first. Without one, or if `overrides` set its position or
     target, `compose` chooses the view. A camera without a lens focuses on the part of the model in the middle of the frame, and
-    highlights at infinity have a diameter of HIGHLIGHT of its width. A model without emitters and without an environment gets a
-    soft sky, unless `overrides` set the environment. Raises BokehguideError as `load_model` does.
+    highlights at infinity have a diameter of HIGHLIGHT of its width. A model without light (`_lit`) gets a soft sky, unless
+    `overrides` set the environment. A model that the framing camera shows before the soft sky has the exposure SKY_EXPOSURE.
+    Raises BokehguideError as `load_model` does.
     """
     model = load_model(path, files, state=overrides.state)
     meshes = model.meshes + model.emitters
-    lit = model.suns or model.environment or any(model.materials[mesh.material].emits for mesh in meshes)
+    own = _select_camera(model.cameras, overrides, str(path))
+    under_sky = overrides.environment is None and not _lit(model)
+    film = override_film(model.film or FilmSettings(), overrides)
+    if under_sky and own is None and overrides.camera_position is None and film.exposure is None:
+        film = replace(film, exposure=SKY_EXPOSURE)
     scene = Scene(
         name=path.stem,
         camera=Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),
         meshes=meshes,
         materials=model.materials,
-        film=override_film(model.film or FilmSettings(), overrides),
-        environment=model.environment if lit or overrides.environment is not None else SOFT_SKY,
+        film=film,
+        environment=SOFT_SKY if under_sky else model.environment,
         suns=model.suns,
         warnings=model.warnings,
         supported=model.supported,
     )
     scene = override_environment(scene, overrides)
-    own = _select_camera(model.cameras, overrides, str(path))
     scene = _framed(scene, model, overrides, str(path)) if own is None else _photographed(scene, own, overrides)
     return scene, override_camera(asdict(scene.camera), overrides, str(path), files)
+
+
+def _lit(model: Model) -> bool:
+    """Whether `model` has a light: a sun, an environment, an emitter, or meshes with emission beyond GLOW and LEAST_LIGHT."""
+    if model.suns or model.emitters or model.environment is not None:
+        return True
+    emission = [max(model.materials[mesh.material].emission) for mesh in model.meshes]
+    power = sum(each * _area(mesh) for mesh, each in zip(model.meshes, emission) if each > GLOW)
+    return power > LEAST_LIGHT * _diagonal(model.meshes) ** 2
+
+
+def _area(mesh: Mesh) -> float:
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.triangles], 1, 0)
+    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
 def _used_vertices(meshes: tuple[Mesh, ...], file: str) -> np.ndarray:
@@ -66,6 +95,23 @@ def _used_vertices(meshes: tuple[Mesh, ...], file: str) -> np.ndarray:
     if not np.ptp(points, axis=0).any():
         raise BokehguideError(f"{file}: all vertices are one point; give a model with a surface")
     return points
+
+
+def _without_grounds(meshes: tuple[Mesh, ...]) -> tuple[Mesh, ...]:
+    """`meshes` by size, without planes that would make all others tiny in the frame."""
+    left = sorted(meshes, key=lambda mesh: _diagonal((mesh,)))
+    while len(left) > 1:
+        *rest, largest = left
+        extent = np.ptp(_bounds((largest,)), axis=0)
+        others = _diagonal(tuple(rest))
+        if extent.min() > FLAT * extent.max() or others == 0.0 or _diagonal((largest,)) <= GROUND * others:
+            break
+        left = rest
+    return tuple(left)
+
+
+def _diagonal(meshes: tuple[Mesh, ...]) -> float:
+    return float(np.linalg.norm(np.ptp(_bounds(meshes), axis=0)))
 
 
 def _select_camera(cameras: tuple[ModelCamera, ...], overrides: Overrides, file: str) -> ModelCamera | None:
@@ -105,11 +151,11 @@ def _photographed(scene: Scene, own: ModelCamera, overrides: Overrides) -> Scene
 
 
 def _framed(scene: Scene, model: Model, overrides: Overrides, file: str) -> Scene:
-    """`scene` with a camera that frames `model`. Position, target and fov of `overrides` take precedence.
+    """`scene` with a camera that frames `model`, but for grounds. Position, target and fov of `overrides` take precedence.
 
     An environment of the model's own does not turn.
     """
-    points, film = _used_vertices(model.meshes, file), scene.film
+    points, film = _used_vertices(_without_grounds(model.meshes), file), scene.film
     fov = FOV if overrides.fov is None else overrides.fov
     sight = Sight(scene.meshes, scene.materials)
     position, target = overrides.camera_position, overrides.camera_target

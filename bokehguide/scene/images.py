@@ -70,6 +70,14 @@ def texture_from_image(image: Image.Image, place: str, files: SceneFiles) -> np.
     return _linear(texels, srgb=True, alpha=False)
 
 
+def nearest_texels(image: np.ndarray, height: int, width: int) -> np.ndarray:
+    """An image `[H, W, ...]` in another size, `[height, width, ...]`."""
+    if image.shape[:2] == (height, width):
+        return image
+    rows, columns = (np.arange(size) * there // size for size, there in zip((height, width), image.shape))
+    return image[rows[:, None], columns]
+
+
 @contextmanager
 def _decoding(place: str) -> Iterator[None]:
     """Turn any exception of a decoder into a BokehguideError that names `place`."""

@@ -70,7 +70,7 @@ def finished(job: Job, state: ViewState, source: Source) -> Picture:
     facts |= {"command": command_line(state, source, loop.step_number)}
     return Picture(
         **layers,
-        metadata=facts | {"exposure": display.exposure or 0.0, "view": display.view},
+        metadata=facts | display.attributes,
         estimated_mape=error,
         display=display,
         corner=film.corner,

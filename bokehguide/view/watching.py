@@ -12,6 +12,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, read_layers, to_8_bit
+from bokehguide.image.views import VIEW_ATTRIBUTE
 from bokehguide.limits import MAX_EXPOSURE, VIEWS
 from bokehguide.render.film import NO_DEPTH
 from bokehguide.scene.tables import EXPOSURE, Table
@@ -122,7 +123,7 @@ class WatchedFile:
         return {"revision": self._revision, "values": values, "command": command, "rendering": False, "marked": False}
 
     def _display(self) -> Display:
-        stored, view = self._header.get("exposure"), self._header.get("view")
+        stored, view = self._header.get("exposure"), self._header.get(VIEW_ATTRIBUTE)
         known = isinstance(stored, float) and abs(stored) <= MAX_EXPOSURE
         exposure = self._look.exposure if self._look.exposure is not None else stored if known else None
         return Display(exposure, self._look.view or (view if view in VIEWS else VIEWS[0]))

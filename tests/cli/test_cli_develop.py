@@ -48,7 +48,7 @@ def test_a_red_lamp_is_red_by_default(rendered, capsys):
 def test_the_metered_exposure_is_stored_and_developed_again(rendered, capsys):
     header, channels = read_metadata("a.exr"), read_exr("a.exr")
     metered = metered_exposure(read_rgb("a.exr"), channels["A"])
-    assert header["exposure"] == pytest.approx(metered) and header["view"] == "photo"
+    assert header["exposure"] == pytest.approx(metered) and header["display_view"] == "photo"
     first = png("a.png")
     assert main(["develop", "a.exr", "--exposure", "auto"]) == 0
     np.testing.assert_array_equal(png("a.png"), first)
@@ -140,7 +140,7 @@ def test_bad_files_give_one_line(case, tmp_path, monkeypatch, capsys):
     (tmp_path / "text.exr").write_text("text")
     (tmp_path / "folder.png").mkdir()
     write_exr("depth.exr", {"depth": np.ones((2, 2), np.float32)})
-    write_exr("plain.exr", {"beauty": np.ones((2, 2, 3), np.float32)}, {"exposure": "much", "view": "agx"})
+    write_exr("plain.exr", {"beauty": np.ones((2, 2, 3), np.float32)}, {"exposure": "much", "display_view": "agx"})
     arguments, message = BAD[case]
     assert main(arguments) == 2
     error = capsys.readouterr().err

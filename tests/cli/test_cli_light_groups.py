@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 
@@ -91,6 +92,33 @@ def test_other_programs_read_layers_that_add_up(folder, mode):
         layers = [channels[f"Combined_{name}.{channel}"].pixels for name in NAMES]
         assert all(layer.max() > 0.01 for layer in layers)
         np.testing.assert_allclose(sum(layers), channels[channel].pixels, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", ["command", "python"])
+def test_compositors_read_windows_colours_and_long_names(folder, suffix):
+    """The file as OpenImageIO reads it, with every kind of layer, a crop, and a name of more than 31 characters."""
+    pytest.importorskip("mmh3")
+    long = "lamps_along_the_wall_of_the_garden"
+    (folder / "lit.toml").write_text(SCENE.replace('"lamps"', f'"{long}"'))
+    if suffix == "command":
+        assert render("--spp", 3, "--light-groups", "--cryptomatte", "--crop", "4,3,20,12", "--out", "a.exr") == 0
+    else:
+        options = {"light_groups": True, "cryptomatte": True, "crop": (4, 3, 20, 12), "quiet": True, "threads": 1}
+        bokehguide.render("lit.toml", spp=3, **options).save("a.exr")
+    spec = oiio.ImageBuf("a.exr").spec()
+    assert (spec.x, spec.y, spec.width, spec.height) == (4, 3, 20, 12), "data window"
+    assert (spec.full_x, spec.full_y, spec.full_width, spec.full_height) == (0, 0, 32, 18), "display window"
+    assert all(re.fullmatch(r"[RGBA]|[A-Za-z]\w*\.[RGBAXYZ]", name) for name in spec.channelnames), "layer.channel"
+    assert spec.channelnames[:4] == ("R", "G", "B", "A") and spec.alpha_channel == 3
+    assert {f"Combined_{long}.R", "CryptoObject02.A", "CryptoMaterial00.R", "depth.Z"} < set(spec.channelnames)
+    assert spec.format == oiio.FLOAT and not spec.channelformats, "identifiers of mattes need all 32 bits"
+    assert spec["compression"] == "zip" and spec["PixelAspectRatio"] == 1.0
+    assert spec["chromaticities"] == pytest.approx((0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329))
+    assert spec["oiio:ColorSpace"] == "lin_rec709_scene"
+    assert spec.getattribute("view") is None, "a stereo attribute: compositors would look for an eye of this name"
+    assert spec["display_view"] == "photo"
+    flags = int.from_bytes((folder / "a.exr").read_bytes()[4:8], "little")
+    assert flags & 0x400, "the flag of names longer than 31 characters"
 
 
 def test_other_layers_are_unchanged_and_the_command_is_kept(folder):

@@ -9,6 +9,7 @@ from PIL import Image
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import load_scene, summarize
+from bokehguide.scene.framing import SOFT_SKY
 from tests.support.gltf_square import CORNERS, TEXCOORDS, write_gltf
 
 
@@ -36,6 +37,28 @@ def test_factors_and_extensions_come_unquantised(tmp_path):
     assert glow.emission == pytest.approx((20.0, 10.0, 0.02))
     assert (glow.transmission, glow.ior, glow.thin, glow.double_sided) == (0.75, 1.33, True, True)
     assert scene.environment is None, "a model that emits brings its own light"
+
+
+def test_a_glow_does_not_replace_the_sky(tmp_path):
+    """Labels, screens and unlit surfaces light nothing: the sky stays up to an emission of 1."""
+
+    def environment(strength, emissive=(1.0, 0.5, 0.0), **extra):
+        extensions = {"KHR_materials_emissive_strength": {"emissiveStrength": strength}}
+        material = {"emissiveFactor": [*emissive], "extensions": extensions}
+        return load_scene(write_gltf(tmp_path / "label.gltf", material, **extra)).environment
+
+    assert environment(1.0) is SOFT_SKY
+    assert environment(1.01) is None and environment(10.0, (0.0, 0.0, 0.2)) is None, "the strongest channel counts"
+    lights = {"KHR_lights_punctual": {"lights": [{"type": "point", "intensity": 1e-3}]}}
+    nodes = [{"mesh": 0}, {"translation": [0, 0, 2], "extensions": {"KHR_lights_punctual": {"light": 0}}}]
+    assert environment(1.0, nodes=nodes, extensions=lights) is None, "a light of the file counts however dim"
+    far = [{"mesh": 0}, {"mesh": 1, "translation": [0.0, 40.0, 0.0]}]
+    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2}
+    meshes = [{"primitives": [primitive | {"material": 0}]}, {"primitives": [primitive]}]
+    assert environment(1.01, nodes=far, meshes=meshes) is None, "4.04 of 1,768"
+    assert environment(1.01, nodes=[far[0], far[1] | {"translation": [0, 80, 0]}], meshes=meshes) is SOFT_SKY, "4.04 of 6,728"
+    unlit = load_scene(write_gltf(tmp_path / "unlit.gltf", {"extensions": {"KHR_materials_unlit": {}}}))
+    assert unlit.environment is SOFT_SKY and unlit.materials[0].emits
 
 
 @pytest.mark.slow

@@ -15,6 +15,8 @@ from bokehguide.export import export_mitsuba
 from bokehguide.render.bsdf.microfacets import ggx_density
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.anisotropy import to_alphas
+from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.images import load_texture
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_sphere
 from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Scene, Texture
 
@@ -125,6 +127,38 @@ def test_materials(tmp_path):
     assert (found["veil"].alpha_mode, found["veil"].opacity) == ("blend", 0.25)
     assert scene.warnings[0] == "scene.xml: spec_tint of principled BSDFs: left out (car)"
     assert scene.warnings[1] == "scene.xml: BSDF hair: grey in its place (wig)"
+
+
+def test_opacity_textures_are_mitsubas(tmp_path):
+    """The alpha of the base colour is the transmission of Mitsuba's mask at the centres of texels, of images of two sizes."""
+    random = np.random.default_rng(5)
+    Image.fromarray(random.integers(0, 256, (4, 6, 3), np.uint8)).save(tmp_path / "leaf.png")
+    Image.fromarray(random.integers(0, 256, (2, 3, 3), np.uint8)).save(tmp_path / "small.png")
+
+    def leaf(opacity, reflectance, extra=""):
+        image = '<texture type="bitmap" name="{}"><string name="filename" value="{}"/>{}</texture>'
+        color = '<rgb name="reflectance" value="0.2 0.5 0.1"/>'
+        inner = color if reflectance is None else image.format("reflectance", reflectance, "")
+        mask = f'<bsdf type="mask" id="leaf">{image.format("opacity", opacity, extra)}<bsdf type="diffuse">{inner}</bsdf></bsdf>'
+        scene = read(tmp_path, f'<shape type="rectangle">{mask}</shape>')
+        return scene.materials[scene.meshes[0].material], scene.warnings
+
+    material, warnings = leaf("leaf.png", "small.png")
+    assert material.alpha_mode == "blend" and not warnings
+    bsdf = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0].bsdf()
+    at = mi.SurfaceInteraction3f()
+    at.wi = mi.Vector3f(0.0, 0.0, 1.0)
+    image = material.base_color_texture.image
+    for row, column in np.ndindex(4, 6):
+        at.uv = mi.Point2f((column + 0.5) / 6, (row + 0.5) / 4)  # bitmaps of Mitsuba begin at the top
+        through = np.ravel(np.array(bsdf.eval_null_transmission(at)))[0]
+        assert image[row, column, 3] == pytest.approx(1.0 - through, abs=2e-3)
+    small = load_texture(tmp_path / "small.png", SceneFiles(tmp_path), srgb=True)
+    np.testing.assert_array_equal(image[..., :3], small.repeat(2, axis=0).repeat(2, axis=1))
+    plain, _ = leaf("leaf.png", None)
+    assert plain.base_color == pytest.approx((0.2, 0.5, 0.1)) and (plain.base_color_texture.image[..., :3] == 1.0).all()
+    _, (told,) = leaf("leaf.png", "small.png", '<string name="wrap_mode" value="clamp"/>')
+    assert told.endswith("opacity textures with other coordinates than the colour: those of the colour count (leaf)")
 
 
 def test_emitters(tmp_path):

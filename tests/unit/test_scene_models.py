@@ -68,6 +68,36 @@ def test_a_model_is_framed_and_lit(tmp_path, suffix):
     assert sky.shape == (32, 64, 3) and (np.diff(sky[:, 0, 1]) <= 0.0).all() and sky.min() > 0.0
 
 
+def test_a_wide_ground_does_not_make_a_model_tiny(tmp_path):
+    def camera(*boxes):
+        """Of a file with boxes, each by its extents."""
+        trimesh.Scene([trimesh.creation.box(extents) for extents in boxes]).export(tmp_path / "boxes.glb")
+        return load_scene(str(tmp_path / "boxes.glb")).camera.position
+
+    alone, ground, landscape = (1.0, 1.0, 1.0), (40.0, 0.0, 40.0), (400.0, 15.0, 400.0)
+    assert camera(ground, alone, landscape) == pytest.approx(camera(alone))
+    for wide in ((4.0, 0.0, 4.0), (0.0, 4.0, 4.0), (3.8, 0.18, 3.8)):
+        assert camera(alone, wide) == pytest.approx(camera(alone))
+    for part_of_it in ((3.4, 0.0, 3.4), (4.0, 0.25, 4.0)):  # 2.8 diagonals, and too thick
+        assert np.linalg.norm(camera(alone, part_of_it)) > 1.5 * np.linalg.norm(camera(alone))
+    assert np.linalg.norm(camera(ground)) > 40.0, "a ground alone is the model"
+
+
+def test_a_model_before_the_sky_is_exposed_for_the_model(tmp_path):
+    """An upright white surface becomes diffuse white; a meter would take the sky for it. Own light or another view is metered."""
+    path = tmp_path / "ball.stl"
+    trimesh.creation.icosphere(radius=1.0).export(path)
+    scene = load_scene(str(path))
+    sky = scene.environment.radiance[:, 0, 1]
+    elevation = np.radians(90.0 - (np.arange(len(sky)) + 0.5) * 180.0 / len(sky))
+    # Irradiance of a wall by a sky of rotational symmetry: 2 ∫ L cos² d elevation, as the cosine of the azimuth integrates to 2.
+    radiance = float((2.0 * sky * np.cos(elevation) ** 2).sum() * np.pi / len(sky)) / np.pi
+    assert radiance * 2.0**scene.film.exposure == pytest.approx(1.0, abs=0.15)
+    assert load_scene(str(path), Overrides(camera_target=(0.1, 0.0, 0.0))).film.exposure == scene.film.exposure
+    for overrides in (Overrides(environment="1,1,1"), Overrides(camera_position=(0.0, 0.0, 0.5))):
+        assert load_scene(str(path), overrides).film.exposure is None
+
+
 def test_overrides_of_a_models_camera(tmp_path):
     path = tmp_path / "ball.stl"
     trimesh.creation.icosphere(radius=1.0).export(path)

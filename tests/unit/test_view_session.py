@@ -177,8 +177,8 @@ def test_a_saved_picture_is_what_the_command_renders(page):
     for name in saved:
         np.testing.assert_array_equal(saved[name], again[name], err_msg=name)
     np.testing.assert_array_equal(png_of("box-view.png"), png_of("again.png"))
-    assert {key: header[key] for key in ("mode", "spp", "exposure", "view")} == {
-        key: other[key] for key in ("mode", "spp", "exposure", "view")
+    assert {key: header[key] for key in ("mode", "spp", "exposure", "display_view")} == {
+        key: other[key] for key in ("mode", "spp", "exposure", "display_view")
     }
     page.send(type="save_picture")
     assert "box-view-2.exr" in page.until("note")["note"]

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from bokehguide.color import LUMINANCE
 from bokehguide.scene.anisotropy import from_alphas
 from bokehguide.scene.disney_sheen import from_disney
 from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.images import load_texture
+from bokehguide.scene.images import load_texture, nearest_texels
 from bokehguide.scene.mitsuba_xml.tree import Plugin, mitsuba
 from bokehguide.scene.types import Material, Texture, Vector, as_vector
 
@@ -80,10 +81,25 @@ class Materials:
         if bsdf.type == "mask":
             opacity = bsdf.values.get("opacity", 0.5)
             if isinstance(opacity, Plugin):
-                self.lose("opacity textures: left out", material.name)
-            else:
-                return replace(material, alpha_mode="blend", opacity=min(max(_mean(opacity), 0.0), 1.0))
+                return self._masked(material, self.texture(opacity))
+            return replace(material, alpha_mode="blend", opacity=min(max(_mean(opacity), 0.0), 1.0))
         return material
+
+    def _masked(self, material: Material, mask: Texture | None) -> Material:
+        """`material` with an opacity texture, whose luminance becomes the alpha of the base colour; None leaves it as it is."""
+        if mask is None:
+            return material
+        color = material.base_color_texture or replace(mask, image=np.ones((1, 1, 3), np.float32))
+        if (color.wrap, color.transform) != (mask.wrap, mask.transform):
+            self.lose("opacity textures with other coordinates than the colour: those of the colour count", material.name)
+        alpha = (mask.image[..., :3] @ LUMINANCE.astype(np.float32)).clip(0.0, 1.0)[..., None]
+        height, width = np.maximum(color.image.shape[:2], alpha.shape[:2])
+        if height * width > max(color.image[..., 0].size, alpha.size):
+            self.lose("opacity textures of another aspect ratio than the colour: left out", material.name)
+            return material
+        self._files.reserve(4 * height * width, 0, f"{self._file}: {material.name}.opacity")
+        both = [nearest_texels(image, height, width) for image in (color.image[..., :3], alpha)]
+        return replace(material, alpha_mode="blend", base_color_texture=replace(color, image=np.concatenate(both, axis=2)))
 
     def _diffuse(self, bsdf: Plugin, name: str) -> Material:
         return Material(name, specular=0.0, **self._color(bsdf, "reflectance"))

@@ -50,8 +50,10 @@ class _Parser:
         source = read_source(path, self._files, place)
         self._text += len(source.text)
         tokens = Tokens(source)
-        if depth > MAX_DEPTH or self._included > MAX_FILES or self._text > MOST_TEXT:
-            tokens.place.fail(f"files include each other more than {MAX_DEPTH} deep, or {MAX_FILES} times; break the cycle")
+        if depth > MAX_DEPTH:
+            tokens.place.fail(f"files include each other more than {MAX_DEPTH} deep; break the cycle")
+        if self._included > MAX_FILES or self._text > MOST_TEXT:
+            tokens.place.fail(f"the scene includes more than {MAX_FILES:,} files, or {MOST_TEXT:,} characters; include fewer")
         while tokens.next is not None:
             at = tokens.place
             word = tokens.take("a directive")

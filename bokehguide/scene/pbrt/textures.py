@@ -11,7 +11,7 @@ import numpy as np
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.limits import LARGEST
 from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.images import load_texture
+from bokehguide.scene.images import load_texture, nearest_texels
 from bokehguide.scene.pbrt.contents import Contents
 from bokehguide.scene.pbrt.parameters import Parameters
 from bokehguide.scene.pbrt.pfm import read_pfm
@@ -198,11 +198,7 @@ class Textures:
 
 def _resized(image: np.ndarray, height: int, width: int) -> np.ndarray:
     """The nearest texels; an image of one texel stays as it is."""
-    if image.shape[:2] in ((1, 1), (height, width)):
-        return image
-    rows = np.arange(height) * image.shape[0] // height
-    columns = np.arange(width) * image.shape[1] // width
-    return image[rows[:, None], columns]
+    return image if image.shape[:2] == (1, 1) else nearest_texels(image, height, width)
 
 
 MAKERS: dict[str, Callable[[Textures, Parameters, str], Value]] = {

@@ -10,6 +10,7 @@ import numpy as np
 
 from bokehguide.errors import printable
 from bokehguide.limits import LARGEST
+from bokehguide.scene.images import nearest_texels
 from bokehguide.scene.types import Material, Texture, Vector, as_vector
 from bokehguide.scene.usd.libraries import UsdGeom, UsdShade
 from bokehguide.scene.usd.stage import Stage
@@ -230,7 +231,7 @@ class _Surface:
             rgb, source = self._textures.colors(color), color
             self._compare(color, alpha)
         self._textures.reserve(2 * rgb.size)
-        return source.texture(np.concatenate([rgb, _resized(values, rgb.shape)[..., None]], axis=2), self._uv_names)
+        return source.texture(np.concatenate([rgb, nearest_texels(values, *rgb.shape[:2])[..., None]], axis=2), self._uv_names)
 
     def _joined(self, sources: list[Source | None]) -> Texture:
         """A texture whose channels come from images; 1 where there is none."""
@@ -246,7 +247,7 @@ class _Surface:
         self._textures.reserve(image.size)
         for channel, source in enumerate(sources):
             if source is not None:
-                image[..., channel] = _resized(source.grey(), shape).clip(0.0, 1.0)
+                image[..., channel] = nearest_texels(source.grey(), *shape).clip(0.0, 1.0)
         return first.texture(image, self._uv_names)
 
     def _compare(self, first: Source, other: Source) -> None:
@@ -264,14 +265,6 @@ def _glass(fields: dict[str, Any], opacity: float) -> dict[str, Any]:
 
 def _fractions(color: Vector) -> Vector:
     return as_vector(min(max(channel, 0.0), 1.0) for channel in color)
-
-
-def _resized(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """The values `[H, W]` at the nearest texels of an image of another size."""
-    if image.shape == shape[:2]:
-        return image
-    rows, columns = (np.arange(wanted) * given // wanted for wanted, given in zip(shape, image.shape))
-    return image[rows[:, None], columns]
 
 
 def _missing_target(prim: Any) -> str:
