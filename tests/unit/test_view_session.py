@@ -231,6 +231,31 @@ def test_a_render_pauses_while_no_page_is_open(box, tmp_path):
             page.until("state", lambda facts: not facts["rendering"])
 
 
+def test_a_stopped_render_rests_and_keeps_its_samples(box, tmp_path):
+    """Before the samples of a preview, too, and while no page is open; another picture has nothing to go on with."""
+    with served(box, tmp_path, overrides=Overrides(width=320, height=200), spp=1 << 20) as server:
+        with opened(server) as page:
+            page.send(type="render", on=True)
+            page.until("picture", lambda facts: facts["spp"] >= 2)
+            page.send(type="render", on=False)
+            assert page.until("state", lambda facts: not facts["rendering"])["paused"]
+            facts = page.until("picture", lambda facts: facts["exact"])
+            assert facts["spp"] < 32 and facts["limit"] == 1 << 20
+        step = step_after(server.shown.renderer, 1.0)
+        assert step == facts["spp"]
+        with opened(server) as page:
+            assert page.facts["state"]["paused"]
+            page.change(type="set", name="spp", value=step + 1)
+            page.send(type="render", on=True)
+            assert page.until("note", lambda facts: facts["note"].startswith("wrote"))["note"].endswith(f", {step + 1} SPP")
+            page.change(type="set", name="spp", value=1 << 20)
+            page.send(type="render", on=True)
+            page.until("picture", lambda facts: facts["rendering"])
+            page.send(type="render", on=False)
+            page.until("state", lambda facts: facts["paused"])
+            assert not page.change(type="set", name="f_number", value=3.0)["paused"]
+
+
 def step_after(renderer, seconds: float) -> int:
     """The number of steps some time later."""
     time.sleep(seconds)
