@@ -17,11 +17,12 @@ from PIL import Image
 from bokehguide.cli import main
 from bokehguide.image import Display, read_layers, to_8_bit
 from bokehguide.render import PathTracer
+from bokehguide.render.film import NO_DEPTH
 from bokehguide.scene import FilmSettings, Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
 from bokehguide.view.history import LONGEST, History
 from bokehguide.view.job import Job, reduced_sizes
-from bokehguide.view.pictures import LAYERS_OF_DATA, data_image
+from bokehguide.view.pictures import FARTHEST, LAYERS_OF_DATA, data_image, depth_image
 from bokehguide.view.pixel import BRIGHTEST, DIMMEST, lens_disc
 from bokehguide.view.preview import QuickDenoiser, quick_display
 from bokehguide.view.state import LAYERS, ViewState
@@ -460,3 +461,14 @@ def test_nothing_keeps_a_picture_when_nobody_watches(box, tmp_path):
         while job() is not None and time.monotonic() < deadline:
             time.sleep(0.05)
         assert job() is None
+
+
+@pytest.mark.parametrize("depth", [[[2.0, 4.0], [8.0, NO_DEPTH]], [[2.0, 2.0], [2.0, NO_DEPTH]], [[NO_DEPTH]]])
+def test_the_picture_of_the_depth_has_contrast(depth):
+    """It spans the surfaces, whatever their distance."""
+    near, scaled = depth_image(np.array(depth)), depth_image(100.0 * np.array(depth))
+    np.testing.assert_allclose(near, scaled, rtol=1e-6)
+    met = np.array(depth) < NO_DEPTH
+    assert not near[~met].any() and (not met.any() or near.max() == 1.0)
+    if len(np.unique(depth)) > 2:
+        np.testing.assert_allclose(near, [[1.0, FARTHEST + (1.0 - FARTHEST) / 3.0], [FARTHEST, 0.0]])
