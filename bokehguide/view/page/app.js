@@ -2,7 +2,7 @@
 
 import { Connection } from "./connection.js";
 import { Controls } from "./controls.js";
-import { showPixel, showStats } from "./panels.js";
+import { showAge, showPixel, showStats } from "./panels.js";
 import { Stage } from "./stage.js";
 
 const HOVER = 120; // milliseconds between two questions about the pixel under the pointer
@@ -51,6 +51,7 @@ const handlers = {
     find("scene").textContent = message.scene;
     document.title = `${message.scene} – bokehguide view`;
     stage.greet(message);
+    find("speed_entry").hidden = message.follows;
     controls.greet(message);
     const layers = Object.fromEntries(message.layers.map((name) => [name, NAMES[name] ?? name]));
     radios(find("layers"), layers, "picture", (value) => send({ type: "set", name: "layer", value }));
@@ -140,6 +141,7 @@ find("marked").addEventListener("change", (event) => send({ type: "mark", on: ev
 find("steer").addEventListener("click", () => send({ type: "steer" }));
 find("copy").addEventListener("click", copy);
 
+setInterval(showAge, 1000);
 setInterval(() => {
   if (!stage.place || stage.start || (asked && performance.now() - asked < 3000)) return;
   const [x, y] = stage.place;
