@@ -107,8 +107,8 @@ def test_the_figures_are_those_of_the_render(rendered, page, tmp_path):
         errors[spp] = facts["error"]
         assert facts["limit"] == spp and 0.0 <= facts["age"] < 60.0
     assert errors[1] is None and facts["curve"] == [[2, errors[2]], [4, errors[4]]]
-    layers, header = read_layers("out.exr")
-    write_exr("next.exr", {"beauty": layers["beauty"]}, metadata={**header, "settings": '{"spp": 100}', "mode": "other"})
+    layers, _ = read_layers("out.exr")
+    write_exr("next.exr", {"beauty": layers["beauty"]}, metadata={"settings": '{"spp": 100}', "spp": 5})
     Path("next.exr").replace("out.exr")
     facts = page.until("picture", lambda facts: facts["limit"] == 100)
     assert facts["curve"] == [] and not facts["done"] and facts["error"] is None

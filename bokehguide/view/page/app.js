@@ -51,7 +51,7 @@ const handlers = {
     find("scene").textContent = message.scene;
     document.title = `${message.scene} – bokehguide view`;
     stage.greet(message);
-    find("speed_entry").hidden = message.follows;
+    for (const id of ["speed_entry", "keys"]) find(id).hidden = message.follows;
     controls.greet(message);
     const layers = Object.fromEntries(message.layers.map((name) => [name, NAMES[name] ?? name]));
     radios(find("layers"), layers, "picture", (value) => send({ type: "set", name: "layer", value }));

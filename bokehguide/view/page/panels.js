@@ -70,7 +70,7 @@ export function showPixel(facts) {
     entry.append(...[["dt", name], ["dd", value]].map(([tag, text]) => Object.assign(document.createElement(tag), { textContent: text })));
     return entry;
   }));
-  drawDisc(facts.lens ?? null);
+  drawDisc(facts.lens);
 }
 
 // From black over violet and orange to white, by the logarithm of the density.
@@ -87,7 +87,7 @@ function drawDisc(lens) {
   const note = document.getElementById("disc_note");
   pen.clearRect(0, 0, canvas.width, canvas.height);
   if (!lens) {
-    note.textContent = "A pinhole has one lens point.";
+    note.textContent = lens === null ? "A pinhole has one lens point." : "The file does not tell where on the lens its samples went.";
     return;
   }
   const cells = Uint8Array.from(atob(lens.cells), (mark) => mark.charCodeAt(0));

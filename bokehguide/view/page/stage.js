@@ -32,8 +32,10 @@ export class Stage {
     addEventListener("resize", () => this.fit());
   }
 
-  greet({ width, height }) {
+  greet({ width, height, follows }) {
     this.size = [width, height];
+    this.still = follows; // the camera of a render elsewhere cannot be set
+    if (follows) this.frame.setAttribute("aria-label", "Picture");
     for (const canvas of [this.picture, this.marker]) [canvas.width, canvas.height] = [width, height];
     this.fit();
   }
@@ -137,6 +139,7 @@ export class Stage {
   }
 
   focus(x, y) {
+    if (this.still) return;
     this.reticle.hidden = false;
     this.reticle.style.left = `${100 * x}%`;
     this.reticle.style.top = `${100 * y}%`;
@@ -160,6 +163,7 @@ export class Stage {
 
   // Sum up movements of one kind until the next frame of the screen.
   queue(kind, x, y) {
+    if (this.still) return;
     if (this.pending && this.pending.kind !== kind) this.flush();
     if (!this.pending) {
       this.pending = { type: "move", kind, x: 0, y: 0 };
