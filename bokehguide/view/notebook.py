@@ -44,7 +44,7 @@ class Page:
         return self._session.source.scene_of(self._session.state.overrides)
 
     def close(self) -> None:
-        """End the page and its work."""
+        """End the page and its work. A second call does nothing."""
         self._server.close()
 
     def __enter__(self) -> Self:
@@ -54,11 +54,13 @@ class Page:
         self.close()
 
     def _repr_html_(self) -> str:
+        if self._server.closed:
+            return f"<p>{html.escape(repr(self))}</p>"
         address = html.escape(self.address)
         return f'<iframe src="{address}" width="100%" height="{self._height}" style="border: 0" allow="clipboard-write"></iframe>'
 
     def __repr__(self) -> str:
-        return f"Page({self.address!r})"
+        return "Page(closed)" if self._server.closed else f"Page({self.address!r})"
 
 
 def view(

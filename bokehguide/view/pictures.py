@@ -21,6 +21,8 @@ from bokehguide.view.state import Source, ViewState, command_line
 
 LAYERS_OF_DATA = ("depth", "normal", "albedo", "variance")
 """Layers that a film or a file has, whatever the mode has learned."""
+FARTHEST = 0.1
+"""Brightness of the farthest surface in the picture of the depth."""
 
 
 @dataclass(frozen=True)
@@ -126,9 +128,13 @@ def data_image(name: str, layers: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def depth_image(depth: np.ndarray) -> np.ndarray:
-    """Depth `[H, W]` as brightness, even in the reciprocal: 1 is the nearest surface, 0 infinity or no surface."""
-    near = np.where(depth < 0.5 * NO_DEPTH, 1.0 / depth.clip(min=1e-9), 0.0)
-    return near / max(float(near.max()), 1e-30)
+    """Depth `[H, W]` as brightness, even in the reciprocal: 1 is the nearest surface, FARTHEST the farthest, 0 no surface."""
+    met = depth < 0.5 * NO_DEPTH
+    near = np.where(met, 1.0 / depth.clip(min=1e-9), 0.0)
+    low, high = (float(bound) for bound in (near.min(where=met, initial=np.inf), near.max()))
+    if not high > low:  # one depth, or none
+        return met.astype(near.dtype)
+    return np.where(met, FARTHEST + (1.0 - FARTHEST) * (near - low) / (high - low), 0.0)
 
 
 def png(image: np.ndarray) -> bytes:

@@ -8,8 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from bokehguide.errors import BokehguideError
 from bokehguide.runtime.distributed import available_cores
@@ -23,6 +22,7 @@ from bokehguide.view.kept import Kept
 from bokehguide.view.pictures import Shown, preview
 from bokehguide.view.preview import QuickDenoiser, prepare
 from bokehguide.view.questions import Questions
+from bokehguide.view.sights import Listener, Sight, Wanted
 from bokehguide.view.state import Source, ViewState
 from bokehguide.view.workers import AbandonedError, StoppableWorkers
 
@@ -31,35 +31,6 @@ log = logging.getLogger(__name__)
 Answer = TypeVar("Answer")
 LATEST = 0.25
 """Seconds after which a new picture is shown while steps go on."""
-
-
-class Wanted(NamedTuple):
-    """The state to show, and the number of the change that led to it."""
-
-    state: ViewState
-    revision: int
-
-
-@dataclass(frozen=True)
-class Sight:
-    """A published picture: its job, its number of steps, and the request."""
-
-    job: Job
-    step: int
-    wanted: Wanted
-
-
-class Listener:
-    """Receives what a renderer has to tell, on threads of the renderer."""
-
-    def shown(self, facts: dict[str, Any], shown: Shown) -> None:
-        """A picture and the facts beside it."""
-
-    def ended(self, job: Job, state: ViewState) -> None:
-        """A render has all of its samples."""
-
-    def failed(self, error: Exception) -> None:
-        """A state cannot be rendered."""
 
 
 class Renderer:
@@ -77,7 +48,7 @@ class Renderer:
         self._listener = listener
         self._changed = threading.Condition()
         self._wanted = Wanted(state, 0)
-        self._watched = self._closed = self._rendering = False
+        self._watched = self._closed = self._rendering = self._paused = False
         self._workers = StoppableWorkers(threads or available_cores())
         """The workers of the present job."""
         self._hand = Hand()
@@ -117,6 +88,12 @@ class Renderer:
         return self._rendering
 
     @property
+    def paused(self) -> bool:
+        """Whether a render was stopped, and can go on from its samples."""
+        job = self._job
+        return self._paused and not (job is not None and job.exact and job.done(self._wanted.state.spp))
+
+    @property
     def exact(self) -> bool:
         """Whether the samples of the picture are those of the command line."""
         job = self._job
@@ -128,18 +105,19 @@ class Renderer:
             # The first picture of a job is never abandoned: otherwise a drag would show nothing until its end.
             if state.traced != self._wanted.state.traced and self._sight is not None and self._sight.job is self._job:
                 self._workers.stop.set()
+            self._paused = self._paused and self._job is not None and self._job.serves(state)
             self._wanted = Wanted(state, revision)
             self._changed.notify()
 
     def watch(self, watched: bool) -> bool:
-        """Render while somebody watches. Otherwise free the picture; a render pauses after its step, and keeps its samples.
+        """Render while somebody watches. Otherwise free the picture; a render rests after its step, and keeps its samples.
 
         Returns whether a paused render goes on.
         """
         with self._changed:
             resumes = watched and not self._watched and self._rendering
             self._watched = watched
-            if not watched and not self._rendering:
+            if not watched and not self._begun:
                 self._workers.stop.set()
             self._changed.notify()
         return resumes
@@ -147,6 +125,7 @@ class Renderer:
     def render(self, rendering: bool) -> None:
         """Go on to the samples per pixel of the state, or pause."""
         with self._changed:
+            self._paused = not rendering and self._begun
             self._rendering = rendering
             self._changed.notify()
 
@@ -177,7 +156,7 @@ class Renderer:
                 self._drop()
             except (BokehguideError, RuntimeError, MemoryError) as error:
                 log.warning("%s", error)
-                self._rendering, self._failed = False, wanted.state
+                self._rendering, self._paused, self._failed = False, False, wanted.state
                 self._drop()
                 self._listener.failed(error)
         self._forget()
@@ -188,7 +167,7 @@ class Renderer:
         if self._closed or self._questions.of_any:
             return True
         if not self._watched:
-            return not self._rendering and (self._job is not None or self._sight is not None)
+            return not self._begun and (self._job is not None or self._sight is not None)
         if self._failed == self._wanted.state:
             return False
         job = self._job
@@ -201,17 +180,27 @@ class Renderer:
             or not self._is_shown(job)
         )
 
+    @property
+    def _begun(self) -> bool:
+        """Whether a render has samples that must stay."""
+        return self._rendering or self._paused
+
     def _limit(self) -> int:
         """Samples per pixel at which the steps end."""
-        spp = self._wanted.state.spp
+        spp, job = self._wanted.state.spp, self._job
+        if self._paused and job is not None and job.exact and job.full_size:
+            return job.loop.step_number
         return spp if self._rendering else min(spp, PREVIEW_SPP)
 
+    def _sight_of(self, job: Job, wanted: Wanted) -> Sight:
+        return Sight(job, job.loop.step_number, wanted, job.done(self._limit()))
+
     def _is_shown(self, job: Job) -> bool:
-        return self._sight == Sight(job, job.loop.step_number, self._wanted)
+        return self._sight == self._sight_of(job, self._wanted)
 
     def _work(self, wanted: Wanted, active: bool) -> None:
         """Answer questions, take one step, and show the picture."""
-        if not (active or self._rendering):
+        if not (active or self._begun):
             self._forget()
         self._questions.answer(self._job)
         state = wanted.state
@@ -283,7 +272,7 @@ class Renderer:
         job.measure()
         shown = preview(job.loop, wanted.state, self._denoiser)
         self._listener.shown(self._facts(job, wanted, shown), shown)
-        self._sight = Sight(job, job.loop.step_number, wanted)
+        self._sight = self._sight_of(job, wanted)
         self._shown_at = time.monotonic()
         if job.exact and job.done(self._limit()) and wanted.state.layer == "picture":
             self._finisher.start(job, wanted.state, wanted.revision)
@@ -292,9 +281,10 @@ class Renderer:
         """Publish the exact picture of a job that rests, on the thread of the finisher."""
         with self._changed:
             wanted = Wanted(state, revision)
-            if self._sight != Sight(job, job.loop.step_number, wanted) or self._wanted != wanted:
+            if self._sight != self._sight_of(job, wanted) or self._wanted != wanted:
                 return
         self._listener.shown({**self._facts(job, wanted, shown), "exact": True}, shown)
 
     def _facts(self, job: Job, wanted: Wanted, shown: Shown) -> dict[str, Any]:
-        return picture_facts(job, self._limit(), self._rendering, wanted.revision, shown.exposure)
+        limit = wanted.state.spp if self._begun else self._limit()
+        return picture_facts(job, limit, self._rendering, wanted.revision, shown.exposure)

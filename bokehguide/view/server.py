@@ -66,6 +66,7 @@ class ViewServer:
     def __init__(self, shown: Exhibit, host: str = "127.0.0.1", port: int = 0):
         self.shown, self.host, self._port = shown, host, port
         self.token = None if is_loopback(host) else secrets.token_urlsafe(16)
+        self.closed = False
         self._browsers: list[_Browser] = []
         self._loop = asyncio.new_event_loop()
         self._ready: Future[int] = Future()
@@ -91,7 +92,10 @@ class ViewServer:
         return f"http://{host}:{self._port}/" + (f"?token={self.token}" if self.token else "")
 
     def close(self) -> None:
-        """End the connections, the thread, and the work of the exhibit."""
+        """End the connections, the thread, and the work of the exhibit. A second call does nothing."""
+        if self.closed:
+            return
+        self.closed = True
         self._loop.call_soon_threadsafe(self._end.set)
         self._thread.join()
         self.shown.close()

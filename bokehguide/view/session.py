@@ -17,13 +17,14 @@ from bokehguide.limits import VIEWS
 from bokehguide.scene.tables import did_you_mean
 from bokehguide.train import MODES
 from bokehguide.view.history import History
-from bokehguide.view.job import PREVIEW_SPP, Job
+from bokehguide.view.job import Job
 from bokehguide.view.motion import move
 from bokehguide.view.pictures import Shown, png
 from bokehguide.view.pixel import pixel_facts
-from bokehguide.view.renderer import Listener, Renderer
+from bokehguide.view.renderer import Renderer
 from bokehguide.view.saving import free_paths, save
 from bokehguide.view.sharpness import DepthFinder
+from bokehguide.view.sights import Listener
 from bokehguide.view.state import LAYERS, Source, ViewState, changed, command_line, moved, scene_file, values_of
 
 Send = Callable[["Message"], None]
@@ -110,7 +111,6 @@ class Session(Listener):
             "denoiser": self.halves,
             "environment": scene.environment is not None,
             "follows": False,
-            "preview": PREVIEW_SPP,
         }
         marker = [self._marker()] if self._marked else []
         picture = [] if self._latest is None else [self._latest]
@@ -160,6 +160,7 @@ class Session(Listener):
             "values": values_of(self.state, self.source),
             "command": command_line(self.state, self.source),
             "rendering": self.renderer.rendering,
+            "paused": self.renderer.paused,
             "marked": self._marked,
             "changes": len(self._history),
         }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +23,8 @@ from bokehguide.view.session import Message, Send
 
 INTERVAL = 0.5
 """Seconds between two looks at the file."""
+PATIENCE = 4
+"""Looks after which a file that cannot be read is told; a file that is being written can be read soon."""
 LAYERS = ("picture", "depth", "normal", "albedo", "emission", "variance")
 
 
@@ -42,7 +46,15 @@ class WatchedFile:
         self._layers: dict[str, np.ndarray] = {}
         self._header: dict[str, Any] = {}
         self._seen: tuple[int, int] | None = None
+        self._written = 0.0
+        """Time at which the file was written, seconds since the epoch."""
+        self._curve: list[tuple[int, float]] = []
+        """Samples per pixel and estimated error of the files so far."""
+        self._reason, self._failures = "", 0
+        """Why the file cannot be read, and the number of looks that failed alike."""
         self._revision = 0
+        self._greeted: Mapping[str, Any] = {}
+        """The greeting that was sent last."""
         self._send: Send = lambda message: None
         self._lock, self._end = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="watcher", daemon=True)
@@ -81,32 +93,64 @@ class WatchedFile:
             self._revision += 1
             with self._lock:
                 if self._reload():
-                    for message in self._messages():
-                        self._send(message)
+                    self._publish()
+                elif self._failures == PATIENCE:
+                    self._send(self._failure())
+
+    def _publish(self) -> None:
+        """Send the file; a greeting would make the controls of the page anew, so an equal one is left out."""
+        greeting, *others = self._messages()
+        for message in others if greeting.facts == self._greeted else [greeting, *others]:
+            self._send(message)
+        self._greeted = greeting.facts
 
     def _reload(self) -> bool:
         """Read the file if it has changed; returns whether it has. A file that is being replaced is read next time."""
         try:
             status = self._path.stat()
             seen = (status.st_mtime_ns, status.st_ino)
-            if seen == self._seen:
-                return False
-            self._layers, self._header = read_layers(self._path)
-            self._seen = seen
-        except (OSError, BokehguideError):
-            return False
-        return "beauty" in self._layers
+            if seen != self._seen:
+                self._take(*read_layers(self._path))
+                self._seen, self._written = seen, status.st_mtime
+                self._reason, self._failures = "", 0
+                return True
+            reason = ""
+        except FileNotFoundError:
+            reason = f"{self._path.name}: the file is gone; the page keeps its last picture" if self._seen else ""
+        except (OSError, BokehguideError) as error:
+            reason = str(error)
+        self._failures = self._failures + 1 if reason and reason == self._reason else int(bool(reason))
+        self._reason = reason
+        return False
+
+    def _take(self, layers: dict[str, np.ndarray], header: dict[str, Any]) -> None:
+        """Take another file. Raises BokehguideError for a file without a picture."""
+        if "beauty" not in layers:
+            raise BokehguideError(f"{self._path}: no channels R, G and B; watch an EXR of `bokehguide render`")
+        if any(header.get(key) != self._header.get(key) for key in ("scene", "mode", "seed", "size")):
+            self._curve = []  # another render
+        self._layers, self._header = layers, header
+        spp, error = self._spp(), self._error()
+        self._curve = [each for each in self._curve if each[0] < spp]
+        if error is not None:
+            self._curve.append((spp, error))
+
+    def _failure(self) -> Message:
+        return Message("failure", {"failure": self._reason})
 
     def _messages(self) -> list[Message]:
         shown = [Message("hello", self._facts()), Message("state", self._state())]
+        if self._failures >= PATIENCE:
+            shown.append(self._failure())
         if "beauty" not in self._layers:
             return [*shown, Message("note", {"note": f"waiting for {self._path.name}"})]
         image, exposure = self._image()
         height, width = image.shape[:2]
-        spp = int(self._header.get("spp", 0))
-        facts = {"revision": self._revision, "width": width, "height": height, "reduction": 1.0, "spp": spp, "limit": spp}
-        facts |= {"rendering": False, "done": True, "seconds": 0.0, "rays_per_second": 0.0, "samples_per_second": 0.0}
-        facts |= {"error": self._error(), "curve": [], "exposure": exposure}
+        spp = self._spp()
+        limit = max(spp, self._limit())
+        facts = {"revision": self._revision, "width": width, "height": height, "reduction": 1.0, "spp": spp, "limit": limit}
+        facts |= {"rendering": False, "done": spp == limit, "age": max(time.time() - self._written, 0.0)}
+        facts |= {"error": self._error(), "curve": self._curve[-512:], "exposure": exposure}
         return [*shown, Message("picture", facts, png(image))]
 
     def _facts(self) -> dict[str, Any]:
@@ -118,9 +162,22 @@ class WatchedFile:
     def _state(self) -> dict[str, Any]:
         look = self._look
         values = {"exposure": look.exposure, "view": self._display().view, "denoise": look.denoise, "layer": look.layer}
-        values |= {"mode": str(self._header.get("mode", "")), "spp": int(self._header.get("spp", 0))}
+        values |= {"mode": str(self._header.get("mode", "")), "spp": self._spp()}
         command = str(self._header.get("command", ""))
         return {"revision": self._revision, "values": values, "command": command, "rendering": False, "marked": False}
+
+    def _spp(self) -> int:
+        """Samples per pixel of the file, 0 where the file does not tell."""
+        spp = self._header.get("spp")
+        return spp if isinstance(spp, int) else 0
+
+    def _limit(self) -> int:
+        """Samples per pixel at which the render ends, 0 where the file does not tell."""
+        try:
+            spp = json.loads(self._header["settings"])["spp"]
+        except (KeyError, TypeError, ValueError, RecursionError):
+            return 0
+        return spp if isinstance(spp, int) else 0
 
     def _display(self) -> Display:
         stored, view = self._header.get("exposure"), self._header.get(VIEW_ATTRIBUTE)
@@ -141,8 +198,8 @@ class WatchedFile:
         return data_image(self._look.layer, self._layers), display.exposure or 0.0
 
     def _error(self) -> float | None:
-        """Estimated relative error of the file's picture, as `Film.relative_noise`."""
-        if "variance" not in self._layers:
+        """Estimated relative error of the file's picture, as `Film.relative_noise`; None for a single sample."""
+        if "variance" not in self._layers or self._spp() < 2:
             return None
         mean = self._layers["beauty"].mean(-1).clip(min=0.0)
         return float((np.sqrt(self._layers["variance"].clip(min=0.0)) / (mean + 0.01)).mean())

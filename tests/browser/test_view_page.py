@@ -196,6 +196,56 @@ def test_the_pixel_under_the_pointer_has_values_and_a_lens(browser):
     assert browser.driver.execute_script(drawn) == 255
 
 
+def test_a_refused_value_is_marked_until_its_field_is_left(browser):
+    field, before = browser.find("f_number"), browser.find("f_number").get_attribute("value")
+    browser.write("f_number", "-3")
+    browser.until(lambda: field.get_attribute("aria-invalid") == "true")
+    assert "out of range" in browser.note()
+    field.send_keys(Keys.TAB)
+    assert field.get_attribute("value") == before and field.get_attribute("aria-invalid") is None
+
+
+def test_a_drag_that_inspects_changes_nothing(browser):
+    browser.driver.execute_script("document.querySelector('#tools input[value=inspect]').click()")
+    browser.drag(60, 10)
+    browser.click(0.27, 0.62)
+    browser.until(lambda: "Radiance" in browser.find("pixel").text)
+    assert browser.data("state") == "0"
+
+
+def test_a_layer_has_a_legend_and_a_stopped_render_continues(browser):
+    assert browser.find("legend").text == ""
+    browser.driver.execute_script("document.querySelector('#layers input[value=depth]').click()")
+    browser.until(lambda: "bright" in browser.find("legend").text)
+    browser.driver.execute_script("document.querySelector('#layers input[value=picture]').click()")
+    browser.until(lambda: browser.find("legend").text == "")
+    browser.changed(lambda: browser.write("spp", "100000"))
+    browser.find("render").click()
+    browser.until(lambda: browser.find("render").text == "Stop")
+    browser.find("render").click()
+    browser.until(lambda: browser.find("render").text == "Continue")
+
+
+def test_two_fingers_dolly(browser):
+    before = browser.rest()
+    frame = browser.find("frame").rect
+    middle, y = frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2
+
+    def pinch() -> None:
+        for kind, apart in [("touchStart", 40), ("touchMove", 60), ("touchMove", 80)]:
+            points = [{"x": middle - apart, "y": y, "id": 0}, {"x": middle + apart, "y": y, "id": 1}]
+            browser.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        browser.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+    after = browser.changed(pinch)
+    camera = load_scene("box.toml", Overrides()).camera
+    words = dict(word.split("=") for word in shlex.split(browser.find("command").get_attribute("value")) if "=" in word)
+    position, target = (np.array([float(x) for x in words[f"--camera-{name}"].split(",")]) for name in ("position", "target"))
+    distance = np.linalg.norm(np.subtract(camera.position, camera.target))
+    assert np.linalg.norm(position - target) == pytest.approx(0.5 * distance, rel=1e-3)
+    assert not np.array_equal(before, after)
+
+
 def test_the_plane_of_focus_can_be_marked(browser):
     drawn = "return document.getElementById('marker').toDataURL()"
     empty = browser.driver.execute_script(drawn)
@@ -236,5 +286,12 @@ def test_the_page_fits_its_window(width, height, browser):
         box = browser.find("frame").rect
         assert box["x"] >= 0 and box["x"] + box["width"] <= width and box["y"] + box["height"] <= height
         assert box["width"] * box["height"] >= 0.2 * width * height
+        cut = "return [...document.querySelectorAll('label, button')].filter((each) => each.scrollWidth > each.clientWidth + 1)"
+        assert not browser.driver.execute_script(f"{cut}.map((each) => each.textContent)")
+        assert browser.find("disc").is_displayed()
+        right = (
+            "return [...document.querySelectorAll('#layers span, #tools span')].map((each) => each.getBoundingClientRect().right)"
+        )
+        assert max(browser.driver.execute_script(right)) <= width
     finally:
         browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

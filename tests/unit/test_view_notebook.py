@@ -23,6 +23,16 @@ def test_a_page_shows_itself_in_a_cell_and_follows_its_settings(tmp_path, monkey
         assert page.scene.camera.f_number == pytest.approx(4.0) and "--f-number=4.0" in page.command
 
 
+def test_a_closed_page_tells_so_and_another_one_opens(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with bokehguide.view("daylight", "uniform", 1, size=(32, 18)) as page:
+        page.close()
+        assert page._repr_html_() == "<p>Page(closed)</p>" and repr(page) == "Page(closed)"
+        with bokehguide.view("daylight", "uniform", 1, size=(32, 18)) as other, opened(other) as browser:
+            browser.rested()
+    assert "--size=32x18" in page.command
+
+
 def test_a_scene_of_python_can_be_viewed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with bokehguide.view(emitters(24, 16), spp=2) as page, opened(page) as browser:

@@ -17,11 +17,12 @@ from PIL import Image
 from bokehguide.cli import main
 from bokehguide.image import Display, read_layers, to_8_bit
 from bokehguide.render import PathTracer
+from bokehguide.render.film import NO_DEPTH
 from bokehguide.scene import FilmSettings, Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
 from bokehguide.view.history import LONGEST, History
 from bokehguide.view.job import Job, reduced_sizes
-from bokehguide.view.pictures import LAYERS_OF_DATA, data_image
+from bokehguide.view.pictures import FARTHEST, LAYERS_OF_DATA, data_image, depth_image
 from bokehguide.view.pixel import BRIGHTEST, DIMMEST, lens_disc
 from bokehguide.view.preview import QuickDenoiser, quick_display
 from bokehguide.view.state import LAYERS, ViewState
@@ -231,6 +232,31 @@ def test_a_render_pauses_while_no_page_is_open(box, tmp_path):
             page.until("state", lambda facts: not facts["rendering"])
 
 
+def test_a_stopped_render_rests_and_keeps_its_samples(box, tmp_path):
+    """Before the samples of a preview, too, and while no page is open; another picture has nothing to go on with."""
+    with served(box, tmp_path, overrides=Overrides(width=320, height=200), spp=1 << 20) as server:
+        with opened(server) as page:
+            page.send(type="render", on=True)
+            page.until("picture", lambda facts: facts["spp"] >= 2)
+            page.send(type="render", on=False)
+            assert page.until("state", lambda facts: not facts["rendering"])["paused"]
+            facts = page.until("picture", lambda facts: facts["exact"])
+            assert facts["spp"] < 32 and facts["limit"] == 1 << 20
+        step = step_after(server.shown.renderer, 1.0)
+        assert step == facts["spp"]
+        with opened(server) as page:
+            assert page.facts["state"]["paused"]
+            page.change(type="set", name="spp", value=step + 1)
+            page.send(type="render", on=True)
+            assert page.until("note", lambda facts: facts["note"].startswith("wrote"))["note"].endswith(f", {step + 1} SPP")
+            page.change(type="set", name="spp", value=1 << 20)
+            page.send(type="render", on=True)
+            page.until("picture", lambda facts: facts["rendering"])
+            page.send(type="render", on=False)
+            page.until("state", lambda facts: facts["paused"])
+            assert not page.change(type="set", name="f_number", value=3.0)["paused"]
+
+
 def step_after(renderer, seconds: float) -> int:
     """The number of steps some time later."""
     time.sleep(seconds)
@@ -435,3 +461,14 @@ def test_nothing_keeps_a_picture_when_nobody_watches(box, tmp_path):
         while job() is not None and time.monotonic() < deadline:
             time.sleep(0.05)
         assert job() is None
+
+
+@pytest.mark.parametrize("depth", [[[2.0, 4.0], [8.0, NO_DEPTH]], [[2.0, 2.0], [2.0, NO_DEPTH]], [[NO_DEPTH]]])
+def test_the_picture_of_the_depth_has_contrast(depth):
+    """It spans the surfaces, whatever their distance."""
+    near, scaled = depth_image(np.array(depth)), depth_image(100.0 * np.array(depth))
+    np.testing.assert_allclose(near, scaled, rtol=1e-6)
+    met = np.array(depth) < NO_DEPTH
+    assert not near[~met].any() and (not met.any() or near.max() == 1.0)
+    if len(np.unique(depth)) > 2:
+        np.testing.assert_allclose(near, [[1.0, FARTHEST + (1.0 - FARTHEST) / 3.0], [FARTHEST, 0.0]])

@@ -2,12 +2,21 @@
 
 import { Connection } from "./connection.js";
 import { Controls } from "./controls.js";
-import { showPixel, showStats } from "./panels.js";
+import { showAge, showPixel, showStats } from "./panels.js";
 import { Stage } from "./stage.js";
 
 const HOVER = 120; // milliseconds between two questions about the pixel under the pointer
 const NAMES = { picture: "Picture", depth: "Depth", normal: "Normal", albedo: "Albedo", emission: "Emission", variance: "Variance", beta: "β", emitters: "Emitters" };
-const TOOLS = { orbit: "Orbit", pan: "Pan", dolly: "Dolly", look: "Look" };
+const TOOLS = { orbit: "Orbit", pan: "Pan", dolly: "Dolly", look: "Look", inspect: "Inspect" };
+const LEGENDS = {
+  depth: "Near is bright; black has no surface.",
+  normal: "Red, green and blue are the components along x, y and z; middle grey is zero.",
+  albedo: "The share of light that surfaces reflect.",
+  emission: "The light of emitters that the pixel sees directly.",
+  variance: "The relative standard error; bright pixels need more samples.",
+  beta: "The share of guided samples; black pixels are sampled evenly.",
+  emitters: "Bright pixels may see more emitters through the lens; highlights that were found are red.",
+};
 const find = (id) => document.getElementById(id);
 
 let connection = null;
@@ -17,7 +26,6 @@ const controls = new Controls(send);
 let asked = 0; // time of the open question about a pixel, 0 without one
 let state = null;
 let facts = null;
-let preview = Infinity; // samples per pixel at which a picture rests before a render
 
 function note(text, bad = false) {
   const place = find("note");
@@ -42,8 +50,8 @@ const handlers = {
   hello(message) {
     find("scene").textContent = message.scene;
     document.title = `${message.scene} – bokehguide view`;
-    preview = message.preview ?? Infinity;
     stage.greet(message);
+    for (const id of ["speed_entry", "keys"]) find(id).hidden = message.follows;
     controls.greet(message);
     const layers = Object.fromEntries(message.layers.map((name) => [name, NAMES[name] ?? name]));
     radios(find("layers"), layers, "picture", (value) => send({ type: "set", name: "layer", value }));
@@ -56,6 +64,7 @@ const handlers = {
     find("undo").disabled = !message.changes;
     const layer = document.querySelector(`#layers input[value="${message.values.layer}"]`);
     if (layer) layer.checked = true;
+    find("legend").textContent = LEGENDS[message.values.layer] ?? "";
     showButton();
   },
   picture(message, blob) {
@@ -87,13 +96,13 @@ const handlers = {
     asked = 0;
     note(message.failure, true);
     if (state) controls.show(state);
+    controls.refuse();
   },
 };
 
 // "Render" becomes "Stop" while a render runs, and "Continue" after a stop.
 function showButton() {
-  const begun = facts && state && facts.reduction < 1.001 && facts.spp > preview && facts.spp < state.values.spp;
-  find("render").textContent = state?.rendering ? "Stop" : begun ? "Continue" : "Render";
+  find("render").textContent = state?.rendering ? "Stop" : state?.paused ? "Continue" : "Render";
 }
 
 function undo() {
@@ -113,7 +122,7 @@ async function copy() {
 
 radios(find("tools"), TOOLS, "orbit", (value) => {
   stage.tool = value;
-  find("drag").textContent = value;
+  find("drag").textContent = value === "inspect" ? "show values" : value;
 });
 find("render").addEventListener("click", () => send({ type: "render", on: !state?.rendering }));
 find("save_picture").addEventListener("click", () => send({ type: "save_picture" }));
@@ -131,6 +140,7 @@ find("marked").addEventListener("change", (event) => send({ type: "mark", on: ev
 find("steer").addEventListener("click", () => send({ type: "steer" }));
 find("copy").addEventListener("click", copy);
 
+setInterval(showAge, 1000);
 setInterval(() => {
   if (!stage.place || stage.start || (asked && performance.now() - asked < 3000)) return;
   const [x, y] = stage.place;

@@ -50,9 +50,10 @@ export class Connection {
       return;
     }
     const last = this.queue.at(-1);
-    if (last && last.type === "move" && request.type === "move" && last.kind === request.kind) {
-      last.x += request.x;
-      last.y += request.y;
+    const moved = this.queue.slice(-2).find((each) => each.type === "move" && request.type === "move" && each.kind === request.kind);
+    if (moved && last.type === "move") { // two fingers alternate between two kinds
+      moved.x += request.x;
+      moved.y += request.y;
     } else if (last && last.type === "set" && last.name === request.name) {
       last.value = request.value;
     } else {

@@ -46,7 +46,11 @@ export class Controls {
     holder.append(label, slider, field, unit);
     this.parts[name] = { kind, slider, field, holder };
     slider.addEventListener("input", () => this.set(name, this.value(name)));
-    field.addEventListener("change", () => field.value !== "" && this.set(name, Number(field.value)));
+    field.addEventListener("change", () => {
+      this.edited = this.parts[name];
+      if (field.value !== "") this.set(name, Number(field.value));
+    });
+    field.addEventListener("blur", () => this.write(this.parts[name]));
   }
 
   range({ kind }) {
@@ -89,9 +93,9 @@ export class Controls {
       if (document.activeElement !== part.slider && value !== null) {
         part.slider.value = (1000 * (part.kind.scale.to(value) - low)) / (high - low);
       }
-      const text = value === null ? "" : String(Number(value.toPrecision(part.kind.digits)));
-      part.slider.setAttribute("aria-valuetext", value === null ? "none" : `${text} ${part.kind.unit}`);
-      if (document.activeElement !== part.field || part.field.value === "") part.field.value = text;
+      part.text = value === null ? "" : String(Number(value.toPrecision(part.kind.digits)));
+      part.slider.setAttribute("aria-valuetext", value === null ? "none" : `${part.text} ${part.kind.unit}`);
+      if (document.activeElement !== part.field || part.field.value === "") this.write(part);
       part.field.placeholder = value === null ? { focus_distance: "∞", f_number: "pinhole", exposure: "auto" }[name] ?? "" : "";
     }
     const round = !values.blades && !values.has_mask;
@@ -105,6 +109,17 @@ export class Controls {
     for (const name of ["view", "mode"]) document.getElementById(name).value = values[name];
     this.rendering = rendering;
     this.lock();
+  }
+
+  // The present value; a text that was refused does not stay.
+  write({ field, text }) {
+    field.value = text ?? "";
+    field.removeAttribute("aria-invalid");
+  }
+
+  // Mark the field whose value the server refuses, until it is left.
+  refuse() {
+    if (this.edited && document.activeElement === this.edited.field) this.edited.field.setAttribute("aria-invalid", "true");
   }
 
   spread({ kind }, value) {

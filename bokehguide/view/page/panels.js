@@ -2,12 +2,25 @@
 
 const SUPERSCRIPT = new Intl.NumberFormat("en", { notation: "compact", maximumFractionDigits: 1 });
 
+let written = null; // when the file of another render was written, in the time of the page
+
+// How long ago the file was written: a render that has ended or died writes no more.
+export function showAge() {
+  if (written === null) return;
+  const seconds = Math.round((performance.now() - written) / 1000);
+  const [number, unit] = seconds < 100 ? [seconds, "s"] : seconds < 6000 ? [Math.round(seconds / 60), "min"] : [Math.round(seconds / 3600), "h"];
+  document.getElementById("seconds").textContent = `${number} ${unit} ago`;
+}
+
 export function showStats(facts) {
   const put = (id, text) => (document.getElementById(id).textContent = text);
-  put("samples", facts.reduction > 1.001 ? `1/${Math.round(facts.reduction)} size` : `${facts.spp} / ${facts.limit}`);
+  put("samples", facts.reduction > 1.001 ? `1/${Math.round(facts.reduction)} size` : facts.limit ? `${facts.spp} / ${facts.limit}` : "–");
   put("error", facts.error === null ? "–" : `${(100 * facts.error).toPrecision(2)} %`);
   put("speed", facts.rays_per_second ? `${SUPERSCRIPT.format(facts.rays_per_second)} rays/s` : "–");
-  put("seconds", `${facts.seconds.toFixed(1)} s`);
+  put("time_name", facts.age === undefined ? "Time" : "Written");
+  written = facts.age === undefined ? null : performance.now() - 1000 * facts.age;
+  if (written === null) put("seconds", `${facts.seconds.toFixed(1)} s`);
+  showAge();
   put("metered", `${facts.exposure >= 0 ? "+" : "−"}${Math.abs(facts.exposure).toFixed(2)} EV`);
   document.getElementById("progress").style.width = `${Math.min(100, (100 * facts.spp) / Math.max(facts.limit, 1))}%`;
   drawCurve(facts.curve);
@@ -57,7 +70,7 @@ export function showPixel(facts) {
     entry.append(...[["dt", name], ["dd", value]].map(([tag, text]) => Object.assign(document.createElement(tag), { textContent: text })));
     return entry;
   }));
-  drawDisc(facts.lens ?? null);
+  drawDisc(facts.lens);
 }
 
 // From black over violet and orange to white, by the logarithm of the density.
@@ -74,7 +87,7 @@ function drawDisc(lens) {
   const note = document.getElementById("disc_note");
   pen.clearRect(0, 0, canvas.width, canvas.height);
   if (!lens) {
-    note.textContent = "A pinhole has one lens point.";
+    note.textContent = lens === null ? "A pinhole has one lens point." : "The file does not tell where on the lens its samples went.";
     return;
   }
   const cells = Uint8Array.from(atob(lens.cells), (mark) => mark.charCodeAt(0));

@@ -16,12 +16,14 @@ export class Stage {
     this.picture = document.getElementById("picture");
     this.marker = document.getElementById("marker");
     this.reticle = document.getElementById("reticle");
+    this.pixel = document.getElementById("pixel_panel");
     this.pending = null;
+    this.fingers = new Map(); // places of the pointers that are down, by their number
     this.shown = 0;
     this.frame.addEventListener("pointerdown", (event) => this.down(event));
     this.frame.addEventListener("pointermove", (event) => this.move(event));
     this.frame.addEventListener("pointerup", (event) => this.up(event));
-    this.frame.addEventListener("pointercancel", () => (this.start = null));
+    this.frame.addEventListener("pointercancel", (event) => this.lift(event));
     this.frame.addEventListener("pointerleave", () => (this.place = null));
     this.frame.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     this.frame.addEventListener("contextmenu", (event) => event.preventDefault());
@@ -30,8 +32,10 @@ export class Stage {
     addEventListener("resize", () => this.fit());
   }
 
-  greet({ width, height }) {
+  greet({ width, height, follows }) {
     this.size = [width, height];
+    this.still = follows; // the camera of a render elsewhere cannot be set
+    if (follows) this.frame.setAttribute("aria-label", "Picture");
     for (const canvas of [this.picture, this.marker]) [canvas.width, canvas.height] = [width, height];
     this.fit();
   }
@@ -42,7 +46,7 @@ export class Stage {
     const [width, height] = this.size;
     const stage = this.frame.parentElement;
     const narrow = matchMedia("(max-width: 860px)").matches;
-    const others = narrow ? 0 : [...stage.children].reduce((sum, each) => sum + (each === this.frame ? 0 : each.offsetHeight + 8), 0);
+    const others = narrow ? 0 : [...stage.children, this.pixel].reduce((sum, each) => sum + (each === this.frame ? 0 : each.offsetHeight + 8), 0);
     const room = narrow ? innerHeight * 0.45 : innerHeight - this.frame.getBoundingClientRect().top - others - 24;
     const space = stage.clientWidth - (narrow ? 0 : 32);
     const scale = Math.max(Math.min(space / width, room / height, 8), 0.1);
@@ -86,6 +90,11 @@ export class Stage {
 
   down(event) {
     this.frame.setPointerCapture(event.pointerId);
+    this.fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (this.fingers.size > 1) {
+      this.start = null; // two fingers pan and dolly, and focus nowhere
+      return;
+    }
     this.start = { x: event.clientX, y: event.clientY, moved: false };
     const tool = event.button > 0 || event.shiftKey ? "pan" : event.ctrlKey ? "look" : this.tool;
     this.start.tool = tool;
@@ -93,6 +102,10 @@ export class Stage {
 
   move(event) {
     this.place = this.at(event);
+    if (this.fingers.size > 1) {
+      this.pinch(event);
+      return;
+    }
     const { start } = this;
     if (!start) return;
     const [dx, dy] = [event.clientX - start.x, event.clientY - start.y];
@@ -100,16 +113,34 @@ export class Stage {
     start.moved = true;
     [start.x, start.y] = [event.clientX, event.clientY];
     const width = this.frame.clientWidth;
-    this.queue(start.tool, dx / width, dy / width);
+    if (start.tool !== "inspect") this.queue(start.tool, dx / width, dy / width);
+  }
+
+  // Two fingers: their distance is a dolly, and their middle is a pan.
+  pinch(event) {
+    if (!this.fingers.has(event.pointerId)) return;
+    const [[x, y], other] = [this.fingers.get(event.pointerId), [...this.fingers].find(([id]) => id !== event.pointerId)[1]];
+    const now = [event.clientX, event.clientY];
+    this.fingers.set(event.pointerId, now);
+    const apart = (place) => Math.max(Math.hypot(place[0] - other[0], place[1] - other[1]), 1);
+    const width = this.frame.clientWidth;
+    this.queue("dolly", 0, Math.log(apart([x, y]) / apart(now)) / Math.log(4));
+    this.queue("pan", (now[0] - x) / (2 * width), (now[1] - y) / (2 * width));
+  }
+
+  lift(event) {
+    this.fingers.delete(event.pointerId);
+    this.start = null;
   }
 
   up(event) {
     const { start } = this;
-    this.start = null;
-    if (start && !start.moved && event.button === 0) this.focus(...this.at(event));
+    this.lift(event);
+    if (start && !start.moved && event.button === 0 && start.tool !== "inspect") this.focus(...this.at(event));
   }
 
   focus(x, y) {
+    if (this.still) return;
     this.reticle.hidden = false;
     this.reticle.style.left = `${100 * x}%`;
     this.reticle.style.top = `${100 * y}%`;
@@ -133,6 +164,7 @@ export class Stage {
 
   // Sum up movements of one kind until the next frame of the screen.
   queue(kind, x, y) {
+    if (this.still) return;
     if (this.pending && this.pending.kind !== kind) this.flush();
     if (!this.pending) {
       this.pending = { type: "move", kind, x: 0, y: 0 };
