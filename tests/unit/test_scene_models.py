@@ -84,7 +84,7 @@ def test_a_wide_ground_does_not_make_a_model_tiny(tmp_path):
 
 
 def test_a_model_before_the_sky_is_exposed_for_the_model(tmp_path):
-    """An upright white surface becomes diffuse white; a meter would take the sky for it. Own light or another view is metered."""
+    """An upright white surface becomes diffuse white; a meter would take the sky for it. Own light and rooms are metered."""
     path = tmp_path / "ball.stl"
     trimesh.creation.icosphere(radius=1.0).export(path)
     scene = load_scene(str(path))
@@ -93,7 +93,8 @@ def test_a_model_before_the_sky_is_exposed_for_the_model(tmp_path):
     # Irradiance of a wall by a sky of rotational symmetry: 2 ∫ L cos² d elevation, as the cosine of the azimuth integrates to 2.
     radiance = float((2.0 * sky * np.cos(elevation) ** 2).sum() * np.pi / len(sky)) / np.pi
     assert radiance * 2.0**scene.film.exposure == pytest.approx(1.0, abs=0.15)
-    assert load_scene(str(path), Overrides(camera_target=(0.1, 0.0, 0.0))).film.exposure == scene.film.exposure
+    for overrides in (Overrides(camera_target=(0.1, 0.0, 0.0)), Overrides(camera_position=(0.0, 0.0, 1.1))):
+        assert load_scene(str(path), overrides).film.exposure == scene.film.exposure
     for overrides in (Overrides(environment="1,1,1"), Overrides(camera_position=(0.0, 0.0, 0.5))):
         assert load_scene(str(path), overrides).film.exposure is None
 
