@@ -160,15 +160,17 @@ def _framed(scene: Scene, model: Model, overrides: Overrides, file: str) -> Scen
 
     An environment of the model's own does not turn.
     """
-    points, film = _used_vertices(_without_grounds(model.meshes), file), scene.film
+    subject = _without_grounds(model.meshes)
+    points, film = _used_vertices(subject, file), scene.film
     fov = FOV if overrides.fov is None else overrides.fov
     sight = Sight(scene.meshes, scene.materials)
+    focusing = sight if len(subject) == len(model.meshes) else Sight(subject, scene.materials)
     position, target = overrides.camera_position, overrides.camera_target
     if position is None:
         emitters = find_emitters(checked(scene, file))  # without triangles of no area
         turnable = model.environment is None or overrides.environment is not None
         view = compose(points, sight, emitters, film, fov, turnable)
-        camera, environment = view.camera, scene.environment
+        camera, environment = view.camera if focusing is sight else with_lens(view.camera, focusing, film), scene.environment
         if view.rotation and environment is not None and overrides.environment_rotation is None:
             scene = replace(scene, environment=replace(environment, rotation=environment.rotation + view.rotation))
         if target is None:
@@ -176,7 +178,7 @@ def _framed(scene: Scene, model: Model, overrides: Overrides, file: str) -> Scen
         position = camera.position
     target = target or as_vector(np.mean([points.min(axis=0), points.max(axis=0)], axis=0))
     camera = read_camera({"position": position, "target": target, "fov": fov}, file, SceneFiles(Path()))
-    return replace(scene, camera=with_lens(camera, sight, film))
+    return replace(scene, camera=with_lens(camera, focusing, film))
 
 
 def _bounds(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:
