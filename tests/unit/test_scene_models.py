@@ -84,16 +84,15 @@ def test_a_wide_ground_does_not_make_a_model_tiny(tmp_path):
 
 
 def test_the_lens_focuses_on_the_model_and_not_on_its_ground(tmp_path):
-    """A post, beside which the ground lies in the middle of the frame."""
-    post, ground = trimesh.creation.box((0.1, 3.0, 0.1)), trimesh.creation.box((60.0, 0.0, 60.0))
-    far = trimesh.creation.box((0.1, 0.1, 0.1))
-    far.apply_translation((2.5, -1.45, 0.0))
-    ground.apply_translation((0.0, -1.5, 0.0))
-    trimesh.Scene([post, ground, far]).export(tmp_path / "post.glb")
-    for overrides in (Overrides(), Overrides(camera_target=(1.25, 0.0, 0.0)), Overrides(camera_position=(1.0, 2.0, 6.0))):
+    """Two posts, between which the middle of the frame shows the ground behind them."""
+    posts, ground = [trimesh.creation.box((0.3, 1.0, 0.3)) for _ in range(2)], trimesh.creation.box((60.0, 0.0, 60.0))
+    for post, x in zip(posts, (-1.0, 1.0)):
+        post.apply_translation((x, 0.5, 0.0))
+    trimesh.Scene([*posts, ground]).export(tmp_path / "post.glb")
+    for overrides in (Overrides(), Overrides(camera_target=(0.0, 0.3, 0.0)), Overrides(camera_position=(0.0, 1.0, 4.0))):
         camera = load_scene(str(tmp_path / "post.glb"), overrides).camera
         forward = np.subtract(camera.target, camera.position) / np.linalg.norm(np.subtract(camera.target, camera.position))
-        depths = (np.concatenate([post.vertices, far.vertices]) - camera.position) @ forward
+        depths = (np.concatenate([post.vertices for post in posts]) - camera.position) @ forward
         assert depths.min() - 0.05 < camera.focus_distance < depths.max() + 0.05
 
 
