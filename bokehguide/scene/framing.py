@@ -17,7 +17,7 @@ from bokehguide.scene.model_files import load_model
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera, override_environment, override_film
 from bokehguide.scene.sight import Sight
 from bokehguide.scene.tables import ANGLE_OF_VIEW
-from bokehguide.scene.types import Camera, FilmSettings, Mesh, Model, ModelCamera, Scene, as_vector
+from bokehguide.scene.types import Camera, FilmSettings, Mesh, Model, ModelCamera, Scene, Vector, as_vector
 from bokehguide.scene.validation import checked
 
 SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))
@@ -44,22 +44,19 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
     The camera is the one that `overrides` select, or the file's first. Without one, or if `overrides` set its position or
     target, `compose` chooses the view. A camera without a lens focuses on the part of the model in the middle of the frame, and
     highlights at infinity have a diameter of HIGHLIGHT of its width. A model without light (`_lit`) gets a soft sky, unless
-    `overrides` set the environment. A model that the framing camera shows before the soft sky has the exposure SKY_EXPOSURE.
+    `overrides` set the environment. A camera outside a model before the soft sky has the exposure SKY_EXPOSURE.
     Raises BokehguideError as `load_model` does.
     """
     model = load_model(path, files, state=overrides.state)
     meshes = model.meshes + model.emitters
     own = _select_camera(model.cameras, overrides, str(path))
     under_sky = overrides.environment is None and not _lit(model)
-    film = override_film(model.film or FilmSettings(), overrides)
-    if under_sky and own is None and overrides.camera_position is None and film.exposure is None:
-        film = replace(film, exposure=SKY_EXPOSURE)
     scene = Scene(
         name=path.stem,
         camera=Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),
         meshes=meshes,
         materials=model.materials,
-        film=film,
+        film=override_film(model.film or FilmSettings(), overrides),
         environment=SOFT_SKY if under_sky else model.environment,
         suns=model.suns,
         warnings=model.warnings,
@@ -67,6 +64,8 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
     )
     scene = override_environment(scene, overrides)
     scene = _framed(scene, model, overrides, str(path)) if own is None else _photographed(scene, own, overrides)
+    if under_sky and scene.film.exposure is None and _outside(scene.camera.position, model.meshes):
+        scene = replace(scene, film=replace(scene.film, exposure=SKY_EXPOSURE))
     return scene, override_camera(asdict(scene.camera), overrides, str(path), files)
 
 
@@ -108,6 +107,12 @@ def _without_grounds(meshes: tuple[Mesh, ...]) -> tuple[Mesh, ...]:
             break
         left = rest
     return tuple(left)
+
+
+def _outside(position: Vector, meshes: tuple[Mesh, ...]) -> bool:
+    """Whether a position is outside the bounding box of `meshes`, but for grounds: in no room."""
+    low, high = _bounds(_without_grounds(meshes))
+    return bool((position < low).any() or (position > high).any())
 
 
 def _diagonal(meshes: tuple[Mesh, ...]) -> float:
@@ -155,15 +160,17 @@ def _framed(scene: Scene, model: Model, overrides: Overrides, file: str) -> Scen
 
     An environment of the model's own does not turn.
     """
-    points, film = _used_vertices(_without_grounds(model.meshes), file), scene.film
+    subject = _without_grounds(model.meshes)
+    points, film = _used_vertices(subject, file), scene.film
     fov = FOV if overrides.fov is None else overrides.fov
     sight = Sight(scene.meshes, scene.materials)
+    focusing = sight if len(subject) == len(model.meshes) else Sight(subject, scene.materials)
     position, target = overrides.camera_position, overrides.camera_target
     if position is None:
         emitters = find_emitters(checked(scene, file))  # without triangles of no area
         turnable = model.environment is None or overrides.environment is not None
         view = compose(points, sight, emitters, film, fov, turnable)
-        camera, environment = view.camera, scene.environment
+        camera, environment = view.camera if focusing is sight else with_lens(view.camera, focusing, film), scene.environment
         if view.rotation and environment is not None and overrides.environment_rotation is None:
             scene = replace(scene, environment=replace(environment, rotation=environment.rotation + view.rotation))
         if target is None:
@@ -171,7 +178,7 @@ def _framed(scene: Scene, model: Model, overrides: Overrides, file: str) -> Scen
         position = camera.position
     target = target or as_vector(np.mean([points.min(axis=0), points.max(axis=0)], axis=0))
     camera = read_camera({"position": position, "target": target, "fov": fov}, file, SceneFiles(Path()))
-    return replace(scene, camera=with_lens(camera, sight, film))
+    return replace(scene, camera=with_lens(camera, focusing, film))
 
 
 def _bounds(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:

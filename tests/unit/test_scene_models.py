@@ -83,8 +83,21 @@ def test_a_wide_ground_does_not_make_a_model_tiny(tmp_path):
     assert np.linalg.norm(camera(ground)) > 40.0, "a ground alone is the model"
 
 
+def test_the_lens_focuses_on_the_model_and_not_on_its_ground(tmp_path):
+    """Two posts, between which the middle of the frame shows the ground behind them."""
+    posts, ground = [trimesh.creation.box((0.3, 1.0, 0.3)) for _ in range(2)], trimesh.creation.box((60.0, 0.0, 60.0))
+    for post, x in zip(posts, (-1.0, 1.0)):
+        post.apply_translation((x, 0.5, 0.0))
+    trimesh.Scene([*posts, ground]).export(tmp_path / "post.glb")
+    for overrides in (Overrides(), Overrides(camera_target=(0.0, 0.3, 0.0)), Overrides(camera_position=(0.0, 1.0, 4.0))):
+        camera = load_scene(str(tmp_path / "post.glb"), overrides).camera
+        forward = np.subtract(camera.target, camera.position) / np.linalg.norm(np.subtract(camera.target, camera.position))
+        depths = (np.concatenate([post.vertices for post in posts]) - camera.position) @ forward
+        assert depths.min() - 0.05 < camera.focus_distance < depths.max() + 0.05
+
+
 def test_a_model_before_the_sky_is_exposed_for_the_model(tmp_path):
-    """An upright white surface becomes diffuse white; a meter would take the sky for it. Own light or another view is metered."""
+    """An upright white surface becomes diffuse white; a meter would take the sky for it. Own light and rooms are metered."""
     path = tmp_path / "ball.stl"
     trimesh.creation.icosphere(radius=1.0).export(path)
     scene = load_scene(str(path))
@@ -93,7 +106,8 @@ def test_a_model_before_the_sky_is_exposed_for_the_model(tmp_path):
     # Irradiance of a wall by a sky of rotational symmetry: 2 ∫ L cos² d elevation, as the cosine of the azimuth integrates to 2.
     radiance = float((2.0 * sky * np.cos(elevation) ** 2).sum() * np.pi / len(sky)) / np.pi
     assert radiance * 2.0**scene.film.exposure == pytest.approx(1.0, abs=0.15)
-    assert load_scene(str(path), Overrides(camera_target=(0.1, 0.0, 0.0))).film.exposure == scene.film.exposure
+    for overrides in (Overrides(camera_target=(0.1, 0.0, 0.0)), Overrides(camera_position=(0.0, 0.0, 1.1))):
+        assert load_scene(str(path), overrides).film.exposure == scene.film.exposure
     for overrides in (Overrides(environment="1,1,1"), Overrides(camera_position=(0.0, 0.0, 0.5))):
         assert load_scene(str(path), overrides).film.exposure is None
 
