@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import bokehguide
+from bokehguide.runtime.memory import free_memory
 from bokehguide.scene.environments import load_environment_map
 from tests.support.gltf_square import write_gltf
 from tests.support.paths import REPOSITORY
@@ -331,7 +332,22 @@ def test_errors_of_the_driver(quick, tmp_path):
     (tmp_path / "scene.toml").write_text("[camera]\nposition = 1\n", encoding="utf-8")
     with process.Render(*job()) as render:
         told = messages(render)
-    assert next(message["error"] for message in told if "error" in message).startswith(str(tmp_path / "scene.toml"))
+    assert next(message["error"] for message in told if "error" in message).startswith("camera.target: missing")
+
+
+def test_too_large_pictures_of_the_driver(quick, tmp_path):
+    """A picture that bokehguide refuses, and one that the memory does not hold."""
+    process, job = quick
+    path = tmp_path / "scene.toml"
+    text = path.read_text(encoding="utf-8")
+    assert "width = 24\nheight = 16\n" in text
+    for side, reason in ((65536, "are too many"), (16384, "lower the resolution")):
+        if side == 16384 and (free_memory() or math.inf) > 60e9:
+            continue
+        path.write_text(text.replace("width = 24\nheight = 16", f"width = {side}\nheight = {side}"), encoding="utf-8")
+        with process.Render(*job()) as render:
+            told = messages(render)
+        assert reason in next(message["error"] for message in told if "error" in message)
 
 
 def test_end_of_a_running_render(quick):
