@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import sys
 import time
 import warnings
@@ -81,7 +80,9 @@ def _render(path: str, options: dict[str, Any], step: Callable[[int, Callable[[]
     with explained():
         scene = bokehguide.load_scene(path, Overrides(), allow_outside=True)
         check_memory(scene, RenderSettings(**{name: value for name, value in options.items() if name != "time_limit"}))
-        return bokehguide.render(scene, on_step=step, **options)
+        for warning in (*scene.warnings, *scene.likely_mistakes):
+            tell(warning=warning)
+        return bokehguide.render(scene, on_step=step, quiet=True, **options)
 
 
 def _named(picture: Any) -> dict[str, Any]:
@@ -121,12 +122,7 @@ def main(job_path: str) -> int:
     warnings.simplefilter("always")
     pictures = Pictures(Path(job["folder"]), job["options"]["spp"])
     try:
-        with Path(os.devnull).open("w") as nothing:  # the progress bar
-            sys.stderr, stderr = nothing, sys.stderr
-            try:
-                picture = _render(job["scene"], job["options"], pictures.step)
-            finally:
-                sys.stderr = stderr
+        picture = _render(job["scene"], job["options"], pictures.step)
     except (bokehguide.BokehguideError, MemoryError) as error:
         reason = str(error).removeprefix(f"{job['scene']}: ").replace("--size", "the resolution")
         tell(error=reason or "the memory does not suffice; give a smaller resolution or fewer triangles")

@@ -8,15 +8,17 @@ import scenes
 
 
 @pytest.fixture
-def warnings(scene, tmp_path, capfd):
+def warnings(scene, capfd):
     """Renders a cube under a world, and returns what Blender reports."""
 
     def render():
         scenes.world((0.5, 0.5, 0.5))
         scenes.mesh("cube")
         scenes.camera()
+        scene.render.engine, scene.bokehguide.samples = "BOKEHGUIDE", 1
+        scene.render.resolution_x = scene.render.resolution_y = 8
         capfd.readouterr()
-        scenes.render("BOKEHGUIDE", tmp_path, size=(8, 8), samples=1)
+        bpy.ops.render.render()
         return "".join(capfd.readouterr())
 
     return render
