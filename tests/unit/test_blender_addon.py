@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import io
 import json
 import math
 import runpy
@@ -16,8 +17,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import bokehguide
+from bokehguide.runtime.memory import free_memory
 from bokehguide.scene.environments import load_environment_map
 from tests.support.gltf_square import write_gltf
 from tests.support.paths import REPOSITORY
@@ -213,10 +216,10 @@ def test_transmission_is_solid(addon, tmp_path):
     path = tmp_path / "glass.glb"
     path.write_bytes(struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text)
     assert bokehguide.load_scene(path).materials[0].thin
-    assert addon("glb").complete_glb(path, {})
+    assert addon("glb").complete_glb(path, {}, {})
     assert not bokehguide.load_scene(path).materials[0].thin
     before = path.read_bytes()
-    assert addon("glb").complete_glb(path, {})
+    assert addon("glb").complete_glb(path, {}, {})
     assert path.read_bytes() == before
 
 
@@ -248,13 +251,41 @@ def test_materials_are_replaced_by_name(addon, tmp_path):
     document = {"meshes": [{}], "materials": [{"name": "clay", "doubleSided": True}, {"name": "other"}, {"name": "glass"}]}
     glb.write_glb(path, document, b"rest")
     glass = {"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1.0}}}
-    assert glb.complete_glb(path, {"clay": {"alphaMode": "MASK"}, "glass": glass})
+    assert glb.complete_glb(path, {"clay": {"alphaMode": "MASK"}, "glass": glass}, {})
     found, rest = glb.read_glb(path)
     assert rest == b"rest"
     assert found["materials"][0] == {"name": "clay", "doubleSided": True, "alphaMode": "MASK"}
     assert found["materials"][1] == {"name": "other"}
     assert found["materials"][2]["extensions"]["KHR_materials_volume"] == {"thicknessFactor": 1.0}
     assert found["extensionsUsed"] == ["KHR_materials_transmission", "KHR_materials_volume"]
+
+
+def test_png(addon):
+    colors = np.random.default_rng(2).integers(0, 256, (5, 7, 3), np.uint8)
+    with Image.open(io.BytesIO(addon("png").png(colors))) as image:
+        np.testing.assert_array_equal(np.asarray(image), colors)
+
+
+def test_textures_are_replaced(addon):
+    glb = addon("glb")
+    document = {
+        "materials": [{"name": "a", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "texCoord": 1}}}, {"name": "b"}],
+        "textures": [{"source": 0, "sampler": 3}],
+        "images": [{"bufferView": 0}],
+        "bufferViews": [{"buffer": 0, "byteLength": 4}],
+        "buffers": [{"byteLength": 4}],
+    }
+    rest = glb.CHUNK.pack(4, b"BIN\0") + b"mesh"
+    files = {"a": {"baseColorTexture": b"12345"}, "b": {"emissiveTexture": b"6"}}
+    replaced, changed = glb.replace_textures(document, rest, files)
+    assert changed
+    assert document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 1, "texCoord": 1}
+    assert document["textures"][1] == {"source": 1, "sampler": 3}
+    view = document["bufferViews"][document["images"][1]["bufferView"]]
+    start = glb.CHUNK.size + view["byteOffset"]
+    assert replaced[start : start + view["byteLength"]] == b"12345"
+    assert document["buffers"][0]["byteLength"] == len(replaced) - glb.CHUNK.size == 12
+    assert glb.replace_textures(document, rest, {}) == (rest, False)
 
 
 def test_split_of_light_groups(addon, tmp_path):
@@ -331,7 +362,22 @@ def test_errors_of_the_driver(quick, tmp_path):
     (tmp_path / "scene.toml").write_text("[camera]\nposition = 1\n", encoding="utf-8")
     with process.Render(*job()) as render:
         told = messages(render)
-    assert next(message["error"] for message in told if "error" in message).startswith(str(tmp_path / "scene.toml"))
+    assert next(message["error"] for message in told if "error" in message).startswith("camera.target: missing")
+
+
+def test_too_large_pictures_of_the_driver(quick, tmp_path):
+    """A picture that bokehguide refuses, and one that the memory does not hold."""
+    process, job = quick
+    path = tmp_path / "scene.toml"
+    text = path.read_text(encoding="utf-8")
+    assert "width = 24\nheight = 16\n" in text
+    for side, reason in ((65536, "are too many"), (16384, "lower the resolution")):
+        if side == 16384 and (free_memory() or math.inf) > 60e9:
+            continue
+        path.write_text(text.replace("width = 24\nheight = 16", f"width = {side}\nheight = {side}"), encoding="utf-8")
+        with process.Render(*job()) as render:
+            told = messages(render)
+        assert reason in next(message["error"] for message in told if "error" in message)
 
 
 def test_end_of_a_running_render(quick):

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import sys
 import time
 import warnings
@@ -71,6 +70,21 @@ class Pictures:
         tell(picture=str(path), step=picture.metadata["spp"])
 
 
+def _render(path: str, options: dict[str, Any], step: Callable[[int, Callable[[], Any]], None]) -> Any:
+    """The `Picture` of a scene file. Raises BokehguideError, also where the memory does not suffice."""
+    import bokehguide
+    from bokehguide.cli.memory import check_memory, explained
+    from bokehguide.scene import Overrides
+    from bokehguide.train import RenderSettings
+
+    with explained():
+        scene = bokehguide.load_scene(path, Overrides(), allow_outside=True)
+        check_memory(scene, RenderSettings(**{name: value for name, value in options.items() if name != "time_limit"}))
+        for warning in (*scene.warnings, *scene.likely_mistakes):
+            tell(warning=warning)
+        return bokehguide.render(scene, on_step=step, quiet=True, **options)
+
+
 def _named(picture: Any) -> dict[str, Any]:
     """The mattes under the names of Cryptomatte, such as `CryptoObject00`, and the light groups under their own."""
     from bokehguide.image.cryptomatte import CHANNELS
@@ -108,14 +122,10 @@ def main(job_path: str) -> int:
     warnings.simplefilter("always")
     pictures = Pictures(Path(job["folder"]), job["options"]["spp"])
     try:
-        with Path(os.devnull).open("w") as nothing:  # the progress bar
-            sys.stderr, stderr = nothing, sys.stderr
-            try:
-                picture = bokehguide.render(job["scene"], allow_outside=True, on_step=pictures.step, **job["options"])
-            finally:
-                sys.stderr = stderr
+        picture = _render(job["scene"], job["options"], pictures.step)
     except (bokehguide.BokehguideError, MemoryError) as error:
-        tell(error=str(error) or "the memory does not suffice; give a smaller resolution or fewer triangles")
+        reason = str(error).removeprefix(f"{job['scene']}: ").replace("--size", "the resolution")
+        tell(error=reason or "the memory does not suffice; give a smaller resolution or fewer triangles")
         return 2
     pictures.write(picture)
     if picture.mattes:

@@ -33,13 +33,16 @@ def write_glb(path: Path, document: Document, rest: bytes) -> None:
     path.write_bytes(header + CHUNK.pack(len(text), b"JSON") + text + rest)
 
 
-def complete_glb(path: Path, materials: Mapping[str, Document]) -> bool:
+def complete_glb(path: Path, materials: Mapping[str, Document], textures: Mapping[str, Mapping[str, bytes]]) -> bool:
     """Replace the materials of a file by name, and make transmissive ones solid; returns whether the file has meshes.
+
+    textures: PNG files by material and texture, for `replace_textures`.
 
     Cycles refracts at every transmissive surface. In glTF, a transmissive surface is a thin sheet without a thickness.
     """
     document, rest = read_glb(path)
-    if _replace(document, materials) | _make_solid(document):
+    rest, changed = replace_textures(document, rest, textures)
+    if _replace(document, materials) | _make_solid(document) | changed:
         write_glb(path, document, rest)
     return bool(document.get("meshes"))
 
@@ -75,6 +78,30 @@ def _emissive_meshes(document: Document) -> set[int]:
         for number, mesh in enumerate(document.get("meshes", ()))
         if any("material" in part and materials[part["material"]] for part in mesh["primitives"])
     }
+
+
+def replace_textures(document: Document, rest: bytes, textures: Mapping[str, Mapping[str, bytes]]) -> tuple[bytes, bool]:
+    """Replace images of materials in a document; returns the chunks after it, and whether there are any.
+
+    textures: PNG files by material and by `baseColorTexture` or `emissiveTexture`.
+    """
+    data = bytearray(rest[CHUNK.size :])
+    changed = False
+    for material in document.get("materials", ()):
+        for slot, content in textures.get(material.get("name"), {}).items():
+            owner = material.get("pbrMetallicRoughness", {}) if slot == "baseColorTexture" else material
+            if slot in owner:
+                number = len(document["textures"])
+                document["textures"].append(document["textures"][owner[slot]["index"]] | {"source": len(document["images"])})
+                document["images"].append({"mimeType": "image/png", "bufferView": len(document["bufferViews"])})
+                document["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": len(content)})
+                data += content + bytes(-len(content) % 4)
+                owner[slot] = owner[slot] | {"index": number}
+                changed = True
+    if changed:
+        document["buffers"][0]["byteLength"] = len(data)
+        rest = CHUNK.pack(len(data), b"BIN\0") + bytes(data)
+    return rest, changed
 
 
 def _replace(document: Document, materials: Mapping[str, Document]) -> bool:

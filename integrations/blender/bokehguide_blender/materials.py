@@ -7,8 +7,9 @@ from typing import Any
 
 import bpy
 
+from .images import SLOTS, converted_images, srgb_png
 from .messages import Losses
-from .node_chains import has_constant, lost_nodes, source
+from .node_chains import COLOR_LOSS, has_constant, lost_nodes, source
 from .shaders import gltf_material, ignored_inputs, is_simple
 
 TEXTURED = {
@@ -58,6 +59,17 @@ def simple_materials(depsgraph: bpy.types.Depsgraph) -> dict[str, dict[str, Any]
     return found
 
 
+def converted_textures(depsgraph: bpy.types.Depsgraph) -> dict[str, dict[str, bytes]]:
+    """PNG files that replace textures of the exporter, by material and glTF texture."""
+    found = {}
+    for material, tree in _trees(depsgraph):
+        output = tree.get_output_node("CYCLES")
+        node = source(output.inputs["Surface"]) if output else None
+        if node is not None and node.type == "BSDF_PRINCIPLED":
+            found[material] = {slot: srgb_png(image) for slot, image in converted_images(node).items() if min(image.size) > 0}
+    return found
+
+
 def _trees(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, bpy.types.NodeTree]]:
     """The name and the node tree of each material of the rendered objects."""
     slots = (slot for instance in depsgraph.object_instances for slot in instance.object.material_slots)
@@ -80,11 +92,13 @@ def _check_surface(material: str, node: bpy.types.Node | None, losses: Losses) -
     else:
         if _reaches(node.inputs["Metallic"], 0.0):
             _check_distribution(material, node, losses)
+        converted = [name for name, slot in SLOTS.items() if slot in converted_images(node)]
         for socket in node.inputs:
             if socket.name in IGNORED and _reaches(socket, 0.0):
                 losses.add(INPUT_LOSS, f"{material} ({socket.name})")
             elif socket.name not in IGNORED and socket.name != "Tangent":
-                _check_input(material, socket, socket.name in TEXTURED, losses)
+                left_out = COLOR_LOSS if socket.name in converted else ""
+                _check_input(material, socket, socket.name in TEXTURED, losses, left_out)
 
 
 def _check_distribution(material: str, node: bpy.types.Node, losses: Losses) -> None:
@@ -98,12 +112,13 @@ def _reaches(socket: bpy.types.NodeSocket, value: float) -> bool:
     return socket.is_linked or socket.default_value > value
 
 
-def _check_input(material: str, socket: bpy.types.NodeSocket, textured: bool, losses: Losses) -> None:
-    """Add the losses of an input. textured: whether the exporter stores its image."""
+def _check_input(material: str, socket: bpy.types.NodeSocket, textured: bool, losses: Losses, left_out: str = "") -> None:
+    """Add the losses of an input. textured: whether the exporter stores its image; left_out: text of a loss that is none."""
     if not socket.is_linked or has_constant(socket):
         return
     if not textured:
         losses.add(INPUT_LOSS, f"{material} ({socket.name})")
         return
     for text, name in lost_nodes(socket):
-        losses.add(text or NODE_LOSS, name if text else f"{material} ({name})")
+        if not text or text != left_out:
+            losses.add(text or NODE_LOSS, name if text else f"{material} ({name})")

@@ -31,7 +31,23 @@ def has_constant(socket: bpy.types.NodeSocket) -> bool:
 
 def lost_nodes(socket: bpy.types.NodeSocket) -> Iterator[tuple[str, str]]:
     """Losses of a chain: a text with the name of an image, or no text with the label of a node that is ignored."""
-    color, waiting, seen = socket.type == "RGBA", [(socket, socket.name.endswith("Normal"))], set()
+    color = socket.type == "RGBA"
+    for link, known in _links(socket):
+        node, output = link.from_node, link.from_socket.name
+        if node.type == "TEX_IMAGE":
+            yield from _image_losses(node, color and output == "Color", output)
+        elif not known:
+            yield "", node.bl_label
+
+
+def images_of(socket: bpy.types.NodeSocket) -> list[bpy.types.Image | None]:
+    """The images of a chain."""
+    return [link.from_node.image for link, _ in _links(socket) if link.from_node.type == "TEX_IMAGE"]
+
+
+def _links(socket: bpy.types.NodeSocket) -> Iterator[tuple[bpy.types.NodeLink, bool]]:
+    """The links of a chain, and whether the exporter follows the node at their start. Images and other nodes end a chain."""
+    waiting, seen = [(socket, socket.name.endswith("Normal"))], set()
     while waiting:
         current, normal = waiting.pop()
         link = _link(current)
@@ -39,17 +55,16 @@ def lost_nodes(socket: bpy.types.NodeSocket) -> Iterator[tuple[str, str]]:
             continue
         node = link.from_node
         seen.add(node.name)
-        if node.type == "TEX_IMAGE":
-            yield from _image_losses(node, color and link.from_socket.name == "Color", link.from_socket.name)
-        elif node.type == "GROUP":
+        following: list[tuple[bpy.types.NodeSocket, bool]] = []
+        if node.type == "GROUP":
             outputs = [each for each in node.node_tree.nodes if each.type == "GROUP_OUTPUT"] if node.node_tree else []
-            waiting += [(each.inputs[link.from_socket.name], normal) for each in outputs]
+            following = [(each.inputs[link.from_socket.name], normal) for each in outputs]
         elif normal and node.type == "NORMAL_MAP" and node.space == "TANGENT":
-            waiting.append((node.inputs["Color"], False))
+            following = [(node.inputs["Color"], False)]
         elif not normal and _is_stored(node):
-            waiting += [(each, False) for each in node.inputs if each.is_linked]
-        else:
-            yield "", node.bl_label
+            following = [(each, False) for each in node.inputs if each.is_linked]
+        yield link, bool(following)
+        waiting += following
 
 
 def _link(socket: bpy.types.NodeSocket) -> bpy.types.NodeLink | None:

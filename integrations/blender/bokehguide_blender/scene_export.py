@@ -17,7 +17,7 @@ from .glb import complete_glb, split_glb
 from .light_groups import LightGroups
 from .lights import read_lights
 from .main_thread import in_main_thread
-from .materials import material_warnings, simple_materials
+from .materials import converted_textures, material_warnings, simple_materials
 from .messages import RenderError
 from .scene_losses import render_warnings, scene_warnings
 from .toml_text import dumps
@@ -60,7 +60,7 @@ def export_scene(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph,
 
 def _parts(geometry: Path, depsgraph: bpy.types.Depsgraph, groups: LightGroups) -> dict[str, Path]:
     """The .glb files by light group, none without meshes."""
-    if not complete_glb(geometry, simple_materials(depsgraph)):
+    if not complete_glb(geometry, simple_materials(depsgraph), converted_textures(depsgraph)):
         return {}
     items = (instance.object for instance in depsgraph.object_instances)
     grouped = {item.name: groups.key(item.lightgroup) for item in items if groups.key(item.lightgroup)}

@@ -6,11 +6,14 @@ from collections.abc import Iterator
 
 import bpy
 
-from .messages import Losses
+from .messages import Losses, listed
 
 LOST_TYPES = {"VOLUME", "CURVES", "POINTCLOUD", "GPENCIL", "GREASEPENCIL"}
 """Types of objects that a glTF file cannot have."""
 RAYS = ("visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission", "visible_shadow")
+PASSES = {"combined", "z", "normal", "cryptomatte_object", "cryptomatte_material", "cryptomatte_accurate"}
+"""Passes that a view layer may ask for, by their settings."""
+PREFIX = "use_pass_"
 WORKING_SPACE = "Linear Rec.709"
 
 
@@ -22,7 +25,16 @@ def render_warnings(depsgraph: bpy.types.Depsgraph) -> list[str]:
         "stereoscopy is ignored; all views are the same picture": scene.render.use_multiview,
         "the material override of the view layer is ignored": layer.material_override is not None,
     }
-    return [text for text, lost in found.items() if lost]
+    return [text for text, lost in found.items() if lost] + _lost_passes(layer)
+
+
+def _lost_passes(layer: bpy.types.ViewLayer) -> list[str]:
+    """A warning of the passes that a render does not deliver."""
+    settings = [each for each in layer.bl_rna.properties if each.identifier.startswith(PREFIX)]
+    names = [
+        each.name for each in settings if each.identifier.removeprefix(PREFIX) not in PASSES and getattr(layer, each.identifier)
+    ]
+    return [f"passes that bokehguide lacks: {listed(names)}"] if names else []
 
 
 def scene_warnings(depsgraph: bpy.types.Depsgraph) -> list[str]:

@@ -11,7 +11,7 @@ from .camera import camera_table
 from .geometry import SURFACES, export_visible
 from .glb import complete_glb
 from .light_groups import LightGroups
-from .materials import simple_materials
+from .materials import converted_textures, simple_materials
 from .scene_export import scene_tables, write_scene
 
 PAUSE = 0.3
@@ -78,7 +78,7 @@ class ViewportScene:
         path, before = self._numbered("geometry", ".glb"), self._geometry
         scene = depsgraph.scene.original
         export_visible(scene, scene.view_layers[depsgraph.view_layer.name], path)
-        self._has_meshes = complete_glb(path, simple_materials(depsgraph))
+        self._has_meshes = complete_glb(path, simple_materials(depsgraph), converted_textures(depsgraph))
         if before.exists() and before.read_bytes() == path.read_bytes():
             path.unlink()
             return False

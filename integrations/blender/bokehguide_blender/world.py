@@ -70,7 +70,7 @@ def _map(texture: bpy.types.Node, folder: Path, warnings: list[str]) -> dict[str
         turn = _turn(mapping, warnings)
     elif mapping is not None and mapping.type != "TEX_COORD":
         warnings.append(f"world: the node {mapping.name} is ignored; rotate the map by a Mapping node")
-    return {"map": str(_file(texture.image, folder)), "rotation": MAP_ROTATION + turn}
+    return {"map": str(_file(texture.image, folder, warnings)), "rotation": MAP_ROTATION + turn}
 
 
 def _turn(mapping: bpy.types.Node, warnings: list[str]) -> float:
@@ -97,11 +97,12 @@ def _source(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
     return None
 
 
-def _file(image: bpy.types.Image, folder: Path) -> Path:
+def _file(image: bpy.types.Image, folder: Path, warnings: list[str]) -> Path:
     """A .hdr or .exr file with the pixels of an image. Raises RenderError where the image cannot be read."""
     path = Path(bpy.path.abspath(image.filepath, library=image.library))
     on_disk = image.source == "FILE" and not image.packed_file and not image.is_dirty
-    linear = image.colorspace_settings.name in LINEAR
+    space = image.colorspace_settings.name
+    linear = space in LINEAR
     if on_disk and linear and path.suffix.lower() in (".hdr", ".exr") and path.is_file():
         return path
     width, height = image.size
@@ -110,7 +111,10 @@ def _file(image: bpy.types.Image, folder: Path) -> Path:
     pixels = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(pixels)
     colors = pixels.reshape(height, width, image.channels)[::-1, :, : min(image.channels, 3)]
-    if not image.is_float and image.colorspace_settings.name == "sRGB":
+    # Pixels of floats are linear Rec.709 from every colour space, and pixels of 8 bits are those of the file.
+    if not image.is_float and not linear:
+        if space != "sRGB":
+            warnings.append(f"world: the image {image.name} of 8 bits is taken as sRGB, not as {space}")
         colors = np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
     target = folder / f"world-{hashlib.sha256(pixels).hexdigest()[:16]}.hdr"
     if not target.exists():

@@ -173,6 +173,32 @@ def test_images_that_are_lost_are_told(scene, tmp_path, capfd):
     assert "other projections, coordinates and extensions are ignored: clipped.png" in said
 
 
+SPACES = {
+    "floats": ("Linear Rec.709", True),
+    "floats in ACEScg": ("ACEScg", True),
+    "numbers as colours": ("Non-Color", False),
+}
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_colors_of_images(scene, tmp_path, capfd, name):
+    """Images in other colour spaces than sRGB have the colours of Cycles."""
+    space, floats = SPACES[name]
+    picture = image("picture", space, floats)
+    picture.pixels = [(0.1, 0.3, 0.6, 1.0)[channel] for _ in range(16) for channel in range(4)]
+    picture.filepath_raw, picture.file_format = str(tmp_path / "picture"), "OPEN_EXR" if floats else "PNG"
+    picture.save()
+    loaded = bpy.data.images.load(picture.filepath_raw)
+    loaded.colorspace_settings.name = space
+    scenes.world((0.5, 0.5, 0.5))
+    scenes.mesh("plane", textured("surface", loaded)[0], size=10)
+    scenes.camera((0, -2, 2))
+    cycles, ours = (each[..., :3].mean((0, 1)) for each in scenes.both(tmp_path, size=(24, 16), samples=16))
+    print(name, cycles, ours)
+    np.testing.assert_allclose(ours, cycles, rtol=0.02)
+    assert "images of colours" not in "".join(capfd.readouterr())
+
+
 def test_what_the_exporter_stores_is_not_told(scene, tmp_path, capfd):
     """Images by factors, channels and mappings, alpha, normal maps and node groups."""
     factor, texture, _ = textured("factor")

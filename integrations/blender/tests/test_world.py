@@ -44,6 +44,27 @@ def test_map(scene, tmp_path, name):
     assert np.abs(ours - cycles).mean() < 0.05  # the texels of bokehguide are interpolated
 
 
+def test_map_in_another_color_space(scene, tmp_path):
+    """Blender converts maps of floats."""
+    mapping = world_map(tmp_path, ".exr")
+    texture = mapping.outputs["Vector"].links[0].to_node
+    texture.image.colorspace_settings.name = "ACEScg"
+    scenes.camera((0, 0, 0), (0.4, 1.0, 0.2), lens=14.0)
+    cycles, ours = scenes.both(tmp_path, samples=16)
+    assert np.median(np.abs(ours - cycles)) < 0.01
+    texture.image.colorspace_settings.name = "Linear Rec.709"
+    other = scenes.colors(scenes.render("CYCLES", tmp_path, samples=16))
+    assert np.median(np.abs(other - cycles)) > 0.02
+
+
+def test_map_of_8_bits_in_another_color_space_is_told(scene, tmp_path, capfd):
+    mapping = world_map(tmp_path, ".png")
+    mapping.outputs["Vector"].links[0].to_node.image.colorspace_settings.name = "Display P3"
+    scenes.camera()
+    scenes.render("BOKEHGUIDE", tmp_path, size=(8, 8), samples=1)
+    assert "of 8 bits is taken as sRGB, not as Display P3" in "".join(capfd.readouterr())
+
+
 def test_light_of_the_map(scene, tmp_path):
     world_map(tmp_path, ".exr", 0.3)
     scenes.mesh("uv_sphere", location=(0, 0, 0), segments=64, ring_count=32)
