@@ -213,6 +213,16 @@ def test_a_drag_that_inspects_changes_nothing(browser):
     assert browser.data("state") == "0"
 
 
+def test_keys_inspect_and_focus(browser):
+    browser.changed(lambda: browser.write("focus_distance", "7"))
+    browser.driver.execute_script("document.querySelector('#tools input[value=inspect]').click()")
+    browser.find("frame").send_keys(*[Keys.ARROW_LEFT] * 23, *[Keys.ARROW_DOWN] * 12)
+    browser.until(lambda: f"{int(0.27 * 96)}, {int(0.62 * 60)} of 96×60" in browser.find("pixel").text)
+    browser.changed(lambda: browser.find("frame").send_keys(Keys.ENTER))
+    expected = load_scene("box.toml", Overrides(focus_at=(0.27, 0.62))).camera.focus_distance
+    assert float(browser.find("focus_distance").get_attribute("value")) == pytest.approx(expected, rel=1e-2)
+
+
 def test_a_layer_has_a_legend_and_a_stopped_render_continues(browser):
     assert browser.find("legend").text == ""
     browser.driver.execute_script("document.querySelector('#layers input[value=depth]').click()")

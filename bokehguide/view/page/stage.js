@@ -2,6 +2,8 @@
 
 const STILL = 4; // pixels that a click may move
 const WALK = 0.04; // of the distance to the target, for each repeat of a key
+const STEP = 0.01; // of the frame, of a key that moves the inspected point; five times as far with Shift
+const ARROWS = { ArrowLeft: [-STEP, 0], ArrowRight: [STEP, 0], ArrowUp: [0, -STEP], ArrowDown: [0, STEP] };
 const KEYS = {
   w: ["walk", 0, -WALK], s: ["walk", 0, WALK], a: ["walk", -WALK, 0], d: ["walk", WALK, 0], q: ["rise", 0, WALK], e: ["rise", 0, -WALK],
   ArrowLeft: ["orbit", -0.02, 0], ArrowRight: ["orbit", 0.02, 0], ArrowUp: ["orbit", 0, -0.02], ArrowDown: ["orbit", 0, 0.02],
@@ -12,6 +14,7 @@ export class Stage {
   constructor(send) {
     this.send = send;
     this.tool = "orbit";
+    this.point = [0.5, 0.5]; // what the keys inspect, in fractions of the frame
     this.frame = document.getElementById("frame");
     this.picture = document.getElementById("picture");
     this.marker = document.getElementById("marker");
@@ -35,7 +38,10 @@ export class Stage {
   greet({ width, height, follows }) {
     this.size = [width, height];
     this.still = follows; // the camera of a render elsewhere cannot be set
-    if (follows) this.frame.setAttribute("aria-label", "Picture");
+    if (follows) {
+      this.tool = "inspect";
+      this.frame.setAttribute("aria-label", "Picture: arrow keys inspect");
+    }
     for (const canvas of [this.picture, this.marker]) [canvas.width, canvas.height] = [width, height];
     this.fit();
   }
@@ -139,11 +145,23 @@ export class Stage {
     if (start && !start.moved && event.button === 0 && start.tool !== "inspect") this.focus(...this.at(event));
   }
 
-  focus(x, y) {
-    if (this.still) return;
+  aim(x, y) {
     this.reticle.hidden = false;
     this.reticle.style.left = `${100 * x}%`;
     this.reticle.style.top = `${100 * y}%`;
+  }
+
+  // Move the inspected point, and ask for its values.
+  inspect([x, y], times) {
+    const within = (value) => Math.min(Math.max(value, 0), 1);
+    this.point = [within(this.point[0] + times * x), within(this.point[1] + times * y)];
+    this.place = [...this.point];
+    this.aim(...this.point);
+  }
+
+  focus(x, y) {
+    if (this.still) return;
+    this.aim(x, y);
     this.send({ type: "focus", x, y });
   }
 
@@ -154,9 +172,11 @@ export class Stage {
 
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const inspects = this.tool === "inspect";
     const motion = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    if (motion) this.queue(...motion);
-    else if (event.key === "Enter") this.focus(0.5, 0.5);
+    if (inspects && ARROWS[event.key]) this.inspect(ARROWS[event.key], event.shiftKey ? 5 : 1);
+    else if (motion) this.queue(...motion);
+    else if (event.key === "Enter") this.focus(...(inspects ? this.point : [0.5, 0.5]));
     else if (event.key.toLowerCase() === "p") document.getElementById("marked").click();
     else return;
     event.preventDefault();
