@@ -7,8 +7,9 @@ float64 on a finer grid, and never above 1.
 import numpy as np
 import pytest
 import torch
+from coat_table import integrated_table
 
-from bokehguide.render.bsdf.coat_albedo import CoatAlbedo
+from bokehguide.render.bsdf.coat_albedo import CoatAlbedo, coat_table
 from bokehguide.render.bsdf.dielectric import DielectricBSDF
 from bokehguide.render.bsdf.microfacets import Microfacets
 from bokehguide.render.bsdf.opaque import OpaqueBSDF
@@ -89,6 +90,10 @@ def test_a_white_base_under_a_coat_reflects_all_light_at_every_angle(roughness, 
 
     reflected = [albedo(degrees, 13, [max(roughness**2, MIN_ALPHA)], values).max() for degrees in DEGREES]
     assert min(reflected) > 0.995 and max(reflected) < 1.0 + ROUNDING
+
+
+def test_the_file_of_the_table_of_coats_is_current():
+    torch.testing.assert_close(coat_table(torch.device("cpu")), integrated_table(), atol=1e-6, rtol=0.0)
 
 
 @pytest.mark.parametrize("alpha", [MIN_ALPHA, 0.0123, 0.087, 0.25, 0.5, 1.0])
