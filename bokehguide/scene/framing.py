@@ -32,7 +32,7 @@ GLOW = 1.0
 """Greatest emission of a mesh that does not count as light: labels, screens and unlit surfaces."""
 LEAST_LIGHT = 1e-3
 """Least sum of emission times area of the brighter meshes that counts as light, relative to the squared diagonal of the model.
-Smaller lamps, such as the landing lights of an aeroplane, give less than a thousandth of the light of the sky."""
+Smaller emitters, such as the landing lights of an aeroplane, give less than a thousandth of the light of the sky."""
 
 FRAME = "frame"
 """Name of the framing camera for `--camera`."""
