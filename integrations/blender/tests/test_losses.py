@@ -33,7 +33,7 @@ def test_settings(scene, warnings):
     assert "motion blur is ignored" in said
     assert "stereoscopy is ignored" in said
     assert "the material override of the view layer is ignored" in said
-    assert "passes that bokehguide lacks: Mist, Cryptomatte Asset" in said
+    assert "passes that bokehguide lacks: Cryptomatte Asset, Mist" in said
 
 
 def test_objects(scene, warnings):

@@ -215,6 +215,6 @@ def test_what_the_exporter_stores_is_not_told(scene, tmp_path, capfd):
     mapping, place = tree.nodes.new("ShaderNodeMapping"), tree.nodes.new("ShaderNodeTexCoord")
     tree.links.new(place.outputs["UV"], mapping.inputs["Vector"])
     tree.links.new(mapping.outputs[0], node.inputs["Vector"])
-    shiny = scenes.material("shiny", Coat_Weight=1.0, Sheen_Weight=0.0, Metallic=1.0)
+    shiny = scenes.material("shiny", Coat_Weight=1.0, Metallic=1.0, Roughness=0.3)
     said = told(tmp_path, capfd, factor, channel, relief, cut, turned, shiny)
     assert "Warning" not in said

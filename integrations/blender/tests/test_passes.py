@@ -117,3 +117,48 @@ def test_cryptomatte(scene, tmp_path):
             assert cycles.mean() > 0.01
             assert ours.mean() == pytest.approx(cycles.mean(), rel=0.02)
             assert np.abs(ours - cycles).mean() < 0.02
+
+
+def compositor(scene):
+    """A Cryptomatte node whose matte is the picture."""
+    if bpy.app.version < (5, 0, 0):
+        scene.use_nodes = True
+        tree = scene.node_tree
+        tree.nodes.clear()
+        output = tree.nodes.new("CompositorNodeComposite")
+    else:
+        tree = scene.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+        output = tree.nodes.new("NodeGroupOutput")
+    node = tree.nodes.new("CompositorNodeCryptomatteV2")
+    node.source, node.scene = "RENDER", scene
+    tree.links.new(node.outputs["Matte"], output.inputs[0])
+    return node
+
+
+def test_cryptomatte_node(scene, tmp_path):
+    """Blender's Cryptomatte node finds an object by its name."""
+    scenes.world((0.5, 0.5, 0.5))
+    scenes.mesh("cube", location=(-1, 0, 0)).name = "box"
+    scenes.mesh("uv_sphere", location=(1, 0, 0)).name = "ball"
+    scenes.camera((0, -6, 1))
+    bpy.context.view_layer.use_pass_cryptomatte_object = True
+    node = compositor(scene)
+    cycles, ours = (composited(scene, node, engine, tmp_path) for engine in ("CYCLES", "BOKEHGUIDE"))
+    assert ours[:, 24:].mean() > 0.4
+    assert np.abs(ours - cycles).mean() < 0.02
+
+
+def composited(scene, node, engine, folder):
+    """The matte of the ball, `[H, W]`, as the node makes it of a render."""
+    scene.render.engine = engine
+    node.layer_name, node.matte_id = f"{bpy.context.view_layer.name}.CryptoObject", "ball"
+    scene.cycles.samples = scene.bokehguide.samples = 16
+    scene.render.resolution_x, scene.render.resolution_y = 48, 32
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):
+        settings.media_type = "IMAGE"
+    settings.file_format, settings.color_depth = "OPEN_EXR", "32"
+    scene.render.filepath = str(folder / f"{engine}.exr")
+    bpy.ops.render.render(write_still=True)
+    return scenes.read(scene.render.filepath)["R"]
