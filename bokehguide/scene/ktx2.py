@@ -47,7 +47,7 @@ def _check_header(data: bytes) -> tuple[int, int]:
         raise ValueError("cut short")
     _, pixel_format, _, width, height, depth, layers, faces, levels, _, *_ = HEADER.unpack_from(data)
     if pixel_format != 0:
-        raise ValueError(f"pixels of VkFormat {pixel_format}, but glTF has ETC1S and UASTC alone")
+        raise ValueError(f"pixels of VkFormat {pixel_format}; encode the texture as ETC1S or UASTC")
     if width == 0 or height == 0 or depth > 1 or layers > 1 or faces != 1:
         raise ValueError("no single two-dimensional image")
     if levels > MAX_LEVELS or HEADER.size + LEVEL.size * levels > len(data):

@@ -65,7 +65,10 @@ def _darkness(scene: Scene) -> Iterator[str]:
 
 def _pinhole(scene: Scene, written: Collection[str]) -> Iterator[str]:
     if scene.camera.aperture_radius == 0.0 and "aperture_radius" not in written:
-        yield "the camera is a pinhole, so that all is sharp; give f_number, or aperture_radius = 0 to keep the pinhole"
+        yield (
+            "the camera is a pinhole, so that all is sharp; give f_number (option --f-number), or aperture_radius = 0 "
+            "(option --aperture-radius 0) to keep the pinhole"
+        )
 
 
 def _inside(scene: Scene) -> Iterator[str]:

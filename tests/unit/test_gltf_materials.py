@@ -249,7 +249,7 @@ def _file(folder, data: bytes):
         (lambda data: data[:60], "cut short"),
         (lambda data: data[:200], "not a valid|corrupt|could not"),
         (lambda data: data[:20] + b"\0\0\0\1" + data[24:], "not a valid|size|level"),
-        (lambda data: data[:12] + b"\x17" + data[13:], "pixels of VkFormat 23, but glTF has ETC1S and UASTC alone"),
+        (lambda data: data[:12] + b"\x17" + data[13:], "pixels of VkFormat 23; encode the texture as ETC1S or UASTC"),
         (lambda data: data[:36] + b"\6" + data[37:], "no single two-dimensional image"),
         (lambda data: data[:98] + b"\xff" + data[99:], "a level is larger than the image"),
     ],
