@@ -7,14 +7,13 @@ it listens for this machine alone.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import http
-import json
 import logging
-import math
+import os
 import secrets
-import struct
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from importlib import resources
 from ipaddress import ip_address
@@ -22,6 +21,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from bokehguide.errors import BokehguideError
+from bokehguide.view.messages import encoded, parsed
 from bokehguide.view.session import FREE, Exhibit, Message
 
 log = logging.getLogger(__name__)
@@ -79,10 +79,8 @@ class ViewServer:
         try:
             self._port = self._ready.result()
         except OSError as error:
-            reason = error.strerror or str(error)
-            raise BokehguideError(
-                f"view: cannot listen on {self.host}:{self._port} ({reason}); give another --port or --host"
-            ) from None
+            where = f"{self.host}:{self._port}"
+            raise BokehguideError(f"view: cannot listen on {where} ({_reason(error)}); give another --port or --host") from None
         self.shown.start(self.send)
 
     @property
@@ -102,10 +100,12 @@ class ViewServer:
 
     def send(self, message: Message) -> None:
         """Send a message to all browsers; any thread may call."""
-        try:
-            self._loop.call_soon_threadsafe(self._broadcast, message)
-        except RuntimeError:  # the server has ended
-            return
+        self._call(self._broadcast, message)
+
+    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Call a function on the thread of the server, unless the server has ended."""
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(function, *arguments)
 
     def _broadcast(self, message: Message) -> None:
         for browser in self._browsers:
@@ -242,7 +242,7 @@ class ViewServer:
             browser.put(Message("failure", {"failure": f"internal error: {error!r}"}))
             return
         if isinstance(answer, Future):
-            answer.add_done_callback(lambda future: self._loop.call_soon_threadsafe(_deliver, future, browser))
+            answer.add_done_callback(lambda future: self._call(_deliver, future, browser))
         elif answer is not None:
             browser.put(answer)
 
@@ -257,35 +257,10 @@ def _deliver(future: Future[Message], browser: _Browser) -> None:
         browser.put(Message("failure", {"failure": str(error)}))
 
 
-def parsed(text: str | bytes) -> Mapping[str, Any]:
-    """A request of a page. Raises BokehguideError for anything but a JSON object."""
-    if isinstance(text, bytes):
-        raise BokehguideError("files are not accepted")
-    try:
-        request = json.loads(text)
-    except (ValueError, RecursionError):
-        request = None
-    if not isinstance(request, dict):
-        raise BokehguideError("a request is a JSON object")
-    return request
-
-
-def encoded(message: Message) -> str | bytes:
-    """A message as a JSON text, or, with a picture, as the length of the text (little endian, 32 bits), the text and the PNG."""
-    text = json.dumps(_plain({"type": message.kind, **message.facts}), allow_nan=False)
-    if not message.picture:
-        return text
-    data = text.encode()
-    return struct.pack("<I", len(data)) + data + message.picture
-
-
-def _plain(value: Any) -> Any:
-    """A JSON value with null for NaN and infinities, which JSON lacks."""
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _reason(error: OSError) -> str:
+    """Why an address cannot be used. The text of asyncio repeats the address; the numbers of the name service are negative."""
+    number = error.errno or 0
+    return os.strerror(number) if number > 0 else error.strerror or str(error)
 
 
 def is_loopback(host: str) -> bool:

@@ -76,6 +76,7 @@ class Session(Listener):
         self._revision = 0
         self._history, self._kind = History(), ("", "", "")
         """Earlier states, and the kind of the request that is followed."""
+        self._warnings = (*source.scene.warnings, *source.scene.likely_mistakes)
         self._marked = False
         self._send: Send = lambda message: None
         self._latest: Message | None = None
@@ -114,7 +115,8 @@ class Session(Listener):
         }
         marker = [self._marker()] if self._marked else []
         picture = [] if self._latest is None else [self._latest]
-        return [Message("hello", facts), self._state_message(), *picture, *marker]
+        warnings = [Message("note", {"note": "\n".join(f"warning: {each}" for each in self._warnings)})] if self._warnings else []
+        return [Message("hello", facts), self._state_message(), *picture, *marker, *warnings]
 
     def handle(self, request: Mapping[str, Any]) -> Message | Future[Message] | None:
         kind = request.get("type")

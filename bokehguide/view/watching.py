@@ -161,7 +161,12 @@ class WatchedFile:
 
     def _state(self) -> dict[str, Any]:
         look = self._look
-        values = {"exposure": look.exposure, "view": self._display().view, "denoise": look.denoise, "layer": look.layer}
+        values = {
+            "exposure": look.exposure,
+            "view": self._display().view,
+            "denoise": look.denoise and "denoised" in self._layers,
+            "layer": look.layer,
+        }
         values |= {"mode": str(self._header.get("mode", "")), "spp": self._spp()}
         command = str(self._header.get("command", ""))
         return {"revision": self._revision, "values": values, "command": command, "rendering": False, "marked": False}

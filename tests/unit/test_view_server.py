@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future
 from http.client import HTTPConnection
 from urllib.parse import urlsplit
 
@@ -13,6 +14,7 @@ from websockets.sync.client import connect
 
 from bokehguide.errors import BokehguideError
 from bokehguide.view.server import MAX_REQUEST, ViewServer, is_loopback, require_websockets
+from bokehguide.view.session import Message
 from tests.support.scene_text import BOX_AND_EMITTER
 from tests.support.view_page import opened, served
 
@@ -135,8 +137,42 @@ def test_the_work_ends_when_nobody_watches(server):
 
 def test_a_port_in_use_is_an_error_in_a_line(server):
     port = urlsplit(server.address).port
-    with pytest.raises(BokehguideError, match=f"cannot listen on 127.0.0.1:{port} .*; give another --port"):
+    with pytest.raises(BokehguideError, match=f"cannot listen on 127.0.0.1:{port} .Address already in use.; give another --port"):
         ViewServer(server.shown, port=port).start()
+
+
+class Waiting:
+    """An exhibit whose answers come when the server has ended."""
+
+    def __init__(self) -> None:
+        self.answer: Future[Message] = Future()
+        self.asked = threading.Event()
+
+    def start(self, send) -> None: ...
+
+    def watch(self, watched: bool) -> None: ...
+
+    def greeting(self) -> list[Message]:
+        return []
+
+    def handle(self, request) -> Future[Message]:
+        self.asked.set()
+        return self.answer
+
+    def close(self) -> None:
+        self.answer.set_result(Message("note", {"note": "late"}))
+
+
+def test_an_answer_after_the_end_is_dropped(caplog):
+    shown = Waiting()
+    server = ViewServer(shown)
+    server.start()
+    with opened(server) as page:
+        page.send(type="hover", x=0.5, y=0.5)
+        assert shown.asked.wait(60.0)
+        time.sleep(0.2)  # the server takes the answer
+        server.close()
+    assert not caplog.records
 
 
 def test_the_missing_extra_is_named(monkeypatch):

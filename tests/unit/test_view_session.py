@@ -27,7 +27,7 @@ from bokehguide.view.pixel import BRIGHTEST, DIMMEST, lens_disc
 from bokehguide.view.preview import QuickDenoiser, quick_display
 from bokehguide.view.state import LAYERS, ViewState
 from bokehguide.view.workers import AbandonedError, StoppableWorkers
-from tests.support.scene_text import BOX_AND_EMITTER
+from tests.support.scene_text import BALL, BOX_AND_EMITTER, CAMERA
 from tests.support.view_page import opened, served
 
 SPP = 3
@@ -437,6 +437,13 @@ def test_a_browser_that_connects_later_sees_the_latest_picture(box, tmp_path):
         with opened(server) as second:
             assert second.facts["picture"]["exact"]
             np.testing.assert_array_equal(second.image, shown)
+
+
+def test_the_page_tells_the_warnings_of_its_scene(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("dark.toml").write_text(CAMERA + BALL)
+    with served("dark.toml", tmp_path, spp=1) as server, opened(server) as page:
+        assert page.facts["note"]["note"].startswith("warning: nothing shines")
 
 
 def test_pictures_of_earlier_states_are_freed(box, tmp_path):

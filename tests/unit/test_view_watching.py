@@ -119,6 +119,7 @@ def test_an_exr_of_another_program_needs_no_header(page, tmp_path):
     (tmp_path / "next.exr").replace(tmp_path / "out.exr")
     facts = page.until("picture")
     assert (facts["width"], facts["height"], facts["spp"], facts["limit"]) == (6, 4, 0, 0)
+    assert not page.facts["state"]["values"]["denoise"]
 
 
 def test_an_exr_without_a_picture_is_told(page, tmp_path):

@@ -143,7 +143,7 @@ export class Controls {
   // A render keeps its camera and lens; a browser that does not steer keeps everything.
   lock() {
     for (const id of ["lens", "aperture"]) document.getElementById(id).disabled = this.rendering || !this.steering;
-    for (const id of ["light", "quality"]) document.getElementById(id).disabled = !this.steering;
+    for (const id of ["light", "making"]) document.getElementById(id).disabled = !this.steering;
     for (const id of ["mode", "reset"]) document.getElementById(id).disabled = this.rendering;
     for (const name of ["spp", "environment_rotation"]) this.enable(name, !this.rendering);
   }
