@@ -15,7 +15,8 @@ from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import load_scene
 from bokehguide.train import RenderSettings
-from bokehguide.view.server import ViewServer, is_loopback, require_websockets
+from bokehguide.view.address import is_loopback, require_address
+from bokehguide.view.server import ViewServer, require_websockets
 from bokehguide.view.session import Exhibit, Session
 from bokehguide.view.state import Source, ViewState
 from bokehguide.view.watching import WatchedFile
@@ -24,6 +25,7 @@ from bokehguide.view.watching import WatchedFile
 def run(options: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C or SIGTERM; returns the exit code."""
     require_websockets()
+    require_address(options.host, options.port)  # before the scene is loaded, which may take long
     if options.watch:
         return serve(WatchedFile(options.watch), options)
     dedicate_process()

@@ -10,17 +10,16 @@ import asyncio
 import contextlib
 import http
 import logging
-import os
 import secrets
 import threading
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from importlib import resources
-from ipaddress import ip_address
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from bokehguide.errors import BokehguideError
+from bokehguide.view.address import is_loopback, unusable
 from bokehguide.view.messages import encoded, parsed
 from bokehguide.view.session import FREE, Exhibit, Message
 
@@ -79,8 +78,7 @@ class ViewServer:
         try:
             self._port = self._ready.result()
         except OSError as error:
-            where = f"{self.host}:{self._port}"
-            raise BokehguideError(f"view: cannot listen on {where} ({_reason(error)}); give another --port or --host") from None
+            raise unusable(self.host, self._port, error) from None
         self.shown.start(self.send)
 
     @property
@@ -255,17 +253,3 @@ def _deliver(future: Future[Message], browser: _Browser) -> None:
         return
     except BokehguideError as error:
         browser.put(Message("failure", {"failure": str(error)}))
-
-
-def _reason(error: OSError) -> str:
-    """Why an address cannot be used. The text of asyncio repeats the address; the numbers of the name service are negative."""
-    number = error.errno or 0
-    return os.strerror(number) if number > 0 else error.strerror or str(error)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a host name or address is this machine's own."""
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False

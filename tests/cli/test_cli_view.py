@@ -40,10 +40,10 @@ def test_a_mistake_is_told_in_a_line(options, words, folder, capsys):
     assert words in stderr and stderr.startswith("bokehguide: error: ") and "Traceback" not in stderr
 
 
-def test_a_port_in_use_is_told(folder, capsys):
+def test_a_port_in_use_is_told_before_the_scene_is_loaded(folder, capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert main(["view", "box.toml", "--no-browser", f"--port={port}"]) == 2
+        assert main(["view", "none.toml", "--no-browser", f"--port={port}"]) == 2
     assert f"cannot listen on 127.0.0.1:{port}" in capsys.readouterr().err
 
 

@@ -13,7 +13,8 @@ from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
 from bokehguide.errors import BokehguideError
-from bokehguide.view.server import MAX_REQUEST, ViewServer, is_loopback, require_websockets
+from bokehguide.view.address import is_loopback, require_address
+from bokehguide.view.server import MAX_REQUEST, ViewServer, require_websockets
 from bokehguide.view.session import Message
 from tests.support.scene_text import BOX_AND_EMITTER
 from tests.support.view_page import opened, served
@@ -139,6 +140,9 @@ def test_a_port_in_use_is_an_error_in_a_line(server):
     port = urlsplit(server.address).port
     with pytest.raises(BokehguideError, match=f"cannot listen on 127.0.0.1:{port} .Address already in use.; give another --port"):
         ViewServer(server.shown, port=port).start()
+    with pytest.raises(BokehguideError, match=f"cannot listen on 127.0.0.1:{port} .Address already in use."):
+        require_address("127.0.0.1", port)
+    require_address("127.0.0.1", 0)
 
 
 class Waiting:

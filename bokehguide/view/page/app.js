@@ -151,6 +151,7 @@ setInterval(() => {
 
 connection = new Connection(handlers, (open) => {
   document.body.dataset.connected = open;
+  for (const part of [find("layers"), find("tools"), find("frame"), find("form")]) part.inert = !open; // changes would be lost
   if (!open) note("The connection is lost; trying again …", true);
   else find("note").textContent = "";
 });
