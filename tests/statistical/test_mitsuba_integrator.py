@@ -95,6 +95,22 @@ def test_pixels_beside_highlights_have_mitsubas_lens_points(expected, monkeypatc
     assert not agree(1.03 * found[:, inside], expected[:, inside]), "three per cent show"
 
 
+def test_passes_of_pixels_beside_highlights_share_no_sample(monkeypatch):
+    """Passes of bounded memory have seeds of their own, and all samples together."""
+    traced = []
+    original = Wavefront.trace_uniform
+
+    def trace_uniform(self, pixels, count, seed, *others):
+        traced.append((len(pixels) * count, count, seed))
+        original(self, pixels, count, seed, *others)
+
+    monkeypatch.setattr(Wavefront, "trace_uniform", trace_uniform)
+    monkeypatch.setattr("bokehguide.mitsuba.rendering.PATHS_PER_PASS", 2000)
+    np.array(mi.render(mi.load_dict(lamps()), integrator=guided(), spp=24, seed=2))
+    sizes, counts, seeds = zip(*traced)
+    assert sum(counts) == 20 and max(sizes) <= 2000 and len(set(seeds)) == len(seeds) > 3
+
+
 def test_one_kernel_serves_all_steps():
     """After the first render, no seed compiles another kernel."""
     scene, integrator = mi.load_dict(lamps()), guided()
