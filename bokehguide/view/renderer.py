@@ -193,7 +193,7 @@ class Renderer:
         return spp if self._rendering else min(spp, PREVIEW_SPP)
 
     def _sight_of(self, job: Job, wanted: Wanted) -> Sight:
-        return Sight(job, job.loop.step_number, wanted, job.done(self._limit()))
+        return Sight(job, job.loop.camera.width, job.loop.step_number, wanted, job.done(self._limit()))
 
     def _is_shown(self, job: Job) -> bool:
         return self._sight == self._sight_of(job, self._wanted)

@@ -19,9 +19,11 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True)
 class Sight:
-    """A published picture: its job, its number of steps, the request, and whether the job takes no further step."""
+    """A published picture: its job, its width in pixels, its number of steps, the request, and whether the job takes no further
+    step."""
 
     job: Job
+    width: int
     step: int
     wanted: Wanted
     rests: bool

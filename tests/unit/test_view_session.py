@@ -25,6 +25,7 @@ from bokehguide.view.job import Job, reduced_sizes
 from bokehguide.view.pictures import FARTHEST, LAYERS_OF_DATA, data_image, depth_image
 from bokehguide.view.pixel import BRIGHTEST, DIMMEST, lens_disc
 from bokehguide.view.preview import QuickDenoiser, quick_display
+from bokehguide.view.session import Session
 from bokehguide.view.state import LAYERS, ViewState
 from bokehguide.view.workers import AbandonedError, StoppableWorkers
 from tests.support.scene_text import BALL, BOX_AND_EMITTER, CAMERA
@@ -429,6 +430,15 @@ def test_a_render_that_has_all_of_its_samples_writes_its_files_at_once(page):
     page.rested()
     page.send(type="render", on=True)
     assert page.until("note")["note"] == f"wrote box-view.exr and box-view.png, {SPP} SPP"
+
+
+def test_a_picture_of_each_size_is_shown(box, tmp_path, monkeypatch):
+    """From the first one on, each is twice as wide as the one before."""
+    told, original = [], Session.shown
+    monkeypatch.setattr(Session, "shown", lambda self, facts, shown: (told.append(facts), original(self, facts, shown)))
+    with served(box, tmp_path, overrides=Overrides(width=640, height=400), spp=1) as server, opened(server) as page:
+        page.rested()
+    assert [round(facts["reduction"]) for facts in told] == [8, 4, 2, 1, 1]  # the last one is exact
 
 
 def test_a_browser_that_connects_later_sees_the_latest_picture(box, tmp_path):
