@@ -20,7 +20,6 @@ LEAST_GAIN = 1.1
 """Ratio of the errors in a pilot from which the lens is guided."""
 SURVEY = 4
 """Steps of all pixels, after which pixels that see no known emitter or highlight get uniform lens points."""
-
 PATHS_PER_PASS = 1 << 24
 """Paths through uniform lens points that are traced at once; their random numbers take 16 bytes each."""
 

@@ -1,4 +1,4 @@
-"""What a renderer is asked for, and what it tells."""
+"""The requests to a renderer, and its reports."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def read_lights(
             continue
         lights.append(_light(light, matrix, name, color, losses) | groups.entry(instance.object))
         if not instance.object.visible_camera and in_frame(column(matrix, 3)):
-            losses.add("the camera sees lights, also those that Blender hides from it", name)
+            losses.add("the camera sees lights that Blender hides from the camera", name)
     warnings += losses.lines()
     return {name: tables for name, tables in (("light", lights), ("sun", suns)) if tables}
 

@@ -1,4 +1,4 @@
-"""What of the materials of a scene the glTF file has, and what it lacks."""
+"""The materials of a scene in its glTF file, and the warnings of lost nodes and inputs."""
 
 from __future__ import annotations
 

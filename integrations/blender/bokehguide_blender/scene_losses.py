@@ -1,4 +1,4 @@
-"""What of the settings and objects of a scene a render leaves out."""
+"""Settings and objects of a scene that a render leaves out, as warnings."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def scene_warnings(depsgraph: bpy.types.Depsgraph) -> list[str]:
 
 
 def _losses_of(item: bpy.types.Object) -> Iterator[str]:
-    """What of an object is lost, other than a light's."""
+    """Warnings of the losses of an object; `read_lights` tells the losses of lights."""
     if item.type == "LIGHT":
         return
     if item.type in LOST_TYPES:
