@@ -266,7 +266,7 @@ def _take_steps(
     # Python lets only the main thread handle signals.
     with Interrupt() if main else nullcontext() as interrupt, tqdm(total=spp, desc=title, unit="SPP", disable=quiet) as bar:
         while loop.step_number < spp and not (isinstance(loop, AdaptiveLoop) and loop.finished):
-            loop.step()
+            loop.step(last=loop.step_number + 1 == spp)
             bar.update()
             if on_step is not None:
                 on_step(loop.step_number, lambda: _picture(loop))

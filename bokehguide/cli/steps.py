@@ -45,7 +45,7 @@ def take_steps(
         if isinstance(loop, AdaptiveLoop) and loop.finished:
             end = f"every block has reached --target-noise {settings.target_noise:g}"
             break
-        stats = loop.step()
+        stats = loop.step(last=loop.step_number + 1 == settings.spp)
         report_step(loop, stats, reference, report, logger)
         late = time.monotonic() + stats.seconds > deadline
         interrupted, late, due, shown = ranks.any(interrupt.requested, late, checkpoints.due(), pictures.due())

@@ -161,9 +161,9 @@ class AdaptiveLoop:
         total = sum((Counter(half.phases) for half in self.halves), Counter())
         return {phase: total[phase] for phase in PHASES}
 
-    def step(self) -> StepStats:
-        """Render one more sample for each pixel of the open blocks, in one of the halves."""
-        stats = self.halves[self.step_number % 2].step()
+    def step(self, last: bool = False) -> StepStats:
+        """Render one more sample for each pixel of the open blocks, in one of the halves. last: see `RenderLoop.step`."""
+        stats = self.halves[self.step_number % 2].step(last)
         steps = self.halves[1].step_number
         if self.step_number == 2 * steps and steps >= FIRST_ROUND and steps & (steps - 1) == 0:
             self._end_round(steps)

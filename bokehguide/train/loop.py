@@ -81,6 +81,8 @@ class RenderLoop:
         self._learns = any(strategy.learns for strategy in self.mode.strategies.values())
         self._phases: Counter[str] = Counter()
         self._mean_luminance = 1.0
+        self._unlearned: Sequence[BatchResult] = ()
+        """Reports of the last step, if the strategies have not learned from it yet (see `step`)."""
 
     def __enter__(self) -> Self:
         return self
@@ -114,6 +116,7 @@ class RenderLoop:
         if self.step_number == 0 or not any(strategy.inherits for strategy in strategies.values()):
             return None
         with self.workers.serial():
+            self._learn()
             for strategy in strategies.values():
                 strategy.merge()
         state = {name: strategy.state_dict() for name, strategy in strategies.items()}
@@ -130,6 +133,7 @@ class RenderLoop:
 
     def freeze(self) -> None:
         """Stop learning."""
+        self._learn()
         self._learns = False
 
     @property
@@ -137,20 +141,23 @@ class RenderLoop:
         """Seconds of wall time so far, for each phase in PHASES."""
         return {phase: self._phases[phase] for phase in PHASES}
 
-    def step(self) -> StepStats:
-        """Render one more sample per pixel, and learn from it."""
+    def step(self, last: bool = False) -> StepStats:
+        """Render one more sample per pixel, and learn from it.
+
+        last: whether no other step is expected. The loop then learns from this step only when its state is needed before `close`.
+        """
         start = time.perf_counter()
         with self.workers.serial():
+            self._learn()
             self.step_number += 1
             spans = self._spans()
             results = self._in_batches(self._render_batch, spans)
             resampled = self._in_batches(self._resample_batch, self.mode.reuse.second_pass(spans))
             self.batches.cost([sum(work) for work in zip(*(_work(each) for each in (results, resampled) if each))])
             if self._learns:
-                timer = PhaseTimer()
-                with timer.measure("learning"):
-                    self._learn(results)
-                self._phases += timer.seconds
+                self._unlearned = results
+                if not last:
+                    self._learn()
             self.film.find_bad()
             seconds, components = time.perf_counter() - start, self.mode.lens.component_count
             return step_stats(self.step_number, results + resampled, seconds, components, self.ranks)
@@ -241,7 +248,16 @@ class RenderLoop:
             self.film.add(pixels, samples, self.step_number)
         return BatchResult(0, rays, timer)
 
-    def _learn(self, results: Sequence[BatchResult]) -> None:
+    def _learn(self) -> None:
+        """Learn from the last step, unless this is done. Collective."""
+        results, self._unlearned = self._unlearned, ()
+        if results:
+            timer = PhaseTimer()
+            with timer.measure("learning"):
+                self._learn_from(results)
+            self._phases += timer.seconds
+
+    def _learn_from(self, results: Sequence[BatchResult]) -> None:
         """Pass the reports of all batches to the strategies, and end the step of the strategies."""
         light, count = self.ranks.totals(*self._light_so_far())
         self._mean_luminance = light / max(count, 1.0)
@@ -323,6 +339,7 @@ class RenderLoop:
         PyTorch.
         """
         with self.workers.serial():
+            self._learn()
             state: dict[str, object] = {"step": self.step_number, "film": self._film_state()}
             state |= {"mean_luminance": self._mean_luminance, "phases": dict(self._phases)}
             for name, strategy in self.mode.strategies.items():
@@ -340,6 +357,7 @@ class RenderLoop:
         Raises KeyError, RuntimeError or ValueError where the state does not fit.
         """
         with self.workers.serial():
+            self._unlearned = ()
             film = state["film"] if self.ranks.first else {**state["film"], "bad_count": 0, "bad_samples": []}
             self.film.load_state_dict(film)
             for name, strategy in self.mode.strategies.items():
@@ -353,6 +371,8 @@ class RenderLoop:
 
     def guide_images(self) -> dict[str, Tensor]:
         """Pictures of the learned state by name, `[H, W, 3]` in 0 … 1; empty without learning. Collective."""
+        with self.workers.serial():
+            self._learn()
         owned = self._of_frame(self._mine_of_film())
         beta = self.ranks.merged({"beta": self.mode.lens.blend_weights()}, owned)["beta"]
         return self.mode.lens.images(beta)

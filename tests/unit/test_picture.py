@@ -111,10 +111,10 @@ def interrupted_after(steps: int, number: int, monkeypatch) -> None:
     """A signal arrives during a step."""
     step = RenderLoop.step
 
-    def stepping(self):
+    def stepping(self, last=False):
         if self.step_number == steps - 1:
             signal.raise_signal(number)
-        return step(self)
+        return step(self, last)
 
     monkeypatch.setattr(RenderLoop, "step", stepping)
 

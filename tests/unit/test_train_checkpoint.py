@@ -109,6 +109,20 @@ def test_so_are_those_of_area_restir(mode, tmp_path):
     assert_same_state(loop, again)
 
 
+@pytest.mark.parametrize("mode", ["lis-o", "guided"])
+def test_a_last_step_learns_once_its_state_is_needed(mode):
+    """The end of an epoch, at which all parts learn: its state is that of any step, and so are later steps."""
+    settled, last, onward = (rendered(mode, 3) for _ in range(3))
+    settled.step()
+    for loop in (last, onward):
+        learned = loop.mode.lens.record_buffer.state_dict()["sums"].clone()
+        loop.step(last=True)
+        assert torch.equal(loop.mode.lens.record_buffer.state_dict()["sums"], learned)
+    assert_same_state(settled, last)
+    assert_same_bits(onwards(settled, 6), onwards(onward, 6))
+    assert_same_state(settled, onward)
+
+
 @pytest.mark.slow
 def test_stopping_after_every_step_changes_nothing(tmp_path):
     loop = RenderLoop(scene(), settings())
