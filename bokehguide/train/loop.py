@@ -31,7 +31,7 @@ from bokehguide.runtime.workers import Workers
 from bokehguide.scene.light_groups import find_light_groups
 from bokehguide.scene.types import Scene
 from bokehguide.train.mattes import triangle_objects
-from bokehguide.train.scheduler import Batches
+from bokehguide.train.scheduler import BATCH, GPU_BATCH, Batches
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.step_stats import BatchResult, StepStats, step_stats
 
@@ -77,7 +77,8 @@ class RenderLoop:
         self.step_number = 0
         threads = settings.threads or available_cores()
         self.workers = Workers(threads, device)
-        self.batches = Batches(threads, self.mode.lens.paths_per_sample)
+        largest = BATCH if device.type == "cpu" else GPU_BATCH
+        self.batches = Batches(threads, self.mode.lens.paths_per_sample, largest=largest)
         self._learns = any(strategy.learns for strategy in self.mode.strategies.values())
         self._phases: Counter[str] = Counter()
         self._mean_luminance = 1.0

@@ -8,12 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-BATCH, FIRST_BATCH, SMALL_BATCH = 524288, 131072, 28800
-"""Pixels of a batch: largest number, largest number in the first step, and smallest number if there are several batches.
+BATCH, GPU_BATCH, SMALL_BATCH = 131072, 524288, 28800
+"""Pixels of a batch: largest number on a CPU and on a GPU, and smallest number if there are several batches.
 
-The Python overhead of a batch does not depend on its size. Batches are therefore as large as memory allows, and all threads have
-equally many batches. The first step has smaller batches, because the system allocates new memory slowly, and the user waits for
-the first image. Below SMALL_BATCH pixels, the Python overhead exceeds the gain of another thread."""
+The overhead of a batch does not depend on its size, but its memory does. Above BATCH pixels, the overhead on a CPU is too small
+to measure. Below SMALL_BATCH pixels, the overhead exceeds the gain of another thread. All threads have equally many batches."""
 SHORTEST, LONGEST = 0.5, 1.5
 """Least size of a span over the mean size, and largest size over the intended size, before bounds move to allowed cuts."""
 
@@ -24,13 +23,13 @@ class Batches:
     `spans` cuts the row by the costs that `cost` has received for the last spans. Costs should be reproducible, such as numbers
     of rays; seconds are not reproducible.
 
-    paths: approximate number of paths of a pixel. The number of pixels of a batch is divided by this number. smallest: number of
+    paths: approximate number of paths of a pixel. The largest number of pixels is divided by this number. smallest: number of
     pixels of a batch, at least, if there are several; None: SMALL_BATCH.
     """
 
-    def __init__(self, threads: int, paths: int = 1, smallest: int | None = None):
-        self._threads, self._paths, self._smallest = threads, paths, smallest
-        self._most = FIRST_BATCH // paths
+    def __init__(self, threads: int, paths: int = 1, smallest: int | None = None, largest: int = BATCH):
+        self._threads, self._smallest = threads, smallest
+        self._most = largest // paths
         self._cuts = np.zeros(1)
         """Bounds of the spans, as fractions of the row."""
         self._longest = 1.0
@@ -58,7 +57,6 @@ class Batches:
 
     def cost(self, costs: Sequence[float]) -> None:
         """Set the costs of the last spans, positive."""
-        self._most = BATCH // self._paths
         if len(costs) < 2:
             return
         sums, even = np.concatenate(([0.0], np.cumsum(costs))), np.linspace(0.0, 1.0, len(costs) + 1)

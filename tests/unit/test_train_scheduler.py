@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bokehguide.train.scheduler import BATCH, FIRST_BATCH, LONGEST, SHORTEST, SMALL_BATCH, Batches
+from bokehguide.train.scheduler import BATCH, GPU_BATCH, LONGEST, SHORTEST, SMALL_BATCH, Batches
 
 
 def lengths(spans: list[slice]) -> np.ndarray:
@@ -51,11 +51,12 @@ def test_where_they_cannot_cost_the_same_they_come_as_near_as_their_sizes_may():
 
 
 @pytest.mark.parametrize("paths", [1, 2])
-def test_the_first_ones_are_smaller(paths):
-    batches, pixels = Batches(2, paths), 4 * BATCH
-    assert lengths(batches.spans(pixels)).tolist() == [FIRST_BATCH // paths] * (16 * paths)
-    batches.cost([1.0] * 16 * paths)
-    assert lengths(batches.spans(pixels)).tolist() == [BATCH // paths] * (4 * paths)
+@pytest.mark.parametrize("largest", [BATCH, GPU_BATCH])
+def test_they_have_the_largest_number_of_pixels_over_the_number_of_paths(paths, largest):
+    batches, count = Batches(2, paths, largest=largest), 4 * paths
+    for _ in range(2):
+        assert lengths(batches.spans(4 * largest)).tolist() == [largest // paths] * count
+        batches.cost([1.0] * count)
 
 
 def test_another_number_of_spans_begins_with_even_ones():
