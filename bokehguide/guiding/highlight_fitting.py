@@ -36,10 +36,10 @@ def label_patches(
         return torch.zeros_like(cells)
     from kornia.contrib import connected_components_union_find  # the import takes half a second
 
-    mask = torch.zeros(record.height * record.width, dtype=torch.bool, device=cells.device)
-    mask[cells] = True
-    labels = connected_components_union_find(mask.reshape(1, 1, record.height, record.width))
-    label = labels.reshape(-1)[cells]
+    row, column = _close_gaps(cells // record.width), _close_gaps(cells % record.width)
+    mask = torch.zeros(int(row.max()) + 1, int(column.max()) + 1, dtype=torch.bool, device=cells.device)
+    mask[row, column] = True
+    label = connected_components_union_find(mask[None, None])[0, 0, row, column]
     order = depth.argsort()
     order = order[label[order].argsort(stable=True)]
     label, depth, width = label[order], depth[order], width[order]
@@ -47,6 +47,13 @@ def label_patches(
     patch = torch.empty_like(order)
     patch[order] = torch.cat((torch.zeros_like(order[:1]), leap.long().cumsum(0)))
     return patch
+
+
+def _close_gaps(places: Tensor) -> Tensor:
+    """Places `[K]` in the same order, with gaps of at most one empty place, so that the same places touch. The first place is 0."""
+    present, index = places.unique(return_inverse=True)
+    steps = present.diff(prepend=present[:1]).clamp(max=2)
+    return steps.cumsum(0)[index]
 
 
 def fit_ellipsoids(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy import ndimage
 from torch import Tensor
 
 from bokehguide.guiding.config import GaussianConfig, GuidedConfig
@@ -451,3 +452,16 @@ def test_the_border_of_a_very_wide_frame_is_narrow(width, height, border):
     """Else the record of a frame of 65,536 x 1 pixels would have a thousand million cells."""
     record = RecordBuffer(ThinLensCamera(Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), aperture_radius=0.1), width, height))
     assert (record.border, record.width, record.height) == (border, width + 2 * border, height + 2 * border)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_patches_are_the_components_that_scipy_finds(camera, seed):
+    """Of random cells, sparse and dense, all at one depth. Cells that touch at a corner touch."""
+    record = RecordBuffer(camera)
+    bright = np.random.default_rng(seed).random((record.height, record.width)) < (0.002, 0.1, 0.3, 0.5)[seed % 4]
+    cells = torch.from_numpy(np.flatnonzero(bright))
+    depth = torch.ones(len(cells))
+    patch = label_patches(record, cells, depth, depth)
+    expected = torch.from_numpy(ndimage.label(bright, np.ones((3, 3), int))[0][bright])
+    pairs = torch.stack((patch, expected.long()), dim=1).unique(dim=0)
+    assert len(pairs) == len(patch.unique()) == len(expected.unique())
