@@ -212,6 +212,7 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     add("--camera-position", type=vector, metavar="X,Y,Z", help="metres")
     add("--camera-target", type=vector, metavar="X,Y,Z", help="metres")
     add("--fov", type=float, metavar="DEG", help="horizontal field of view in degrees")
+    add("--max-depth", type=positive, metavar="N", help="longest path in segments; glass needs more (default: the scene's, or 6)")
     add("--aperture-blades", type=natural, metavar="N", help="blades of the iris; 0: round")
     add("--aperture-rotation", type=float, metavar="DEG", help="rotation of the blades or of the mask, anticlockwise")
     add("--aperture-curvature", type=float, metavar="X", help="curvature of the blades: 0 straight, 1 a circle")

@@ -50,7 +50,7 @@ def label_patches(
 
 
 def _close_gaps(places: Tensor) -> Tensor:
-    """Places `[K]` in the same order, with gaps of at most one empty place, so that the same places touch. The first place is 0."""
+    """Places `[K]` from 0 in the same order, with gaps of at most one empty place, so that the same places touch."""
     present, index = places.unique(return_inverse=True)
     steps = present.diff(prepend=present[:1]).clamp(max=2)
     return steps.cumsum(0)[index]

@@ -38,8 +38,8 @@ APERTURE = {key: f"aperture_{key}" for key in APERTURE_KEYS}
 class Overrides:
     """Values that replace a scene's own; None keeps the scene's.
 
-    width, height: pixels. environment: the path of a `.hdr` or `.exr` map, or a radiance "R,G,B". environment_rotation:
-    of the map, degrees about +y, anticlockwise seen from above.
+    width, height: pixels. max_depth: largest number of segments of a path. environment: the path of a `.hdr` or `.exr` map, or a
+    radiance "R,G,B". environment_rotation: of the map, degrees about +y, anticlockwise seen from above.
     f_number: focal length / lens diameter, with the focal length of the field of view on the scene's
     sensor, 36 mm wide by default. aperture_radius, focus_distance, camera_position, camera_target:
     metres. focus_at: focuses on the surface at a point of the frame, in pixels from the top left
@@ -55,6 +55,7 @@ class Overrides:
 
     width: int | None = None
     height: int | None = None
+    max_depth: int | None = None
     environment: str | None = None
     environment_rotation: float | None = None
     f_number: float | None = None
@@ -82,6 +83,7 @@ class Overrides:
             options.exclusive(*names)
         options.count("width", 1)
         options.count("height", 1)
+        options.count("max_depth", 1)
         options.text("environment")
         options.text("camera")
         options.text("variant")
@@ -186,8 +188,9 @@ def override_camera(
 
 
 def override_film(film: FilmSettings, overrides: Overrides) -> FilmSettings:
-    """`film` with the size from `overrides`."""
-    return replace(film, width=overrides.width or film.width, height=overrides.height or film.height)
+    """`film` with the size and the length of paths from `overrides`."""
+    kept = {name: getattr(overrides, name) or getattr(film, name) for name in ("width", "height", "max_depth")}
+    return replace(film, **kept)
 
 
 def override_environment(scene: Scene, overrides: Overrides) -> Scene:

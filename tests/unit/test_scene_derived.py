@@ -96,6 +96,13 @@ def test_the_rotation_of_an_environment_is_an_override():
     assert both.rotation == -10.0 and both.radiance.ravel().tolist() == [1.0, 1.0, 1.0]
 
 
+def test_the_length_of_paths_is_an_override(derive):
+    assert load_scene("daylight", Overrides(max_depth=12)).film.max_depth == 12
+    assert derive(derived_text("daylight", Overrides(max_depth=3, width=20), None, "")).film.max_depth == 3
+    with pytest.raises(BokehguideError, match="--max-depth: 0"):
+        Overrides(max_depth=0)
+
+
 def test_a_rotation_needs_an_environment(derive):
     text = BOX_AND_EMITTER.replace("[environment]\ncolor = [0.02, 0.03, 0.05]\n", "")
     with pytest.raises(BokehguideError, match="--environment-rotation: 10: there is no environment; give --environment too"):
