@@ -7,6 +7,7 @@ import resource
 import struct
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO
@@ -16,7 +17,8 @@ from bokehguide.scene.usd import isolation
 SIZE = struct.Struct("<q")
 SECONDS = 120
 """Processor time of a file, after which its process ends."""
-MODULES = ("Ar", "Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdRender", "UsdShade", "UsdSkel", "UsdUtils")
+USD = ("Ar", "Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdRender", "UsdShade", "UsdSkel", "UsdUtils")
+MODULES = (*(f"pxr.{name}" for name in USD), "numpy.ma", "PIL.PngImagePlugin", "PIL.JpegImagePlugin")
 
 
 class WarmProcess:
@@ -40,7 +42,7 @@ class WarmProcess:
 def serve() -> None:
     """Answer requests on stdin, each in a fork."""
     for name in MODULES:
-        __import__(f"pxr.{name}")
+        import_module(name)
     answers = os.fdopen(os.dup(1), "wb")
     while head := sys.stdin.buffer.read(SIZE.size):
         request = sys.stdin.buffer.read(SIZE.unpack(head)[0])
