@@ -142,6 +142,12 @@ def work(options: argparse.Namespace) -> int:
     from fuzzing.trial import trial
     from hypothesis.configuration import set_hypothesis_home_dir
 
+    if {"usdc", "usdz"} & set(options.formats):
+        from fuzzing.warm_usd import WarmProcess
+
+        from bokehguide.scene.usd import isolation
+
+        isolation.answer_of_process = WarmProcess().answer
     with tempfile.TemporaryDirectory() as home:
         set_hypothesis_home_dir(home)
         samples = {}

@@ -88,6 +88,8 @@ def _shape(mesh: Mesh, material: Material) -> dict[str, Any]:
     uvs = None if mesh.uvs is None else mesh.uvs[:, 0 if texture is None else texture.uv_set]
     normals = None if material.emits else mesh.normals  # emission is constant over directions
     shape: dict[str, Any] = {"type": "ply", "geometry": Geometry(mesh.vertices, mesh.triangles, normals, uvs)}
+    if normals is None:
+        shape["face_normals"] = True  # else Mitsuba averages the normals of the triangles at a vertex
     shape["bsdf"] = {"type": "ref", "id": f"material{mesh.material}"}
     if material.emits:
         shape["emitter"] = {"type": "area", "radiance": color(material.emission, material.emission_texture)}

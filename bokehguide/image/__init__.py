@@ -1,11 +1,18 @@
-"""Image files: EXR for radiance, PNG for display."""
+"""Image files: EXR for radiance, PNG for display.
 
-from bokehguide.image.exposure import metered_exposure
-from bokehguide.image.exr import group_layers, read_exr, read_layers, read_metadata, read_rgb, write_exr
-from bokehguide.image.files import check_writable, make_folder, remove_abandoned, replacing
-from bokehguide.image.png import to_8_bit, write_png
-from bokehguide.image.tonemap import tone_map
-from bokehguide.image.views import Display, to_display
+The names below are imported when they are first used: `reading.py` does without PyTorch.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bokehguide.image.exposure import metered_exposure
+    from bokehguide.image.exr import group_layers, read_exr, read_layers, read_metadata, read_rgb, write_exr
+    from bokehguide.image.files import check_writable, make_folder, remove_abandoned, replacing
+    from bokehguide.image.png import to_8_bit, write_png
+    from bokehguide.image.tonemap import tone_map
+    from bokehguide.image.views import Display, to_display
 
 __all__ = [
     "Display",
@@ -25,3 +32,27 @@ __all__ = [
     "write_exr",
     "write_png",
 ]
+
+_HOMES = {
+    "Display": "views",
+    "check_writable": "files",
+    "make_folder": "files",
+    "metered_exposure": "exposure",
+    "remove_abandoned": "files",
+    "replacing": "files",
+    "to_8_bit": "png",
+    "to_display": "views",
+    "tone_map": "tonemap",
+    "write_png": "png",
+}
+"""Modules of the exported names; `exr` has the others."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'exr')}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

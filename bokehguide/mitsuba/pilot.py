@@ -9,6 +9,7 @@ import numpy as np
 
 from bokehguide.mitsuba.frame import Frame
 from bokehguide.mitsuba.lens import GuidedLens, LensSamples
+from bokehguide.mitsuba.one_by_one import OneByOne
 from bokehguide.mitsuba.wavefront import Wavefront
 from bokehguide.render.random import hash_int
 from bokehguide.scene.types import FilmSettings, Scene
@@ -26,7 +27,7 @@ EPSILON = 0.01
 SEED = 0x91107
 
 
-def expected_gain(paths: Wavefront, emitters: Scene, frame: Frame, seed: int, spp: int) -> float:
+def expected_gain(paths: Wavefront | OneByOne, emitters: Scene, frame: Frame, seed: int, spp: int) -> float:
     """Ratio of the relative errors of the uniform and of the guided lens at equal SPP, averaged over the picture.
 
     emitters: the scene of the emitters, for the frame. The samples are independent of those of a render with the same seed.

@@ -48,7 +48,7 @@ class Rendering:
 
     def _gains(self, spp: int) -> bool:
         """Whether the lens is guided: in all modes but `guided`, which asks a pilot."""
-        if self._mode != "guided" or isinstance(self._paths, OneByOne):
+        if self._mode != "guided":
             return True
         return expected_gain(self._paths, self._emitters.scene, self._frame, self._seed, spp) >= LEAST_GAIN
 
@@ -61,19 +61,19 @@ class Rendering:
             if seen is not None:
                 lens.learn(seen)
             step += len(drawn.weight) // len(pixels)
-            if step == SURVEY < spp and self._mode == "guided" and isinstance(self._paths, Wavefront):
+            if step == SURVEY < spp and self._mode == "guided":
                 guided = lens.guided()
                 if not guided.all():
-                    self._trace_uniform(self._paths, pixels[~guided], spp - step, spp, block)
+                    self._trace_uniform(pixels[~guided], spp - step, spp, block)
                     pixels = pixels[guided]
                     lens.restrict(pixels)
             self._film.put_block(block)
 
-    def _trace_uniform(self, paths: Wavefront, pixels: np.ndarray, count: int, spp: int, block: Any) -> None:
+    def _trace_uniform(self, pixels: np.ndarray, count: int, spp: int, block: Any) -> None:
         """Trace `count` of `spp` samples of the pixels through uniform lens points, in passes of bounded memory."""
         each = max(PATHS_PER_PASS // len(pixels), 1)
         for number, first in enumerate(range(0, count, each)):
-            paths.trace_uniform(pixels, min(each, count - first), self._step_seed(spp + number), spp, block)
+            self._paths.trace_uniform(pixels, min(each, count - first), self._step_seed(spp + number), spp, block)
 
     def _step_seed(self, step: int) -> int:
         return hash_int(self._seed ^ hash_int(step))

@@ -1,11 +1,30 @@
-"""Scenes: plain data, read from scene files, model files or built-in scenes."""
+"""Scenes: plain data, read from scene files, model files or built-in scenes.
 
-from bokehguide.scene.builtin import BUILTIN, DESCRIPTIONS
-from bokehguide.scene.emitters import lens_coverage
-from bokehguide.scene.loading import load_scene
-from bokehguide.scene.overrides import Overrides
-from bokehguide.scene.summary import summarize
-from bokehguide.scene.types import Aperture, Camera, Cone, Environment, FilmSettings, Inset, Material, Mesh, Scene, Sun, Texture
+The names below are imported when they are first used, so that the process of `usd/isolation.py` starts soon.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bokehguide.scene.builtin import BUILTIN, DESCRIPTIONS
+    from bokehguide.scene.emitters import lens_coverage
+    from bokehguide.scene.loading import load_scene
+    from bokehguide.scene.overrides import Overrides
+    from bokehguide.scene.summary import summarize
+    from bokehguide.scene.types import (
+        Aperture,
+        Camera,
+        Cone,
+        Environment,
+        FilmSettings,
+        Inset,
+        Material,
+        Mesh,
+        Scene,
+        Sun,
+        Texture,
+    )
 
 __all__ = [
     "BUILTIN",
@@ -26,3 +45,23 @@ __all__ = [
     "load_scene",
     "summarize",
 ]
+
+_HOMES = {
+    "BUILTIN": "builtin",
+    "DESCRIPTIONS": "builtin",
+    "Overrides": "overrides",
+    "lens_coverage": "emitters",
+    "load_scene": "loading",
+    "summarize": "summary",
+}
+"""Modules of the exported names; `types` has the others."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'types')}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

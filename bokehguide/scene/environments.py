@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bokehguide.errors import BokehguideError, printable
+from bokehguide.image.reading import Channels, read_channels
 from bokehguide.limits import LARGEST
 from bokehguide.scene.files import require_map
 from bokehguide.scene.types import Environment
-
-if TYPE_CHECKING:
-    from bokehguide.image.reading import Channels
 
 
 def load_environment_map(path: Path) -> tuple[np.ndarray, list[str]]:
@@ -23,8 +20,6 @@ def load_environment_map(path: Path) -> tuple[np.ndarray, list[str]]:
     Raises BokehguideError for a missing or unreadable file and for NaN, infinite or
     huge texels. Negative texels become 0, with a warning.
     """
-    from bokehguide.image.reading import read_channels  # imports torch, which a constant colour does not need
-
     require_map(path)
     radiance = _radiance(read_channels(path, path.suffix.upper().removeprefix(".")), path)
     bad = np.count_nonzero(~(np.abs(radiance) <= LARGEST).all(axis=2))

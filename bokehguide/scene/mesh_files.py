@@ -91,7 +91,8 @@ def _parsed(path: Path, files: SceneFiles) -> tuple[trimesh.Scene, list[str]]:
     resolver = _Resolver(path, files)
     try:
         files.add_geometry(path.stat().st_size)
-        with default_signals():  # parts of trimesh hold the interpreter's lock
+        # Parts of trimesh hold the interpreter's lock, and numbers of damaged files overflow.
+        with default_signals(), np.errstate(all="ignore"):
             scene = trimesh.load_scene(str(path), resolver=resolver, process=False)
     except Exception as error:  # the parsers raise exceptions of any type for damaged files
         raise BokehguideError(f"{path}: not a readable {path.suffix} model ({reason(error)})") from None

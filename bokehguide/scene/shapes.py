@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bokehguide.scene.icosphere import icosphere
 from bokehguide.scene.types import Mesh
 
 SPHERE_SUBDIVISIONS = 3
@@ -31,11 +32,11 @@ def unit_sphere(subdivisions: int = SPHERE_SUBDIVISIONS) -> Mesh:
     Its surface area is 4π, so that its mean projected area is π (Cauchy). With 1,280 triangles, its vertices
     therefore lie 0.24 % outside the sphere. Each subdivision less makes a quarter of the triangles and four times the error.
     """
-    from trimesh.creation import icosphere  # takes a second to import
-
-    ico = icosphere(subdivisions=subdivisions)
-    points, triangles, uvs = _with_sphere_uvs(np.asarray(ico.vertices), np.asarray(ico.faces))
-    scale = np.sqrt(4.0 * np.pi / ico.area)
+    points, triangles = icosphere(subdivisions)
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    points, triangles, uvs = _with_sphere_uvs(points, triangles)
+    scale = np.sqrt(4.0 * np.pi / area)
     return Mesh(
         vertices=(points * scale).astype(np.float32),
         triangles=triangles.astype(np.int32),
@@ -103,10 +104,12 @@ SHAPES = {"sphere": unit_sphere, "box": unit_box, "rectangle": unit_rectangle, "
 
 def transform(translate: ArrayLike = (0.0, 0.0, 0.0), rotate: ArrayLike = (0.0, 0.0, 0.0), scale: ArrayLike = 1.0) -> np.ndarray:
     """The matrix `[4, 4]` that scales, rotates about x, y and z in this order (degrees), and translates."""
-    from trimesh.transformations import euler_matrix
-
     angles = np.radians(np.asarray(rotate, dtype=np.float64))
-    matrix = euler_matrix(*angles, axes="sxyz")
+    (sx, sy, sz), (cx, cy, cz) = np.sin(angles), np.cos(angles)
+    matrix = np.eye(4)
+    matrix[0, :3] = cy * cz, sy * (sx * cz) - cx * sz, sy * (cx * cz) + sx * sz
+    matrix[1, :3] = cy * sz, sy * (sx * sz) + cx * cz, sy * (cx * sz) - sx * cz
+    matrix[2, :3] = -sy, cy * sx, cy * cx
     matrix[:3, :3] *= np.broadcast_to(np.asarray(scale, dtype=np.float64), 3)
     matrix[:3, 3] = translate
     return matrix

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import t
 
 pytest.importorskip("mitsuba")
 import drjit as dr
@@ -23,34 +22,15 @@ from bokehguide.mitsuba.emitters import read_emitters
 from bokehguide.mitsuba.frame import read_frame
 from bokehguide.mitsuba.wavefront import Wavefront
 from bokehguide.scene.types import FilmSettings
-from tests.support.mitsuba_scenes import blocks, lamps
-from tests.support.statistical import SIGNIFICANCE, sidak
+from tests.support.mitsuba_scenes import PATH, agree, blocks, guided, lamps, runs
 
 MITSUBA_VARIANT = mi.variant()
-PATH = {"type": "path", "max_depth": 4}
-
-
-def guided(mode: str = "guided", nested: dict = PATH) -> mi.Integrator:
-    return mi.load_dict({"type": "guided_thinlens", "mode": mode, "nested": nested})
-
-
-def runs(scene: mi.Scene, integrator: mi.Integrator, spp: int, count: int = 8, seed: int = 0) -> np.ndarray:
-    """Block means of independent renders, `[count, blocks]`."""
-    return np.stack([blocks(mi.render(scene, integrator=integrator, spp=spp, seed=seed + number)) for number in range(count)])
 
 
 @pytest.fixture(scope="module")
 def expected():
     """Block means by Mitsuba alone."""
     return runs(mi.load_dict(lamps()), mi.load_dict(PATH), 2048, seed=100)
-
-
-def agree(ours: np.ndarray, theirs: np.ndarray) -> bool:
-    """Whether the means of two sets of runs `[runs, ...]` agree, up to rounding."""
-    rounding = 1e-4 * np.abs(theirs).max(axis=0) + 1e-9
-    error = np.sqrt(ours.var(axis=0, ddof=1) / len(ours) + theirs.var(axis=0, ddof=1) / len(theirs) + rounding**2)
-    found = np.abs(ours.mean(axis=0) - theirs.mean(axis=0)) / error
-    return sidak(2.0 * t.sf(found, min(len(ours), len(theirs)) - 1)) > SIGNIFICANCE
 
 
 @pytest.mark.parametrize("mode", ["uniform", "lis-b", "guided"])
@@ -122,21 +102,6 @@ def test_one_kernel_serves_all_steps():
         kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
     dr.kernel_history_clear()
     assert len(kernels) > 10 and not any(kernel["cache_disk"] or not kernel["cache_hit"] for kernel in kernels)
-
-
-@pytest.fixture
-def scalar():
-    """The scalar variant, for one test."""
-    before = mi.variant()
-    mi.set_variant("scalar_rgb")
-    yield
-    mi.set_variant(before)
-
-
-@pytest.mark.slow
-def test_the_scalar_variant(expected, scalar):
-    found = runs(mi.load_dict(lamps()), guided(), 12, count=6)
-    assert agree(found, expected)
 
 
 def test_noise_of_highlights_falls():

@@ -1,4 +1,4 @@
-"""Small scenes for tests of the integrator in Mitsuba."""
+"""Small scenes and comparisons for tests of the integrator in Mitsuba."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from scipy.stats import t
+
+from tests.support.statistical import SIGNIFICANCE, sidak
+
+PATH = {"type": "path", "max_depth": 4}
 
 
 def lamps(width: int = 32, height: int = 18, sensor: dict[str, Any] | None = None, **film: Any) -> dict[str, Any]:
@@ -42,3 +47,21 @@ def blocks(picture: Any, size: int = 2) -> np.ndarray:
     values = np.array(picture, np.float64)[..., :3].mean(axis=2)
     height, width = (side // size * size for side in values.shape)
     return values[:height, :width].reshape(height // size, size, width // size, size).mean(axis=(1, 3)).ravel()
+
+
+def guided(mode: str = "guided", nested: dict = PATH) -> mi.Integrator:
+    """The integrator of this package."""
+    return mi.load_dict({"type": "guided_thinlens", "mode": mode, "nested": nested})
+
+
+def runs(scene: mi.Scene, integrator: mi.Integrator, spp: int, count: int = 8, seed: int = 0) -> np.ndarray:
+    """Block means of independent renders, `[count, blocks]`."""
+    return np.stack([blocks(mi.render(scene, integrator=integrator, spp=spp, seed=seed + number)) for number in range(count)])
+
+
+def agree(ours: np.ndarray, theirs: np.ndarray) -> bool:
+    """Whether the means of two sets of runs `[runs, ...]` agree, up to rounding."""
+    rounding = 1e-4 * np.abs(theirs).max(axis=0) + 1e-9
+    error = np.sqrt(ours.var(axis=0, ddof=1) / len(ours) + theirs.var(axis=0, ddof=1) / len(theirs) + rounding**2)
+    found = np.abs(ours.mean(axis=0) - theirs.mean(axis=0)) / error
+    return sidak(2.0 * t.sf(found, min(len(ours), len(theirs)) - 1)) > SIGNIFICANCE

@@ -77,6 +77,23 @@ def test_exported_scenes_come_back(tmp_path):
     assert back.warnings == ()
 
 
+def test_exported_flat_meshes_stay_flat(tmp_path):
+    """Mitsuba averages the normals at shared vertices of a file without normals, unless the shape says otherwise."""
+    ball = unit_sphere(1)
+    flat = replace(ball, normals=None, material=0)
+    camera = Camera((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), aperture_radius=0.05, focus_distance=4.0)
+    scene = Scene("ball", camera, (flat, transformed(ball, transform((4.0, 0.0, 0.0)))), (Material("m"),), FilmSettings(32, 18))
+    export_mitsuba(scene, tmp_path)
+    there = mi.load_file(str(tmp_path / "scene.xml"))
+    for x, least in ((0.0, 0.9999), (4.0, 0.9)):
+        hits = [there.ray_intersect(mi.Ray3f((x + 0.07 * n, 0.31, 5.0), (0.0, 0.0, -1.0))) for n in range(8)]
+        cosines = [float(mi.ScalarVector3f(hit.n) @ mi.ScalarVector3f(hit.sh_frame.n)) for hit in hits]
+        assert all(hit.is_valid() for hit in hits) and least < min(cosines)
+        assert (min(cosines) > 0.9999) == (x == 0.0), "the other ball is smooth"
+    back = load_scene(str(tmp_path / "scene.xml"))
+    assert back.meshes[0].normals is None and back.meshes[1].normals is not None
+
+
 @pytest.mark.parametrize("kind", ["sphere", "rectangle", "disk", "cube"])
 def test_shapes_are_mitsubas(tmp_path, kind):
     """Bounds and area, under a transform."""

@@ -42,6 +42,16 @@ def test_obj_materials_out_of_range(tmp_path, term):
         load_scene(str(tmp_path / "m.obj"))
 
 
+@pytest.mark.parametrize("index", ["1e300", "nan", "9"])
+def test_numbers_beyond_integers_are_refused_in_silence(tmp_path, index, recwarn):
+    header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "a.ply").write_text(f"{header}0 0 0\n1 0 0\n0 1 0\n3 0 1 {index}\n")
+    with pytest.raises(BokehguideError, match=r"a\.ply"):
+        load_scene(str(tmp_path / "a.ply"))
+    assert not list(recwarn), "warnings of NumPy"
+
+
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj", "glb"])
 def test_a_model_is_framed_and_lit(tmp_path, suffix):
     box = trimesh.creation.box((3.0, 1.0, 2.0))

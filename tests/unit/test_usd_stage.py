@@ -1,6 +1,7 @@
 """USD stages as scenes: units, axes, transforms, instances, cameras and time."""
 
 import math
+import subprocess
 import sys
 
 import numpy as np
@@ -263,3 +264,30 @@ def test_binary_files_give_the_same_scene_and_count_what_they_hold(tmp_path):
     files = SceneFiles(tmp_path)
     load_model(tmp_path / "scene.usdc", files)
     assert files.used[0] == (tmp_path / "scene.usdc").stat().st_size
+
+
+def test_the_process_for_binary_files_imports_no_large_library(tmp_path):
+    """A process for each file would take seconds to import PyTorch, trimesh or scipy."""
+    stage = new_stage()
+    add_mesh(stage, "/smooth", scheme="catmullClark")
+    for number, shape in enumerate(
+        (UsdGeom.Sphere, UsdGeom.Cube, UsdGeom.Cone, UsdGeom.Cylinder, UsdGeom.Capsule, UsdGeom.Plane)
+    ):
+        shape.Define(stage, f"/shape{number}").AddRotateXYZOp().Set(Gf.Vec3f(20, -70, 35))
+    for light in (UsdLux.SphereLight, UsdLux.RectLight, UsdLux.DiskLight, UsdLux.CylinderLight, UsdLux.DistantLight):
+        light.Define(stage, f"/{light.__name__}")
+    (tmp_path / "sky.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 2\n" + bytes([99, 99, 99, 129] * 2))
+    UsdLux.DomeLight.Define(stage, "/sky").CreateTextureFileAttr("./sky.hdr")
+    code = f"""if True:
+        import pickle, sys
+        from pathlib import Path
+        from bokehguide.scene.files import SceneFiles
+        from bokehguide.scene.types import ModelState
+        from bokehguide.scene.usd.loading import read_usd
+        path = Path({saved(stage, tmp_path, "scene.usdc")!r})
+        model = read_usd(path, SceneFiles(path.parent), ModelState(), binary=True)
+        assert len(model.meshes) == 7 and len(model.emitters) == 4 and model.environment.radiance.max() > 0.1
+        print(*({{"torch", "trimesh", "scipy"}} & set(sys.modules)))
+    """
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (finished.stdout.strip(), finished.stderr) == ("", "")

@@ -81,18 +81,40 @@ def test_a_sharp_corner_stays(tmp_path):
     assert np.abs(vertices.min(axis=0)).max() < 0.9
 
 
-def test_texture_coordinates_and_subsets_of_subdivided_faces(tmp_path):
+@pytest.mark.parametrize("interpolation", ["faceVarying", "vertex"])
+def test_texture_coordinates_of_subdivided_faces(interpolation, tmp_path):
     stage = new_stage()
     points, counts, indices = grid(lambda x, y: 0.0)
     mesh = add_mesh(stage, "/mesh", points, counts, indices, "catmullClark")
-    corners_uv = [Gf.Vec2f(points[n][0] / 8, points[n][1] / 8) for n in indices]
-    add_primvar(mesh, "st", TYPES.TexCoord2fArray, corners_uv, "faceVarying")
+    owners = indices if interpolation == "faceVarying" else range(len(points))
+    uvs = [Gf.Vec2f(points[n][0] / 8, points[n][1] / 8) for n in owners]
+    add_primvar(mesh, "st", TYPES.TexCoord2fArray, uvs, interpolation)
     textured(stage, mesh, tmp_path, "st")
     found = loaded(stage, tmp_path).meshes[0]
     u, v = found.uvs[:, 0].T
     inner = ((found.vertices[:, :2] > 1) & (found.vertices[:, :2] < 7)).all(axis=1)
     np.testing.assert_allclose(u[inner], found.vertices[inner, 0] / 8, atol=1e-6)
     np.testing.assert_allclose(v[inner], 1 - found.vertices[inner, 1] / 8, atol=1e-6)
+
+
+def test_a_crease_splits_the_normals_of_a_roof(tmp_path):
+    """The corners at a vertex share a normal on each side of a crease along x = 4, and only there."""
+    stage = new_stage()
+    points, counts, indices = grid(lambda x, y: -abs(x - 4.0) - 0.1 * y * y)
+    mesh = add_mesh(stage, "/mesh", points, counts, indices, "catmullClark")
+    mesh.CreateCreaseIndicesAttr([9 * y + 4 for y in range(9)])
+    mesh.CreateCreaseLengthsAttr([9])
+    mesh.CreateCreaseSharpnessesAttr([10.0])
+    found = loaded(stage, tmp_path).meshes[0]
+    sides = np.sign(found.vertices[found.triangles].mean(axis=1)[:, 0] - 4.0)
+    normals: dict[tuple, set] = {}
+    for triangle, side in zip(found.triangles, sides, strict=True):
+        for vertex in triangle:
+            key = *found.vertices[vertex].round(4).tolist(), side
+            normals.setdefault(key, set()).add(tuple(found.normals[vertex].round(4).tolist()))
+    assert all(len(shared) == 1 for shared in normals.values())
+    ridge = [(side, *shared) for (x, _, _, side), shared in normals.items() if x == 4.0]
+    assert len(ridge) == 2 * 65 and all(side * x > 0.3 for side, (x, _, _) in ridge)
 
 
 def test_other_schemes_are_drawn_as_their_control_mesh(tmp_path):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.color import LUMINANCE
+from bokehguide.image.reading import read_channels
 from bokehguide.scene.anisotropy import from_alphas
 from bokehguide.scene.disney_sheen import from_disney
 from bokehguide.scene.files import SceneFiles, require_file
@@ -207,8 +208,6 @@ class Materials:
 
     def _floats(self, path: Path) -> np.ndarray:
         """An image of linear floats, `[H, W, 3]`."""
-        from bokehguide.image.reading import read_channels  # imports torch
-
         require_file(path, "texture")
         read = read_channels(path, path.suffix.upper().removeprefix("."))
         names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bokehguide.errors import BokehguideError, printable
+from bokehguide.image.reading import read_channels
 from bokehguide.limits import LARGEST
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.images import load_texture, nearest_texels
@@ -86,8 +87,6 @@ class Textures:
         if path.suffix.lower() not in (".exr", ".hdr"):
             require_file(path, "texture", place)
             return load_texture(path, self._files, srgb)
-        from bokehguide.image.reading import read_channels  # imports torch
-
         require_file(path, "texture", place)
         read = read_channels(path, path.suffix.upper().removeprefix("."))
         names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3

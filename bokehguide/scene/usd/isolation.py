@@ -25,19 +25,24 @@ MAX_FILES = 100_000
 
 def load_isolated(path: Path, files: SceneFiles, state: ModelState) -> Model:
     """As `read_usd` in another process. Raises BokehguideError also where this process dies."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(part for part in sys.path if part), "OMP_NUM_THREADS": "1"}
-    request = pickle.dumps((path, files.folder, files.allow_outside, state))
-    finished = subprocess.run([sys.executable, "-c", PROGRAM], input=request, stdout=subprocess.PIPE, env=environment)
-    if finished.returncode or not finished.stdout:
+    code, answer = answer_of_process(pickle.dumps((path, files.folder, files.allow_outside, state)))
+    if code or not answer:
         raise BokehguideError(
-            f"{path}: the USD libraries fail on this file (exit code {finished.returncode}): it is damaged, or needs too much "
-            "memory; save it again, or convert it to .usda with usdcat"
+            f"{path}: the USD libraries fail on this file (exit code {code}): it is damaged, or needs too much memory; save it "
+            "again, or convert it to .usda with usdcat"
         )
-    model, used, problem = pickle.loads(finished.stdout)
+    model, used, problem = pickle.loads(answer)
     if model is None:
         raise BokehguideError(problem)
     files.add_used(used, str(path))
     return model
+
+
+def answer_of_process(request: bytes) -> tuple[int, bytes]:
+    """The exit code of a new process that runs `main`, and its answer to a request."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(part for part in sys.path if part), "OMP_NUM_THREADS": "1"}
+    finished = subprocess.run([sys.executable, "-c", PROGRAM], input=request, stdout=subprocess.PIPE, env=environment)
+    return finished.returncode, finished.stdout
 
 
 def main() -> None:

@@ -78,6 +78,8 @@ def open_stage(path: Path, files: SceneFiles, seconds: float | None, binary: boo
     """
     if find_spec("pxr") is None:
         raise BokehguideError(f"{path}: a USD scene, and the USD libraries are missing\nRun pip install 'bokehguide[usd]'")
+    if not binary and not _is_text(path):  # without importing the USD libraries
+        raise BinaryLayer
     messages = UsdUtils.CoalescingDiagnosticDelegate()  # replaces the printing of messages to stderr
     try:
         with default_signals():
@@ -127,7 +129,7 @@ def _checked_layers(path: Path, files: SceneFiles, binary: bool) -> Any:
             continue
         seen.add(name)
         outer = Path(Ar.SplitPackageRelativePathOuter(name)[0])
-        if outer.suffix.lower() == ".usda" or (outer.suffix.lower() == ".usd" and _starts_as_text(outer)):
+        if _is_text(outer):
             _check_nesting(outer)
         elif not binary:
             raise BinaryLayer
@@ -154,7 +156,9 @@ def _layer_of(path: Path, files: SceneFiles, layer: Any, asset: str) -> str | No
     return resolved or None
 
 
-def _starts_as_text(path: Path) -> bool:
+def _is_text(path: Path) -> bool:
+    if path.suffix.lower() != ".usd":
+        return path.suffix.lower() == ".usda"
     with path.open("rb") as file:
         return file.read(5) == b"#usda"
 

@@ -10,16 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, diags, identity, vstack
-from scipy.sparse.csgraph import connected_components
 
 
 @dataclass(frozen=True)
 class Cage:
-    """A polygon mesh whose vertices are weighted sums of those of the control mesh.
+    """A polygon mesh.
 
     counts: corners of each polygon, `[F]`. indices: the vertex of each corner, `[I]`. edges, sharpness: sorted vertices `[E, 2]`
-    of creased edges, and their sharpness `[E]`. corners: sharpness of vertices, `[V]`. weights: `[V, V0]`.
+    of creased edges, and their sharpness `[E]`. corners: sharpness of vertices, `[V]`.
     """
 
     counts: np.ndarray
@@ -27,7 +25,6 @@ class Cage:
     edges: np.ndarray
     sharpness: np.ndarray
     corners: np.ndarray
-    weights: csr_matrix
 
     @property
     def faces(self) -> np.ndarray:
@@ -46,49 +43,81 @@ class _Edges:
     uses: np.ndarray
 
 
-def refined(cage: Cage) -> Cage:
+@dataclass(frozen=True)
+class Refinement:
     """The quads around the corners of a mesh.
 
     Corner number i becomes quad number i: the corner, the middle of the edge to the next corner, the middle of the polygon, and
-    that of the edge before.
+    that of the edge before. cage: the mesh. edges, sharpness: its edges, and the sharpness of each, `[E]`.
     """
-    vertices, faces, edges = len(cage.corners), cage.faces, _edges(cage)
-    sharpness = _sharpness(cage, edges)
-    rows = [_vertex_points(cage, edges, sharpness), _edge_points(cage, edges, sharpness), _face_points(cage)]
-    middle = vertices + len(edges.ends) + faces
-    quads = np.stack([cage.indices, vertices + edges.after, middle, vertices + edges.before], axis=1)
-    halves = np.stack([edges.ends, vertices + np.repeat(np.arange(len(edges.ends))[:, None], 2, axis=1)], axis=2).reshape(-1, 2)
-    left = np.repeat(np.where(edges.uses == 2, np.maximum(sharpness - 1.0, 0.0), 0.0), 2)
-    corners = np.zeros(vertices + len(edges.ends) + len(cage.counts))
-    corners[:vertices] = np.maximum(cage.corners - 1.0, 0.0)
-    corners[:vertices][np.isinf(cage.corners)] = np.inf
-    return Cage(
-        counts=np.full(len(quads), 4),
-        indices=quads.ravel(),
-        edges=halves[left > 0.0],
-        sharpness=left[left > 0.0],
-        corners=corners,
-        weights=csr_matrix(vstack(rows) @ cage.weights),
-    )
+
+    cage: Cage
+    edges: _Edges
+    sharpness: np.ndarray
+
+    def refined(self) -> Cage:
+        """The quads as a mesh."""
+        cage, edges, vertices = self.cage, self.edges, len(self.cage.corners)
+        middle = vertices + len(edges.ends) + cage.faces
+        quads = np.stack([cage.indices, vertices + edges.after, middle, vertices + edges.before], axis=1)
+        halves = np.stack([edges.ends, vertices + np.repeat(np.arange(len(edges.ends))[:, None], 2, axis=1)], axis=2)
+        left = np.repeat(np.where(edges.uses == 2, np.maximum(self.sharpness - 1.0, 0.0), 0.0), 2)
+        corners = np.zeros(vertices + len(edges.ends) + len(cage.counts))
+        corners[:vertices] = np.maximum(cage.corners - 1.0, 0.0)
+        return Cage(np.full(len(quads), 4), quads.ravel(), halves.reshape(-1, 2)[left > 0.0], left[left > 0.0], corners)
+
+    def at_vertices(self, values: np.ndarray) -> np.ndarray:
+        """Values `[V, C]` of vertices, at the vertices of the quads."""
+        values = values.astype(np.float64)
+        middles = 0.5 * (values[self.edges.ends[:, 0]] + values[self.edges.ends[:, 1]])
+        faces = _sums(values[self.cage.indices], self.cage.faces, len(self.cage.counts)) / self.cage.counts[:, None]
+        return np.concatenate([self._vertex_points(values, middles, faces), self._edge_points(middles, faces), faces])
+
+    def at_corners(self, values: np.ndarray) -> np.ndarray:
+        """Values `[I, C]` of corners, interpolated linearly on the quads, `[4 I, C]`."""
+        following, previous = _neighbours(self.cage.counts)
+        faces = self.cage.faces
+        middles = (_sums(values, faces, len(self.cage.counts)) / self.cage.counts[:, None])[faces]
+        quads = [values, 0.5 * (values + values[following]), middles, 0.5 * (values + values[previous])]
+        return np.stack(quads, axis=1).reshape(-1, values.shape[1]).astype(np.float32)
+
+    def _edge_points(self, middles: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        """The new vertices of edges, `[E, C]`. middles, faces: those of edges and polygons."""
+        beside = _sums(faces[self.cage.faces], self.edges.after, len(middles))
+        sharp = self.sharpness.clip(0.0, 1.0)[:, None]
+        return sharp * middles + (1.0 - sharp) * (0.5 * middles + 0.25 * beside)
+
+    def _vertex_points(self, values: np.ndarray, middles: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        """The new places of vertices, `[V, C]`. middles, faces: those of edges and polygons."""
+        cage, ends, count = self.cage, self.edges.ends.ravel(), len(values)
+        of_edge = np.repeat(np.arange(len(middles)), 2)
+        valence = np.bincount(ends, minlength=count)
+        n = np.maximum(valence, 1.0)[:, None]
+        polygons = np.maximum(np.bincount(cage.indices, minlength=count), 1)[:, None]
+        smooth = _sums(faces[cage.faces], cage.indices, count) / (n * polygons) + (n - 3.0) / n * values
+        smooth += 2.0 / n**2 * _sums(middles[of_edge], ends, count)
+        of_sharp = of_edge[self.sharpness[of_edge] > 0.0]
+        sharp_ends = ends[self.sharpness[of_edge] > 0.0]
+        sharp_edges = np.bincount(sharp_ends, minlength=count)
+        crease = 0.5 * values + 0.25 * _sums(middles[of_sharp], sharp_ends, count)
+        strength = np.bincount(sharp_ends, self.sharpness[of_sharp].clip(0.0, 1.0), count) / np.maximum(sharp_edges, 1)
+        fixed = np.where(sharp_edges > 2, strength, (valence == 0) * 1.0)
+        kept = np.maximum(fixed, cage.corners.clip(0.0, 1.0))[:, None]
+        on_crease = np.where(sharp_edges == 2, strength, 0.0)[:, None]
+        return kept * values + (1.0 - kept) * ((1.0 - on_crease) * smooth + on_crease * crease)
+
+
+def refinement(cage: Cage) -> Refinement:
+    """The refinement of a mesh whose polygons have three corners or more."""
+    edges = _edges(cage)
+    return Refinement(cage, edges, _sharpness(cage, edges))
 
 
 def control_cage(counts: np.ndarray, indices: np.ndarray, vertices: int) -> Cage:
-    """A mesh without creases, as its own control mesh. Vertices of a single polygon are corners."""
+    """A mesh without creases. Vertices of a single polygon are corners."""
     polygons = np.bincount(indices, minlength=vertices)
-    none = np.zeros((0, 2), np.int64)
     corners = np.where(polygons == 1, np.inf, 0.0)
-    return Cage(counts, indices, none, np.zeros(0), corners, csr_matrix(identity(vertices)))
-
-
-def refined_corners(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Values `[I, C]` of corners, interpolated linearly on the quads of `refined`, `[4 I, C]`."""
-    following, previous = _neighbours(counts)
-    faces = np.repeat(np.arange(len(counts)), counts)
-    sums = np.zeros((len(counts), values.shape[1]))
-    np.add.at(sums, faces, values)
-    middles = (sums / np.maximum(counts, 1)[:, None])[faces]
-    quads = [values, 0.5 * (values + values[following]), middles, 0.5 * (values + values[previous])]
-    return np.stack(quads, axis=1).reshape(-1, values.shape[1]).astype(np.float32)
+    return Cage(counts, indices, np.zeros((0, 2), np.int64), np.zeros(0), corners)
 
 
 def smooth_normals(points: np.ndarray, cage: Cage) -> np.ndarray:
@@ -105,12 +134,11 @@ def smooth_normals(points: np.ndarray, cage: Cage) -> np.ndarray:
         [np.stack([a, np.where(opposed, following[b], b)]), np.stack([following[a], np.where(opposed, b, following[b])])], axis=1
     )
     count = len(cage.indices)
-    _, groups = connected_components(coo_matrix((np.ones(links.shape[1]), links), shape=(count, count)), directed=False)
+    groups = _joined(links, count)
     corners = points[cage.indices].astype(np.float64)
     _, previous = _neighbours(cage.counts)
     normals = np.cross(corners[following] - corners, corners[previous] - corners)
-    sums = np.zeros((groups.max(initial=-1) + 1, 3))
-    np.add.at(sums, groups, normals)
+    sums = _sums(normals, groups, count)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return (sums / np.where(lengths > 0.0, lengths, 1.0))[groups].astype(np.float32)
 
@@ -125,9 +153,9 @@ def _neighbours(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _edges(cage: Cage) -> _Edges:
     """The edges of a mesh, each once."""
     following, previous = _neighbours(cage.counts)
-    pairs = np.sort(np.stack([cage.indices, cage.indices[following]], axis=1), axis=1)
-    ends, after = np.unique(pairs, axis=0, return_inverse=True)
-    after = after.ravel()
+    first, second = np.sort([cage.indices, cage.indices[following]], axis=0)
+    keys, after = np.unique(first * len(cage.corners) + second, return_inverse=True)
+    ends = np.stack(np.divmod(keys, max(len(cage.corners), 1)), axis=1)
     return _Edges(ends, after, after[previous], np.bincount(after, minlength=len(ends)))
 
 
@@ -144,48 +172,20 @@ def _sharpness(cage: Cage, edges: _Edges) -> np.ndarray:
     return np.where(edges.uses == 2, sharpness, np.inf)
 
 
-def _face_points(cage: Cage) -> csr_matrix:
-    """The middles of polygons, `[F, V]`."""
-    shape = len(cage.counts), len(cage.corners)
-    weights = np.repeat(1.0 / np.maximum(cage.counts, 1), cage.counts)
-    return csr_matrix(coo_matrix((weights, (cage.faces, cage.indices)), shape=shape))
+def _sums(values: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
+    """The sums `[count, C]` of the values `[N, C]` of each group."""
+    sums = [np.bincount(groups, column, count) for column in values.T]
+    return np.stack(sums, axis=1) if sums else np.zeros((count, 0))
 
 
-def _middles(cage: Cage, edges: _Edges) -> csr_matrix:
-    """The middles of edges, `[E, V]`."""
-    rows = np.repeat(np.arange(len(edges.ends)), 2)
-    shape = len(edges.ends), len(cage.corners)
-    return csr_matrix(coo_matrix((np.full(len(rows), 0.5), (rows, edges.ends.ravel())), shape=shape))
-
-
-def _edge_points(cage: Cage, edges: _Edges, sharpness: np.ndarray) -> csr_matrix:
-    """The new vertices of edges, `[E, V]`."""
-    middles, sharp = _middles(cage, edges), sharpness.clip(0.0, 1.0)
-    beside = coo_matrix((np.ones(len(edges.after)), (edges.after, cage.faces)), shape=(len(edges.ends), len(cage.counts)))
-    smooth = 0.5 * middles + 0.25 * (beside @ _face_points(cage))
-    return csr_matrix(diags(sharp) @ middles + diags(1.0 - sharp) @ smooth)
-
-
-def _vertex_points(cage: Cage, edges: _Edges, sharpness: np.ndarray) -> csr_matrix:
-    """The new places of vertices, `[V, V]`."""
-    count, middles = len(cage.corners), _middles(cage, edges)
-    ends, of_edge = edges.ends.ravel(), np.repeat(np.arange(len(edges.ends)), 2)
-    valence = np.bincount(ends, minlength=count)
-    around = coo_matrix((np.ones(len(cage.indices)), (cage.indices, cage.faces)), shape=(count, len(cage.counts)))
-    touching = coo_matrix((np.ones(len(ends)), (ends, of_edge)), shape=(count, len(edges.ends)))
-    n = np.maximum(valence, 1).astype(np.float64)
-    polygons = np.maximum(np.bincount(cage.indices, minlength=count), 1)
-    smooth = diags(1.0 / (n * polygons)) @ around @ _face_points(cage) + diags(2.0 / n**2) @ touching @ middles
-    smooth = smooth + diags((n - 3.0) / n)
-    is_sharp = sharpness > 0.0
-    sharp_edges = np.bincount(ends[is_sharp[of_edge]], minlength=count)
-    creased = coo_matrix((is_sharp[of_edge] * 1.0, (ends, of_edge)), shape=(count, len(edges.ends)))
-    crease = 0.5 * identity(count) + 0.25 * (creased @ middles)
-    strength = np.zeros(count)
-    np.add.at(strength, ends[is_sharp[of_edge]], sharpness[of_edge][is_sharp[of_edge]].clip(0.0, 1.0))
-    strength = (strength / np.maximum(sharp_edges, 1)).clip(0.0, 1.0)
-    fixed = (sharp_edges > 2) | (valence == 0)
-    on_crease = np.where(sharp_edges == 2, strength, 0.0)
-    kept = np.maximum(np.where(sharp_edges > 2, strength, fixed * 1.0), cage.corners.clip(0.0, 1.0))
-    mixed = diags(1.0 - on_crease) @ smooth + diags(on_crease) @ crease
-    return csr_matrix(diags(kept) + diags(1.0 - kept) @ mixed)
+def _joined(links: np.ndarray, count: int) -> np.ndarray:
+    """The least member of the group of each of `count` things, `[count]`. links: two members of a group each, `[2, L]`."""
+    a, b = links
+    least = np.arange(count)
+    while (least[a] != least[b]).any():
+        lower = np.minimum(least[a], least[b])
+        np.minimum.at(least, least[a], lower)
+        np.minimum.at(least, least[b], lower)
+        while (least != least[least]).any():
+            least = least[least]
+    return least

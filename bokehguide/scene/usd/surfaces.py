@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ from bokehguide.scene.usd.libraries import UsdGeom
 from bokehguide.scene.usd.polygons import triangulate
 from bokehguide.scene.usd.primvars import Primvar, Topology, read_normals
 from bokehguide.scene.usd.stage import Stage
-from bokehguide.scene.usd.subdivision import Cage, control_cage, refined, refined_corners, smooth_normals
+from bokehguide.scene.usd.subdivision import Cage, Refinement, control_cage, refinement, smooth_normals
 
 MAX_LEVEL = 3
 """Refinements of a subdivision surface."""
@@ -28,8 +29,8 @@ class Surface:
     """Polygons of a mesh in its own space.
 
     points: `[V, 3]`. control: the topology of the file, which primvars belong to. topology: that of the polygons. triangles:
-    positions `[T, 3]` among the corners. faces: the polygon of the file of each triangle, `[T]`. levels: the corners of the
-    polygons at each refinement, and cage: the last one, None without.
+    positions `[T, 3]` among the corners. faces: the polygon of the file of each triangle, `[T]`. levels: refinements of a
+    subdivision surface.
     """
 
     points: np.ndarray
@@ -38,18 +39,17 @@ class Surface:
     triangles: np.ndarray
     faces: np.ndarray
     normals: Primvar | None
-    levels: tuple[np.ndarray, ...] = ()
-    cage: Cage | None = None
+    levels: tuple[Refinement, ...] = ()
 
     def of(self, primvar: Primvar) -> Primvar:
         """The values of a primvar of the file on the polygons."""
-        if self.cage is None or primvar.interpolation == "constant":
+        if not self.levels or primvar.interpolation == "constant":
             return primvar
         if primvar.interpolation == "vertex":
-            return Primvar((self.cage.weights @ primvar.values).astype(np.float32), "vertex")
+            return Primvar(_at_vertices(self.levels, primvar.values), "vertex")
         values = self.control.at_corners(primvar)
-        for counts in self.levels:
-            values = refined_corners(values, counts)
+        for level in self.levels:
+            values = level.at_corners(values)
         return Primvar(values, "faceVarying")
 
 
@@ -85,9 +85,9 @@ def read_surface(opened: Stage, prim: Any, level: int) -> Surface | None:
     flipped = mesh.GetOrientationAttr().Get(opened.time) == UsdGeom.Tokens.leftHanded
     triangles = triangles[:, ::-1] if flipped else triangles
     normals = surface.normals
-    if flipped and surface.cage is not None and normals is not None:
+    if flipped and surface.levels and normals is not None:
         normals = Primvar(-normals.values, normals.interpolation)
-    return Surface(surface.points, topology, surface.topology, triangles, faces, normals, surface.levels, surface.cage)
+    return Surface(surface.points, topology, surface.topology, triangles, faces, normals, surface.levels)
 
 
 def _polygons(opened: Stage, mesh: Any) -> tuple[np.ndarray, Topology]:
@@ -122,19 +122,27 @@ def _drawn(opened: Stage, mesh: Any, points: np.ndarray, topology: Topology, lev
 
 def _subdivided(cage: Cage, points: np.ndarray, control: Topology, level: int) -> Surface:
     """A refined surface with smooth normals, which are split at sharp edges."""
-    levels, owners = [], np.arange(len(control.counts))
+    levels: list[Refinement] = []
+    owners = np.arange(len(control.counts))
     while len(levels) < level and (not levels or 4 * len(cage.counts) <= MOST_QUADS):
-        levels.append(cage.counts)
+        levels.append(refinement(cage))
         owners = np.repeat(owners, cage.counts)
-        cage = refined(cage)
-    smooth = np.asarray(cage.weights @ points.astype(np.float64), np.float32)
+        cage = levels[-1].refined()
+    smooth = _at_vertices(levels, points)
     topology = Topology(cage.counts, cage.indices, len(smooth))
     triangles, faces = triangulate(smooth, cage.counts, cage.indices)
     if len(cage.edges):
         normals = Primvar(smooth_normals(smooth, cage), "faceVarying")
     else:
         normals = Primvar(unit_normals(np.zeros_like(smooth), smooth, cage.indices[triangles]), "vertex")
-    return Surface(smooth, control, topology, triangles, owners[faces], normals, tuple(levels), cage)
+    return Surface(smooth, control, topology, triangles, owners[faces], normals, tuple(levels))
+
+
+def _at_vertices(levels: Sequence[Refinement], values: np.ndarray) -> np.ndarray:
+    """Values `[V0, C]` of the vertices of a control mesh, at the vertices of its refinement."""
+    for level in levels:
+        values = level.at_vertices(values)
+    return values.astype(np.float32)
 
 
 def _cage(opened: Stage, mesh: Any, topology: Topology) -> Cage:
@@ -154,7 +162,7 @@ def _cage(opened: Stage, mesh: Any, topology: Topology) -> Cage:
         if len(spread) == len(starts):
             edges = np.sort(np.stack([vertices[starts], vertices[starts + 1]], axis=1), axis=1)
             values = _sharp(spread)
-    return Cage(cage.counts, cage.indices, edges, values, corners, cage.weights)
+    return Cage(cage.counts, cage.indices, edges, values, corners)
 
 
 CREASES = ("CreaseIndices", "CreaseLengths", "CreaseSharpnesses", "CornerIndices", "CornerSharpnesses")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import BokehguideError
+from bokehguide.image.reading import read_channels
 from bokehguide.limits import most_values
 from bokehguide.scene.images import decode_texture
 from bokehguide.scene.types import Texture
@@ -192,8 +193,6 @@ class Textures:
 
 def read_floats(data: bytes, kind: str, place: str, files: Any) -> np.ndarray:
     """An image of linear floats, `[H, W, 3]`. kind: ".exr" or ".hdr". Raises BokehguideError for an unreadable image."""
-    from bokehguide.image.reading import read_channels  # imports torch
-
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"image{kind}"
         path.write_bytes(data)
