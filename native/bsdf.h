@@ -534,10 +534,9 @@ struct Scattering {
     Scattering(const Tables& tables, const Surface& s, Float choice, Vec3 throughput = grey(all(1.0f)))
         : t(tables), surface(s), frame(t.anisotropy != nullptr ? aligned_frame(s.normal, s.tangent) : frame_about(s.normal)),
           local_outgoing(to_local(s.outgoing, frame)), opaque(t, local_outgoing, s, frame), tilts_coats(t.clearcoat != nullptr && t.tilts_coats) {
-        const Float share = s.transmission * (1.0f - s.metallic);
-        glass = t.has_transmission ? choice < share : all(0);
+        glass = t.has_transmission ? choice < s.transmission : all(0);
         ior = s.ior;
-        if (t.dispersion != nullptr && any(glass)) disperse(throughput, choice / divisor(share));
+        if (t.dispersion != nullptr && any(glass)) disperse(throughput, choice / divisor(s.transmission));
     }
     // `disperse` of mixture.py.
     void disperse(Vec3 throughput, Float number) {

@@ -93,7 +93,7 @@ class PixelHits {
     Int looks_alike(const Surface& s, Float least) const {
         Int alike = (s.alpha >= least) & (s.facing > all(0.0f));
         if (t_.clearcoat != nullptr) alike &= (s.clearcoat <= all(0.0f)) | (s.clearcoat_alpha >= least);
-        if (t_.has_transmission) alike &= s.transmission * (1.0f - s.metallic) <= all(0.0f);
+        if (t_.has_transmission) alike &= s.transmission <= all(0.0f);
         if (t_.absorption != nullptr) alike &= s.front > all(0.0f);
         return alike;
     }

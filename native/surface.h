@@ -315,6 +315,10 @@ inline Surface surface_at(const Tables& t, Vec3 origin, Vec3 direction, const Hi
     }
     if (t.dispersion != nullptr) s.dispersion = gather(t.dispersion, material);
     if (t.colors != nullptr || t.textures > 0) apply_textures(t, hit, material, s, active);
+    if (t.has_transmission) {  // `_separate_glass`
+        s.transmission = s.transmission * (1.0f - s.metallic);
+        s.metallic = at_most(s.metallic / divisor(1.0f - s.transmission, 1e-6f), 1.0f);
+    }
     s.alpha = at_least(s.alpha, MIN_ALPHA), s.alpha_along = s.alpha;
     s.clearcoat_alpha = at_least(s.clearcoat_alpha, MIN_ALPHA);
     if (t.anisotropy != nullptr) apply_anisotropy(t, hit, material, s, active);

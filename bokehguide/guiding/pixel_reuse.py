@@ -198,7 +198,7 @@ class PixelPathReuse:
         if surface.clearcoat is not None and surface.clearcoat_alpha is not None:
             alike &= (surface.clearcoat <= 0.0) | (surface.clearcoat_alpha >= least)
         if materials.has_transmission:
-            alike &= surface.transmission * (1.0 - surface.metallic) <= 0.0
+            alike &= surface.transmission <= 0.0
         if materials.absorbs:  # the absorption depends on the length of the path
             alike &= surface.front > 0.0
         return alike

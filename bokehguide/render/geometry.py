@@ -13,7 +13,7 @@ from torch import Tensor
 from bokehguide.render import triangles
 from bokehguide.render.materials import CLEARCOAT_F0, Materials
 from bokehguide.render.tracer import Hit, Tracer
-from bokehguide.render.vector import cross, dot, fifth_power, length, normalize
+from bokehguide.render.vector import cross, divisor, dot, fifth_power, length, normalize
 from bokehguide.runtime.indexing import ActiveEntries
 from bokehguide.scene.types import Material, Scene, Texture
 
@@ -53,7 +53,8 @@ class Surface:
     the ray meets the front of the triangle, else 0, float32. offset: distance of the origins of new rays from the surface, along
     ±geometric_normal. facing: 0 if the shading normal faced away from `outgoing`, so that another normal replaced it, else 1,
     float32. alpha, clearcoat_alpha: GGX α. tangent: the direction, not always perpendicular to the normal, along which
-    anisotropic microfacets have the larger α `alpha_along`; 0 if unknown. transmission_color: of the diffuse transmission.
+    anisotropic microfacets have the larger α `alpha_along`; 0 if unknown. transmission: share of the transmissive part. metallic:
+    share of metal in the opaque part. transmission_color: of the diffuse transmission.
     iridescence: share of the thin film with `film_ior` and `film_thickness` (nm). dispersion: 20 / Abbe number.
 
     Optional fields are None if no material of the scene needs them: specular colours other than white, clearcoats, sheens,
@@ -187,6 +188,8 @@ class Geometry:
         if self.materials.dispersion is not None:
             surface.dispersion = self.materials.dispersion[0].index_select(0, material)
         self._apply_textures(surface, hit, material)
+        if self.materials.has_transmission:
+            _separate_glass(surface)
         surface.alpha.clamp_(min=MIN_ALPHA)
         if surface.clearcoat_alpha is not None:
             surface.clearcoat_alpha.clamp_(min=MIN_ALPHA)
@@ -336,6 +339,16 @@ class Geometry:
         if not self.materials.absorbs:
             return None
         return self.materials.transmittance(self.material.index_select(0, hit.triangle), front, hit.distance)
+
+
+def _separate_glass(surface: Surface) -> None:
+    """Set the share of the transmissive part, and the share of metal in the opaque part alone.
+
+    In glTF, a metal of the share m covers what is transmissive by the factor t. The transmissive part is t (1 - m) of the whole,
+    and the metal m.
+    """
+    surface.transmission = surface.transmission * (1.0 - surface.metallic)
+    surface.metallic = (surface.metallic / divisor(1.0 - surface.transmission, 1e-6)).clamp(max=1.0)
 
 
 def _brushed(material: Material) -> Texture | None:

@@ -92,7 +92,8 @@ def test_every_term_of_the_extensions(tmp_path):
     )
     scene = load_scene(square(builder).save(tmp_path / "all.glb"))
     (m,) = scene.materials
-    assert scene.warnings == ()
+    glass = "has no effect on the transmissive part of a material (all)"
+    assert scene.warnings == tuple(f"all.glb: KHR_materials_{name}: {glass}" for name in ("specular", "clearcoat", "sheen"))
     assert (m.metallic, m.alpha_mode, m.alpha_cutoff, m.normal_scale) == (0.25, "mask", 0.3, 0.7)
     assert m.clearcoat_normal_scale == -0.6
     assert (m.clearcoat, m.clearcoat_roughness, m.specular, m.specular_color) == (0.5, 0.1, 0.4, (1.5, 0.5, 0.0))
@@ -286,3 +287,14 @@ def test_a_damaged_image_of_sixteen_bits(tmp_path):
         (tmp_path / "deep.png").write_bytes(whole[: int(share * len(whole))])
         with pytest.raises(BokehguideError, match=r"deep\.png: unreadable texture"):
             load_texture(tmp_path / "deep.png", SceneFiles(tmp_path), srgb=False)
+
+
+@pytest.mark.parametrize("transmission, factor, lines", [(0.0, 0.5, 0), (1.0, 1.0, 0), (1.0, 0.5, 1)])
+def test_layers_that_glass_lacks_are_told(tmp_path, transmission, factor, lines):
+    builder = Builder()
+    terms = {
+        "KHR_materials_transmission": {"transmissionFactor": transmission},
+        "KHR_materials_specular": {"specularFactor": factor},
+    }
+    builder.material({}, name="pane", extensions=terms)
+    assert len(load_scene(square(builder).save(tmp_path / "pane.glb")).warnings) == lines

@@ -7,10 +7,13 @@ import pytest
 import torch
 
 from bokehguide.render.bsdf.mixture import Scattering
+from bokehguide.render.geometry import Geometry
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import dot, tangent_frame
+from bokehguide.scene.types import Material, Texture
 from tests.support.sphere import SphereGrid, surface
 from tests.support.statistical import SIGNIFICANCE, chi_square, z_test
+from tests.support.tracing import found, rectangle, scene
 
 GRID = SphereGrid(32, 64, 8)
 POINTS = GRID.directions.shape[1]
@@ -60,16 +63,38 @@ def test_draws_follow_the_density(choice):
 
 
 def test_the_choice_mixes_glass_in_proportion_to_transmission():
-    """The mean over choices of value and weights is (1 - t) opaque + t glass, with t = transmission (1 - metallic)."""
+    """The mean over choices of value and weights is (1 - t) opaque + t glass."""
     parameters = {"roughness": 0.6, "transmission": 0.6, "metallic": 0.25}
     opaque, _ = scattering(POINTS, 0.99, **parameters).evaluate(GRID.directions)
     glass, _ = scattering(POINTS, 0.01, **parameters).evaluate(GRID.directions)
-    share = 0.6 * 0.75
-    expected = (1.0 - share) * GRID.integral(opaque) + share * GRID.integral(glass)
+    expected = 0.4 * GRID.integral(opaque) + 0.6 * GRID.integral(glass)
     _, weight, _ = scattering(DRAWS, uniforms(DRAWS)[3], **parameters).sample(uniforms(DRAWS))
     weights = weight.double().numpy()
     error = weights.std(axis=1) / math.sqrt(DRAWS) + 2e-3 * expected  # the quadrature's own at the horizon
     assert z_test(weights.mean(axis=1) - expected, error) > SIGNIFICANCE
+
+
+def mean_value(choices: np.ndarray, **parameters) -> torch.Tensor:
+    """Mean over `choices` of BSDF times |cosine| of a plate of the material `parameters`, for the directions of `GRID`."""
+    geometry = Geometry(scene([rectangle(0)], [Material("plate", (0.9, 0.6, 0.3), roughness=0.6, **parameters)]))
+    start, end = np.tile([[1.0, 0.2, 2.0]], (POINTS, 1)), np.array([[0.3, 0.1, 0.0]])
+    plate = found(geometry, start, (end - start) / np.linalg.norm(end - start[0]))[1]
+    values = [Scattering(plate, torch.full((POINTS,), float(choice))).evaluate(GRID.directions)[0] for choice in choices]
+    return torch.stack(values).mean(0)
+
+
+@pytest.mark.parametrize("metallic, transmission, textured", [(0.5, 1.0, False), (0.25, 0.6, False), (0.5, 1.0, True)])
+def test_metal_covers_what_is_transmissive(metallic, transmission, textured):
+    """glTF mixes m metal + (1 - m) ((1 - t) opaque dielectric + t glass)."""
+    metal, matte, glass = (
+        mean_value(np.array([0.5]), metallic=m, transmission=t) for m, t in ((1.0, 0.0), (0.0, 0.0), (0.0, 1.0))
+    )
+    expected = metallic * metal + (1.0 - metallic) * ((1.0 - transmission) * matte + transmission * glass)
+    choices = (np.arange(40) + 0.5) / 40  # the share of glass, 1/2 or 9/20, is a multiple of 1/40
+    texture = Texture(np.full((1, 1, 3), (0.0, 1.0, metallic), np.float32)) if textured else None
+    factor = 1.0 if textured else metallic
+    value = mean_value(choices, metallic=factor, transmission=transmission, metallic_roughness_texture=texture)
+    torch.testing.assert_close(value, expected, rtol=2e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize("choice", [None, 0.99, 0.01])

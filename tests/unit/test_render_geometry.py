@@ -169,6 +169,12 @@ def test_rare_terms_are_none_unless_a_material_of_the_scene_has_them():
     np.testing.assert_allclose(surface.clearcoat_alpha.numpy(), [0.25, 1e-3])
 
 
+def parts(metallic: float, transmission: float) -> dict[str, float]:
+    """Share of glass in a surface, and share of metal in the rest."""
+    glass = transmission * (1.0 - metallic)
+    return {"transmission": glass, "metallic": metallic / (1.0 - glass)}
+
+
 def test_every_slot_multiplies_its_factor_by_its_channels():
     """Beside each other: a material with all textures, and one with none."""
     generator = np.random.default_rng(5)
@@ -189,14 +195,13 @@ def test_every_slot_multiplies_its_factor_by_its_channels():
     expected = {
         "base_color": np.array([0.5, 0.8, 1.0]) * texels["base_color"][:3],
         "alpha": (0.9 * texels["metallic_roughness"][1]) ** 2,
-        "metallic": 0.6 * texels["metallic_roughness"][2],
         "specular": 0.8 * texels["specular"][3],
         "specular_color": np.array([0.9, 0.5, 1.0]) * texels["specular_color"][:3],
-        "transmission": 0.6 * texels["transmission"][0],
+        **parts(0.6 * texels["metallic_roughness"][2], 0.6 * texels["transmission"][0]),
         "clearcoat": 0.7 * texels["clearcoat"][0],
         "clearcoat_alpha": (0.9 * texels["clearcoat_roughness"][1]) ** 2,
     }
-    untouched = {**factors, "base_color": (0.5, 0.8, 1.0), "alpha": 0.81, "metallic": 0.6, "clearcoat_alpha": 0.81}
+    untouched = {**factors, **parts(0.6, 0.6), "base_color": (0.5, 0.8, 1.0), "alpha": 0.81, "clearcoat_alpha": 0.81}
     for name, value in expected.items():
         np.testing.assert_allclose(getattr(surface, name)[..., 0].numpy(), value, rtol=1e-5, err_msg=name)
         np.testing.assert_allclose(getattr(surface, name)[..., 1].numpy(), untouched[name], rtol=1e-5, err_msg=name)

@@ -27,14 +27,13 @@ class Scattering:
         self._frame, self._opaque = _opaque(surface, surface.outgoing)
         self._glass: DielectricBSDF | None = None
         if choice is not None:
-            share = surface.transmission * (1.0 - surface.metallic)
-            self._chosen = ActiveEntries(choice < share)
+            self._chosen = ActiveEntries(choice < surface.transmission)
             if len(self._chosen) > 0:
                 self._glass_surface = surface.select(self._chosen.index)
                 self._channel: Tensor | None = None
                 if surface.dispersion is not None:
                     throughput = torch.ones_like(surface.base_color) if throughput is None else throughput
-                    number = self._chosen.select(choice) / divisor(self._chosen.select(share))
+                    number = self._chosen.select(choice) / divisor(self._glass_surface.transmission)
                     self._channel = disperse(self._glass_surface, self._chosen.select(throughput), number)
                 tangent, bitangent, normal = map(self._chosen.select, self._frame)
                 self._glass_frame: Frame = tangent, bitangent, normal

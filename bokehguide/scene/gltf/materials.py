@@ -50,7 +50,24 @@ def _material(part: Part, textures: Textures) -> Material:
         dispersion=part.extension("KHR_materials_dispersion").number("dispersion", 0.0, NOT_NEGATIVE),
         **_transmission(part, textures),
     )
-    return _unlit(material) if "KHR_materials_unlit" in part.extensions else material
+    if "KHR_materials_unlit" in part.extensions:
+        return _unlit(material)
+    _note_layers_of_glass(material, textures.document)
+    return material
+
+
+def _note_layers_of_glass(material: Material, document: Document) -> None:
+    """Note the layers that the opaque part of a transmissive material has, and that its glass lacks."""
+    if material.transmission == 0.0:
+        return
+    colored = material.specular_color != WHITE or material.specular_texture or material.specular_color_texture
+    layers = {
+        "specular": material.specular != 1.0 or colored,
+        "clearcoat": material.clearcoat > 0.0,
+        "sheen": any(material.sheen_color),
+    }
+    for name in (name for name, used in layers.items() if used):
+        document.note(f"KHR_materials_{name}: has no effect on the transmissive part of a material", material.name)
 
 
 def _metallic_roughness(part: Part, textures: Textures, alpha: bool) -> dict[str, Any]:
