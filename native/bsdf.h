@@ -256,8 +256,21 @@ inline Vec3 film_reflectance(Vec3 f0, Float ior, Float thickness, Float cosine) 
     return {bounded(total.x, 0), bounded(total.y, 1), bounded(total.z, 2)};
 }
 
+// `metal_gain` of multiscatter.py. perfect: albedo of microfacets that reflect all light.
+inline Vec3 metal_gain(const Tables& t, const Surface& s, const CoatAlbedo& perfect, const Microfacets& facets, Vec3 outgoing, Float cosine) {
+    const Float mean = perfect.mean(facets);
+    Float lost = 1.0f / perfect.towards(facets, outgoing, cosine) - 1.0f;
+    if (t.single_scattering != nullptr) lost = lost * (1.0f - s.single_scattering);
+    const auto gain = [&](Float color) {
+        const Float reflectance = color + (1.0f - color) * float(1.0 / 21.0);
+        return 1.0f + lost * (reflectance * mean / (1.0f - reflectance * (1.0f - mean)));
+    };
+    return {gain(s.base_color.x), gain(s.base_color.y), gain(s.base_color.z)};
+}
+
 struct Opaque {
     Vec3 outgoing, base_color, f0;
+    Vec3 metal;  // of single scattering: `metallic`, and the gain by multiple scattering
     bool coated, shines, transmits, filmed;
     Float cosine, metallic, f90, leaving, specular_share, clearcoat_share, sheen_share, below_share;
     Microfacets facets;
@@ -294,6 +307,12 @@ struct Opaque {
         Float entering = at_least(1.0f - albedo.mean(facets), LEAST_ENTERING);
         if (filmed) entering = at_least(entering + (passing_film(all(1.0f)) * (20.0f / 21.0f) - entering) * iridescence, 1e-4f);
         leaving = (1.0f - metallic) * passing(outgoing, cosine) / (PI * entering);
+        metal = grey(metallic);
+        if (any(metallic > all(0.0f))) {
+            CoatAlbedo perfect = albedo;
+            perfect.f0 = all(1.0f), perfect.rise = all(0.0f);
+            metal = metallic * metal_gain(t, s, perfect, facets, outgoing, cosine);
+        }
     }
     Float passing(Vec3 direction, Float towards) const {
         const Float passed = at_least(1.0f - albedo.towards(facets, direction, towards), 0.0f);
@@ -368,13 +387,12 @@ struct Opaque {
         const Vec3 coat = f0 + (grey(f90) - f0) * grazing;
         Float diffuse = leaving * passing(incoming, towards);
         if (transmits) diffuse = diffuse * (1.0f - diffuse_transmission);
-        const Float scaled = diffuse + metallic * visibility * (1.0f - grazing);
-        const Vec3 white = visibility * ((1.0f - metallic) * coat + grey(metallic * grazing));
-        Vec3 value = base_color * scaled + white;
+        const Vec3 of_metal = base_color + (grey(all(1.0f)) - base_color) * grazing;
+        Vec3 value = base_color * diffuse + visibility * ((1.0f - metallic) * coat + metal * of_metal);
         if (filmed) {
             Vec3 of_coat, of_metal;
             film_fresnel(facing, grazing, of_coat, of_metal);
-            value = base_color * diffuse + visibility * ((1.0f - metallic) * of_coat + metallic * of_metal);
+            value = base_color * diffuse + visibility * ((1.0f - metallic) * of_coat + metal * of_metal);
         }
         if (shines) value = value * sheen.beneath(towards) + sheen.evaluate(half, towards);
         Float pdf = specular_share * microfacet + diffuse_pdf(towards, above);

@@ -136,6 +136,7 @@ class Scene : Named {
         t.sheen = array<float>("sheen"), t.sheen_albedo = array<float>("sheen_albedo");
         t.anisotropy = array<float>("anisotropy"), t.diffuse_transmission = array<float>("diffuse_transmission");
         t.film = array<float>("film"), t.dispersion = array<float>("dispersion");
+        t.single_scattering = array<float>("single_scattering");
         t.surface_rows = int32_t(number("surface_rows"));
         t.opacity = array<float>("opacity"), t.absorption = array<float>("absorption");
         t.emissive = array<int32_t>("emissive"), t.tinted = array<int32_t>("tinted");

@@ -92,6 +92,37 @@ def test_a_white_base_under_a_coat_reflects_all_light_at_every_angle(roughness, 
     assert min(reflected) > 0.995 and max(reflected) < 1.0 + ROUNDING
 
 
+@pytest.mark.parametrize("roughness", ROUGHNESS)
+def test_metals_reflect_at_every_angle_what_kulla_and_conty_say(roughness):
+    """Single and multiple scattering together, which is all light for a white metal."""
+    alpha = max(roughness**2, MIN_ALPHA)
+    angle = (np.arange(4096) + 0.5) / 4096
+    mean = 2.0 * (stopped(angle, 1.0, 1.0, alpha) * angle).mean()
+    for degrees in DEGREES:
+        single, *found = (
+            metal_albedo(degrees, roughness, base_color=color, single_scattering=float(flag))
+            for color, flag in (((0.8, 0.2, 1.0), True), (WHITE, False), ((0.8, 0.2, 1.0), False))
+        )
+        np.testing.assert_allclose(found[0], 1.0, atol=5e-3)
+        reflectance = np.array((0.8, 0.2, 1.0)) * 20.0 / 21.0 + 1.0 / 21.0
+        once = stopped(np.cos(np.radians(degrees)), 1.0, 1.0, alpha)
+        further = reflectance * mean / (1.0 - reflectance * (1.0 - mean)) * (1.0 - once) / once
+        np.testing.assert_allclose(found[1], single * (1.0 + further), atol=5e-3)
+        assert max(found[0].max(), found[1].max()) < 1.0 + ROUNDING
+
+
+def metal_albedo(degrees: float, roughness: float, **parameters) -> np.ndarray:
+    """Albedo `[3]` of a metal."""
+
+    def values(outgoing, incoming):
+        count = incoming.shape[1]
+        metal = surface(count, metallic=1.0, roughness=roughness, **parameters)
+        bsdf = OpaqueBSDF(torch.from_numpy(outgoing).float().expand(3, count), metal)
+        return bsdf.evaluate(torch.from_numpy(incoming).float())[0].double().numpy()
+
+    return albedo(degrees, 13, [max(roughness**2, MIN_ALPHA)], values)
+
+
 def test_the_file_of_the_table_of_coats_is_current():
     torch.testing.assert_close(coat_table(torch.device("cpu")), integrated_table(), atol=1e-6, rtol=0.0)
 

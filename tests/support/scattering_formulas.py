@@ -93,6 +93,18 @@ def stopped_anisotropic(directions: np.ndarray, f0: float, f90: float, alphas: t
     return albedo + margin * (0.4 * f0 + 0.2 * (f90 - f0) * (1.0 - cosine) ** 5)
 
 
+def gain(outgoing: np.ndarray, base: np.ndarray, alphas: tuple[float, float]) -> np.ndarray:
+    """Factor `[3, 1]` of the BRDF of metals by multiple scattering (Kulla and Conty 2017, Turquin 2019).
+
+    outgoing: one direction, `[3, N]`. base: colour `[3, 1]`.
+    """
+    albedo = stopped_anisotropic(outgoing[:, :1], 1.0, 1.0, alphas)
+    angle = (np.arange(4096) + 0.5) / 4096
+    mean = 2.0 * (stopped(angle, 1.0, 1.0, alphas[0]) * angle).mean() + 0.4 * (alphas[0] - alphas[1])
+    schlick = 2.0 * ((base + (1.0 - base) * (1.0 - angle) ** 5) * angle).mean(1, keepdims=True)
+    return 1.0 + schlick * mean / (1.0 - schlick * (1.0 - mean)) * (1.0 - albedo) / albedo
+
+
 def brdf(
     outgoing: np.ndarray,
     incoming: np.ndarray,
@@ -109,6 +121,7 @@ def brdf(
     anisotropy=0.0,
     diffuse_transmission=0.0,
     transmission_color=(1.0, 1.0, 1.0),
+    single_scattering=0.0,
 ) -> np.ndarray:
     """The opaque BSDF `[3, N]` towards directions above the surface or, of diffuse transmission alone, below.
 
@@ -132,7 +145,7 @@ def brdf(
     through = np.asarray(transmission_color)[:, None] * diffuse_transmission
     lambertian = np.where(below, through, base * (1.0 - diffuse_transmission))
     dielectric = lambertian / np.pi * under / max(entering, 0.2) + coat * facets
-    metal = (base + (1.0 - base) * schlick) * facets
+    metal = (base + (1.0 - base) * schlick) * facets * (1.0 if single_scattering else gain(outgoing, base, alphas))
     beneath = (1.0 - metallic) * dielectric + metallic * metal
     if any(sheen_color):
         passing, over = sheen_layer(outgoing, light, sheen_color, sheen_roughness)
