@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.render.bsdf.coat_albedo import packed_table
+from bokehguide.render.bsdf.coat_albedo import packed_brushed_table, packed_table
 from bokehguide.render.bsdf.sheen import albedo_table
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.light_groups import GroupRadiance
@@ -305,6 +305,7 @@ def _material_tables(materials: Materials) -> Tables:
         "emission": materials.emission,
         "specular_color": materials.specular_color,
         "coat_albedo": packed_table(),
+        "brushed_albedo": None if materials.anisotropy is None else packed_brushed_table(),
         "clearcoat": materials.clearcoat,
         "sheen": materials.sheen,
         "sheen_albedo": None if materials.sheen is None else albedo_table(),
