@@ -11,7 +11,7 @@ height-correlated Smith masking, anisotropic by KHR_materials_anisotropy.
 In glTF, the weight of the base under the coat is 1 - F(outgoing · half). At grazing angles, base and coat together then reflect
 up to 1.24 of the light. Here, the weight is (1 - T(incoming)) (1 - T(outgoing)) / (1 - mean of T), with the albedo T of the coat
 (`coat_albedo.py`). A white base under a coat then reflects all light at every angle. The weight is reciprocal and conserves
-energy. For a coloured f0, T belongs to the largest channel. For anisotropic coats, T is an upper bound.
+energy. For a coloured f0, T belongs to the largest channel.
 
 A clearcoat covers base and coat. The weight of the layers beneath is min(1 - T(outgoing), 1 - T(incoming)), with the albedo T of
 the clearcoat. The weight is reciprocal and conserves energy. Over a mirror, it equals the weight of glTF. Cosines and horizon
@@ -69,7 +69,7 @@ class OpaqueBSDF:
         self._sheen = None if surface.sheen_color is None else Sheen(self._cosine, surface)
         self._choose_shares(peak)
         self._albedo = CoatAlbedo(self._facets, peak, self._f90 - peak)
-        # Normalisation: mean transmittance of the coat under uniform illumination, or a bound of the mean with anisotropy.
+        # Normalisation: mean transmittance of the coat under uniform illumination.
         entering = (1.0 - self._albedo.mean()).clamp(min=LEAST_ENTERING)
         if surface.iridescence is not None:
             steepest = self._passing_film(torch.ones_like(self._cosine)) * (20.0 / 21.0)
