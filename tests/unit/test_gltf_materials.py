@@ -286,3 +286,12 @@ def test_a_damaged_image_of_sixteen_bits(tmp_path):
         (tmp_path / "deep.png").write_bytes(whole[: int(share * len(whole))])
         with pytest.raises(BokehguideError, match=r"deep\.png: unreadable texture"):
             load_texture(tmp_path / "deep.png", SceneFiles(tmp_path), srgb=False)
+
+
+@pytest.mark.parametrize(
+    "extras, expected", [({"bokehguide_single_scattering": True}, True), ({"other": 1}, False), ([1, 2], False), ("text", False)]
+)
+def test_extras_switch_multiple_scattering_off(tmp_path, extras, expected):
+    builder = Builder()
+    builder.material({"metallicFactor": 1.0}, extras=extras)
+    assert only_material(builder, tmp_path / "metal.glb").single_scattering is expected
