@@ -65,45 +65,103 @@ struct Microfacets {
     }
 };
 
-// `CoatAlbedo` of coat_albedo.py.
-struct CoatAlbedo {
-    static constexpr int ROWS = 64, COLUMNS = 96, WIDTH = COLUMNS + 1;
-    static constexpr float STEEP_MARGIN = 0.4f, GRAZING_MARGIN = 0.2f, LOWEST = 0.42169650343f;  // LOWEST: eighth root of MIN_ALPHA
-    const int32_t* table;
-    Float f0, rise, margin, down;
-    Int start;
-    bool isotropic;
+// Places in the tables of albedos.
+struct Ends {
+    Int lower;
+    Float right;  // weight of the entry after `lower`
 
-    CoatAlbedo() = default;
-    CoatAlbedo(const Tables& t, const Microfacets& facets, Float f0, Float rise)
-        : table(t.coat_albedo), f0(f0), rise(rise), margin(facets.along - facets.alpha), isotropic(facets.isotropic) {
-        if (isotropic) choose_row(facets.alpha, start, down);
+    Ends() = default;
+    Ends(Float share, int size) {
+        const Float place = at_most(at_least_zero(share), 1.0f) * float(size - 1), below = at_most(floor(place), float(size - 2));
+        lower = to_int(below), right = place - below;
     }
     // 0 for NaN, so that places stay in the table.
     static Float at_least_zero(Float x) { return x > all(0.0f) ? x : all(0.0f); }
+};
+inline Float fourth_root(Float x) { return sqrt(sqrt(x)); }
+constexpr float LOWEST_ROOT = 0.42169650343f;  // eighth root of MIN_ALPHA
+
+// `BrushedAlbedo` of brushed_albedo.py. f0, rise: shares of S and B in the albedo.
+struct BrushedAlbedo {
+    static constexpr int ALPHAS = 12, STRENGTHS = 8, COSINES = 16, PLACES = 14, LENGTH = COSINES * PLACES + 1;
+    static constexpr float LEAST_SPAN = 1e-6f;
+    const int32_t* table;
+    Float low, span;
+    Ends alpha, strength;
+
+    BrushedAlbedo() = default;
+    BrushedAlbedo(const Tables& t, const Microfacets& facets)
+        : table(t.brushed_albedo), low(fourth_root(facets.alpha)), span(at_least(fourth_root(facets.along) - low, LEAST_SPAN)),
+          alpha((sqrt(low) - LOWEST_ROOT) * (1.0f / (1.0f - LOWEST_ROOT)), ALPHAS),
+          strength(sqrt(at_least((facets.along - facets.alpha) / at_least(1.0f - facets.alpha, LEAST_SPAN), 0.0f)), STRENGTHS) {}
+
+    // Bilinear means of four entries, by two places on axes.
+    template <class Entry> static Float bilinear(Ends first, Ends second, int size, Entry entry) {
+        const Int start = first.lower * size + second.lower;
+        const auto pair = [&](Int left) {
+            const Float value = entry(left);
+            return value + (entry(left + 1) - value) * second.right;
+        };
+        const Float upper = pair(start);
+        return upper + (pair(start + size) - upper) * first.right;
+    }
+    template <class Entry> Float over_alphas(Entry entry) const { return bilinear(alpha, strength, STRENGTHS, entry); }
+    Float at(Int place, Float f0, Float rise) const {
+        const Int packed = gather(table, place);
+        const Float steep = to_float(packed & 0xffff) - 32768.0f, grazing = to_float((packed >> 16) & 0xffff) - 32768.0f;
+        return (f0 * steep + rise * grazing) * (1.0f / 65535.0f);
+    }
+    Float towards(Float facing, Float cosine, Float f0, Float rise) const {
+        const Ends height(fourth_root(cosine), COSINES), place((fourth_root(facing) - low) / span, PLACES);
+        return over_alphas([&](Int start) {
+            return bilinear(height, place, PLACES, [&](Int inner) { return at(start * LENGTH + inner, f0, rise); });
+        });
+    }
+    Float mean(Float f0, Float rise) const {
+        return over_alphas([&](Int start) { return at(start * LENGTH + (LENGTH - 1), f0, rise); });
+    }
+};
+
+// `CoatAlbedo` of coat_albedo.py.
+struct CoatAlbedo {
+    static constexpr int ROWS = 64, COLUMNS = 96, WIDTH = COLUMNS + 1;
+    const int32_t* table;
+    Float f0, rise, down;
+    Int start;
+    bool isotropic;
+    BrushedAlbedo brushed;
+
+    CoatAlbedo() = default;
+    CoatAlbedo(const Tables& t, const Microfacets& facets, Float f0, Float rise) : table(t.coat_albedo), f0(f0), rise(rise), isotropic(facets.isotropic) {
+        if (isotropic) choose_row(facets.alpha, start, down);
+        else brushed = BrushedAlbedo(t, facets);
+    }
     static void choose_row(Float alpha, Int& start, Float& down) {
-        const Float row = at_least_zero(sqrt(sqrt(sqrt(alpha))) - LOWEST) * (float(ROWS - 1) / (1.0f - LOWEST));
+        const Float row = Ends::at_least_zero(sqrt(fourth_root(alpha)) - LOWEST_ROOT) * (float(ROWS - 1) / (1.0f - LOWEST_ROOT));
         const Float upper = at_most(floor(row), float(ROWS - 2));
         start = to_int(upper) * WIDTH, down = row - upper;
     }
     static Float between(Float first, Float second, Float share) { return first + (second - first) * share; }
-    Float mixed(Float steep, Float grazing) const { return f0 * steep + rise * grazing; }
     // Albedo at places in the table (`packed_table`).
     Float corner(Int place) const {
         const Int packed = gather(table, place);
         const Float steep = to_float(packed & 0xffff), grazing = to_float((packed >> 16) & 0xffff);
-        return mixed(steep, grazing) * (1.0f / 65535.0f);
+        return (f0 * steep + rise * grazing) * (1.0f / 65535.0f);
     }
 
     Float towards(const Microfacets& facets, Vec3 direction, Float cosine) const {
         Int row = start;
-        Float below = down;
-        if (!isotropic) choose_row(facets.facing(direction), row, below);
-        const Float column = sqrt(sqrt(at_most(at_least_zero(cosine), 1.0f))) * float(COLUMNS - 1);
+        Float below = down, facing = facets.alpha;
+        if (!isotropic) {
+            facing = facets.facing(direction);
+            choose_row(facing, row, below);
+        }
+        cosine = at_most(Ends::at_least_zero(cosine), 1.0f);
+        const Float column = fourth_root(cosine) * float(COLUMNS - 1);
         const Float left = at_most(floor(column), float(COLUMNS - 2)), right = column - left;
         const Int place = row + to_int(left);
         const Float albedo = between(between(corner(place), corner(place + 1), right), between(corner(place + WIDTH), corner(place + (WIDTH + 1)), right), below);
-        return isotropic ? albedo : albedo + margin * mixed(all(STEEP_MARGIN), GRAZING_MARGIN * fifth_power(1.0f - cosine));
+        return isotropic ? albedo : albedo + brushed.towards(facing, cosine, f0, rise);
     }
     Float mean(const Microfacets& facets) const {
         Int row = start;
@@ -111,7 +169,7 @@ struct CoatAlbedo {
         if (!isotropic) choose_row(facets.along, row, below);
         const Int place = row + COLUMNS;
         const Float albedo = between(corner(place), corner(place + WIDTH), below);
-        return isotropic ? albedo : albedo + margin * mixed(all(STEEP_MARGIN), all(GRAZING_MARGIN / 21.0f));
+        return isotropic ? albedo : albedo + brushed.mean(f0, rise);
     }
 };
 
@@ -256,8 +314,21 @@ inline Vec3 film_reflectance(Vec3 f0, Float ior, Float thickness, Float cosine) 
     return {bounded(total.x, 0), bounded(total.y, 1), bounded(total.z, 2)};
 }
 
+// `metal_gain` of multiscatter.py. perfect: albedo of microfacets that reflect all light.
+inline Vec3 metal_gain(const Tables& t, const Surface& s, const CoatAlbedo& perfect, const Microfacets& facets, Vec3 outgoing, Float cosine) {
+    const Float mean = perfect.mean(facets);
+    Float lost = 1.0f / perfect.towards(facets, outgoing, cosine) - 1.0f;
+    if (t.single_scattering != nullptr) lost = lost * (1.0f - s.single_scattering);
+    const auto gain = [&](Float color) {
+        const Float reflectance = color + (1.0f - color) * float(1.0 / 21.0);
+        return 1.0f + lost * (reflectance * mean / (1.0f - reflectance * (1.0f - mean)));
+    };
+    return {gain(s.base_color.x), gain(s.base_color.y), gain(s.base_color.z)};
+}
+
 struct Opaque {
     Vec3 outgoing, base_color, f0;
+    Vec3 metal;  // of single scattering: `metallic`, and the gain by multiple scattering
     bool coated, shines, transmits, filmed;
     Float cosine, metallic, f90, leaving, specular_share, clearcoat_share, sheen_share, below_share;
     Microfacets facets;
@@ -294,6 +365,12 @@ struct Opaque {
         Float entering = at_least(1.0f - albedo.mean(facets), LEAST_ENTERING);
         if (filmed) entering = at_least(entering + (passing_film(all(1.0f)) * (20.0f / 21.0f) - entering) * iridescence, 1e-4f);
         leaving = (1.0f - metallic) * passing(outgoing, cosine) / (PI * entering);
+        metal = grey(metallic);
+        if (any(metallic > all(0.0f))) {
+            CoatAlbedo perfect = albedo;
+            perfect.f0 = all(1.0f), perfect.rise = all(0.0f);
+            metal = metallic * metal_gain(t, s, perfect, facets, outgoing, cosine);
+        }
     }
     Float passing(Vec3 direction, Float towards) const {
         const Float passed = at_least(1.0f - albedo.towards(facets, direction, towards), 0.0f);
@@ -368,13 +445,12 @@ struct Opaque {
         const Vec3 coat = f0 + (grey(f90) - f0) * grazing;
         Float diffuse = leaving * passing(incoming, towards);
         if (transmits) diffuse = diffuse * (1.0f - diffuse_transmission);
-        const Float scaled = diffuse + metallic * visibility * (1.0f - grazing);
-        const Vec3 white = visibility * ((1.0f - metallic) * coat + grey(metallic * grazing));
-        Vec3 value = base_color * scaled + white;
+        const Vec3 of_metal = base_color + (grey(all(1.0f)) - base_color) * grazing;
+        Vec3 value = base_color * diffuse + visibility * ((1.0f - metallic) * coat + metal * of_metal);
         if (filmed) {
             Vec3 of_coat, of_metal;
             film_fresnel(facing, grazing, of_coat, of_metal);
-            value = base_color * diffuse + visibility * ((1.0f - metallic) * of_coat + metallic * of_metal);
+            value = base_color * diffuse + visibility * ((1.0f - metallic) * of_coat + metal * of_metal);
         }
         if (shines) value = value * sheen.beneath(towards) + sheen.evaluate(half, towards);
         Float pdf = specular_share * microfacet + diffuse_pdf(towards, above);

@@ -132,10 +132,11 @@ class Scene : Named {
         t.materials = int64_t(size / 9);
         t.emission = array<float>("emission"), t.specular_color = array<float>("specular_color");
         t.clearcoat = array<float>("clearcoat"), t.cones = array<float>("cones");
-        t.coat_albedo = array<int32_t>("coat_albedo");
+        t.coat_albedo = array<int32_t>("coat_albedo"), t.brushed_albedo = array<int32_t>("brushed_albedo");
         t.sheen = array<float>("sheen"), t.sheen_albedo = array<float>("sheen_albedo");
         t.anisotropy = array<float>("anisotropy"), t.diffuse_transmission = array<float>("diffuse_transmission");
         t.film = array<float>("film"), t.dispersion = array<float>("dispersion");
+        t.single_scattering = array<float>("single_scattering");
         t.surface_rows = int32_t(number("surface_rows"));
         t.opacity = array<float>("opacity"), t.absorption = array<float>("absorption");
         t.emissive = array<int32_t>("emissive"), t.tinted = array<int32_t>("tinted");

@@ -36,10 +36,10 @@ struct Surface {
     Vec3 tangent;
     Float alpha_along, diffuse_transmission;
     Vec3 transmission_color;
-    Float iridescence, film_ior, film_thickness, dispersion;
+    Float iridescence, film_ior, film_thickness, dispersion, single_scattering;
 };
 constexpr int SURFACE_ROWS = sizeof(Surface) / sizeof(Float);
-static_assert(SURFACE_ROWS == 48, "as many as bokehguide/render/native.py names");
+static_assert(SURFACE_ROWS == 49, "as many as bokehguide/render/native.py names");
 
 // rows: of the scene (`Tables::surface_rows`); fields beyond them are undefined.
 inline Surface load_surface(const float* values, int64_t stride, int rows) {
@@ -272,7 +272,7 @@ inline void apply_anisotropy(const Tables& t, const Hits& hit, Int material, Sur
 // The last fields as without the terms.
 inline void clear_rare_fields(Surface& s) {
     s.sheen_color = s.tangent = grey(all(0.0f)), s.transmission_color = grey(all(1.0f)), s.film_ior = all(1.0f);
-    s.sheen_roughness = s.diffuse_transmission = s.iridescence = s.film_thickness = s.dispersion = all(0.0f);
+    s.sheen_roughness = s.diffuse_transmission = s.iridescence = s.film_thickness = s.dispersion = s.single_scattering = all(0.0f);
 }
 
 // `Geometry.surface`. active: lanes with a valid hit.
@@ -314,6 +314,7 @@ inline Surface surface_at(const Tables& t, Vec3 origin, Vec3 direction, const Hi
         s.film_thickness = gather(t.film + 3 * t.materials, material);
     }
     if (t.dispersion != nullptr) s.dispersion = gather(t.dispersion, material);
+    if (t.single_scattering != nullptr) s.single_scattering = gather(t.single_scattering, material);
     if (t.colors != nullptr || t.textures > 0) apply_textures(t, hit, material, s, active);
     if (t.has_transmission) {  // `_separate_glass`
         s.transmission = s.transmission * (1.0f - s.metallic);

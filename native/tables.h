@@ -64,8 +64,8 @@ struct Tables {
     const float *parameters, *emission, *specular_color, *clearcoat, *cones, *opacity, *absorption, *normal_scales[SLOTS];
     const int32_t *emissive, *tinted, *is_translucent;
     const int64_t* numbers[SLOTS];
-    const int32_t* coat_albedo;
-    const float *sheen, *sheen_albedo, *anisotropy, *diffuse_transmission, *film, *dispersion;
+    const int32_t *coat_albedo, *brushed_albedo;  // the latter null without anisotropy
+    const float *sheen, *sheen_albedo, *anisotropy, *diffuse_transmission, *film, *dispersion, *single_scattering;
     bool tilts_coats, has_transmission, plain_emission;
     int32_t surface_rows;  // of records: `Surface` in surface.h without the last fields, where no material needs them
 

@@ -1,48 +1,116 @@
-"""The table of the albedos of dielectric coats, which the package loads.
+"""The tables of the albedos of microfacets, which the package loads.
 
     python scripts/coat_table.py
 
-The integrals take a second. A table in a file spares each render this second.
+The integrals take a minute. Tables in files spare each render this minute.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.render.bsdf.coat_albedo import COLUMNS, ROWS, TABLE
-from bokehguide.render.bsdf.microfacets import MIN_COSINE, sample_visible_normal, smith_root
+from bokehguide.render.bsdf.brushed_albedo import (
+    ALPHAS,
+    BRUSHED_TABLE,
+    COSINES,
+    LENGTH,
+    PLACES,
+    STRENGTHS,
+    BrushedAlbedo,
+    brushed_table,
+)
+from bokehguide.render.bsdf.coat_albedo import COLUMNS, ROWS, TABLE, CoatAlbedo
+from bokehguide.render.bsdf.microfacets import MIN_COSINE, Microfacets, sample_visible_normal
 from bokehguide.render.geometry import MIN_ALPHA
 from bokehguide.render.vector import dot, fifth_power
 
+EXCESS = 0.012
+"""Share by which albedos of anisotropic microfacets in the table are too large: the error of the interpolation."""
 
-def integrated_table() -> Tensor:
-    """S and B `[2, ROWS, WIDTH]` by Gauss-Legendre quadrature over the visible normals."""
-    alpha = torch.linspace(MIN_ALPHA**0.125, 1.0, ROWS, dtype=torch.float64) ** 8
+
+def integrated_table(every: int = 1) -> Tensor:
+    """S and B `[2, ROWS, WIDTH]` by Gauss-Legendre quadrature over the visible normals. every: spacing of the rows."""
+    alpha = torch.linspace(MIN_ALPHA**0.125, 1.0, ROWS, dtype=torch.float64)[::every] ** 8
     cosine = (torch.linspace(0.0, 1.0, COLUMNS, dtype=torch.float64) ** 4).clamp(min=MIN_COSINE)
-    albedos = torch.stack([_albedos(cosine, float(row)) for row in alpha], dim=1)
+    outgoing = torch.stack(((1.0 - cosine.square()).sqrt(), torch.zeros_like(cosine), cosine))
+    albedos = torch.stack([_albedos(outgoing, float(row), float(row), 0.5) for row in alpha], dim=1)
     means = (albedos * _mean_weights()).sum(-1, keepdim=True)
     return torch.cat((albedos, means), dim=-1).float()
 
 
-def _albedos(cosine: Tensor, alpha: float) -> Tensor:
-    """S and B `[2, N]` of microfacets of roughness `alpha`, at cosines `[N]`."""
-    (first, first_weight), (second, second_weight) = _nodes(16), _nodes(32)
-    uniforms = torch.stack((0.5 * first[:, None].expand(-1, 32), second.expand(16, -1))).flatten(1)  # half a turn
-    weight = torch.outer(first_weight, second_weight).flatten()
-    outgoing = torch.stack(((1.0 - cosine.square()).sqrt(), torch.zeros_like(cosine), cosine))
+def integrated_brushed_table(start: int = 0, every: int = 1) -> Tensor:
+    """The table of `BrushedAlbedo` `[2, ALPHAS, STRENGTHS, LENGTH]` without means, from the table of isotropic microfacets.
+
+    start, every: the first α and their spacing.
+    """
+    cosine, place = (x.flatten() for x in torch.meshgrid(_axis(COSINES) ** 4, _axis(PLACES), indexing="ij"))
+    lowest = MIN_ALPHA**0.125
+    table = torch.zeros(2, ALPHAS, STRENGTHS, LENGTH, dtype=torch.float64)
+    for row in range(start, ALPHAS, every):
+        alpha = float((lowest + (1.0 - lowest) * _axis(ALPHAS)[row]) ** 8)
+        if row == ALPHAS - 1:  # both α are 1; the excess is for the interpolation between this row and the one before
+            table[:, row, 1:, :-1] = EXCESS * _isotropic(torch.ones_like(cosine), cosine)[:, None]
+            continue
+        for column in range(1, STRENGTHS):
+            along = alpha + (1.0 - alpha) * (column / (STRENGTHS - 1)) ** 2
+            facing = (alpha**0.25 + (along**0.25 - alpha**0.25) * place) ** 4
+            share = ((facing**2 - alpha**2) / (along**2 - alpha**2)).clamp(0.0, 1.0)  # cos² of the azimuth
+            level = cosine.clamp(min=MIN_COSINE)
+            sine = (1.0 - level.square()).sqrt()
+            albedos = _albedos(torch.stack((sine * share.sqrt(), sine * (1.0 - share).sqrt(), level)), alpha, along, 1.0)
+            table[:, row, column, :-1] = albedos * (1.0 + EXCESS) - _isotropic(facing, cosine)
+    return table
+
+
+def with_means(table: Tensor) -> Tensor:
+    """The table with the differences of the means, by quadrature of the interpolated albedos."""
+    (height, weight), azimuth = _nodes(48), math.pi / 2.0 * (torch.arange(48) + 0.5) / 48.0
+    cosine = height.repeat_interleave(48).float()
+    lowest = MIN_ALPHA**0.125
+    for row in range(ALPHAS):
+        alpha = (lowest + (1.0 - lowest) * _axis(ALPHAS)[row]).float() ** 8
+        for column in range(1, STRENGTHS):
+            along = alpha + (1.0 - alpha) * (column / (STRENGTHS - 1)) ** 2
+            facing = ((along * azimuth.cos()).square() + (alpha * azimuth.sin()).square()).sqrt().repeat(48)
+            brushed = BrushedAlbedo(alpha.expand(len(cosine)), along.expand(len(cosine)))
+            albedos = torch.stack(brushed.towards(facing, cosine)) + _isotropic(facing, cosine)
+            mean = (albedos * (2.0 * height * weight).repeat_interleave(48)).sum(1) / 48.0
+            table[:, row, column, -1] = mean - _isotropic(along[None], None)[:, 0]
+    return table
+
+
+def _isotropic(alpha: Tensor, cosine: Tensor | None) -> Tensor:
+    """S and B `[2, N]` of isotropic microfacets from the table, or their means."""
+    alpha, one = alpha.float(), torch.ones(len(alpha))
+    coats = [CoatAlbedo(Microfacets(one.expand(3, -1), alpha), *shares) for shares in ((one, 0.0 * one), (0.0 * one, one))]
+    return torch.stack([coat.mean() if cosine is None else coat.towards(one, cosine.float()) for coat in coats])
+
+
+def _albedos(outgoing: Tensor, alpha: float, along: float, turn: float) -> Tensor:
+    """S and B `[2, N]` of microfacets of roughness `alpha` and `along`, seen from `outgoing` `[3, N]`.
+
+    turn: part of the circle of half vectors, a half where both halves are alike.
+    """
+    (first, first_weight), (second, second_weight) = _nodes(round(64 * turn)), _nodes(64)
+    uniforms = torch.stack((turn * first[:, None].expand(-1, 64), second.expand(len(first), -1))).flatten(1)
+    weight, count = torch.outer(first_weight, second_weight).flatten(), outgoing.shape[1]
     outgoing = outgoing[:, :, None].expand(-1, -1, len(weight)).flatten(1)
-    width = torch.full_like(outgoing[2], alpha)
-    half = sample_visible_normal(outgoing, width, uniforms.repeat(1, len(cosine)))
+    facets = Microfacets(outgoing, torch.full_like(outgoing[2], alpha), torch.full_like(outgoing[2], along))
+    half = sample_visible_normal(outgoing, facets.alpha, uniforms.repeat(1, count), facets.along)
     towards = dot(outgoing, half)
-    incoming = 2.0 * towards * half[2] - outgoing[2]
-    light, squared = incoming.clamp(min=1e-12), width.square()
-    root, other = smith_root(outgoing[2], squared), smith_root(light, squared)
-    masking = light * (outgoing[2] + root) / (outgoing[2] * other + light * root)  # G₂ / G₁(outgoing)
-    masking = torch.where(incoming > 0.0, masking, 0.0).unflatten(0, (len(cosine), -1)) * weight
-    grazing = fifth_power((1.0 - towards).clamp(min=0.0)).unflatten(0, (len(cosine), -1))
+    incoming = 2.0 * towards * half - outgoing
+    visibility, density = facets.evaluate(half, incoming)
+    masking = torch.where(incoming[2] > 0.0, visibility * incoming[2] / density, 0.0).unflatten(0, (count, -1)) * weight
+    grazing = fifth_power((1.0 - towards).clamp(min=0.0)).unflatten(0, (count, -1))
     return torch.stack((masking.sum(1), (masking * grazing).sum(1)))
+
+
+def _axis(size: int) -> Tensor:
+    return torch.linspace(0.0, 1.0, size, dtype=torch.float64)
 
 
 def _nodes(count: int) -> tuple[Tensor, Tensor]:
@@ -64,3 +132,7 @@ def _mean_weights() -> Tensor:
 
 if __name__ == "__main__":
     np.save(TABLE, integrated_table().numpy())
+    brushed = integrated_brushed_table()
+    np.save(BRUSHED_TABLE, brushed.half().numpy())
+    brushed_table.cache_clear()
+    np.save(BRUSHED_TABLE, with_means(brushed).half().numpy())

@@ -12,6 +12,8 @@ from bokehguide.scene.anisotropy import to_alphas
 from bokehguide.scene.disney_sheen import to_disney
 from bokehguide.scene.types import Material, Texture, Vector
 
+SMOOTH_METAL = 0.3
+"""Roughness up to which multiple scattering makes a metal brighter by a hundredth at most."""
 SMOOTH_GLASS = 0.063
 """Roughness below which glass is smooth."""
 
@@ -141,6 +143,9 @@ def lost_terms(material: Material) -> Sequence[str]:
         and any((material.clearcoat_texture, material.clearcoat_roughness_texture, material.clearcoat_normal_texture)),
         "sheen": any(material.sheen_color) and (glass or to_disney(material) is None),
         "anisotropy": material.anisotropy > 0.0 and (glass or not _exports_anisotropy(material)),
+        "multiple scattering of rough metals": material.metallic > 0.0
+        and material.roughness > SMOOTH_METAL
+        and not material.single_scattering,
         "diffuse transmission": material.diffuse_transmission > 0.0,
         "iridescence": material.iridescence > 0.0,
         "dispersion": material.dispersion > 0.0,

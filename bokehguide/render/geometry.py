@@ -56,10 +56,11 @@ class Surface:
     anisotropic microfacets have the larger α `alpha_along`; 0 if unknown. transmission: share of the transmissive part. metallic:
     share of metal in the opaque part. transmission_color: of the diffuse transmission.
     iridescence: share of the thin film with `film_ior` and `film_thickness` (nm). dispersion: 20 / Abbe number.
+    single_scattering: 1 for metals without multiple scattering between microfacets, else 0, float32.
 
     Optional fields are None if no material of the scene needs them: specular colours other than white, clearcoats, sheens,
-    anisotropy, diffuse transmission, films, and dispersion. clearcoat_normal is also None if every clearcoat has the normal of
-    the layers beneath.
+    anisotropy, diffuse transmission, films, dispersion, and single scattering. clearcoat_normal is also None if every clearcoat
+    has the normal of the layers beneath.
     """
 
     position: Tensor
@@ -90,6 +91,7 @@ class Surface:
     film_ior: Tensor | None = None
     film_thickness: Tensor | None = None
     dispersion: Tensor | None = None
+    single_scattering: Tensor | None = None
 
     def select(self, index: Tensor) -> Surface:
         """Surfaces at `index`, int64 `[M]`."""
@@ -187,6 +189,8 @@ class Geometry:
             surface.iridescence, surface.film_ior, surface.film_thickness = rows[0], rows[1], rows[3]
         if self.materials.dispersion is not None:
             surface.dispersion = self.materials.dispersion[0].index_select(0, material)
+        if self.materials.single_scattering is not None:
+            surface.single_scattering = self.materials.single_scattering[0].index_select(0, material)
         self._apply_textures(surface, hit, material)
         if self.materials.has_transmission:
             _separate_glass(surface)

@@ -86,6 +86,8 @@ class Materials:
         self.film = optional(films, any(m.iridescence > 0.0 for m in materials))
         """Iridescence, index of refraction, and least and largest thickness in nm, of thin films."""
         self.dispersion = optional([(m.dispersion,) for m in materials], any(m.dispersion > 0.0 for m in materials))
+        single = [m.single_scattering and m.metallic > 0.0 and m.roughness > 0.0 for m in materials]
+        self.single_scattering = optional([(float(each),) for each in single], any(single))
         bending = [slot for slot in NORMAL_MAPS if slot in self.numbers]
         self.normal_scales = {slot: table([(getattr(m, f"{slot}_scale"),) for m in materials]) for slot in bending}
         """Scales of x and y of the normal maps, by slot in use."""

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.render.bsdf.coat_albedo import packed_table
+from bokehguide.render.bsdf.coat_albedo import packed_brushed_table, packed_table
 from bokehguide.render.bsdf.sheen import albedo_table
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.light_groups import GroupRadiance
@@ -164,7 +164,7 @@ class NativeTracer:
 
 LIGHT_ROWS = ("light_row", "light_cluster", "light_rms", "light_visibility")
 """Arrays of the light samples of a trace: see `CoreReport.light_samples`."""
-SURFACE_ROWS = (3, 3, 3, 3, 1, 1, 1, 3, 1, 1, 1, 1, 1, 1, 3, 1, 1, 3, 3, 1, 3, 1, 1, 3, 1, 1, 1, 1)
+SURFACE_ROWS = (3, 3, 3, 3, 1, 1, 1, 3, 1, 1, 1, 1, 1, 1, 3, 1, 1, 3, 3, 1, 3, 1, 1, 3, 1, 1, 1, 1, 1)
 """Rows of the fields of `Surface` in the native core."""
 PLAIN_FIELDS = 18
 """Fields of `Surface` before those of sheens and of the other rare terms."""
@@ -172,7 +172,8 @@ PLAIN_FIELDS = 18
 
 def surface_fields(materials: Materials) -> tuple[int, ...]:
     """Rows of each field of `Surface` that records of the native core hold. The last fields are rare."""
-    rare = materials.sheen, materials.anisotropy, materials.diffuse_transmission, materials.film, materials.dispersion
+    rare = (materials.sheen, materials.anisotropy, materials.diffuse_transmission, materials.film, materials.dispersion)
+    rare += (materials.single_scattering,)
     return SURFACE_ROWS[:PLAIN_FIELDS] if all(table is None for table in rare) else SURFACE_ROWS
 
 
@@ -225,6 +226,8 @@ def surface_of(materials: Materials, rows: Tensor) -> Surface:
         values |= {"iridescence": None, "film_ior": None, "film_thickness": None}
     if materials.dispersion is None:
         values["dispersion"] = None
+    if materials.single_scattering is None:
+        values["single_scattering"] = None
     return Surface(**values)
 
 
@@ -302,6 +305,7 @@ def _material_tables(materials: Materials) -> Tables:
         "emission": materials.emission,
         "specular_color": materials.specular_color,
         "coat_albedo": packed_table(),
+        "brushed_albedo": None if materials.anisotropy is None else packed_brushed_table(),
         "clearcoat": materials.clearcoat,
         "sheen": materials.sheen,
         "sheen_albedo": None if materials.sheen is None else albedo_table(),
@@ -309,6 +313,7 @@ def _material_tables(materials: Materials) -> Tables:
         "diffuse_transmission": materials.diffuse_transmission,
         "film": materials.film,
         "dispersion": materials.dispersion,
+        "single_scattering": materials.single_scattering,
         "cones": materials.cones,
         "opacity": materials.opacities,
         "absorption": materials.absorption,

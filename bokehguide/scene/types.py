@@ -199,6 +199,7 @@ class Material:
     diffuse_transmission: share of the diffuse light that leaves on the other side. iridescence: share of a thin film of the
     index `iridescence_ior`. Its thickness in nm is the second number of `iridescence_thickness`; a texture (G) mixes the first
     and the second. dispersion: 20 divided by the Abbe number of a transmissive solid.
+    single_scattering: metals lack the light that microfacets scatter more than once.
 
     alpha_mode: "opaque" ignores opacity; "mask" removes points with opacity below `alpha_cutoff`;
     "blend" transmits the fraction 1 - opacity without refraction. attenuation_color: transmittance of
@@ -230,6 +231,7 @@ class Material:
     iridescence_ior: float = 1.3
     iridescence_thickness: tuple[float, float] = (100.0, 400.0)
     dispersion: float = 0.0
+    single_scattering: bool = False
     emission: Vector = (0.0, 0.0, 0.0)
     emission_cone: Cone | None = None
     tint_emission: bool = False
@@ -265,7 +267,7 @@ class Material:
         fields.check_numbers(**MATERIAL_NUMBERS)
         fields.check_vectors(**MATERIAL_COLORS)
         fields.check_tuple("iridescence_thickness", 2, FILM)
-        fields.check_flags("thin", "tint_emission", "double_sided")
+        fields.check_flags("thin", "single_scattering", "tint_emission", "double_sided")
         fields.check_choice("alpha_mode", ALPHA_MODES)
         fields.check_instances(Cone, "emission_cone")
         fields.check_instances(Texture, *(key for key in fields.values if key.endswith("_texture")))

@@ -38,6 +38,7 @@ CASES = [
     (65.0, {"roughness": 0.4, "metallic": 1.0, "clearcoat": 0.7, "clearcoat_roughness": 0.7}),
     (80.0, {"roughness": 0.5, "specular_color": (1.0, 0.5, 0.1), "clearcoat": 0.3, "clearcoat_roughness": 0.3}),
 ]
+SINGLE = {"single_scattering": 1.0}
 NARROW = [0.0, 0.05, 0.1, 0.2, 0.4]
 
 
@@ -104,11 +105,12 @@ def test_the_mean_weight_of_draws_is_the_albedo_by_quadrature(case):
     assert z_test(weights.mean(axis=1) - albedo, error) > SIGNIFICANCE
 
 
+ROUGHEST = {"roughness": 1.0, "metallic": 1.0, "base_color": (1.0, 1.0, 1.0)}
+
+
 def test_the_roughest_white_metal_seen_from_above_reflects_one_minus_ln_2():
     """At α = 1 the integrand of single scattering is cos / (1 + cos)."""
-    value, _ = case_bsdf((0.0, {"roughness": 1.0, "metallic": 1.0, "base_color": (1.0, 1.0, 1.0)}), POINTS).evaluate(
-        GRID.directions
-    )
+    value, _ = case_bsdf((0.0, ROUGHEST | {"single_scattering": 1.0}), POINTS).evaluate(GRID.directions)
     assert GRID.integral(value)[0] == pytest.approx(1.0 - math.log(2.0), rel=1e-3)
 
 
@@ -122,12 +124,12 @@ def test_without_specular_the_albedo_is_the_base_colour(degrees):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_reciprocity(case):
-    degrees, parameters = case
+def test_reciprocity_without_multiple_scattering(case):
+    degrees, parameters = case[0], case[1] | SINGLE
     incoming = GRID.directions[:, ::101]
     incoming = incoming[:, incoming[2] > 0.02]
     count = incoming.shape[1]
-    there, _ = case_bsdf(case, count).evaluate(incoming)
+    there, _ = case_bsdf((degrees, parameters), count).evaluate(incoming)
     outgoing = tilted(degrees, count)
     back, _ = OpaqueBSDF(incoming, surface(count, **parameters)).evaluate(outgoing)
     torch.testing.assert_close(there / incoming[2], back / outgoing[2], rtol=2e-3, atol=1e-6)
@@ -192,4 +194,4 @@ def test_extreme_directions_and_parameters_give_finite_numbers():
                 value, pdf = bsdf.evaluate(drawn)
                 assert drawn.isfinite().all() and value.isfinite().all() and pdf.isfinite().all()
                 assert (value >= 0.0).all() and (pdf >= 0.0).all()
-                assert (value / pdf.clamp(min=1e-20)).max() < 3.0
+                assert (value / pdf.clamp(min=1e-20)).max() < 3.4

@@ -111,9 +111,9 @@ def test_the_mean_weight_of_draws_is_the_albedo_by_quadrature(case):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_each_layer_is_reciprocal(case):
+def test_each_layer_is_reciprocal_without_multiple_scattering(case):
     """Over black the coat is alone; what it adds is what is left of the base."""
-    degrees, lean, parameters = case
+    degrees, lean, parameters = case[0], case[1], case[2] | {"single_scattering": 1.0}
     normal = torch.tensor(leaning(lean), dtype=torch.float32)[:, None]
     incoming = GRID.directions[:, ::101]
     incoming = incoming[:, (incoming[2] > 0.05) & (dot(incoming, normal) > 0.05)]

@@ -72,7 +72,7 @@ def test_the_opaque_value_has_the_films_reflectance(metallic):
     incoming = GRID.directions[:, ::97]
     incoming = incoming[:, incoming[2] > 0.05]
     base = (0.9, 0.6, 0.3) if metallic else (0.0, 0.0, 0.0)
-    parameters = film(1.8, 500.0, roughness=0.5, metallic=metallic, base_color=base)
+    parameters = film(1.8, 500.0, roughness=0.5, metallic=metallic, base_color=base, single_scattering=1.0)
     value, _ = OpaqueBSDF(tilted(40.0, incoming.shape[1]), surface(incoming.shape[1], **parameters)).evaluate(incoming)
     outgoing, light = tilted(40.0, incoming.shape[1]).double().numpy(), incoming.double().numpy()
     half = (outgoing + light) / np.linalg.norm(outgoing + light, axis=0)

@@ -4,17 +4,29 @@ Each albedo is the quadrature of the code's values. It must be that of the formu
 float64 on a finer grid, and never above 1.
 """
 
+import math
+
 import numpy as np
 import pytest
 import torch
-from coat_table import integrated_table
+from coat_table import integrated_brushed_table, integrated_table
 
+from bokehguide.render.bsdf.brushed_albedo import ALPHAS, LENGTH, STRENGTHS, brushed_table
 from bokehguide.render.bsdf.coat_albedo import CoatAlbedo, coat_table
 from bokehguide.render.bsdf.dielectric import DielectricBSDF
 from bokehguide.render.bsdf.microfacets import Microfacets
 from bokehguide.render.bsdf.opaque import OpaqueBSDF
 from bokehguide.render.geometry import MIN_ALPHA
-from tests.support.scattering_formulas import brdf, glass_reflection, glass_refraction, sheet_transmission, stopped
+from bokehguide.render.random import PixelRandom
+from tests.support.scattering_formulas import (
+    brdf,
+    glass_reflection,
+    glass_refraction,
+    mean_stopped,
+    sheet_transmission,
+    stopped,
+    stopped_anisotropic,
+)
 from tests.support.sphere import LobeGrid, even_square, surface, tilted, visible_normals
 
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
@@ -92,8 +104,74 @@ def test_a_white_base_under_a_coat_reflects_all_light_at_every_angle(roughness, 
     assert min(reflected) > 0.995 and max(reflected) < 1.0 + ROUNDING
 
 
+@pytest.mark.parametrize("roughness", ROUGHNESS)
+def test_metals_reflect_at_every_angle_what_kulla_and_conty_say(roughness):
+    """Single and multiple scattering together, which is all light for a white metal."""
+    alpha = max(roughness**2, MIN_ALPHA)
+    angle = (np.arange(4096) + 0.5) / 4096
+    mean = 2.0 * (stopped(angle, 1.0, 1.0, alpha) * angle).mean()
+    for degrees in DEGREES:
+        single, *found = (
+            metal_albedo(degrees, roughness, base_color=color, single_scattering=float(flag))
+            for color, flag in (((0.8, 0.2, 1.0), True), (WHITE, False), ((0.8, 0.2, 1.0), False))
+        )
+        np.testing.assert_allclose(found[0], 1.0, atol=5e-3)
+        reflectance = np.array((0.8, 0.2, 1.0)) * 20.0 / 21.0 + 1.0 / 21.0
+        once = stopped(np.cos(np.radians(degrees)), 1.0, 1.0, alpha)
+        further = reflectance * mean / (1.0 - reflectance * (1.0 - mean)) * (1.0 - once) / once
+        np.testing.assert_allclose(found[1], single * (1.0 + further), atol=5e-3)
+        assert max(found[0].max(), found[1].max()) < 1.0 + ROUNDING
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 60.0, 75.0, 85.0])
+@pytest.mark.parametrize("roughness, anisotropy", [(0.1, 1.0), (0.3, 0.5), (0.5, 0.9), (0.6, 0.3)])
+def test_anisotropic_metals_and_coats_lose_little(roughness, anisotropy, degrees):
+    count = 200_000
+    uniforms = PixelRandom(0, 0, torch.arange(count)).uniform(0, 3)
+    for metallic, least in ((1.0, 0.96), (0.0, 0.985)):
+        white = surface(count, WHITE, metallic, roughness, anisotropy=anisotropy)
+        bsdf = OpaqueBSDF(tilted(degrees, count), white)
+        value, pdf = bsdf.evaluate(bsdf.sample(uniforms))
+        weights = (value[0] / pdf.clamp(min=1e-20)).double()
+        error = 4.0 * float(weights.std()) / math.sqrt(count)
+        assert least - error < float(weights.mean()) < 1.0 + ROUNDING + error
+
+
+def metal_albedo(degrees: float, roughness: float, **parameters) -> np.ndarray:
+    """Albedo `[3]` of a metal."""
+
+    def values(outgoing, incoming):
+        count = incoming.shape[1]
+        metal = surface(count, metallic=1.0, roughness=roughness, **parameters)
+        bsdf = OpaqueBSDF(torch.from_numpy(outgoing).float().expand(3, count), metal)
+        return bsdf.evaluate(torch.from_numpy(incoming).float())[0].double().numpy()
+
+    return albedo(degrees, 13, [max(roughness**2, MIN_ALPHA)], values)
+
+
 def test_the_file_of_the_table_of_coats_is_current():
-    torch.testing.assert_close(coat_table(torch.device("cpu")), integrated_table(), atol=1e-6, rtol=0.0)
+    torch.testing.assert_close(coat_table(torch.device("cpu"))[:, ::21], integrated_table(21), atol=1e-6, rtol=0.0)
+
+
+def test_the_file_of_the_table_of_anisotropic_microfacets_is_current():
+    table = brushed_table(torch.device("cpu")).view(2, ALPHAS, STRENGTHS, LENGTH)[:, 1::5]
+    expected = integrated_brushed_table(start=1, every=5)[:, 1::5].float()
+    torch.testing.assert_close(table[..., :-1], expected[..., :-1], atol=3e-4, rtol=0.0)
+
+
+@pytest.mark.parametrize("alpha, along", [(1e-3, 0.9), (0.02, 0.3), (0.09, 0.09), (0.25, 0.4), (0.2, 1.0), (0.6, 0.8)])
+def test_the_albedos_of_anisotropic_microfacets_are_upper_bounds(alpha, along):
+    cosine, azimuth = (torch.rand(150, generator=torch.Generator().manual_seed(seed)) for seed in (1, 2))
+    cosine, azimuth = cosine.square().clamp(min=0.01), azimuth * math.tau
+    sine = (1.0 - cosine.square()).sqrt()
+    direction = torch.stack((sine * azimuth.cos(), sine * azimuth.sin(), cosine))
+    facets = Microfacets(direction, torch.full_like(cosine, alpha), torch.full_like(cosine, along))
+    light = direction.double().numpy()
+    for f0, f90 in ((1.0, 1.0), (0.0, 1.0), (0.04, 1.0)):
+        coat = CoatAlbedo(facets, torch.full_like(cosine, f0), torch.full_like(cosine, f90 - f0))
+        excess = coat.towards(direction, cosine).numpy() - stopped_anisotropic(light, f0, f90, (along, alpha))
+        assert excess.min() > -2e-3 and excess.max() < 0.025
+        assert coat.mean()[0].item() == pytest.approx(mean_stopped(f0, f90, (along, alpha)), abs=0.015)
 
 
 @pytest.mark.parametrize("alpha", [MIN_ALPHA, 0.0123, 0.087, 0.25, 0.5, 1.0])

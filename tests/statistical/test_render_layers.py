@@ -54,7 +54,8 @@ def test_the_value_is_that_of_the_formulas(case):
     value, _ = bsdf(case, incoming.shape[1]).evaluate(incoming)
     light = incoming.double().numpy()
     expected = brdf(tilted(case[0], light.shape[1]).double().numpy(), light, **case[1]) * np.abs(light[2])
-    np.testing.assert_allclose(value.numpy(), expected, rtol=6e-3, atol=1e-5)
+    excess = 0.025 if "anisotropy" in case[1] else 6e-3  # of albedos of anisotropic microfacets
+    np.testing.assert_allclose(value.numpy(), expected, rtol=excess, atol=1e-5)
     assert ((value[:, incoming[2] < 0.0] > 0.0).any()) == ("diffuse_transmission" in case[1])
 
 
@@ -83,7 +84,8 @@ def test_the_mean_weight_of_draws_is_the_albedo_by_quadrature(case):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_reciprocity(case):
+def test_reciprocity_without_multiple_scattering(case):
+    case = (case[0], case[1] | {"single_scattering": 1.0})
     incoming = GRID.directions[:, ::101]
     incoming = incoming[:, incoming[2].abs() > 0.05]
     outgoing = tilted(case[0], incoming.shape[1])

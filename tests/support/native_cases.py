@@ -145,6 +145,7 @@ FILMS = (
         iridescence_thickness_texture=texture(21, 3),
     ),
     Material("steel", (0.7, 0.6, 0.5), metallic=1.0, roughness=0.3, iridescence=0.7, iridescence_ior=2.0),
+    Material("rough steel", (0.7, 0.6, 0.5), metallic=1.0, roughness=0.8, single_scattering=True),
     Material("bubble", roughness=0.4, transmission=1.0, thin=True, iridescence=1.0, iridescence_ior=1.4),
     Material(
         "gem", (0.9, 1.0, 0.9), roughness=0.4, transmission=1.0, ior=1.8, dispersion=2.0, iridescence=0.8, iridescence_ior=2.2
@@ -246,13 +247,13 @@ def rays(name: str, count: int, seed: int = 0) -> tuple[Tensor, Tensor, PixelRan
 
 
 def rows_of(surface: Surface) -> Tensor:
-    """The surfaces as the native core has them, `[32, N]`, or `[48, N]` with a field that is rare."""
+    """The surfaces as the native core has them, `[32, N]`, or `[49, N]` with a field that is rare."""
     count = surface.position.shape[1]
     defaults = {"specular_color": torch.ones(3, count), "clearcoat": torch.zeros(count), "clearcoat_alpha": torch.ones(count)}
     defaults["clearcoat_normal"] = surface.normal
     defaults |= {"sheen_color": torch.zeros(3, count), "sheen_roughness": torch.zeros(count), "tangent": torch.zeros(3, count)}
     defaults |= {"alpha_along": surface.alpha, "diffuse_transmission": torch.zeros(count)}
-    defaults |= {name: torch.zeros(count) for name in ("iridescence", "film_thickness", "dispersion")}
+    defaults |= {name: torch.zeros(count) for name in ("iridescence", "film_thickness", "dispersion", "single_scattering")}
     defaults |= {"transmission_color": torch.ones(3, count), "film_ior": torch.ones(count)}
     rare = [getattr(surface, field.name) is not None for field in dataclasses.fields(Surface)[PLAIN_FIELDS:]]
     kept = list(vars(surface).items())[: None if any(rare) else PLAIN_FIELDS]

@@ -35,13 +35,6 @@ def mirrors(outgoing: np.ndarray, incoming: np.ndarray, alpha: Alpha) -> np.ndar
     return ggx(half, alpha) * masking / (4.0 * outgoing[2] * incoming[2])
 
 
-def facing(directions: np.ndarray, alpha: Alpha) -> np.ndarray:
-    """α in the plane of the normal and `directions`, `[N]`."""
-    x, y = np.broadcast_to(alpha, 2)
-    azimuth = np.arctan2(directions[1], directions[0])
-    return np.sqrt((x * np.cos(azimuth)) ** 2 + (y * np.sin(azimuth)) ** 2)
-
-
 @cache
 def coat_albedos(alpha: float) -> np.ndarray:
     """Albedos `[2, 257]` of microfacets that reflect all, and (1 - cos)⁵, of light; for cosines (n / 256)⁴.
@@ -80,17 +73,55 @@ def stopped(cosine: np.ndarray, f0: float, f90: float, alpha: float) -> np.ndarr
 
 
 def stopped_anisotropic(directions: np.ndarray, f0: float, f90: float, alphas: tuple[float, float]) -> np.ndarray:
-    """T of coats of α along x and along y: the albedo of the α towards the direction, and a margin; `[N]`."""
-    cosine, margin = np.abs(directions[2]), alphas[0] - alphas[1]
-    if margin == 0.0:
-        return stopped(cosine, f0, f90, alphas[0])
-    known = np.linspace(alphas[1] ** 0.125, alphas[0] ** 0.125, 24)
-    columns = np.stack([stopped(cosine, f0, f90, row**8) for row in known])
-    place = (facing(directions, alphas) ** 0.125 - known[0]) / (known[1] - known[0])
-    row = np.clip(np.floor(place).astype(int), 0, 22)
-    share, which = place - row, np.arange(len(cosine))
-    albedo = columns[row, which] * (1.0 - share) + columns[row + 1, which] * share
-    return albedo + margin * (0.4 * f0 + 0.2 * (f90 - f0) * (1.0 - cosine) ** 5)
+    """T of coats of α along x and along y, `[N]`."""
+    if alphas[0] == alphas[1]:
+        return stopped(directions[2], f0, f90, alphas[0])
+    steep, grazing = np.concatenate([_anisotropic(part, alphas) for part in np.array_split(directions, 20, axis=1)], axis=1)
+    return f0 * steep + (f90 - f0) * grazing
+
+
+def _anisotropic(directions: np.ndarray, alphas: tuple[float, float]) -> np.ndarray:
+    """Albedos `[2, N]` as those of `coat_albedos`, by quadrature over the caps of visible normals (Dupuy and Benyoub 2023)."""
+    nodes, weights = np.polynomial.legendre.leggauss(48)
+    turn, height = np.meshgrid(2.0 * np.pi * (np.arange(64) + 0.5) / 64.0, 0.5 * (nodes + 1.0))
+    weight, scale = np.repeat(0.5 * weights / 64.0, 64), np.array([*alphas, 1.0])
+    outgoing = np.stack((directions[0], directions[1], np.abs(directions[2])))[:, :, None]
+    view = outgoing * scale[:, None, None]
+    view = view / np.linalg.norm(view, axis=0)
+    z = (1.0 - height.ravel()) * (1.0 + view[2]) - view[2]
+    sine = np.sqrt(np.maximum(1.0 - z * z, 0.0))
+    half = (np.stack((sine * np.cos(turn.ravel()), sine * np.sin(turn.ravel()), z)) + view) * scale[:, None, None]
+    half = half / np.linalg.norm(half, axis=0)
+    towards = (outgoing * half).sum(0)
+    incoming = 2.0 * towards * half - outgoing
+    above = incoming[2] > 1e-12
+    incoming = np.where(above, incoming, np.array([0.0, 0.0, 1.0])[:, None, None])
+    lost = smith_lambda(outgoing, alphas)
+    kept = (1.0 + lost) / (1.0 + lost + smith_lambda(incoming, alphas)) * above
+    return np.stack((kept @ weight, (kept * (1.0 - towards) ** 5) @ weight))
+
+
+def mean_stopped(f0: float, f90: float, alphas: tuple[float, float]) -> float:
+    """The mean of T under uniform illumination."""
+    angle = (np.arange(4096) + 0.5) / 4096
+    if alphas[0] == alphas[1]:
+        return 2.0 * (stopped(angle, f0, f90, alphas[0]) * angle).mean()
+    cosine, azimuth = (x.ravel() for x in np.meshgrid((np.arange(64) + 0.5) / 64, (np.arange(24) + 0.5) / 48 * np.pi))
+    sine = np.sqrt(1.0 - cosine**2)
+    directions = np.stack((sine * np.cos(azimuth), sine * np.sin(azimuth), cosine))
+    return 2.0 * (stopped_anisotropic(directions, f0, f90, alphas) * cosine).mean()
+
+
+def gain(outgoing: np.ndarray, base: np.ndarray, alphas: tuple[float, float]) -> np.ndarray:
+    """Factor `[3, 1]` of the BRDF of metals by multiple scattering (Kulla and Conty 2017, Turquin 2019).
+
+    outgoing: one direction, `[3, N]`. base: colour `[3, 1]`.
+    """
+    albedo = stopped_anisotropic(outgoing[:, :1], 1.0, 1.0, alphas)
+    angle = (np.arange(4096) + 0.5) / 4096
+    mean = mean_stopped(1.0, 1.0, alphas)
+    schlick = 2.0 * ((base + (1.0 - base) * (1.0 - angle) ** 5) * angle).mean(1, keepdims=True)
+    return 1.0 + schlick * mean / (1.0 - schlick * (1.0 - mean)) * (1.0 - albedo) / albedo
 
 
 def brdf(
@@ -109,6 +140,7 @@ def brdf(
     anisotropy=0.0,
     diffuse_transmission=0.0,
     transmission_color=(1.0, 1.0, 1.0),
+    single_scattering=0.0,
 ) -> np.ndarray:
     """The opaque BSDF `[3, N]` towards directions above the surface or, of diffuse transmission alone, below.
 
@@ -124,15 +156,13 @@ def brdf(
     f0 = np.minimum(((ior - 1.0) / (ior + 1.0)) ** 2 * np.asarray(specular_color), 1.0) * specular
     peak, base = f0.max(), np.asarray(base_color)[:, None]
     coat = f0[:, None] + (specular - f0[:, None]) * schlick
-    under = np.multiply(*[1.0 - stopped_anisotropic(one, peak, specular, alphas) for one in (outgoing, light)])
-    angle = (np.arange(4096) + 0.5) / 4096
-    margin = (alphas[0] - alphas[1]) * (0.4 * peak + 0.2 / 21.0 * (specular - peak))
-    entering = 2.0 * ((1.0 - stopped(angle, peak, specular, alphas[0])) * angle).mean() - margin
+    under = np.multiply(*[1.0 - stopped_anisotropic(one, peak, specular, alphas) for one in (outgoing[:, :1], light)])
+    entering = 1.0 - mean_stopped(peak, specular, alphas)
     facets = np.where(below, 0.0, mirrors(outgoing, light, alphas))
     through = np.asarray(transmission_color)[:, None] * diffuse_transmission
     lambertian = np.where(below, through, base * (1.0 - diffuse_transmission))
     dielectric = lambertian / np.pi * under / max(entering, 0.2) + coat * facets
-    metal = (base + (1.0 - base) * schlick) * facets
+    metal = (base + (1.0 - base) * schlick) * facets * (1.0 if single_scattering else gain(outgoing, base, alphas))
     beneath = (1.0 - metallic) * dielectric + metallic * metal
     if any(sheen_color):
         passing, over = sheen_layer(outgoing, light, sheen_color, sheen_roughness)

@@ -146,6 +146,7 @@ def surface(
     film_ior=1.3,
     film_thickness=400.0,
     dispersion=None,
+    single_scattering=None,
     front=1.0,
     outgoing: Tensor | None = None,
     normal=(0.0, 0.0, 1.0),
@@ -190,4 +191,5 @@ def surface(
         film_ior=None if iridescence is None else whole(film_ior),
         film_thickness=None if iridescence is None else whole(film_thickness),
         dispersion=None if dispersion is None else whole(dispersion),
+        single_scattering=None if single_scattering is None else whole(single_scattering),
     )

@@ -117,6 +117,12 @@ def test_mistakes(tmp_path, capsys):
         export_mitsuba(one(Material("m")), tmp_path / "file")
 
 
+def test_the_multiple_scattering_of_rough_metals_is_told():
+    lost = ["multiple scattering of rough metals"]
+    for roughness, single, expected in ((0.6, False, lost), (0.6, True, []), (0.2, False, [])):
+        assert lost_terms(Material("m", metallic=1.0, roughness=roughness, single_scattering=single)) == expected
+
+
 @pytest.mark.parametrize("terms", [{"specular": 0.0}, {"specular_color": (0.0, 0.0, 0.0)}])
 def test_a_surface_without_a_coat_is_diffuse(terms):
     bsdf = mitsuba_bsdf(Material("matte", (0.5, 0.4, 0.3), **terms))

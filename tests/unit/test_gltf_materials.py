@@ -298,3 +298,12 @@ def test_layers_that_glass_lacks_are_told(tmp_path, transmission, factor, lines)
     }
     builder.material({}, name="pane", extensions=terms)
     assert len(load_scene(square(builder).save(tmp_path / "pane.glb")).warnings) == lines
+
+
+@pytest.mark.parametrize(
+    "extras, expected", [({"bokehguide_single_scattering": True}, True), ({"other": 1}, False), ([1, 2], False), ("text", False)]
+)
+def test_extras_switch_multiple_scattering_off(tmp_path, extras, expected):
+    builder = Builder()
+    builder.material({"metallicFactor": 1.0}, extras=extras)
+    assert only_material(builder, tmp_path / "metal.glb").single_scattering is expected

@@ -65,7 +65,9 @@ def test_colours_are_mitsubas():
 def test_exported_sheens_come_back(tmp_path, values):
     sheen, tint, metallic = values
     base = (0.7, 0.4, 0.2)
-    material = Material("cloth", base, metallic=metallic, **from_disney(sheen, tint, base, metallic))
+    material = Material(
+        "cloth", base, metallic=metallic, single_scattering=metallic > 0.0, **from_disney(sheen, tint, base, metallic)
+    )
     scene = Scene("one", CAMERA, (spheres(np.zeros((1, 3)), np.ones(1), 0, 1),), (material,), FilmSettings(16, 9))
     assert export_mitsuba(scene, tmp_path) == []
     back = load_scene(str(tmp_path / "scene.xml"))

@@ -136,6 +136,7 @@ def test_materials(tmp_path):
     scene = read(tmp_path, body + shapes)
     found = dict(zip(names, (scene.materials[mesh.material] for mesh in scene.meshes)))
     assert found["gold"].metallic == 1.0 and found["gold"].roughness == pytest.approx(0.3)
+    assert found["gold"].single_scattering and not found["car"].single_scattering
     red, green, blue = found["gold"].base_color
     assert red > 0.9 and 0.6 < green < 0.85 and 0.2 < blue < 0.5
     assert found["red"].base_color == (0.5, 0.0, 0.0) and found["red"].roughness == pytest.approx(0.5)

@@ -76,6 +76,7 @@ def test_metals(tmp_path):
     assert material(tmp_path, '"conductor" "rgb reflectance" [0.9 0.8 0.7]').base_color == (0.9, 0.8, 0.7)
     coated = material(tmp_path, '"coatedconductor" "float interface.roughness" 0.0016 "float conductor.roughness" 0.01')
     assert (coated.clearcoat, coated.metallic) == (1.0, 1.0)
+    assert coated.single_scattering and gold.single_scattering
     assert (coated.clearcoat_roughness**2, coated.roughness**2) == pytest.approx((0.04, 0.1))
 
 

@@ -59,6 +59,8 @@ def test_every_term_reaches_the_material(folder):
         iridescence_ior = 1.7
         iridescence_thickness = [50, 950]
         dispersion = 1.5
+        metallic = 0.5
+        single_scattering = true
         """,
     )
     assert found.specular_color == (0.5, 1.5, 1.0) and found.transmission == 0.9
@@ -69,7 +71,7 @@ def test_every_term_reaches_the_material(folder):
     assert (found.normal_scale, found.clearcoat_normal_scale) == (-2.0, 3.0)
     assert (found.sheen_color, found.sheen_roughness) == ((0.25, 0.5, 1.0), 0.6)
     assert (found.iridescence, found.iridescence_ior, found.iridescence_thickness) == (0.6, 1.7, (50.0, 950.0))
-    assert found.dispersion == 1.5
+    assert found.dispersion == 1.5 and found.single_scattering
     assert (found.anisotropy, found.anisotropy_rotation) == (0.7, -20.0)
     assert (found.diffuse_transmission, found.diffuse_transmission_color) == (0.3, (0.1, 0.9, 0.4))
 

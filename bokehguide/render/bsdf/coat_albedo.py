@@ -15,17 +15,15 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from bokehguide.render.bsdf.brushed_albedo import BrushedAlbedo, brushed_table, fourth_root
 from bokehguide.render.bsdf.microfacets import Microfacets
 from bokehguide.render.geometry import MIN_ALPHA
-from bokehguide.render.vector import fifth_power
 
 TABLE = Path(__file__).with_suffix(".npy")
 ROWS, COLUMNS = 64, 96
 """Size of the table: rows over the eighth root of α, from `MIN_ALPHA` to 1, and columns over the fourth root of the cosine."""
 WIDTH = COLUMNS + 1
 """Columns of the table with the last one, which has the cosine-weighted mean of its row."""
-STEEP_MARGIN, GRAZING_MARGIN = 0.4, 0.2
-"""Excess of S and B of anisotropic coats over isotropic coats of the same α towards the direction, per difference of both α."""
 
 
 @cache
@@ -37,37 +35,37 @@ def coat_table(device: torch.device) -> Tensor:
 class CoatAlbedo:
     """Albedo of coats over `facets`, with Schlick's reflectance f0 + rise (1 - cos θ)⁵; f0, rise: `[N]`.
 
-    For anisotropic coats, the albedo is an upper bound, fitted to numerical integrals.
+    Those of anisotropic coats differ from those of isotropic ones by `brushed_albedo.py`.
     """
 
     def __init__(self, facets: Microfacets, f0: Tensor, rise: Tensor):
         self._facets, self._f0, self._rise = facets, f0, rise
         self._table = coat_table(f0.device)[None]
-        self._margin = None if facets.along is None else facets.along - facets.alpha
+        self._brushed = None if facets.along is None else BrushedAlbedo(facets.alpha, facets.along)
         self._row = _row(facets.alpha) if facets.along is None else None
 
     def towards(self, direction: Tensor, cosine: Tensor) -> Tensor:
         """Albedo `[N]` for directions `[3, N]` with the cosine `cosine` `[N]` to the normal."""
-        row = _row(self._facets.facing(direction)) if self._row is None else self._row
-        albedo = self._lookup(cosine.clamp(0.0, 1.0).sqrt().sqrt() * (2.0 * (COLUMNS - 1) / COLUMNS) - 1.0, row)
-        if self._margin is None:
-            return albedo
-        return albedo + self._margin * (self._f0 * STEEP_MARGIN + self._rise * fifth_power(1.0 - cosine) * GRAZING_MARGIN)
+        cosine, facing = cosine.clamp(0.0, 1.0), self._facets.facing(direction)
+        row = _row(facing) if self._row is None else self._row
+        albedo = self._lookup(fourth_root(cosine) * (2.0 * (COLUMNS - 1) / COLUMNS) - 1.0, row)
+        return albedo if self._brushed is None else albedo + self._mixed(*self._brushed.towards(facing, cosine))
 
     def mean(self) -> Tensor:
-        """Mean albedo `[N]` under uniform illumination; for anisotropic coats, a lower bound of the mean of `towards`."""
+        """Mean albedo `[N]` under uniform illumination."""
         row = _row(self._facets.along) if self._row is None and self._facets.along is not None else self._row
         assert row is not None
         albedo = self._lookup(torch.ones_like(row), row)
-        if self._margin is None:
-            return albedo
-        return albedo + self._margin * (self._f0 * STEEP_MARGIN + self._rise * (GRAZING_MARGIN / 21.0))
+        return albedo if self._brushed is None else albedo + self._mixed(*self._brushed.mean())
+
+    def _mixed(self, steep: Tensor, grazing: Tensor) -> Tensor:
+        return self._f0 * steep + self._rise * grazing
 
     def _lookup(self, column: Tensor, row: Tensor) -> Tensor:
         """Albedo `[N]`, bilinear, at columns and rows `[N]` from -1, the first, to 1, the last."""
         place = torch.stack((column, row), dim=1)[None, None]
         steep, grazing = grid_sample(self._table, place, padding_mode="border", align_corners=True)[0, :, 0]
-        return self._f0 * steep + self._rise * grazing
+        return self._mixed(steep, grazing)
 
 
 def _row(alpha: Tensor) -> Tensor:
@@ -78,6 +76,16 @@ def _row(alpha: Tensor) -> Tensor:
 
 def packed_table() -> Tensor:
     """The table for the native core, `[ROWS * WIDTH]` int32: S in the lower 16 bits and B in the upper, in units of 1 / 65535."""
-    steep, grazing = (coat_table(torch.device("cpu")) * 65535.0).round().clamp(0.0, 65535.0).long().flatten(1)
-    packed = steep + 65536 * grazing
+    return _packed(coat_table(torch.device("cpu")) * 65535.0)
+
+
+def packed_brushed_table() -> Tensor:
+    """The table of anisotropic microfacets for the native core, likewise; 32768 stands for 0."""
+    return _packed(brushed_table(torch.device("cpu")) * 65535.0 + 32768.0)
+
+
+def _packed(values: Tensor) -> Tensor:
+    """Pairs of numbers `[2, ...]` from 0 to 65535 as int32 `[N]`."""
+    lower, upper = values.round().clamp(0.0, 65535.0).long().flatten(1)
+    packed = lower + 65536 * upper
     return torch.where(packed >= 2**31, packed - 2**32, packed).int()

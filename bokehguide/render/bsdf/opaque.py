@@ -2,6 +2,7 @@
 
 The code supports KHR_materials_specular (f0 and f90 of the dielectric coat, f0 in colour), KHR_materials_ior and
 KHR_materials_clearcoat. The reflectance of metals follows Schlick's approximation from the base colour to white, as in glTF.
+The energy of metals includes multiple scattering between microfacets (`multiscatter.py`).
 
 Directions are unit vectors `[3, N]` in the local shading frame, with z along the normal. `outgoing` points to the viewer, and
 `incoming` points to the light. Densities are per unit solid angle of `incoming`. The microfacet part is GGX with
@@ -10,7 +11,7 @@ height-correlated Smith masking, anisotropic by KHR_materials_anisotropy.
 In glTF, the weight of the base under the coat is 1 - F(outgoing · half). At grazing angles, base and coat together then reflect
 up to 1.24 of the light. Here, the weight is (1 - T(incoming)) (1 - T(outgoing)) / (1 - mean of T), with the albedo T of the coat
 (`coat_albedo.py`). A white base under a coat then reflects all light at every angle. The weight is reciprocal and conserves
-energy. For a coloured f0, T belongs to the largest channel. For anisotropic coats, T is an upper bound.
+energy. For a coloured f0, T belongs to the largest channel.
 
 A clearcoat covers base and coat. The weight of the layers beneath is min(1 - T(outgoing), 1 - T(incoming)), with the albedo T of
 the clearcoat. The weight is reciprocal and conserves energy. Over a mirror, it equals the weight of glTF. Cosines and horizon
@@ -34,6 +35,7 @@ from torch import Tensor
 from bokehguide.render.bsdf.clearcoat import Clearcoat
 from bokehguide.render.bsdf.coat_albedo import CoatAlbedo
 from bokehguide.render.bsdf.microfacets import MIN_COSINE, Microfacets, sample_visible_normal
+from bokehguide.render.bsdf.multiscatter import metal_gain
 from bokehguide.render.bsdf.sheen import Sheen, sample_hemisphere
 from bokehguide.render.bsdf.thin_film import film_bound, film_reflectance
 from bokehguide.render.geometry import Surface
@@ -67,12 +69,14 @@ class OpaqueBSDF:
         self._sheen = None if surface.sheen_color is None else Sheen(self._cosine, surface)
         self._choose_shares(peak)
         self._albedo = CoatAlbedo(self._facets, peak, self._f90 - peak)
-        # Normalisation: mean transmittance of the coat under uniform illumination, or a bound of the mean with anisotropy.
+        # Normalisation: mean transmittance of the coat under uniform illumination.
         entering = (1.0 - self._albedo.mean()).clamp(min=LEAST_ENTERING)
         if surface.iridescence is not None:
             steepest = self._passing_film(torch.ones_like(self._cosine)) * (20.0 / 21.0)
             entering = (entering + (steepest - entering) * surface.iridescence).clamp(min=1e-4)
         self._leaving = (1.0 - surface.metallic) * self._passing(self._outgoing, self._cosine) / (math.pi * entering)
+        perfect = CoatAlbedo(self._facets, torch.ones_like(peak), torch.zeros_like(peak))
+        self._metal = surface.metallic * metal_gain(surface, perfect, outgoing, self._cosine)  # [3, N]
 
     def _film(self) -> tuple[Tensor, Tensor, Tensor]:
         """Share, index of refraction and thickness `[N]` of the film."""
@@ -141,18 +145,15 @@ class OpaqueBSDF:
         towards = dot(self._outgoing, half).clamp(0.0, 1.0)
         grazing = fifth_power(1.0 - towards)
         visibility, microfacet = self._facets.evaluate(half, incoming)
-        metal = surface.metallic
         coat = self._f0 + (self._f90 - self._f0) * grazing
         diffuse = self._leaving * self._passing(incoming, cosine)
         if surface.diffuse_transmission is not None:
             diffuse = diffuse * (1.0 - surface.diffuse_transmission)
         if surface.iridescence is None:
-            scaled = diffuse + metal * visibility * (1.0 - grazing)
-            white = visibility * ((1.0 - metal) * coat + metal * grazing)
-            value = surface.base_color * scaled + white
+            metallic = surface.base_color + (1.0 - surface.base_color) * grazing
         else:
             coat, metallic = self._fresnel(towards, grazing)
-            value = surface.base_color * diffuse + visibility * ((1.0 - metal) * coat + metal * metallic)
+        value = surface.base_color * diffuse + visibility * ((1.0 - surface.metallic) * coat + self._metal * metallic)
         if self._sheen is not None:
             value = value * self._sheen.beneath(cosine) + self._sheen.evaluate(half, cosine)
         share = self._specular_share

@@ -15,6 +15,8 @@ from bokehguide.scene.types import Material, Vector, as_vector
 WHITE = (1.0, 1.0, 1.0)
 DEFAULT = Material("default", base_color=WHITE, metallic=1.0)
 """glTF's material for primitives without one: every factor is 1."""
+SINGLE_SCATTERING = "bokehguide_single_scattering"
+"""Key of the extras of a material, for metals without multiple scattering: the add-on for Blender writes the key."""
 ALPHA_MODES = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 
 
@@ -47,6 +49,7 @@ def _material(part: Part, textures: Textures) -> Material:
         **_anisotropy(part, textures),
         **_diffuse_transmission(part, textures),
         **_iridescence(part, textures),
+        single_scattering=_single_scattering(part),
         dispersion=part.extension("KHR_materials_dispersion").number("dispersion", 0.0, NOT_NEGATIVE),
         **_transmission(part, textures),
     )
@@ -131,6 +134,12 @@ def _clearcoat(part: Part, textures: Textures) -> dict[str, Any]:
         "clearcoat_roughness_texture": textures.read(coat, "clearcoatRoughnessTexture"),
         "clearcoat_normal_texture": textures.read(coat, "clearcoatNormalTexture"),
     }
+
+
+def _single_scattering(part: Part) -> bool:
+    """Whether the extras, any JSON value, have the key of the add-on."""
+    extras = part.values.get("extras")
+    return isinstance(extras, dict) and extras.get(SINGLE_SCATTERING) is True
 
 
 def _sheen(part: Part, textures: Textures) -> dict[str, Any]:

@@ -123,7 +123,7 @@ class Materials:
         if any(isinstance(alpha, Plugin) for alpha in alphas):
             self.lose("textures of roughness: left out", name)
             alphas = [0.1, 0.1]
-        return Material(name, color, metallic=1.0, **from_alphas(*map(_mean, alphas)))
+        return Material(name, color, metallic=1.0, single_scattering=True, **from_alphas(*map(_mean, alphas)))
 
     _roughconductor = _conductor
 
@@ -153,6 +153,7 @@ class Materials:
         return Material(
             name,
             metallic=metallic,
+            single_scattering=metallic > 0.0,
             specular=min(2.0 * scalar("specular", 0.5), 1.0),
             transmission=scalar("spec_trans", 0.0),
             clearcoat=scalar("clearcoat", 0.0),

@@ -190,13 +190,14 @@ class Materials:
         return constant(*metal(source, prefix, self._folder, self._files))
 
     def _conductor(self, source: Parameters, name: str, depth: int) -> Material:
-        return Material(name, metallic=1.0, **self._rough(source), **self._colored(self._metal(source, ""), name))
+        rough, color = self._rough(source), self._colored(self._metal(source, ""), name)
+        return Material(name, metallic=1.0, single_scattering=True, **rough, **color)
 
     def _coated_conductor(self, source: Parameters, name: str, depth: int) -> Material:
         coat = self._alpha(source, "interface.").image.mean()
         rough, color = self._rough(source, "conductor."), self._colored(self._metal(source, "conductor."), name)
         coated = {"clearcoat": 1.0, "clearcoat_roughness": float(np.sqrt(coat.clip(0.0, 1.0)))}
-        return Material(name, metallic=1.0, **coated, **rough, **color)
+        return Material(name, metallic=1.0, single_scattering=True, **coated, **rough, **color)
 
     def _dielectric(self, source: Parameters, name: str, depth: int) -> Material:
         rough = self._rough(source)

@@ -45,7 +45,7 @@ KEYS = (
     *("emission_cone", "group", "double_sided", "opacity", "alpha_mode", "alpha_cutoff", "normal_scale"),
     *("clearcoat_normal_scale", "sheen_color", "sheen_roughness", "anisotropy", "anisotropy_rotation"),
     *("diffuse_transmission", "diffuse_transmission_color", "iridescence", "iridescence_ior"),
-    *("iridescence_thickness", "dispersion", *ENCODED),
+    *("iridescence_thickness", "dispersion", "single_scattering", *ENCODED),
 )
 NEEDS = {
     "emission_texture": ("emission",),
@@ -67,6 +67,7 @@ NEEDS = {
     "iridescence_thickness": ("iridescence", "iridescence_texture"),
     "iridescence_thickness_texture": ("iridescence", "iridescence_texture"),
     "dispersion": ("transmission", "transmission_texture"),
+    "single_scattering": ("metallic", "metallic_roughness_texture"),
     "opacity": ("alpha_mode",),
     "alpha_cutoff": ("alpha_mode",),
 }
@@ -106,7 +107,7 @@ def _material(table: Table, files: SceneFiles) -> Material:
         name=table.path.removeprefix("materials."),
         **{key: number(key) for key in MATERIAL_NUMBERS},
         **{key: color(key) for key in MATERIAL_COLORS},
-        **{key: table.flag(key) for key in ("thin", "double_sided")},
+        **{key: table.flag(key) for key in ("thin", "single_scattering", "double_sided")},
         iridescence_thickness=table.pair(THICKNESS, FILM) if THICKNESS in table else Material.iridescence_thickness,
         alpha_mode=_alpha_mode(table),
         emission_cone=read_cone(table, "emission_cone") if "emission_cone" in table else None,

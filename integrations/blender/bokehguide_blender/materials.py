@@ -29,8 +29,8 @@ TEXTURED = {
 """Inputs of the Principled BSDF node that may have an image."""
 IGNORED = ("Subsurface Weight", "Anisotropic", "Thin Film Thickness", "Diffuse Roughness")
 """Inputs of the Principled BSDF node that the exporter leaves out."""
-ROUGH = 0.45
-"""Roughness at which multiple scattering makes a metal brighter by a twentieth."""
+SINGLE_SCATTERING = {"bokehguide_single_scattering": True}
+"""Extras of materials without multiple scattering between microfacets."""
 NODE_LOSS = "nodes of materials are ignored; bake them to images"
 INPUT_LOSS = "inputs of shader nodes are ignored"
 
@@ -49,13 +49,15 @@ def material_warnings(depsgraph: bpy.types.Depsgraph) -> list[str]:
 
 
 def simple_materials(depsgraph: bpy.types.Depsgraph) -> dict[str, dict[str, Any]]:
-    """The keys of glTF materials that replace those of the exporter, by name."""
+    """The keys of glTF materials that replace those of the exporter, or join them, by name."""
     found = {}
     for material, tree in _trees(depsgraph):
         output = tree.get_output_node("CYCLES")
         node = source(output.inputs["Surface"]) if output else None
         if node is not None and is_simple(node):
             found[material] = gltf_material(node)
+        if node is not None and getattr(node, "distribution", "") == "GGX":
+            found[material] = found.get(material, {}) | {"extras": SINGLE_SCATTERING}
     return found
 
 
@@ -83,15 +85,11 @@ def _check_surface(material: str, node: bpy.types.Node | None, losses: Losses) -
         _check_input(material, node.inputs["Color"], True, losses)
         _check_input(material, node.inputs["Strength"], False, losses)
     elif node is not None and is_simple(node):
-        if node.type == "BSDF_GLOSSY":
-            _check_distribution(material, node, losses)
         for name in ignored_inputs(node):
             losses.add(INPUT_LOSS, f"{material} ({name})")
     elif node is None or node.type != "BSDF_PRINCIPLED":
         losses.add("materials without a Principled BSDF at their output lose their look", material)
     else:
-        if _reaches(node.inputs["Metallic"], 0.0):
-            _check_distribution(material, node, losses)
         converted = [name for name, slot in SLOTS.items() if slot in converted_images(node)]
         for socket in node.inputs:
             if socket.name in IGNORED and _reaches(socket, 0.0):
@@ -99,12 +97,6 @@ def _check_surface(material: str, node: bpy.types.Node | None, losses: Losses) -
             elif socket.name not in IGNORED and socket.name != "Tangent":
                 left_out = COLOR_LOSS if socket.name in converted else ""
                 _check_input(material, socket, socket.name in TEXTURED, losses, left_out)
-
-
-def _check_distribution(material: str, node: bpy.types.Node, losses: Losses) -> None:
-    """Add the loss of a metal that multiple scattering makes brighter."""
-    if node.distribution == "MULTI_GGX" and _reaches(node.inputs["Roughness"], ROUGH):
-        losses.add("rough metals are darker, as Multiscatter GGX becomes GGX", material)
 
 
 def _reaches(socket: bpy.types.NodeSocket, value: float) -> bool:
