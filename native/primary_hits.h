@@ -31,7 +31,7 @@ inline Surface recorded_surface(const Tables& t, const PathLight& of, int32_t hi
     fill(of, hit, s, &s.base_color.x, 6), fill(of, hit, s, &s.ior);
     if (t.specular_color != nullptr) fill(of, hit, s, &s.specular_color.x, 3);
     if (t.clearcoat != nullptr) fill(of, hit, s, &s.clearcoat, 5);
-    if (t.surface_rows == SURFACE_ROWS) fill(of, hit, s, &s.sheen_color.x, 16);
+    if (t.surface_rows == SURFACE_ROWS) fill(of, hit, s, &s.sheen_color.x, SURFACE_ROWS - SHEEN_ROW);
     return s;
 }
 

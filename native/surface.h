@@ -2,6 +2,8 @@
 
 #pragma once
 
+#include <cstddef>
+
 #include "simd.h"
 #include "tables.h"
 
@@ -39,6 +41,7 @@ struct Surface {
     Float iridescence, film_ior, film_thickness, dispersion, single_scattering;
 };
 constexpr int SURFACE_ROWS = sizeof(Surface) / sizeof(Float);
+constexpr int SHEEN_ROW = offsetof(Surface, sheen_color) / sizeof(Float);  // the first of the rare fields
 static_assert(SURFACE_ROWS == 49, "as many as bokehguide/render/native.py names");
 
 // rows: of the scene (`Tables::surface_rows`); fields beyond them are undefined.

@@ -27,7 +27,7 @@ WIDTH, HEIGHT = 64, 36
 STEPS = 5
 HEPTAGON = Aperture(blades=7, rotation=20.0, ratio=1.4, cat_eye=0.6)
 MIXTURES = ("fairy-lights", "night-street", "emitters", "emitters, heptagon")
-REUSE = ("terrace", "sheets", "textures", "coats", "lamps", "suns", "hidden sky", "emitters, heptagon")
+REUSE = ("terrace", "sheets", "textures", "coats", "layers", "films", "lamps", "suns", "hidden sky", "emitters, heptagon")
 
 
 @cache
