@@ -90,7 +90,8 @@ def _comparable_material(material: Material) -> Material:
         roughness = 0.0 if smooth else float(np.clip(material.roughness, *GLASS_ROUGHNESS))
         return Material(**terms, transmission=1.0, roughness=roughness)
     if material.metallic >= 0.5:
-        return Material(**terms, metallic=1.0, roughness=float(np.clip(material.roughness, *METAL_ROUGHNESS)))
+        roughness = float(np.clip(material.roughness, *METAL_ROUGHNESS))
+        return Material(**terms, metallic=1.0, single_scattering=True, roughness=roughness)
     return Material(**terms, specular=0.0)
 
 
