@@ -82,8 +82,8 @@ class RenderLoop:
         self._learns = any(strategy.learns for strategy in self.mode.strategies.values())
         self._phases: Counter[str] = Counter()
         self._mean_luminance = 1.0
-        self._unlearned: Sequence[BatchResult] = ()
-        """Reports of the last step, if the strategies have not learned from it yet (see `step`)."""
+        self._unlearned: Sequence[BatchResult] | None = None
+        """Reports of the last step, empty on a rank without pixels; None once the strategies have learned from the step."""
 
     def __enter__(self) -> Self:
         return self
@@ -251,8 +251,8 @@ class RenderLoop:
 
     def _learn(self) -> None:
         """Learn from the last step, unless this is done. Collective."""
-        results, self._unlearned = self._unlearned, ()
-        if results:
+        results, self._unlearned = self._unlearned, None
+        if results is not None:
             timer = PhaseTimer()
             with timer.measure("learning"):
                 self._learn_from(results)
@@ -358,7 +358,7 @@ class RenderLoop:
         Raises KeyError, RuntimeError or ValueError where the state does not fit.
         """
         with self.workers.serial():
-            self._unlearned = ()
+            self._unlearned = None
             film = state["film"] if self.ranks.first else {**state["film"], "bad_count": 0, "bad_samples": []}
             self.film.load_state_dict(film)
             for name, strategy in self.mode.strategies.items():
