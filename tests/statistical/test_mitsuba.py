@@ -186,7 +186,7 @@ def test_comparable_materials():
     )
     coat, metal, glass = comparable(replace(MATERIAL_SCENES["diffuse"](), materials=materials, meshes=())).materials
     assert coat == Material("coat", (0.1, 0.2, 0.3), specular=0.0, base_color_texture=picture)
-    assert metal == Material("metal", metallic=1.0, roughness=METAL_ROUGHNESS[1])
+    assert metal == Material("metal", metallic=1.0, single_scattering=True, roughness=METAL_ROUGHNESS[1])
     assert glass == Material("glass", transmission=1.0, roughness=0.0)
 
 
@@ -206,7 +206,7 @@ def test_what_is_left_out_is_told():
     scene = replace(MATERIAL_SCENES["diffuse"](), materials=materials, meshes=meshes)
     assert left_out(scene, comparable(scene)) == [
         *("specular of coat", "clearcoat of coat", "normal texture of coat", "roughness of gold"),
-        *("emission cone of spot", "vertex colors of plain"),
+        *("single scattering of gold", "emission cone of spot", "vertex colors of plain"),
     ]
     assert left_out(comparable(scene), comparable(comparable(scene))) == []
 
