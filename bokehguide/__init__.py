@@ -8,6 +8,8 @@ that `import bokehguide` and `bokehguide --help` do not wait for PyTorch.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from bokehguide.lazy_names import lazy_names
+
 if TYPE_CHECKING:
     from bokehguide.errors import BokehguideError
     from bokehguide.guiding.lens_guide import LensGuide
@@ -56,22 +58,18 @@ __all__ = [
 ]
 
 _HOMES = {
-    "BokehguideError": "bokehguide.errors",
-    "LensGuide": "bokehguide.guiding.lens_guide",
-    "Picture": "bokehguide.picture",
-    "RenderLoop": "bokehguide.train",
-    "RenderSettings": "bokehguide.train",
+    "BokehguideError": "errors",
+    "LensGuide": "guiding.lens_guide",
+    "Picture": "picture",
+    "RenderLoop": "train",
+    "RenderSettings": "train",
 }
-"""Modules of the exported names; `bokehguide.scene` has the others."""
+"""Modules of the exported names; `scene` has the others."""
+
+_name, __dir__ = lazy_names(__name__, __all__, _HOMES, "scene")
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name in ("render", "view"):  # packages, which are callable as well
         return import_module(f"bokehguide.{name}")
-    return getattr(import_module(_HOMES.get(name, "bokehguide.scene")), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return _name(name)

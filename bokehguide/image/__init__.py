@@ -3,8 +3,9 @@
 The names below are imported when they are first used: `reading.py` does without PyTorch.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from bokehguide.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from bokehguide.image.exposure import metered_exposure
@@ -47,12 +48,4 @@ _HOMES = {
 }
 """Modules of the exported names; `exr` has the others."""
 
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'exr')}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__, __all__, _HOMES, "exr")
