@@ -37,6 +37,10 @@ class Ranks:
         """
         ranks = cls()
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+            # The module has the process group of its first import in default arguments. Imported later, e.g. by an optimiser, it
+            # would keep Gloo's threads beyond `__exit__`. Such a thread can abort the process while the interpreter ends.
+            import torch.distributed.nn
+
             try:
                 store, rank, count = next(iter(rendezvous("env://")))
                 # After a restart, torchrun's store still has the addresses of the ranks that died.

@@ -23,6 +23,16 @@ def torchrun(folder, count, *arguments, restarts=0):
         return subprocess.Popen([*TORCHRUN, *map(str, job)], cwd=folder, stdout=log, stderr=log)
 
 
+ENDS_WITH_ITS_THREADS = """
+import sys
+from pathlib import Path
+from bokehguide.cli import main
+code = main(sys.argv[1:])
+names = {path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm")}
+sys.exit(code or any("gloo" in name for name in names))
+"""
+
+
 def assert_same(path, other):
     """Equal but for the order in which sums were made."""
     one, two = read_exr(path), read_exr(other)
@@ -45,6 +55,21 @@ OPTIONS = {
     "guided": (2, ("--mode", "guided", "--logdir", "logs", "--reference", "reference.exr")),
     "lis-b": (3, ("--mode", "lis-b", "--crop", "3,2,25,17", "--target-noise", 0.2, "--logdir", "logs")),
 }
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="names of threads are read from /proc")
+def test_no_thread_of_a_job_outlives_the_render(lamps_file, tmp_path):
+    (tmp_path / "end.py").write_text(ENDS_WITH_ITS_THREADS)
+    options = ("--mode", "lis-b", "--spp", "2", "--size", "32x20", "--out", "out.exr")  # a mode with an optimiser
+    job = subprocess.run(
+        [*TORCHRUN, "--nproc-per-node", "2", "end.py", "render", str(lamps_file), *options],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert job.returncode == 0, job.stderr
 
 
 @pytest.mark.slow

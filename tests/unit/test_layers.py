@@ -10,7 +10,7 @@ import pytest
 from tests.support.paths import REPOSITORY
 
 LAYERS = (
-    ("errors", "limits", "color", "stopping"),
+    ("errors", "lazy_names", "limits", "color", "stopping"),
     ("image",),
     ("metrics",),
     ("scene",),
