@@ -4,10 +4,10 @@
     python scripts/bench.py --peers
     python scripts/bench.py --aperture-radius 0.065
 
-The modes take turns, step by step, so that other load of the machine affects all modes alike. Peak memory is measured in a
-process that renders one mode alone. With `--peers` Mitsuba 3 takes turns too, PEER_SPP samples per pixel at a time on all
-cores, and all render the scene with materials that both have (`mitsuba_scene.comparable`). Mitsuba's first turn compiles
-and is not counted.
+The modes take turns of TURN_SPP samples per pixel, so that other load of the machine affects all modes alike. Each turn begins
+with the caches that the turn before has filled. Peak memory is measured in a process that renders one mode alone. With
+`--peers` Mitsuba 3 takes turns too, and all render the scene with materials that both have (`mitsuba_scene.comparable`).
+Mitsuba's first turn compiles and is not counted.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from bokehguide.train import RenderLoop, RenderSettings
 
 MODES = ("uniform", "lis-o", "guided")
 PEER = "Mitsuba"
-PEER_SPP = 4
-"""SPP of one of Mitsuba's turns."""
+TURN_SPP = 4
+"""SPP of one turn of a mode and of Mitsuba."""
 GUIDE_PHASES = ("guiding", "learning")
 
 
@@ -40,13 +40,15 @@ def main() -> None:
     parser.add_argument("--size", type=size, default="1280x720", metavar="WxH", help="default: 1280x720")
     radius = "metres (default: the scene's); pixels of a wider lens have more candidates"
     parser.add_argument("--aperture-radius", type=float, metavar="M", help=radius)
-    parser.add_argument("--spp", type=positive, default=16, metavar="N", help="measured steps of each mode (default: 16)")
+    parser.add_argument("--spp", type=positive, default=16, metavar="N", help=f"measured steps of each mode, a multiple of {TURN_SPP} (default: 16)")
     warm_up = "steps before the measurement (default: 8, the steps of the global fit)"
     parser.add_argument("--warm-up", type=natural, default=8, metavar="N", help=warm_up)
     parser.add_argument("--threads", type=threads, metavar="N", help="default: one per core")
     parser.add_argument("--peers", action="store_true", help="compare with Mitsuba 3 (pip install '.[peers]')")
     parser.add_argument("--json", type=Path, metavar="PATH", help="also write the figures here")
     args = parser.parse_args()
+    if args.spp % TURN_SPP:
+        parser.error(f"--spp {args.spp}: must be a multiple of {TURN_SPP}")
     if args.peers and importlib.util.find_spec("mitsuba") is None:
         parser.error("--peers: Mitsuba is not installed; pip install '.[peers]'")
 
@@ -93,15 +95,16 @@ def measure_speed(args: argparse.Namespace) -> dict[str, dict[str, float]]:
     before = {mode: dict(loop.phases) for mode, loop in loops.items()}
     steps, candidates = {mode: [] for mode in MODES}, dict.fromkeys(MODES, 0.0)
     peer_seconds = 0.0
-    for turn in range(args.spp):
+    turns = args.spp // TURN_SPP
+    for turn in range(turns):
         for mode, loop in loops.items():
-            candidates[mode] += mean_candidates(loop) / args.spp
-            steps[mode].append(loop.step())
+            candidates[mode] += mean_candidates(loop) / turns
+            steps[mode] += [loop.step() for _ in range(TURN_SPP)]
         if peer is not None:
             peer_seconds += peer(turn)
     results, uniform = {}, sum(stats.seconds for stats in steps["uniform"])
     if peer is not None:
-        samples = args.spp * PEER_SPP * args.size[0] * args.size[1]
+        samples = args.spp * args.size[0] * args.size[1]
         results[PEER] = {"samples_per_second": samples / peer_seconds}
     for mode, loop in loops.items():
         seconds = sum(stats.seconds for stats in steps[mode])
@@ -160,7 +163,7 @@ def start_peer(args: argparse.Namespace) -> Callable[[int], float]:
 
     def turn(seed: int) -> float:
         begun = time.perf_counter()
-        renderer.picture(PEER_SPP, seed)
+        renderer.picture(TURN_SPP, seed)
         return time.perf_counter() - begun
 
     turn(args.spp)
