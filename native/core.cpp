@@ -4,7 +4,9 @@
 // two equal functions, which a processor might not be able to execute.
 
 #include "kernels.h"
+#include "ellipses.h"
 #include "film.h"
+#include "gaussians.h"
 #include "lens_mixture.h"
 #include "pixel_reuse.h"
 #include "trace.h"
@@ -153,6 +155,10 @@ void emitters(const Tables& t, int64_t count, const float* points, const float* 
     }
 }
 
+template <class Shapes> constexpr bokehguide::MixtureKernels<typename Shapes::Rows> mixture_kernels() {
+    return {prepare_mixture<Shapes>, sample_mixture<Shapes>, evaluate_mixture<Shapes>};
+}
+
 }  // namespace
 }  // namespace BOKEHGUIDE_ISA
 
@@ -161,7 +167,7 @@ namespace BOKEHGUIDE_TARGET {
 namespace isa = ::BOKEHGUIDE_ISA;
 extern const Kernels kernels = {isa::trace, isa::nearest_of, isa::visible_of, isa::expose_all, isa::camera_rays, isa::random,
                                 isa::find_views, isa::trace_views, isa::add_views,
-                                isa::prepare_mixture, isa::sample_mixture, isa::evaluate_mixture,
+                                isa::mixture_kernels<isa::EllipseShapes>(), isa::mixture_kernels<isa::GaussianShapes>(), isa::add_offset_gradient,
                                 isa::surfaces, isa::evaluate, isa::sample, isa::lights, isa::environment, isa::emitters};
 }  // namespace BOKEHGUIDE_TARGET
 }  // namespace bokehguide

@@ -6,6 +6,15 @@
 
 namespace bokehguide {
 
+// Mixtures on the lens: shapes and weights; lens points `[2, N]`, which hold those of the uniform lens, and candidates, null for none;
+// densities.
+template <class Rows> struct MixtureKernels {
+    void (*prepare)(const Rows&);
+    void (*sample)(const Rows&, const float* uniforms, float* points, int64_t* candidates);
+    void (*evaluate)(const Rows&, int64_t count, const int32_t* pixels, const float* x, const float* y, const float* transmission,
+                     float* components, float* mixture, float* density);
+};
+
 struct Kernels {
     void (*trace)(const Tables&, Trace&);
     // Nearest hits of rays `[3, N]` within `limits` `[N]`, null for none; a miss has the triangle -1.
@@ -27,11 +36,11 @@ struct Kernels {
     int64_t (*trace_views)(const Tables&, const LensCamera&, const LensSamples&, const HitRecord&, ViewRows&, double* seconds);
     void (*add_views)(const Tables&, const LensSamples&, const HitRecord&, const ViewRows&, const OwnSamples&, const float* density,
                       const ReusedGroups*, float* radiance, float* weight);
-    // Mixtures on the lens: shapes and weights; lens points `[2, N]`, which hold those of the uniform lens, and candidates; densities.
-    void (*prepare_mixture)(MixtureRows&);
-    void (*sample_mixture)(const MixtureRows&, const float* uniforms, float* points, int64_t* candidates);
-    void (*evaluate_mixture)(const MixtureRows&, int64_t count, const int32_t* pixels, const float* x, const float* y, const float* transmission,
-                             float* components, float* mixture, float* density);
+    MixtureKernels<EllipseRows> ellipses;
+    MixtureKernels<GaussianRows> gaussians;
+    // Adds the gradient of the offsets' coefficients to sums `[3, monomials, components]` (`offset_gradient` of models/kl.py).
+    void (*add_offset_gradient)(const GaussianRows&, const float* points, const float* components, const float* ratio, const float* density,
+                                double* sums);
     // Stages of a trace, for tests.
     void (*surfaces)(const Tables&, int64_t count, const float* origin, const float* direction, const int32_t* triangle,
                      const float* hits, float* rows);

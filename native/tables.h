@@ -270,28 +270,51 @@ struct ParallelogramTable {
     const float *centre, *right, *up, *normal, *first, *second, *area, *luminance;
 };
 
-// A mixture of shapes for each of some pixels (models/ellipse_mixture.py), whose candidates are components of a field.
+// A mixture for each of some pixels (models/base.py), whose candidates are components of a field.
 struct MixtureRows {
     int64_t pixels, candidates, columns, components;  // columns: candidates up to a whole vector
     float lens_radius, lens_squared_radius, lens_area;
-    bool clips;
     const int64_t *start, *given;  // candidates of each pixel, and their components
-    const float *focus, *given_beta, *scale;
+    const float *focus, *given_beta;
     // Of components
-    const float *mean, *outline, *strength;
+    const float *mean, *strength;
+    // Of candidates
+    const float* scale;  // of weights; null for 1
+    int32_t *owner, *component;
+    float *contribution, *weight;
+    int64_t* cumulative;
+    // Of pixels
+    float* beta;
+    uint8_t* guided;
+};
+
+// A mixture of shapes (models/ellipse_mixture.py).
+struct EllipseRows : MixtureRows {
+    bool clips;
+    // Of components
+    const float* outline;
     const int64_t *environment_index, *parallelogram_index;
     const EnvironmentTable* environment;  // null for none, as the next
     const ParallelogramTable* parallelograms;
     // Of candidates
-    int32_t *owner, *component;
-    float *ellipses, *windows, *contribution, *weight;
-    int64_t* cumulative;
+    float *ellipses, *windows;
     double* map_rows;
     uint8_t* clipped;
     // Of pixels
-    float* beta;
     double* cones;
-    uint8_t *guided, *sees_map;
+    uint8_t* sees_map;
+};
+
+// A mixture of Gaussians (models/gaussian_mixture.py), with the polynomial offsets of their means (models/polynomial_offset.py).
+struct GaussianRows : MixtureRows {
+    // Of components
+    const float* sigma;
+    const float *coefficients, *center, *inverse_radius, *unit;  // null without offsets
+    int32_t degree;
+    // Of pixels
+    const float* raster;
+    // Of candidates: means and σ
+    float* gaussians;
 };
 
 }  // namespace bokehguide
