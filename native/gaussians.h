@@ -8,6 +8,14 @@
 namespace BOKEHGUIDE_ISA {
 
 using bokehguide::GaussianRows;
+using bokehguide::CENTER;
+using bokehguide::INVERSE_RADIUS;
+using bokehguide::MEAN;
+using bokehguide::OFFSET_FIELDS;
+using bokehguide::OFFSETS;
+using bokehguide::SIGMA;
+using bokehguide::STRENGTH;
+using bokehguide::UNIT;
 
 // Inverse of the error function, to some ulps (Giles 2012), ±infinity at ±1.
 inline Float inverse_erf(Float x) {
@@ -37,19 +45,18 @@ class GaussianShapes {
     void shape(int64_t first) const {
         const Int owner = load<Int>(m.owner + first), component = load<Int>(m.component + first);
         const Vec3 focus = gather3(m.focus, m.pixels, owner);
-        Vec3 mean = gather3(m.mean, m.components, component);
-        if (m.coefficients != nullptr) mean = mean + offset(component, owner);
-        const Float sigma = gather(m.sigma, component);
-        const LensPoint projected = project_to_lens(mean, focus);
-        const Float reach = m.lens_radius + abs(focus.z / (focus.z - mean.z)) * sigma;
+        const Header row = header(component);
+        place(first, component, owner, row);
+        const Gaussian g = gaussian(lane_numbers() + int32_t(first));
+        const LensPoint projected = project_to_lens(g.mean, focus);
+        const Float reach = m.lens_radius + abs(focus.z / (focus.z - g.mean.z)) * g.sigma;
         const Int kept = projected.x * projected.x + projected.y * projected.y < reach * reach;
-        store(m.contribution + first, gather(m.strength, component) * one_if(kept));
-        const Float rows[4] = {mean.x, mean.y, mean.z, sigma};
-        for (int row = 0; row < 4; ++row) store(m.gaussians + row * m.columns + first, rows[row]);
+        store(m.contribution + first, row(STRENGTH) * one_if(kept));
     }
     void see(LensPoint, Vec3, Int, Int, Seen&) const {}
     Float density(Int candidate, Int, Vec3 focus, LensPoint point, Int, const Seen&) const {
-        return lens_density(point, focus, mean(candidate), sigma(candidate));
+        const Gaussian g = gaussian(candidate);
+        return lens_density(point, focus, g.mean, g.sigma);
     }
     float choice(const float* uniforms, int64_t pixel) const { return uniforms[m.pixels + pixel]; }
     // Random points of Gaussians, projected.
@@ -57,43 +64,55 @@ class GaussianShapes {
         const auto normal = [&](int number) {
             return 1.41421356237309504880f * inverse_erf(2.0f * gather(uniforms + number * m.pixels, pixel) - 1.0f);
         };
-        const Vec3 highlight = mean(candidate) + sigma(candidate) * Vec3{normal(2), normal(3), normal(4)};
+        const Gaussian g = gaussian(candidate);
+        const Vec3 highlight = g.mean + g.sigma * Vec3{normal(2), normal(3), normal(4)};
         const LensPoint point = project_to_lens(highlight, gather3(m.focus, m.pixels, pixel));
         const auto finite_or_far = [](Float x) { return bounded(or_else(x, all(FAR_OUTSIDE)), all(FAR_OUTSIDE)); };
         return {finite_or_far(point.x), finite_or_far(point.y)};
     }
 
-    Vec3 mean(Int candidate) const { return gather3(m.gaussians, m.columns, candidate); }
-    Float sigma(Int candidate) const { return gather(m.gaussians + 3 * m.columns, candidate); }
+    struct Gaussian {
+        Vec3 mean;
+        Float sigma;
+    };
+    Gaussian gaussian(Int candidate) const {
+        const RowFields<1> row([&](int lane) { return m.gaussians + 4 * candidate[lane]; });
+        return {{row(0), row(1), row(2)}, row(3)};
+    }
 
-    // Calls `use` with the number of each monomial and its basis (`PolynomialOffset.basis`).
-    template <class Use> void for_basis(Int component, Int pixel, Use use) const {
-        const Float scale = gather(m.inverse_radius, component), unit = gather(m.unit, component);
+    // The fields of Gaussians before their coefficients.
+    using Header = RowFields<OFFSETS / 4>;
+    Header header(Int component) const {
+        return Header([&](int lane) { return row(component[lane]); });
+    }
+    // Calls `use` with the number and the basis of each monomial at raster positions of pixels, in the order of `exponents`.
+    template <class Use> void for_basis(Int pixel, const Header& row, Use use) const {
         const auto coordinate = [&](int axis) {
-            return clamp((gather(m.raster + axis * m.pixels, pixel) - gather(m.center + axis * m.components, component)) * scale, -2.0f, 2.0f);
+            return clamp((gather(m.raster + axis * m.pixels, pixel) - row(CENTER + axis)) * row(INVERSE_RADIUS), -2.0f, 2.0f);
         };
-        const Float x = coordinate(0), y = coordinate(1);
+        const Float x = coordinate(0), y = coordinate(1), unit = row(UNIT);
         Float of_x = all(1.0f);
         for (int i = 0, number = 0; i <= m.degree; ++i, of_x = of_x * x) {
             Float of_y = all(1.0f);
             for (int j = 0; i + j <= m.degree; ++j, ++number, of_y = of_y * y) use(number, of_x * of_y * unit);
         }
     }
-    int monomials() const { return (m.degree + 1) * (m.degree + 2) / 2; }
 
   private:
     const Rows& m;
 
-    // `PolynomialOffset.forward`.
-    Vec3 offset(Int component, Int pixel) const {
-        Vec3 sum = grey(all(0.0f));
-        const int64_t next = monomials() * m.components;
-        for_basis(component, pixel, [&](int number, Float basis) {
-            const float* row = m.coefficients + number * m.components;
-            const auto coefficient = [&](int axis) { return gather(row + axis * next, component); };
-            sum = sum + Vec3{coefficient(0), coefficient(1), coefficient(2)} * basis;
-        });
-        return sum;
+    const float* row(int64_t component) const { return m.rows + component * m.row_length; }
+    // Means and σ of candidates; `PolynomialOffset.forward` moves the means.
+    void place(int64_t first, Int component, Int pixel, const Header& header) const {
+        Quad offsets[LANES] = {};
+        if (m.degree >= 0) {
+            for_basis(pixel, header, [&](int number, Float basis) {
+                for (int lane = 0; lane < LANES; ++lane) {
+                    offsets[lane] += load<Quad>(row(component[lane]) + OFFSETS + OFFSET_FIELDS * number) * basis[lane];
+                }
+            });
+        }
+        for (int lane = 0; lane < LANES; ++lane) store(m.gaussians + 4 * (first + lane), load<Quad>(row(component[lane]) + MEAN) + offsets[lane]);
     }
 };
 
@@ -134,15 +153,15 @@ class OffsetGradient {
     void add() {
         const Int candidate = candidates_, pixel = gather(m.owner, candidate), component = gather(m.component, candidate);
         const LensPoint point = {gather(points_, pixel), gather(points_ + m.pixels, pixel)};
-        const Vec3 slope = log_density_gradient(point, gather3(m.focus, m.pixels, pixel), shapes.mean(candidate), shapes.sigma(candidate));
+        const GaussianShapes::Gaussian g = shapes.gaussian(candidate);
         const Float share = gather(m.weight, candidate) * gather(components_, candidate) / gather(density_, pixel);
-        const Vec3 of_mean = -(gather(ratio_, pixel) * gather(m.beta, pixel) * share) * slope;
-        const int64_t next = shapes.monomials() * m.components;
-        shapes.for_basis(component, pixel, [&](int number, Float basis) {
-            const Float terms[3] = {of_mean.x * basis, of_mean.y * basis, of_mean.z * basis};
-            double* const row = sums_ + number * m.components;
+        const Vec3 slope = -(gather(ratio_, pixel) * gather(m.beta, pixel) * share) *
+                           log_density_gradient(point, gather3(m.focus, m.pixels, pixel), g.mean, g.sigma);
+        const int64_t next = int64_t(m.row_length - OFFSETS) / OFFSET_FIELDS * m.components;
+        shapes.for_basis(pixel, shapes.header(component), [&](int number, Float basis) {
+            const Float terms[3] = {slope.x * basis, slope.y * basis, slope.z * basis};
             for (int lane = 0; lane < waiting_; ++lane) {
-                for (int axis = 0; axis < 3; ++axis) row[axis * next + component[lane]] += double(terms[axis][lane]);
+                for (int axis = 0; axis < 3; ++axis) sums_[axis * next + number * m.components + component[lane]] += double(terms[axis][lane]);
             }
         });
         waiting_ = 0;

@@ -4,6 +4,8 @@
 
 #include "mixture.h"
 
+#include <algorithm>
+
 namespace bokehguide {
 
 namespace {
@@ -109,23 +111,16 @@ class GaussianMixture : public MixtureOfKind<GaussianRows, &Kernels::gaussians, 
   public:
     GaussianMixture(nb::dict given, nb::dict numbers) : MixtureOfKind(given, numbers) {
         set(m);
-        const size_t components = size_t(m.components), pixels = size_t(m.pixels);
-        m.sigma = floats("sigma", components);
+        m.degree = int32_t(number("degree"));
         m.gaussians = entry<FloatsOut>(arrays(), "gaussians", 4 * size_t(m.columns)).data();
-        if (arrays().contains("coefficients")) {
-            m.degree = int32_t(number("degree"));
-            if (m.degree < 0) throw std::invalid_argument("a negative degree");
-            m.coefficients = floats("coefficients", 3 * monomials() * components), m.center = floats("center", 2 * components);
-            m.inverse_radius = floats("inverse_radius", components), m.unit = floats("unit", components);
-            m.raster = floats("raster", 2 * pixels);
-        }
-        allocate(0);
+        m.raster = floats("raster", 2 * size_t(m.pixels));
+        m.row_length = int32_t(OFFSETS + OFFSET_FIELDS * monomials());
+        m.rows = pack(allocate(size_t(m.components) * size_t(m.row_length)));
         prepare();
     }
 
     void add_offset_gradient(const Floats& points, const Floats& components, const Floats& ratio, const Floats& density, Out<double> sums) const {
         const size_t pixels = size_t(m.pixels);
-        if (m.coefficients == nullptr) throw std::invalid_argument("a mixture without offsets");
         check(points, 2 * pixels, "points"), check(components, size_t(m.candidates), "components"), check(ratio, pixels, "ratio");
         check(density, pixels, "density"), check(sums, 3 * monomials() * size_t(m.components), "sums");
         nb::gil_scoped_release released;
@@ -133,7 +128,27 @@ class GaussianMixture : public MixtureOfKind<GaussianRows, &Kernels::gaussians, 
     }
 
   private:
-    size_t monomials() const { return size_t(m.degree + 1) * size_t(m.degree + 2) / 2; }
+    size_t monomials() const { return m.degree < 0 ? 0 : size_t(m.degree + 1) * size_t(m.degree + 2) / 2; }
+
+    const float* pack(float* rows) const {
+        const size_t components = size_t(m.components);
+        std::fill_n(rows, components * size_t(m.row_length), 0.0f);
+        // Copies columns of the array `name` `[columns, components]` to `field` and the next ones.
+        const auto put = [&](const float* columns, size_t count, int field) {
+            for (size_t column = 0; column < count; ++column) {
+                for (size_t i = 0; i < components; ++i) rows[i * size_t(m.row_length) + size_t(field) + column] = columns[column * components + i];
+            }
+        };
+        put(m.mean, 3, MEAN), put(m.strength, 1, STRENGTH), put(floats("sigma", components), 1, SIGMA);
+        if (m.degree < 0) return rows;
+        put(floats("inverse_radius", components), 1, INVERSE_RADIUS), put(floats("center", 2 * components), 2, CENTER);
+        put(floats("unit", components), 1, UNIT);
+        const float* coefficients = floats("coefficients", 3 * monomials() * components);
+        for (size_t number = 0; number < monomials(); ++number) {
+            for (size_t axis = 0; axis < 3; ++axis) put(coefficients + (axis * monomials() + number) * components, 1, OFFSETS + OFFSET_FIELDS * int(number) + int(axis));
+        }
+        return rows;
+    }
 };
 
 void sample(const Mixture& mixture, const Floats& uniforms, FloatsOut points, const std::optional<Out<int64_t>>& candidates) {

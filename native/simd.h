@@ -230,7 +230,6 @@ template <int QUADS> struct RowFields {
     Float operator()(int field) const { return load<Float>(fields[field]); }
     Int integer(int field) const { return load<Int>(fields[field]); }
 };
-
 struct Vec3 {
     Float x, y, z;
 };

@@ -305,16 +305,17 @@ struct EllipseRows : MixtureRows {
     uint8_t* sees_map;
 };
 
-// A mixture of Gaussians (models/gaussian_mixture.py), with the polynomial offsets of their means (models/polynomial_offset.py).
+// The row of a Gaussian: mean, σ, weight; inverse radius and centre of its disc on the raster, and unit of its coefficients. The polynomial
+// offset of the mean follows (models/polynomial_offset.py): three coefficients and a 0 for each monomial.
+enum GaussianField { MEAN, SIGMA = 3, STRENGTH, INVERSE_RADIUS, CENTER, UNIT = 8, OFFSETS = 12 };
+constexpr int OFFSET_FIELDS = 4;
+
+// A mixture of Gaussians (models/gaussian_mixture.py).
 struct GaussianRows : MixtureRows {
-    // Of components
-    const float* sigma;
-    const float *coefficients, *center, *inverse_radius, *unit;  // null without offsets
-    int32_t degree;
-    // Of pixels
-    const float* raster;
-    // Of candidates: means and σ
-    float* gaussians;
+    int32_t degree, row_length;  // degree of the polynomials, -1 without offsets
+    const float* rows;           // of components, row by row
+    const float* raster;         // of pixels
+    float* gaussians;            // of candidates, row by row: mean and σ
 };
 
 }  // namespace bokehguide

@@ -46,8 +46,7 @@ class CoreField(NamedTuple):
 class CoreGaussians(NamedTuple):
     """The G Gaussians of a field in the native core, and polynomial offsets of their means.
 
-    tables: by the names of `GaussianRows` in `native/tables.h`, without coefficients if there are no offsets. degree: of the
-    polynomials.
+    tables: the arrays of which `native/mixture.cpp` makes the rows of Gaussians. degree: of the polynomials, -1 without offsets.
     """
 
     extension: ModuleType
@@ -61,7 +60,7 @@ class CoreGaussians(NamedTuple):
         if offsets is not None:
             tables |= {"center": offsets.center, "inverse_radius": offsets.inverse_radius, "unit": offsets.unit}
             tables["coefficients"] = offsets.coefficients.detach()
-        degree = 0 if offsets is None else offsets.degree
+        degree = -1 if offsets is None else offsets.degree
         return CoreGaussians(extension, {name: table.contiguous() for name, table in tables.items()}, degree)
 
 
@@ -146,21 +145,19 @@ class NativeGaussianMixture(NativeMixture):
         self, lens: Lens, focus: Tensor, beta: Tensor, start: Tensor, field: CoreGaussians, component: Tensor, raster: Tensor
     ):
         super().__init__(lens, focus, start, component, field.extension)
-        self._gaussians, self._gradient_shape = torch.empty(4, self._columns), (0,)
-        if "coefficients" in field.tables:
-            self._gradient_shape = field.tables["coefficients"].shape
+        self._gaussians, self._field = torch.empty(self._columns, 4), field
         tables = self._tables(beta, field.tables, raster=raster) | {"gaussians": self._gaussians}
         self.core: Any = field.extension.GaussianMixture(tables, self._numbers() | {"degree": float(field.degree)})
 
     @property
     def mean(self) -> Tensor:
         """See `GaussianMixture`."""
-        return self._gaussians[:3, : len(self.weight)]
+        return self._gaussians[: len(self.weight), :3].T
 
     @property
     def sigma(self) -> Tensor:
         """See `GaussianMixture`."""
-        return self._gaussians[3, : len(self.weight)]
+        return self._gaussians[: len(self.weight), 3]
 
     def sample(self, uniforms: Tensor) -> LensSample:
         """See `GaussianMixture`."""
@@ -171,6 +168,6 @@ class NativeGaussianMixture(NativeMixture):
 
     def offset_gradient(self, ratio: Tensor, at: LensDensity) -> Tensor:
         """See `offset_gradient` of `models/kl.py`."""
-        gradient = torch.zeros(self._gradient_shape, dtype=torch.float64)
+        gradient = torch.zeros_like(self._field.tables["coefficients"], dtype=torch.float64)
         self.core.add_offset_gradient(at.points, at.components, ratio.contiguous(), at.density, gradient)
         return gradient
