@@ -45,8 +45,9 @@ class GaussianShapes {
     void shape(int64_t first) const {
         const Int owner = load<Int>(m.owner + first), component = load<Int>(m.component + first);
         const Vec3 focus = gather3(m.focus, m.pixels, owner);
-        const Header row = header(component);
-        place(first, component, owner, row);
+        const Places of = places(component);
+        const Header row([&](int lane) { return of.rows[lane]; });
+        place(first, of, owner, row);
         const Gaussian g = gaussian(lane_numbers() + int32_t(first));
         const LensPoint projected = project_to_lens(g.mean, focus);
         const Float reach = m.lens_radius + abs(focus.z / (focus.z - g.mean.z)) * g.sigma;
@@ -83,7 +84,8 @@ class GaussianShapes {
     // The fields of Gaussians before their coefficients.
     using Header = RowFields<OFFSETS / 4>;
     Header header(Int component) const {
-        return Header([&](int lane) { return row(component[lane]); });
+        const Places of = places(component);
+        return Header([&](int lane) { return of.rows[lane]; });
     }
     // Calls `use` with the number and the basis of each monomial at raster positions of pixels, in the order of `exponents`.
     template <class Use> void for_basis(Int pixel, const Header& row, Use use) const {
@@ -101,18 +103,25 @@ class GaussianShapes {
   private:
     const Rows& m;
 
-    const float* row(int64_t component) const { return m.rows + component * m.row_length; }
+    struct Places {
+        const float* rows[LANES];
+    };
+    Places places(Int component) const {
+        Places found;
+        for (int lane = 0; lane < LANES; ++lane) found.rows[lane] = m.rows + int64_t(component[lane]) * m.row_length;
+        return found;
+    }
     // Means and σ of candidates; `PolynomialOffset.forward` moves the means.
-    void place(int64_t first, Int component, Int pixel, const Header& header) const {
-        Quad offsets[LANES] = {};
+    void place(int64_t first, const Places& of, Int pixel, const Header& header) const {
+        Quad gaussians[LANES] = {};
         if (m.degree >= 0) {
             for_basis(pixel, header, [&](int number, Float basis) {
-                for (int lane = 0; lane < LANES; ++lane) {
-                    offsets[lane] += load<Quad>(row(component[lane]) + OFFSETS + OFFSET_FIELDS * number) * basis[lane];
-                }
+                float factor[LANES];
+                store(factor, basis);
+                for (int lane = 0; lane < LANES; ++lane) gaussians[lane] += load<Quad>(of.rows[lane] + OFFSETS + OFFSET_FIELDS * number) * factor[lane];
             });
         }
-        for (int lane = 0; lane < LANES; ++lane) store(m.gaussians + 4 * (first + lane), load<Quad>(row(component[lane]) + MEAN) + offsets[lane]);
+        for (int lane = 0; lane < LANES; ++lane) store(m.gaussians + 4 * (first + lane), load<Quad>(of.rows[lane] + MEAN) + gaussians[lane]);
     }
 };
 
