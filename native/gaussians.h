@@ -9,10 +9,13 @@ namespace BOKEHGUIDE_ISA {
 
 using bokehguide::GaussianRows;
 using bokehguide::CENTER;
+using bokehguide::FOCUS;
 using bokehguide::INVERSE_RADIUS;
 using bokehguide::MEAN;
 using bokehguide::OFFSET_FIELDS;
 using bokehguide::OFFSETS;
+using bokehguide::PIXEL_FIELDS;
+using bokehguide::RASTER;
 using bokehguide::SIGMA;
 using bokehguide::STRENGTH;
 using bokehguide::UNIT;
@@ -40,14 +43,19 @@ class GaussianShapes {
 
     explicit GaussianShapes(const Rows& rows) : m(rows) {}
 
-    void begin(int64_t) const {}
+    void begin(int64_t pixel) const {
+        float* const row = m.of_pixels + PIXEL_FIELDS * pixel;
+        for (int axis = 0; axis < 3; ++axis) row[FOCUS + axis] = m.focus[axis * m.pixels + pixel];
+        for (int axis = 0; axis < 2; ++axis) row[RASTER + axis] = m.raster[axis * m.pixels + pixel];
+    }
     // The means and contributions of a vector of candidates; `_kept` excludes some.
     void shape(int64_t first) const {
         const Int owner = load<Int>(m.owner + first), component = load<Int>(m.component + first);
-        const Vec3 focus = gather3(m.focus, m.pixels, owner);
+        const PixelRow pixel = pixel_row(owner);
+        const Vec3 focus = {pixel(FOCUS), pixel(FOCUS + 1), pixel(FOCUS + 2)};
         const Places of = places(component);
         const Header row([&](int lane) { return of.rows[lane]; });
-        place(first, of, owner, row);
+        place(first, of, pixel, row);
         const Gaussian g = gaussian(lane_numbers() + int32_t(first));
         const LensPoint projected = project_to_lens(g.mean, focus);
         const Float reach = m.lens_radius + abs(focus.z / (focus.z - g.mean.z)) * g.sigma;
@@ -87,11 +95,13 @@ class GaussianShapes {
         const Places of = places(component);
         return Header([&](int lane) { return of.rows[lane]; });
     }
+    using PixelRow = RowFields<PIXEL_FIELDS / 4>;
+    PixelRow pixel_row(Int pixel) const {
+        return PixelRow([&](int lane) { return m.of_pixels + PIXEL_FIELDS * pixel[lane]; });
+    }
     // Calls `use` with the number and the basis of each monomial at raster positions of pixels, in the order of `exponents`.
-    template <class Use> void for_basis(Int pixel, const Header& row, Use use) const {
-        const auto coordinate = [&](int axis) {
-            return clamp((gather(m.raster + axis * m.pixels, pixel) - row(CENTER + axis)) * row(INVERSE_RADIUS), -2.0f, 2.0f);
-        };
+    template <class Use> void for_basis(const PixelRow& pixel, const Header& row, Use use) const {
+        const auto coordinate = [&](int axis) { return clamp((pixel(RASTER + axis) - row(CENTER + axis)) * row(INVERSE_RADIUS), -2.0f, 2.0f); };
         const Float x = coordinate(0), y = coordinate(1), unit = row(UNIT);
         Float of_x = all(1.0f);
         for (int i = 0, number = 0; i <= m.degree; ++i, of_x = of_x * x) {
@@ -112,7 +122,7 @@ class GaussianShapes {
         return found;
     }
     // Means and σ of candidates; `PolynomialOffset.forward` moves the means.
-    void place(int64_t first, const Places& of, Int pixel, const Header& header) const {
+    void place(int64_t first, const Places& of, const PixelRow& pixel, const Header& header) const {
         Quad gaussians[LANES] = {};
         if (m.degree >= 0) {
             for_basis(pixel, header, [&](int number, Float basis) {
@@ -125,7 +135,7 @@ class GaussianShapes {
     }
 };
 
-// `offset_gradient`: adds to sums `[3, monomials, components]` for one lens point `[2, N]` of each pixel. components: densities of all
+// `offset_gradient`: adds to sums `[components, monomials, OFFSET_FIELDS]` for one lens point `[2, N]` of each pixel. components: densities of all
 // candidates there; ratio, density: `[N]`.
 class OffsetGradient {
   public:
@@ -162,15 +172,17 @@ class OffsetGradient {
     void add() {
         const Int candidate = candidates_, pixel = gather(m.owner, candidate), component = gather(m.component, candidate);
         const LensPoint point = {gather(points_, pixel), gather(points_ + m.pixels, pixel)};
+        const GaussianShapes::PixelRow row = shapes.pixel_row(pixel);
         const GaussianShapes::Gaussian g = shapes.gaussian(candidate);
         const Float share = gather(m.weight, candidate) * gather(components_, candidate) / gather(density_, pixel);
         const Vec3 slope = -(gather(ratio_, pixel) * gather(m.beta, pixel) * share) *
-                           log_density_gradient(point, gather3(m.focus, m.pixels, pixel), g.mean, g.sigma);
-        const int64_t next = int64_t(m.row_length - OFFSETS) / OFFSET_FIELDS * m.components;
-        shapes.for_basis(pixel, shapes.header(component), [&](int number, Float basis) {
-            const Float terms[3] = {slope.x * basis, slope.y * basis, slope.z * basis};
+                           log_density_gradient(point, {row(FOCUS), row(FOCUS + 1), row(FOCUS + 2)}, g.mean, g.sigma);
+        const int64_t length = m.row_length - OFFSETS;
+        shapes.for_basis(row, shapes.header(component), [&](int number, Float basis) {
+            const Float x = slope.x * basis, y = slope.y * basis, z = slope.z * basis;
             for (int lane = 0; lane < waiting_; ++lane) {
-                for (int axis = 0; axis < 3; ++axis) sums_[axis * next + number * m.components + component[lane]] += double(terms[axis][lane]);
+                double* const sums = sums_ + component[lane] * length + OFFSET_FIELDS * number;
+                sums[0] += double(x[lane]), sums[1] += double(y[lane]), sums[2] += double(z[lane]);
             }
         });
         waiting_ = 0;

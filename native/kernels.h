@@ -38,7 +38,7 @@ struct Kernels {
                       const ReusedGroups*, float* radiance, float* weight);
     MixtureKernels<EllipseRows> ellipses;
     MixtureKernels<GaussianRows> gaussians;
-    // Adds the gradient of the offsets' coefficients to sums `[3, monomials, components]` (`offset_gradient` of models/kl.py).
+    // Adds the gradient of the offsets' coefficients to sums by component and monomial (`offset_gradient` of models/kl.py).
     void (*add_offset_gradient)(const GaussianRows&, const float* points, const float* components, const float* ratio, const float* density,
                                 double* sums);
     // Stages of a trace, for tests.

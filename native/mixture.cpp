@@ -115,14 +115,16 @@ class GaussianMixture : public MixtureOfKind<GaussianRows, &Kernels::gaussians, 
         m.gaussians = entry<FloatsOut>(arrays(), "gaussians", 4 * size_t(m.columns)).data();
         m.raster = floats("raster", 2 * size_t(m.pixels));
         m.row_length = int32_t(OFFSETS + OFFSET_FIELDS * monomials());
-        m.rows = pack(allocate(size_t(m.components) * size_t(m.row_length)));
+        const size_t of_components = size_t(m.components) * size_t(m.row_length);
+        float* const place = allocate(of_components + PIXEL_FIELDS * size_t(m.pixels));
+        m.rows = pack(place), m.of_pixels = place + of_components;
         prepare();
     }
 
     void add_offset_gradient(const Floats& points, const Floats& components, const Floats& ratio, const Floats& density, Out<double> sums) const {
         const size_t pixels = size_t(m.pixels);
         check(points, 2 * pixels, "points"), check(components, size_t(m.candidates), "components"), check(ratio, pixels, "ratio");
-        check(density, pixels, "density"), check(sums, 3 * monomials() * size_t(m.components), "sums");
+        check(density, pixels, "density"), check(sums, size_t(m.components) * monomials() * OFFSET_FIELDS, "sums");
         nb::gil_scoped_release released;
         kernels().add_offset_gradient(m, points.data(), components.data(), ratio.data(), density.data(), sums.data());
     }

@@ -309,13 +309,16 @@ struct EllipseRows : MixtureRows {
 // offset of the mean follows (models/polynomial_offset.py): three coefficients and a 0 for each monomial.
 enum GaussianField { MEAN, SIGMA = 3, STRENGTH, INVERSE_RADIUS, CENTER, UNIT = 8, OFFSETS = 12 };
 constexpr int OFFSET_FIELDS = 4;
+// The row of a pixel: focus point and raster position.
+enum GaussianPixelField { FOCUS, RASTER = 3, PIXEL_FIELDS = 8 };
 
 // A mixture of Gaussians (models/gaussian_mixture.py).
 struct GaussianRows : MixtureRows {
     int32_t degree, row_length;  // degree of the polynomials, -1 without offsets
     const float* rows;           // of components, row by row
-    const float* raster;         // of pixels
-    float* gaussians;            // of candidates, row by row: mean and σ
+    const float* raster;
+    float* of_pixels;  // row by row, as the next
+    float* gaussians;  // of candidates: mean and σ
 };
 
 }  // namespace bokehguide

@@ -168,6 +168,7 @@ class NativeGaussianMixture(NativeMixture):
 
     def offset_gradient(self, ratio: Tensor, at: LensDensity) -> Tensor:
         """See `offset_gradient` of `models/kl.py`."""
-        gradient = torch.zeros_like(self._field.tables["coefficients"], dtype=torch.float64)
-        self.core.add_offset_gradient(at.points, at.components, ratio.contiguous(), at.density, gradient)
-        return gradient
+        axes, monomials, count = self._field.tables["coefficients"].shape
+        sums = torch.zeros(count, monomials, axes + 1, dtype=torch.float64)  # rows of four numbers, the last one 0
+        self.core.add_offset_gradient(at.points, at.components, ratio.contiguous(), at.density, sums)
+        return sums[..., :axes].permute(2, 1, 0)
