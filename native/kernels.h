@@ -26,6 +26,9 @@ struct Kernels {
     bool (*expose)(const FilmSums&, const FilmSamples&, const int64_t* pixels, int64_t first, bool recenter, uint8_t* good);
     // Rays from lens points `[2, N]` through focus points `[3, N]`.
     void (*camera_rays)(const Camera&, int64_t count, const float* focus, const float* points, float* origin, float* direction);
+    // Positions `[3, N]` of hits in the camera frame, and their cells in the record, -1 for none (`Guide.records`).
+    void (*record_hits)(const RecordRaster&, int64_t count, const float* points, const float* directions, const float* distance,
+                        const float* weight, float* positions, int64_t* cells);
     // Random numbers of dimensions from `dimension` on; first: of the range of steps of stratified ones, 0 for independent ones.
     void (*random)(const Random&, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first,
                    int number, const int32_t* odd, float* out);

@@ -191,6 +191,13 @@ struct LensCamera {
     float radius, squared_radius, passing, focus_distance, pixel_slope;  // passing: 1 / A of a round aperture
 };
 
+// A raster with a margin of `border` cells (guiding/record_buffer.py), of a frame by its halves and the width of a pixel at unit distance.
+struct RecordRaster {
+    float half_width, half_height, pixel_slope;
+    int32_t border, width, height;
+    float far, miss;  // distance at which rays without a hit end, and from which on a distance is none
+};
+
 // Groups of pixels of a film that reuse each other's primary hits (guiding/pixel_reuse.py): the number of the first pixel of a
 // batch and of all pixels, null for consecutive ones; the width of the film, and the size and shift of groups.
 struct PixelGroups {

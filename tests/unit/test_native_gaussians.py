@@ -236,17 +236,27 @@ def test_a_batch_without_candidates_is_uniform():
 
 
 def test_records_agree(monkeypatch):
-    camera, generator = guide_of("heptagon").camera, torch.Generator().manual_seed(3)
-    points = torch.randn(3, 5000, generator=generator) * torch.tensor([[1.0], [0.6], [2.0]])
-    light = torch.exp(3.0 * torch.randn(5000, generator=generator))
-    sums = []
+    """Cells, positions and sums of rays in all directions; some hit nothing, and some have no weight."""
+    guide, generator = guide_of("heptagon"), torch.Generator().manual_seed(3)
+    points = 0.1 * torch.randn(2, 5001, generator=generator)
+    directions = torch.randn(3, 5001, generator=generator) * torch.tensor([[0.4], [0.3], [1.0]]) + torch.tensor(
+        [[0.0], [0.0], [0.5]]
+    )
+    light, distance = (torch.exp(scale * torch.randn(5001, generator=generator)) for scale in (3.0, 2.0))
+    distance[::7], weight = torch.inf, (torch.rand(5001, generator=generator) < 0.9).float()
+    points[0, 3], directions[2, 4] = torch.nan, 0.0
+    records, sums = [], []
     for form in ("1", "0"):
         monkeypatch.setenv(native.SWITCH, form)
-        record = RecordBuffer(camera)
-        record.add(record.cells(camera, points), points, light)
+        records.append(guide.records(points, directions, distance, light, weight))
+        record = RecordBuffer(guide.camera)
+        record.add(*records[-1])
         sums.append(record.sums)
-    assert 500 < float(sums[0][0].sum()) < 4900
-    torch.testing.assert_close(sums[0], sums[1], rtol=1e-6, atol=1e-6)
+    found, expected = records
+    assert float((found.cells != expected.cells).double().mean()) <= 1e-3
+    assert 1000 < int((expected.cells >= 0).sum()) < 4000 and int((expected.cells[::7] >= 0).sum()) > 100
+    torch.testing.assert_close(found.points, expected.points, rtol=1e-6, atol=1e-6, equal_nan=True)
+    assert differing(sums[0], sums[1], 1e-5) <= 2e-3
 
 
 def test_pytorch_takes_over_where_the_core_is_switched_off(monkeypatch):
