@@ -157,6 +157,7 @@ class EllipseShapes {
         }
         store(m.contribution + first, contribution);
     }
+    // What lens points of pixels see, for `density`.
     void see(LensPoint point, Vec3 focus, Int pixel, Int active, Seen& seen) const {
         if (m.environment == nullptr) return;
         Int used = all(0);

@@ -7,9 +7,9 @@
 
 namespace BOKEHGUIDE_ISA {
 
-using bokehguide::GaussianRows;
 using bokehguide::CENTER;
 using bokehguide::FOCUS;
+using bokehguide::GaussianRows;
 using bokehguide::INVERSE_RADIUS;
 using bokehguide::MEAN;
 using bokehguide::OFFSET_FIELDS;
@@ -23,19 +23,18 @@ using bokehguide::UNIT;
 // Inverse of the error function, to some ulps (Giles 2012), ±infinity at ±1.
 inline Float inverse_erf(Float x) {
     const Float w = -logarithm(at_least((1.0f - x) * (1.0f + x), 1e-37f));
-    const Float middle = w - 2.5f, tail = sqrt(w) - 3.0f;
     const Int near = w < all(5.0f);
-    const Float z = near ? middle : tail;
-    constexpr float NEAR[] = {2.81022636e-08f, 3.43273939e-07f, -3.5233877e-06f, -4.39150654e-06f, 2.1858087e-04f,
-                              -1.25372503e-03f, -4.17768164e-03f, 2.46640727e-01f, 1.50140941f};
-    constexpr float FAR[] = {-2.00214257e-04f, 1.00950558e-04f, 1.34934322e-03f, -3.67342844e-03f, 5.73950773e-03f,
-                             -7.6224613e-03f, 9.43887047e-03f, 1.00167406f, 2.83297682f};
-    Float p = near ? all(NEAR[0]) : all(FAR[0]);
-    for (int i = 1; i < 9; ++i) p = p * z + (near ? all(NEAR[i]) : all(FAR[i]));
+    const Float z = near ? w - 2.5f : sqrt(w) - 3.0f;
+    constexpr float MIDDLE[] = {2.81022636e-08f, 3.43273939e-07f, -3.5233877e-06f, -4.39150654e-06f, 2.1858087e-04f,
+                                -1.25372503e-03f, -4.17768164e-03f, 2.46640727e-01f, 1.50140941f};
+    constexpr float TAIL[] = {-2.00214257e-04f, 1.00950558e-04f, 1.34934322e-03f, -3.67342844e-03f, 5.73950773e-03f,
+                              -7.6224613e-03f, 9.43887047e-03f, 1.00167406f, 2.83297682f};
+    Float p = near ? all(MIDDLE[0]) : all(TAIL[0]);
+    for (int i = 1; i < 9; ++i) p = p * z + (near ? all(MIDDLE[i]) : all(TAIL[i]));
     return abs(x) < all(1.0f) ? p * x : copysign(all(INFINITY), x);
 }
 
-// Gaussians seen through focus points (lens_mixture.h).
+// Gaussians seen through focus points, as the components of a mixture (lens_mixture.h).
 class GaussianShapes {
   public:
     using Rows = GaussianRows;
@@ -43,6 +42,7 @@ class GaussianShapes {
 
     explicit GaussianShapes(const Rows& rows) : m(rows) {}
 
+    // Prepares a pixel for its candidates.
     void begin(int64_t pixel) const {
         float* const row = m.of_pixels + PIXEL_FIELDS * pixel;
         for (int axis = 0; axis < 3; ++axis) row[FOCUS + axis] = m.focus[axis * m.pixels + pixel];
@@ -128,15 +128,16 @@ class GaussianShapes {
             for_basis(pixel, header, [&](int number, Float basis) {
                 float factor[LANES];
                 store(factor, basis);
-                for (int lane = 0; lane < LANES; ++lane) gaussians[lane] += load<Quad>(of.rows[lane] + OFFSETS + OFFSET_FIELDS * number) * factor[lane];
+                const int64_t place = OFFSETS + OFFSET_FIELDS * number;
+                for (int lane = 0; lane < LANES; ++lane) gaussians[lane] += load<Quad>(of.rows[lane] + place) * factor[lane];
             });
         }
         for (int lane = 0; lane < LANES; ++lane) store(m.gaussians + 4 * (first + lane), load<Quad>(of.rows[lane] + MEAN) + gaussians[lane]);
     }
 };
 
-// `offset_gradient`: adds to sums `[components, monomials, OFFSET_FIELDS]` for one lens point `[2, N]` of each pixel. components: densities of all
-// candidates there; ratio, density: `[N]`.
+// `offset_gradient`: adds to sums `[components, monomials, OFFSET_FIELDS]` for one lens point `[2, N]` of each pixel.
+// components: densities of all candidates there; ratio, density: `[N]`.
 class OffsetGradient {
   public:
     OffsetGradient(const GaussianRows& rows, const float* points, const float* components, const float* ratio, const float* density, double* sums)

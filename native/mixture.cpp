@@ -51,7 +51,7 @@ class ParallelogramShapes : Named {
     ParallelogramTable t{};
 };
 
-// What both kinds of mixtures have; `kernels` holds the functions of the kind.
+// What both kinds of mixtures have. KIND: functions of the kind; UNIFORMS: numbers that `sample` takes for each pixel.
 template <class RowsOfKind, MixtureKernels<RowsOfKind> Kernels::*KIND, size_t UNIFORMS> class MixtureOfKind : public Mixture {
   public:
     using Mixture::Mixture;
@@ -73,7 +73,7 @@ template <class RowsOfKind, MixtureKernels<RowsOfKind> Kernels::*KIND, size_t UN
         nb::gil_scoped_release released;
         (kernels().*KIND).prepare(m);
     }
-    // Rows of whole vectors for candidates, and rows for pixels, beside those of the kind.
+    // Memory for rows of candidates, and for `of_kind` numbers of the kind; returns the place of those.
     float* allocate(size_t of_kind) {
         const size_t columns = size_t(m.columns);
         memory_.reset(new float[4 * columns + of_kind]);
@@ -132,6 +132,7 @@ class GaussianMixture : public MixtureOfKind<GaussianRows, &Kernels::gaussians, 
   private:
     size_t monomials() const { return m.degree < 0 ? 0 : size_t(m.degree + 1) * size_t(m.degree + 2) / 2; }
 
+    // Fills the rows of Gaussians.
     const float* pack(float* rows) const {
         const size_t components = size_t(m.components);
         std::fill_n(rows, components * size_t(m.row_length), 0.0f);
@@ -147,7 +148,8 @@ class GaussianMixture : public MixtureOfKind<GaussianRows, &Kernels::gaussians, 
         put(floats("unit", components), 1, UNIT);
         const float* coefficients = floats("coefficients", 3 * monomials() * components);
         for (size_t number = 0; number < monomials(); ++number) {
-            for (size_t axis = 0; axis < 3; ++axis) put(coefficients + (axis * monomials() + number) * components, 1, OFFSETS + OFFSET_FIELDS * int(number) + int(axis));
+            const int place = OFFSETS + OFFSET_FIELDS * int(number);
+            for (size_t axis = 0; axis < 3; ++axis) put(coefficients + (axis * monomials() + number) * components, 1, place + int(axis));
         }
         return rows;
     }

@@ -67,7 +67,8 @@ class CoreGaussians(NamedTuple):
 class NativeMixture(LensMixture):
     """Base class of the mixtures of the components `component` int64 `[M]` of a field in the native core.
 
-    A subclass sets `core`, a `Mixture` of the extension, from the tables of `_tables`.
+    A subclass makes its `core`, a `Mixture` of the extension, from `_tables` and `_numbers`. For other arguments, see
+    `LensMixture`.
     """
 
     def __init__(self, lens: Lens, focus: Tensor, start: Tensor, component: Tensor, extension: ModuleType):
