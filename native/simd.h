@@ -230,6 +230,7 @@ template <int QUADS> struct RowFields {
     Float operator()(int field) const { return load<Float>(fields[field]); }
     Int integer(int field) const { return load<Int>(fields[field]); }
 };
+
 struct Vec3 {
     Float x, y, z;
 };
