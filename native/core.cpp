@@ -4,7 +4,9 @@
 // two equal functions, which a processor might not be able to execute.
 
 #include "kernels.h"
+#include "ellipses.h"
 #include "film.h"
+#include "gaussians.h"
 #include "lens_mixture.h"
 #include "pixel_reuse.h"
 #include "trace.h"
@@ -97,6 +99,27 @@ void camera_rays(const Camera& camera, int64_t count, const float* focus, const 
     }
 }
 
+// `Guide.records`.
+void record_hits(const bokehguide::RecordRaster& r, int64_t count, const float* points, const float* directions, const float* distance,
+                 const float* weight, float* positions, int64_t* cells) {
+    for (Columns at(count); at.first < count; at.first += LANES) {
+        const Float along = at(distance, 0);
+        const Int hit = along < all(r.miss);
+        const Vec3 origin = {at(points, 0) * one_if(hit), at(points, 1) * one_if(hit), all(0.0f)};
+        const Vec3 position = origin + at.vector(directions, 0) * (hit ? along : all(r.far));
+        at.put(positions, 0, position);
+        const Float scale = 1.0f / (position.z * r.pixel_slope), border = to_float(all(r.border));
+        const Float column = floor(r.half_width + position.x * scale + border), row = floor(r.half_height - position.y * scale + border);
+        const Float width = to_float(all(r.width)), height = to_float(all(r.height));
+        const Int inside = (position.z > all(0.0f)) & (column >= all(0.0f)) & (column < width) & (row >= all(0.0f)) & (row < height);
+        const Int counts = inside & (at(weight, 0) > all(0.0f));
+        const Int x = to_int(counts ? column : all(0.0f)), y = to_int(counts ? row : all(0.0f));
+        for (int lane = 0; lane < LANES && at.first + lane < count; ++lane) {
+            cells[at.first + lane] = counts[lane] ? int64_t(y[lane]) * r.width + x[lane] : -1;
+        }
+    }
+}
+
 void surfaces(const Tables& t, int64_t count, const float* origin, const float* direction, const int32_t* triangle, const float* hits,
               float* rows) {
     for (Columns at(count); at.first < count; at.first += LANES) {
@@ -153,15 +176,19 @@ void emitters(const Tables& t, int64_t count, const float* points, const float* 
     }
 }
 
+template <class Shapes> constexpr bokehguide::MixtureKernels<typename Shapes::Rows> mixture_kernels() {
+    return {prepare_mixture<Shapes>, sample_mixture<Shapes>, evaluate_mixture<Shapes>};
+}
+
 }  // namespace
 }  // namespace BOKEHGUIDE_ISA
 
 namespace bokehguide {
 namespace BOKEHGUIDE_TARGET {
 namespace isa = ::BOKEHGUIDE_ISA;
-extern const Kernels kernels = {isa::trace, isa::nearest_of, isa::visible_of, isa::expose_all, isa::camera_rays, isa::random,
+extern const Kernels kernels = {isa::trace, isa::nearest_of, isa::visible_of, isa::expose_all, isa::camera_rays, isa::record_hits, isa::random,
                                 isa::find_views, isa::trace_views, isa::add_views,
-                                isa::prepare_mixture, isa::sample_mixture, isa::evaluate_mixture,
+                                isa::mixture_kernels<isa::EllipseShapes>(), isa::mixture_kernels<isa::GaussianShapes>(), isa::add_offset_gradient,
                                 isa::surfaces, isa::evaluate, isa::sample, isa::lights, isa::environment, isa::emitters};
 }  // namespace BOKEHGUIDE_TARGET
 }  // namespace bokehguide

@@ -212,7 +212,7 @@ struct LensCone {
     }
 };
 
-inline LensCone cone_of(const bokehguide::MixtureRows& m, int64_t pixel) {
+inline LensCone cone_of(const bokehguide::EllipseRows& m, int64_t pixel) {
     LensCone cone;
     cone.focus = {m.focus[pixel], m.focus[m.pixels + pixel], m.focus[2 * m.pixels + pixel]};
     cone.column = m.cones[3 * pixel], cone.theta = m.cones[3 * pixel + 1], cone.reach = m.cones[3 * pixel + 2];

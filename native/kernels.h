@@ -6,6 +6,15 @@
 
 namespace bokehguide {
 
+// Mixtures on the lens: shapes and weights; lens points `[2, N]`, which hold those of the uniform lens, and candidates, null for none;
+// densities.
+template <class Rows> struct MixtureKernels {
+    void (*prepare)(const Rows&);
+    void (*sample)(const Rows&, const float* uniforms, float* points, int64_t* candidates);
+    void (*evaluate)(const Rows&, int64_t count, const int32_t* pixels, const float* x, const float* y, const float* transmission,
+                     float* components, float* mixture, float* density);
+};
+
 struct Kernels {
     void (*trace)(const Tables&, Trace&);
     // Nearest hits of rays `[3, N]` within `limits` `[N]`, null for none; a miss has the triangle -1.
@@ -17,6 +26,9 @@ struct Kernels {
     bool (*expose)(const FilmSums&, const FilmSamples&, const int64_t* pixels, int64_t first, bool recenter, uint8_t* good);
     // Rays from lens points `[2, N]` through focus points `[3, N]`.
     void (*camera_rays)(const Camera&, int64_t count, const float* focus, const float* points, float* origin, float* direction);
+    // Positions `[3, N]` of hits in the camera frame, and their cells in the record, -1 for none (`Guide.records`).
+    void (*record_hits)(const RecordRaster&, int64_t count, const float* points, const float* directions, const float* distance,
+                        const float* weight, float* positions, int64_t* cells);
     // Random numbers of dimensions from `dimension` on; first: of the range of steps of stratified ones, 0 for independent ones.
     void (*random)(const Random&, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first,
                    int number, const int32_t* odd, float* out);
@@ -27,11 +39,11 @@ struct Kernels {
     int64_t (*trace_views)(const Tables&, const LensCamera&, const LensSamples&, const HitRecord&, ViewRows&, double* seconds);
     void (*add_views)(const Tables&, const LensSamples&, const HitRecord&, const ViewRows&, const OwnSamples&, const float* density,
                       const ReusedGroups*, float* radiance, float* weight);
-    // Mixtures on the lens: shapes and weights; lens points `[2, N]`, which hold those of the uniform lens, and candidates; densities.
-    void (*prepare_mixture)(MixtureRows&);
-    void (*sample_mixture)(const MixtureRows&, const float* uniforms, float* points, int64_t* candidates);
-    void (*evaluate_mixture)(const MixtureRows&, int64_t count, const int32_t* pixels, const float* x, const float* y, const float* transmission,
-                             float* components, float* mixture, float* density);
+    MixtureKernels<EllipseRows> ellipses;
+    MixtureKernels<GaussianRows> gaussians;
+    // Adds the gradient of the offsets' coefficients to sums by component and monomial (`offset_gradient` of models/kl.py).
+    void (*add_offset_gradient)(const GaussianRows&, const float* points, const float* components, const float* ratio, const float* density,
+                                double* sums);
     // Stages of a trace, for tests.
     void (*surfaces)(const Tables&, int64_t count, const float* origin, const float* direction, const int32_t* triangle,
                      const float* hits, float* rows);

@@ -1,4 +1,4 @@
-// Mixtures of shapes on the lens plane, as objects of the module.
+// Mixtures on the lens plane, as objects of the module.
 
 #pragma once
 
@@ -12,22 +12,40 @@
 
 namespace bokehguide {
 
+// `count` lens points, one for each pixel, or for each of `pixels` where not null; transmission: W there, null for a disc.
+struct PointsOnLens {
+    int64_t count;
+    const int32_t* pixels;
+    const float *x, *y, *transmission;
+};
+// Densities of candidates, p_GMM and q; the first two null where nobody asks.
+struct Densities {
+    float *components, *mixture, *density;
+};
+
 // A mixture for each pixel of a batch, by the names of `MixtureRows`.
-class EllipseMixture {
+class Mixture {
   public:
-    EllipseMixture(nb::dict arrays, nb::dict numbers, nb::object environment, nb::object parallelograms);
-    EllipseMixture(const EllipseMixture&) = delete;
+    Mixture(nb::dict arrays, nb::dict numbers) : arrays_(arrays), numbers_(numbers) {}
+    Mixture(const Mixture&) = delete;
+    virtual ~Mixture() = default;
 
-    void sample(const Floats& uniforms, FloatsOut points, Out<int64_t> candidates) const;
-    void evaluate(const Floats& points, const std::optional<Floats>& transmission, FloatsOut components, FloatsOut mixture, FloatsOut density) const;
+    virtual const MixtureRows& rows() const = 0;
+    // Uniform numbers that `sample` takes for each pixel.
+    virtual size_t uniform_count() const = 0;
+    virtual void sample(const float* uniforms, float* points, int64_t* candidates) const = 0;
+    virtual void evaluate(const PointsOnLens& points, const Densities& densities) const = 0;
 
-    const MixtureRows& rows() const { return rows_; }
+  protected:
+    // The fields of all mixtures.
+    void set(MixtureRows& m);
+    double number(const char* name) const { return nb::cast<double>(numbers_[name]); }
+    const float* floats(const char* name, size_t size) const { return entry<Floats>(arrays_, name, size).data(); }
+    const int64_t* whole(const char* name) const { return nb::cast<Out<const int64_t>>(arrays_[name], false).data(); }
+    const nb::dict& arrays() const { return arrays_; }
 
   private:
-    nb::dict arrays_;
-    nb::object environment_, parallelograms_;
-    MixtureRows rows_{};
-    std::unique_ptr<float[]> memory_;
+    nb::dict arrays_, numbers_;  // the arrays stay alive as long as the mixture
 };
 
 void bind_mixture(nb::module_& m);

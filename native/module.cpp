@@ -256,6 +256,17 @@ NB_MODULE(_native, m) {
         nb::gil_scoped_release released;
         kernels().camera_rays(camera, int64_t(count), focus.data(), points.data(), rows.data(), rows.data() + 3 * count);
     });
+    m.def("record_hits", [](nb::tuple frame, nb::tuple raster, float far, float miss, const Floats& points, const Floats& directions,
+                            const Floats& distance, const Floats& weight, FloatsOut positions, Out<int64_t> cells) {
+        const size_t count = distance.size();
+        check(points, 2 * count, "points"), check(directions, 3 * count, "directions"), check(weight, count, "weight");
+        check(positions, 3 * count, "positions"), check(cells, count, "cells");
+        const auto real = [&](int i) { return nb::cast<double>(frame[i]); };
+        const auto whole = [&](int i) { return nb::cast<int32_t>(raster[i]); };
+        const RecordRaster r = {float(0.5 * real(0)), float(0.5 * real(1)), float(real(2)), whole(0), whole(1), whole(2), far, miss};
+        nb::gil_scoped_release released;
+        kernels().record_hits(r, int64_t(count), points.data(), directions.data(), distance.data(), weight.data(), positions.data(), cells.data());
+    });
     m.def("random", [](const Random& random, const Ints& pixels, uint32_t dimension, int numbers, int first, int number,
                        const std::optional<Ints>& odd, FloatsOut out) {
         check(out, size_t(numbers) * pixels.size(), "out");

@@ -3,31 +3,15 @@
 #pragma once
 
 #include "blocks.h"
-#include "surface.h"
+#include "projection.h"
 #include "tables.h"
 
 namespace BOKEHGUIDE_ISA {
 
-using bokehguide::MixtureRows;
+using bokehguide::EllipseRows;
 using bokehguide::ParallelogramTable;
 
-constexpr float LENS_MARGIN = 1.001f, FAR_OUTSIDE = 1e15f, LENS_POINT_ERROR = 1e-6f, TINY = 1e-30f;
-
-struct LensPoint {
-    Float x, y;
-};
-
-// `project_to_lens`.
-inline LensPoint project_to_lens(Vec3 point, Vec3 focus) {
-    const Float gap = focus.z - point.z, k = focus.z / gap, other = point.z / gap;
-    return {point.x * k - focus.x * other, point.y * k - focus.y * other};
-}
-
-inline Float or_else(Float x, Float fallback) { return x == x ? x : fallback; }
-inline Float bounded(Float x, Float limit) {
-    const Float upper = x > limit ? limit : x;
-    return upper < -limit ? -limit : upper;
-}
+constexpr float LENS_MARGIN = 1.001f, LENS_POINT_ERROR = 1e-6f, TINY = 1e-30f;
 
 // Numbers below 2^31 of eight components.
 inline Int numbers_of(const int64_t* table, Int component) {
@@ -40,7 +24,7 @@ inline Int numbers_of(const int64_t* table, Int component) {
 struct Window {
     Float low_a, low_b, high_a, high_b;
 };
-inline Window load_window(const MixtureRows& m, Int candidate) {
+inline Window load_window(const EllipseRows& m, Int candidate) {
     const auto row = [&](int number) { return gather(m.windows + number * m.columns, candidate); };
     return {row(0), row(1), row(2), row(3)};
 }

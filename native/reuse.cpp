@@ -75,13 +75,13 @@ class Views {
         return nb::make_tuple(rays, seconds);
     }
     // Densities `[J]` of a mixture; transmission: W at the lens points, null for a disc.
-    void densities(const EllipseMixture& mixture, const std::optional<Floats>& transmission, FloatsOut density) const {
+    void densities(const Mixture& mixture, const std::optional<Floats>& transmission, FloatsOut density) const {
         check(density, size_t(views_.count), "density");
         if (transmission) check(*transmission, size_t(views_.count), "transmission");
         if (mixture.rows().pixels != samples_.count) throw std::invalid_argument("a mixture of other pixels");
         nb::gil_scoped_release released;
-        kernels().evaluate_mixture(mixture.rows(), views_.count, views_.viewer, views_.x, views_.y, transmission ? transmission->data() : nullptr,
-                                   nullptr, nullptr, density.data());
+        mixture.evaluate({views_.count, views_.viewer, views_.x, views_.y, transmission ? transmission->data() : nullptr},
+                         {nullptr, nullptr, density.data()});
     }
     // Radiance `[3, N]` and weights `[N]` of the pixels. density: of the viewers at the lens points, `[J]`; own: by the names of
     // `OwnSamples`; groups: by the names of `ReusedGroups`.

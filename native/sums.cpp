@@ -1,4 +1,4 @@
-// Sums over samples: guiding/light_sampler.py, guiding/control_variate.py and render/coverage.py.
+// Sums over samples: guiding/light_sampler.py, guiding/record_buffer.py, guiding/control_variate.py and render/coverage.py.
 
 #include "sums.h"
 
@@ -28,6 +28,21 @@ void add_light_samples(Out<double> sums, const Ints& tile, const Ints& cluster, 
         double value = contribution.data()[i];
         value = std::isnan(value) ? 0.0 : (value < most ? value : most);
         total[place] += value * value, total[places + place] += 1.0, total[2 * places + place] += visibility.data()[i];
+    }
+}
+
+// `RecordBuffer.add`: adds samples with positions `[3, N]` to sums `[5, cells]`.
+void add_records(FloatsOut sums, const Out<const int64_t>& cells, const Floats& points, const Floats& luminance) {
+    const size_t count = luminance.size(), places = sums.size() / 5;
+    check(sums, 5 * places, "sums"), check(cells, count, "cells"), check(points, 3 * count, "points");
+    nb::gil_scoped_release released;
+    for (size_t i = 0; i < count; ++i) {
+        const int64_t cell = cells.data()[i];
+        if (cell < 0) continue;
+        if (size_t(cell) >= places) throw std::out_of_range("cell outside the record");
+        const float light = luminance.data()[i], x = points.data()[i], y = points.data()[count + i], depth = points.data()[2 * count + i];
+        const float values[5] = {1.0f, light, light * (x / depth), light * (y / depth), light * (1.0f / depth)};
+        for (size_t plane = 0; plane < 5; ++plane) sums.data()[plane * places + size_t(cell)] += values[plane];
     }
 }
 
@@ -150,6 +165,7 @@ void cover(const nb::dict& arrays, const Ints& objects, const std::optional<Out<
 }  // namespace
 
 void bind_sums(nb::module_& m) {
+    m.def("add_records", &add_records);
     m.def("add_light_samples", &add_light_samples);
     m.def("correct_samples", &correct_samples, nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
           nb::arg(), nb::arg());

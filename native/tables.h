@@ -191,6 +191,13 @@ struct LensCamera {
     float radius, squared_radius, passing, focus_distance, pixel_slope;  // passing: 1 / A of a round aperture
 };
 
+// A raster with a margin of `border` cells (guiding/record_buffer.py), of a frame by its halves and the width of a pixel at unit distance.
+struct RecordRaster {
+    float half_width, half_height, pixel_slope;
+    int32_t border, width, height;
+    float far, miss;  // distance at which rays without a hit end, and from which on a distance is none
+};
+
 // Groups of pixels of a film that reuse each other's primary hits (guiding/pixel_reuse.py): the number of the first pixel of a
 // batch and of all pixels, null for consecutive ones; the width of the film, and the size and shift of groups.
 struct PixelGroups {
@@ -270,28 +277,55 @@ struct ParallelogramTable {
     const float *centre, *right, *up, *normal, *first, *second, *area, *luminance;
 };
 
-// A mixture of shapes for each of some pixels (models/ellipse_mixture.py), whose candidates are components of a field.
+// A mixture for each of some pixels (models/base.py), whose candidates are components of a field.
 struct MixtureRows {
     int64_t pixels, candidates, columns, components;  // columns: candidates up to a whole vector
     float lens_radius, lens_squared_radius, lens_area;
-    bool clips;
     const int64_t *start, *given;  // candidates of each pixel, and their components
-    const float *focus, *given_beta, *scale;
+    const float *focus, *given_beta;
     // Of components
-    const float *mean, *outline, *strength;
+    const float *mean, *strength;
+    // Of candidates
+    const float* scale;  // of weights; null for 1
+    int32_t *owner, *component;
+    float *contribution, *weight;
+    int64_t* cumulative;
+    // Of pixels
+    float* beta;
+    uint8_t* guided;
+};
+
+// A mixture of shapes (models/ellipse_mixture.py).
+struct EllipseRows : MixtureRows {
+    bool clips;
+    // Of components
+    const float* outline;
     const int64_t *environment_index, *parallelogram_index;
     const EnvironmentTable* environment;  // null for none, as the next
     const ParallelogramTable* parallelograms;
     // Of candidates
-    int32_t *owner, *component;
-    float *ellipses, *windows, *contribution, *weight;
-    int64_t* cumulative;
+    float *ellipses, *windows;
     double* map_rows;
     uint8_t* clipped;
     // Of pixels
-    float* beta;
     double* cones;
-    uint8_t *guided, *sees_map;
+    uint8_t* sees_map;
+};
+
+// The row of a Gaussian: mean, σ, weight; inverse radius and centre of its disc on the raster, and unit of its coefficients. The polynomial
+// offset of the mean follows (models/polynomial_offset.py): three coefficients and a 0 for each monomial.
+enum GaussianField { MEAN, SIGMA = 3, STRENGTH, INVERSE_RADIUS, CENTER, UNIT = 8, OFFSETS = 12 };
+constexpr int OFFSET_FIELDS = 4;
+// The row of a pixel: focus point and raster position.
+enum GaussianPixelField { FOCUS, RASTER = 3, PIXEL_FIELDS = 8 };
+
+// A mixture of Gaussians (models/gaussian_mixture.py).
+struct GaussianRows : MixtureRows {
+    int32_t degree, row_length;  // degree of the polynomials, -1 without offsets
+    const float* rows;           // of components, row by row
+    const float* raster;
+    float* of_pixels;  // row by row, as the next
+    float* gaussians;  // of candidates: mean and σ
 };
 
 }  // namespace bokehguide

@@ -14,14 +14,18 @@ from bokehguide.guiding.highlight_fitting import fit_gaussians
 from bokehguide.guiding.lens_queries import MixtureQuery, UniformQuery
 from bokehguide.guiding.protocols import BatchSamples, LensContext, LensQuery, PixelBatch, StepSummary
 from bokehguide.guiding.record_buffer import RecordBuffer
-from bokehguide.models.base import owners
+from bokehguide.models.base import LensDensity, owners
 from bokehguide.models.blend_weight import BlendWeightMap
 from bokehguide.models.candidates import draw_candidates
 from bokehguide.models.gaussian_mixture import GaussianMixture
 from bokehguide.models.kl import blend_gradient, offset_gradient
+from bokehguide.models.native_mixture import CoreGaussians, NativeGaussianMixture
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.render import dimensions
+from bokehguide.runtime import native
 from bokehguide.runtime.indexing import ActiveEntries, Pixels, gather_pixels, scatter
+
+AnyGaussianMixture = GaussianMixture | NativeGaussianMixture
 
 
 class Gradients(NamedTuple):
@@ -73,13 +77,17 @@ class GaussianGuide(Guide):
         return MixtureQuery(self.mixture(batch.pixels, batch.raster, batch.focus, start, gaussian), uniforms, gaussian)
 
     @torch.no_grad()
-    def mixture(self, pixels: Pixels, raster: Tensor, focus: Tensor, start: Tensor, gaussian: Tensor) -> GaussianMixture:
+    def mixture(self, pixels: Pixels, raster: Tensor, focus: Tensor, start: Tensor, gaussian: Tensor) -> AnyGaussianMixture:
         """The mixture of N pixels at raster positions `[2, N]`; start, gaussian: candidates (see `CandidateList.batch`)."""
-        mean, lens = self.field.mean.index_select(1, gaussian), self.camera.lens
+        lens, beta, core = self.camera.lens, self.blend(pixels), native.core()
+        weight = self.field.lens_weights(lens.focus_distance)
+        if core is not None and focus.device.type == "cpu":
+            field = CoreGaussians.of(core, self.field, weight, self.offsets)
+            return NativeGaussianMixture(lens, focus, beta, start, field, gaussian, raster)
+        mean, sigma = self.field.mean.index_select(1, gaussian), self.field.sigma.index_select(0, gaussian)
         if self.offsets is not None:
             mean = mean + self.offsets(gaussian, raster.index_select(1, owners(start, len(gaussian))))
-        weight = self.field.lens_weights(lens.focus_distance).index_select(0, gaussian)
-        return GaussianMixture(lens, focus, self.blend(pixels), start, mean, self.field.sigma.index_select(0, gaussian), weight)
+        return GaussianMixture(lens, focus, beta, start, mean, sigma, weight.index_select(0, gaussian))
 
     def _stratify_uniform(self, batch: PixelBatch, uniforms: Tensor) -> None:
         """Replace two of the uniform numbers `[5, N]` by stratified numbers, in pixels that stay uniform until the epoch ends."""
@@ -88,15 +96,22 @@ class GaussianGuide(Guide):
             uniform.scatter(uniforms[2:4], batch.random.select(uniform.index).stratified(dimensions.LENS, 2, int(self.epoch)))
 
     @torch.no_grad()
-    def learn_from(self, samples: BatchSamples, query: MixtureQuery[GaussianMixture], ratio: Tensor) -> Gradients:
+    def learn_from(self, samples: BatchSamples, query: MixtureQuery[AnyGaussianMixture], ratio: Tensor) -> Gradients:
         """Gradients of the one-sample KL (Eq. 25) for one sample per pixel."""
         batch, at = samples.batch, samples.drawn.at
         assert at is not None
         blend = blend_gradient(query.mixture, ratio, at) if self.learns_blend else None
-        offsets = None
-        if self.offsets is not None:
-            offsets = offset_gradient(query.mixture, self.offsets, query.gaussian, batch.raster, ratio, at)
-        return Gradients(batch.pixels, blend, offsets)
+        return Gradients(batch.pixels, blend, self._offset_gradient(query, batch.raster, ratio, at))
+
+    def _offset_gradient(
+        self, query: MixtureQuery[AnyGaussianMixture], raster: Tensor, ratio: Tensor, at: LensDensity
+    ) -> Tensor | None:
+        mixture = query.mixture
+        if self.offsets is None:
+            return None
+        if isinstance(mixture, NativeGaussianMixture):
+            return mixture.offset_gradient(ratio, at)
+        return offset_gradient(mixture, self.offsets, query.gaussian, raster, ratio, at)
 
     def accumulate(self, records: Sequence[GuideRecord], summary: StepSummary) -> None:
         for record in records:

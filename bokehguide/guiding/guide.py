@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import torch
@@ -19,6 +20,7 @@ from bokehguide.models.kl import one_sample_kl
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
+from bokehguide.runtime import native
 from bokehguide.runtime.device import to_device
 
 
@@ -94,10 +96,24 @@ class Guide(LensSampler):
     def records(self, points: Tensor, directions: Tensor, distance: Tensor, light: Tensor, weight: Tensor) -> Records:
         """Records of `light` `[N]` at `distance` `[N]`, metres, along rays from lens points `[2, N]` in camera-frame directions
         `[3, N]`; weight: of the samples, `[N]`, 0 for those to leave out."""
-        far = to_device(FAR * self.camera.lens.focus_distance, distance.device, torch.float32)
-        position = _positions(points, directions, distance, far)
+        core, far = native.core(), FAR * self.camera.lens.focus_distance
+        if core is not None and distance.device.type == "cpu":
+            cells, position = self._hits_by_core(core, points, directions, distance, weight, far)
+            return Records(cells, position, light)
+        position = _positions(points, directions, distance, to_device(far, distance.device, torch.float32))
         cells = self.record_buffer.cells(self.camera, position)
         return Records(torch.where(weight > 0.0, cells, -1), position, light)
+
+    def _hits_by_core(
+        self, core: ModuleType, points: Tensor, directions: Tensor, distance: Tensor, weight: Tensor, far: float
+    ) -> tuple[Tensor, Tensor]:
+        """Cells and positions of `records` by the native core."""
+        camera, record = self.camera, self.record_buffer
+        frame, raster = (camera.width, camera.height, camera.pixel_slope), (record.border, record.width, record.height)
+        position, cells = torch.empty(3, len(distance)), torch.empty(len(distance), dtype=torch.int64)
+        rays = [values.contiguous() for values in (points, directions, distance, weight)]
+        core.record_hits(frame, raster, far, MISS_DISTANCE, *rays, position, cells)
+        return cells, position
 
     def images(self, beta: Tensor) -> dict[str, Tensor]:
         """Images of β, the record and its highlight cells. The last two images include the margin of the record."""

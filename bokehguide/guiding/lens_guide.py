@@ -13,10 +13,9 @@ from torch.distributions import Distribution, constraints
 
 from bokehguide.errors import BokehguideError
 from bokehguide.guiding.config import GaussianConfig
-from bokehguide.guiding.gaussian_guide import GaussianGuide, Gradients
+from bokehguide.guiding.gaussian_guide import AnyGaussianMixture, GaussianGuide, Gradients
 from bokehguide.guiding.guide import GuideRecord
 from bokehguide.guiding.protocols import StepSummary
-from bokehguide.models.gaussian_mixture import GaussianMixture
 from bokehguide.models.kl import blend_gradient
 from bokehguide.models.uniform import UniformLensDistribution
 from bokehguide.render.camera import ThinLensCamera
@@ -40,7 +39,7 @@ class LensPointDistribution(Distribution):
     arg_constraints: dict[str, constraints.Constraint] = {}  # noqa: RUF012 - the base class declares it so
     support = constraints.independent(constraints.real, 1)  # type: ignore[assignment] - a property of the base class
 
-    def __init__(self, lens: Lens, pixels: Tensor, focus: Tensor, mixture: GaussianMixture | None):
+    def __init__(self, lens: Lens, pixels: Tensor, focus: Tensor, mixture: AnyGaussianMixture | None):
         super().__init__(Size(pixels.shape), Size((2,)), validate_args=False)
         self.lens, self.pixels, self.focus, self.mixture = lens, pixels, focus, mixture
         self._density = mixture or UniformLensDistribution(lens)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.runtime import native
 from bokehguide.runtime.distributed import Ranks, RankSums
 from bokehguide.runtime.indexing import ActiveEntries, indices
 
@@ -76,6 +77,10 @@ class RecordBuffer(Raster):
 
     def add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
+        core = native.core()
+        if core is not None and cells.device.type == "cpu":
+            core.add_records(self.mine, cells, points.contiguous(), luminance.contiguous())
+            return
         inside = ActiveEntries(cells >= 0)
         cells, light = inside.masked(inside.select(cells), 0), inside.select(luminance)
         x, y, depth = inside.select(points)

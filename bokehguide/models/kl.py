@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from bokehguide.models.base import LensDensity
+from bokehguide.models.base import LensDensity, LensMixture
 from bokehguide.models.blend_weight import BlendWeightMap
 from bokehguide.models.gaussian_mixture import GaussianMixture
 from bokehguide.models.polynomial_offset import PolynomialOffset
@@ -23,7 +23,7 @@ def one_sample_kl(ratio: Tensor, density: Tensor, area: float) -> Tensor:
     return -(ratio * (area * density).log()).nan_to_num(0.0, 0.0, 0.0).sum()
 
 
-def blend_gradient(guide: GaussianMixture, ratio: Tensor, at: LensDensity) -> Tensor:
+def blend_gradient(guide: LensMixture, ratio: Tensor, at: LensDensity) -> Tensor:
     """∂ loss / ∂ logit of β, `[N]`; 0 for pixels that are not guided.
 
     ratio: `[N]`; at: densities at the samples. If rounding moves a sample outside the rim, q and the ratio are 0.

@@ -20,12 +20,13 @@ from tests.support.lens_cases import (
     PolarGrid,
     grid,
     histogram_check,
+    in_both_forms,
     plane,
 )
 from tests.support.statistical import SIGNIFICANCE, chi_square
 
 DRAWS = 1_000_000
-BY_NAME = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+BY_NAME = pytest.mark.parametrize("case", in_both_forms(CASES), ids=lambda case: case.name)
 
 
 @pytest.mark.slow

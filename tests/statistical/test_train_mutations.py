@@ -5,10 +5,13 @@ Every defect leaves a picture that looks plausible.
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 
+from bokehguide.guiding import gaussian_guide
 from bokehguide.models import gaussian_mixture
 from bokehguide.models.base import LensSample
 from bokehguide.models.gaussian_mixture import GaussianMixture
@@ -23,6 +26,12 @@ from tests.support.render_checks import furnace, learning, means_check, one_ever
 from tests.support.statistical import SIGNIFICANCE
 
 DRAWS = 1_000_000
+
+
+@pytest.fixture(autouse=True)
+def in_pytorch(monkeypatch):
+    """Mixtures of Gaussians in PyTorch, whose functions the defects replace."""
+    monkeypatch.setattr(gaussian_guide, "native", SimpleNamespace(core=lambda: None))
 
 
 def case(name: str) -> LensCase:

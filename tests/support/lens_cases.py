@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -17,8 +17,9 @@ from torch import Tensor
 from bokehguide.guiding.gaussian_guide import GaussianGuide
 from bokehguide.models.base import LensMixture
 from bokehguide.models.ellipse_mixture import EllipseMixture, EmitterShapes, balls, packed
+from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.gaussian_mixture import GaussianMixture
-from bokehguide.models.native_mixture import CoreField, NativeEllipseMixture
+from bokehguide.models.native_mixture import CoreField, CoreGaussians, NativeEllipseMixture, NativeGaussianMixture
 from bokehguide.render.lens import Lens
 from tests.support.guides import mixture_of, pixel_batch
 from tests.support.native_cases import core
@@ -29,11 +30,15 @@ CHUNK = 1 << 17
 INNER_RINGS = 8
 
 
+Case = TypeVar("Case", bound="LensCase")
+
+
 @dataclass(frozen=True)
 class LensCase:
     """The mixture of one pixel: x_F `[3]`, β, and candidates mean `[3, M]`, sigma `[M]`, weight `[M]`.
 
-    reach: the grid ends at this many lens radii; all draws beyond are one more cell.
+    reach: the grid ends at this many lens radii; all draws beyond are one more cell. native: whether the native core holds the
+    mixture.
     """
 
     name: str
@@ -44,20 +49,24 @@ class LensCase:
     weight: list[float]
     reach: float = 4.0
     lens: Lens = LENS
+    native: bool = False
 
-    kind: ClassVar[type[LensMixture]] = GaussianMixture
+    def pixels(self, count: int) -> tuple[Lens, Tensor, Tensor, Tensor]:
+        """Lens, focus points, β and starts of `count` pixels."""
+        focus = torch.tensor(self.focus)[:, None].expand(3, count).contiguous()
+        return self.lens, focus, torch.full((count,), self.beta), torch.arange(count + 1) * len(self.sigma)
 
     def distribution(self, count: int) -> LensMixture:
         """The same mixture for `count` pixels."""
         candidates = len(self.sigma)
-        return self.kind(
-            self.lens,
-            torch.tensor(self.focus)[:, None].expand(3, count).contiguous(),
-            torch.full((count,), self.beta),
-            torch.arange(count + 1) * candidates,
-            torch.tensor(self.mean).reshape(3, candidates).repeat(1, count),
-            torch.tensor(self.sigma).repeat(count),
-            torch.tensor(self.weight).repeat(count),
+        mean, sigma, weight = torch.tensor(self.mean).reshape(3, candidates), torch.tensor(self.sigma), torch.tensor(self.weight)
+        if not self.native:
+            return GaussianMixture(*self.pixels(count), mean.repeat(1, count), sigma.repeat(count), weight.repeat(count))
+        field = GaussianField()
+        field.assign(mean, sigma, sigma, weight)
+        gaussians = CoreGaussians.of(core(), field, weight, None)
+        return NativeGaussianMixture(
+            *self.pixels(count), gaussians, torch.arange(candidates).repeat(count), torch.zeros(2, count)
         )
 
     def draw(self, count: int, seed: int) -> Tensor:
@@ -80,12 +89,11 @@ class LensCase:
 class EllipseCase(LensCase):
     """A mixture of ellipses. sigma: radii of balls, unless axes gives half axes `[M, 3, 3]` of ellipsoids, one a row.
 
-    learned_scale: factor of each candidate's weight; all 1 by default. native: whether the native core holds the mixture.
+    learned_scale: factor of each candidate's weight; all 1 by default.
     """
 
     axes: tuple | None = None
     learned_scale: tuple[float, ...] = ()
-    native: bool = False
 
     def shapes(self, count: int) -> EmitterShapes | None:
         """Candidates of `count` pixels with a shape other than an ellipsoid; None for none."""
@@ -98,13 +106,7 @@ class EllipseCase(LensCase):
         return packed(axes.transpose(1, 2) @ axes)
 
     def distribution(self, count: int) -> EllipseMixture | NativeEllipseMixture:
-        candidates = len(self.sigma)
-        pixels = (
-            self.lens,
-            torch.tensor(self.focus)[:, None].expand(3, count).contiguous(),
-            torch.full((count,), self.beta),
-            torch.arange(count + 1) * candidates,
-        )
+        candidates, pixels = len(self.sigma), self.pixels(count)
         mean, weight = torch.tensor(self.mean).reshape(3, candidates), torch.tensor(self.weight)
         scale = torch.tensor(self.learned_scale or (1.0,) * candidates).repeat(count)
         if not self.native:
@@ -116,7 +118,7 @@ class EllipseCase(LensCase):
         return NativeEllipseMixture(*pixels, field, torch.arange(candidates).repeat(count), scale)
 
 
-def in_both_forms(cases: Sequence[EllipseCase]) -> list[EllipseCase]:
+def in_both_forms(cases: Sequence[Case]) -> list[Case]:
     """The cases in PyTorch and in the native core."""
     return [*cases, *(replace(case, name=f"{case.name}, native", native=True) for case in cases)]
 
@@ -185,7 +187,7 @@ def histogram_check(observed: np.ndarray, probability: np.ndarray) -> float:
 def seen_by_pixel(guide: GaussianGuide, pixel: int) -> LensCase:
     """The mixture that `guide` draws from in one pixel, at the pixel's centre."""
     mixture, camera = mixture_of(guide, pixel_batch(guide, slice(pixel, pixel + 1))), guide.camera
-    assert isinstance(mixture, GaussianMixture)
+    assert isinstance(mixture, GaussianMixture | NativeGaussianMixture)
     values = (mixture.mean.tolist(), mixture.sigma.tolist(), mixture.weight.tolist())
     return LensCase(f"pixel {pixel}", tuple(mixture.focus[:, 0].tolist()), float(mixture.beta), *values, lens=camera.lens)
 
