@@ -12,8 +12,9 @@ import numpy as np
 from bokehguide.cli.terminal import say
 from bokehguide.cli.tev import TevViewer
 from bokehguide.errors import BokehguideError
-from bokehguide.image import Display, group_layers, write_exr, write_png
+from bokehguide.image import Display, drained, group_layers, write_exr, write_png
 from bokehguide.render import Film
+from bokehguide.runtime.process import return_freed_memory
 from bokehguide.scene.overrides import OVERRIDES, option_text
 from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render, matte_attributes, matte_layers
 from bokehguide.train.adaptive import HalvesFilm
@@ -35,6 +36,7 @@ class Pictures:
 
     def write(self, loop: RenderLoop | AdaptiveLoop, picture: Film | HalvesFilm) -> None:
         """Write the EXR with its metadata, and the PNG. Raises BokehguideError if they cannot be written."""
+        return_freed_memory()  # the layers are large, and freed memory of batches is in small pieces
         layers = picture.layers()
         if self._options.denoise:
             layers["denoised"], self.estimated_mape = denoise_picture(picture, layers)
@@ -52,8 +54,9 @@ class Pictures:
             facts |= matte_attributes(loop.scene)
         layers |= group_layers(picture.light_groups())
         frame = (loop.camera.width, loop.camera.height)
-        write_exr(self.path, layers, facts, corner=picture.corner, frame=frame)
+        write_exr(self.path, drained(layers), facts, corner=picture.corner, frame=frame)
         write_png(self.png, display.show(self.delivered))
+        return_freed_memory()
 
     def due(self) -> bool:
         """Whether the viewer should get a new picture now."""

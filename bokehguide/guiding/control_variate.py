@@ -114,7 +114,7 @@ class ControlVariate(RankSums):
     def update(self, picture: Callable[[], Tensor], groups: Callable[[], Tensor] | None = None) -> None:
         """End an epoch: compute the coefficients from all samples so far; collective. picture, groups: see `StepSummary`."""
         self.merge()
-        self.bound.copy_(self.ranks.total(picture()).clamp(min=0.0))
+        torch.clamp(self.ranks.total(picture()), min=0.0, out=self.bound)
         if groups is not None:
             light = self.ranks.total(groups()).clamp(min=0.0)
             total = light.sum(0)

@@ -9,7 +9,7 @@ from bokehguide.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from bokehguide.image.exposure import metered_exposure
-    from bokehguide.image.exr import group_layers, read_exr, read_layers, read_metadata, read_rgb, write_exr
+    from bokehguide.image.exr import drained, group_layers, read_exr, read_layers, read_metadata, read_rgb, write_exr
     from bokehguide.image.files import check_writable, make_folder, remove_abandoned, replacing
     from bokehguide.image.png import to_8_bit, write_png
     from bokehguide.image.tonemap import tone_map
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Display",
     "check_writable",
+    "drained",
     "group_layers",
     "make_folder",
     "metered_exposure",

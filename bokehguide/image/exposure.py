@@ -36,9 +36,10 @@ def metered_exposure(radiance: np.ndarray, alpha: np.ndarray | None = None) -> f
 
     Rounded to hundredths. A picture times 2^n has an exposure lower by n.
     """
-    light = np.nan_to_num(np.asarray(radiance, np.float64) @ LUMINANCE, posinf=0.0, neginf=0.0).clip(min=0.0)
-    cover = np.ones_like(light) if alpha is None else np.nan_to_num(np.asarray(alpha, np.float64)).clip(0.0, 1.0)
-    light, cover = _block_means(light), _block_means(cover)
+    light = np.stack([np.asarray(row, np.float64) @ LUMINANCE for row in radiance])  # the whole would take 24 bytes per pixel
+    light = _block_means(np.nan_to_num(light, copy=False, posinf=0.0, neginf=0.0).clip(min=0.0))
+    cover = np.ones(radiance.shape[:2]) if alpha is None else np.nan_to_num(np.asarray(alpha, np.float64)).clip(0.0, 1.0)
+    cover = _block_means(cover)
     seen = cover > LEAST_ALPHA
     light, cover = light[seen] / cover[seen], cover[seen]
     if not light.any():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,7 @@ CHANNELS = {
 
 def write_exr(
     path: str | Path,
-    layers: Mapping[str, np.ndarray],
+    layers: Mapping[str, np.ndarray] | Iterator[tuple[str, np.ndarray]],
     metadata: Mapping[str, str | int | float] | None = None,
     half: bool = False,
     corner: tuple[int, int] = (0, 0),
@@ -46,14 +46,15 @@ def write_exr(
 ) -> None:
     """Write layers in 32-bit float or, with `half`, in 16-bit float. The file appears only when it is complete.
 
-    layers: by the keys of `CHANNELS`, `[H, W]` for one channel, `[H, W, C]` for C, and those of `group_layers`; metadata: header
-    attributes, except for names that OpenEXR reserves, such as `version`, `type` and `view`; corner, frame: position (column,
-    row) of the layers in a larger frame and its (width, height), which become data window and display window.
+    layers: by the keys of `CHANNELS`, `[H, W]` for one channel, `[H, W, C]` for C, and those of `group_layers`, as a mapping or
+    as pairs of name and layer (see `drained`); metadata: header attributes, except for names that OpenEXR reserves, such as
+    `version`, `type` and `view`; corner, frame: position (column, row) of the layers in a larger frame and its (width, height),
+    which become data window and display window.
 
     Raises BokehguideError if the folder cannot be written, or if a value exceeds the range of `half`.
     """
     channels = {}
-    for layer, pixels in layers.items():
+    for layer, pixels in layers.items() if isinstance(layers, Mapping) else layers:
         for index, name in enumerate(_channels(layer)):
             plane = pixels if pixels.ndim == 2 else pixels[..., index]
             channels[name] = _plane(path, name, plane, np.float16 if half else np.float32)
@@ -66,6 +67,13 @@ def write_exr(
             OpenEXR.File(header | dict(metadata or {}), channels).write(str(temporary))
         except RuntimeError as error:
             raise unwritable(Path(path), error) from error
+
+
+def drained(layers: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+    """Pairs for `write_exr`, taken out of the dictionary one by one: the memory of each layer is free once it is split."""
+    while layers:
+        name = next(iter(layers))
+        yield name, layers.pop(name)
 
 
 def group_layers(groups: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

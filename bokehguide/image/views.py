@@ -26,7 +26,11 @@ BRIGHTEST = 1e6
 """Radiance that ACES shows as the brightest white; infinities would become black."""
 ROLL_OFF = 1.5
 """Radiance above which `photo` compresses; diffuse white has 1."""
+BAND, ROWS = 1 << 20, 32
+"""Pixels that are shown at once, in a multiple of so many rows.
 
+Fewer pixels need less memory, but each call of OpenColorIO takes time of its own. PyTorch rounds powers and logarithms otherwise
+in the last values of an array, which do not fill its vectors."""
 
 VIEW_ATTRIBUTE = "display_view"
 """Header attribute of an EXR that holds the view: `view` is the standard attribute for the eye of a stereo picture."""
@@ -63,8 +67,16 @@ def to_display(radiance: Tensor | np.ndarray, exposure: float = 0.0, view: str =
     """
     if view not in VIEWS:
         raise BokehguideError(f"view: {view!r} is unknown; choose one of {', '.join(VIEWS)}")
-    exposure = float(np.float32(exposure))
-    linear = torch.as_tensor(radiance).detach().cpu().float()
+    linear, exposure = torch.as_tensor(radiance).detach().cpu().float(), float(np.float32(exposure))
+    shown = torch.empty(linear.shape)
+    rows = max(1, BAND // (ROWS * max(1, linear.shape[1]))) * ROWS
+    for part, of_radiance in zip(shown.split(rows), linear.split(rows)):
+        part.copy_(_displayed(of_radiance, exposure, view))
+    return shown
+
+
+def _displayed(linear: Tensor, exposure: float, view: str) -> Tensor:
+    """`to_display` of some rows."""
     linear = linear.nan_to_num(0.0, posinf=torch.finfo(torch.float32).max, neginf=0.0)
     if view == "srgb":
         return tone_map(linear, exposure)

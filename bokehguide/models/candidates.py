@@ -81,7 +81,9 @@ def draw_candidates(
         kept, discs = _rasterise(center[:, near], radius[near], top, counts)
         parts.append((kept, order[near].int().index_select(0, discs)))
     counts, gaussian = (torch.cat(part) for part in zip(*parts))
-    return CandidateList(torch.cat((torch.zeros_like(counts[:1]), counts.cumsum(0))), gaussian)
+    start = torch.zeros(len(counts) + 1, dtype=torch.int64, device=counts.device)
+    torch.cumsum(counts, 0, out=start[1:])
+    return CandidateList(start, gaussian)
 
 
 def _rasterise(center: Tensor, radius: Tensor, top: int, counts: Tensor) -> tuple[Tensor, Tensor]:

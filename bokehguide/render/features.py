@@ -42,9 +42,9 @@ class MeanFeatures:
         """Add samples `[F, N]` with weights `[N]`; kept: 1 for samples in the picture, else 0, `[N]`."""
         scatter_add(self._sum, pixels, features * kept)
 
-    def means(self, count: Tensor) -> Tensor:
-        """Estimates `[F, pixels]`; count: number of samples in the picture, at least 1, `[pixels]`."""
-        return self._sum / count
+    def means(self, count: Tensor, pixels: Pixels = slice(None)) -> Tensor:
+        """Estimates `[F, N]` of N pixels; count: number of their samples in the picture, at least 1, `[N]`."""
+        return gather_pixels(self._sum, pixels) / count
 
 
 class RatioFeatures(MeanFeatures):
@@ -66,9 +66,9 @@ class RatioFeatures(MeanFeatures):
         scatter_add(self._sum, pixels, features * (weight * kept))
         scatter_add(self._weight, pixels, weight * kept)
 
-    def means(self, count: Tensor) -> Tensor:
+    def means(self, count: Tensor, pixels: Pixels = slice(None)) -> Tensor:
         """See `MeanFeatures`."""
-        return self._sum / divisor(self._weight, 1e-20)
+        return gather_pixels(self._sum, pixels) / divisor(gather_pixels(self._weight, pixels), 1e-20)
 
 
 class ControlVariateFeatures(MeanFeatures):

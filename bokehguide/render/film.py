@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from bokehguide.render.features import ControlVariateFeatures, MeanFeatures
 from bokehguide.render.group_sums import GroupSums
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
-from bokehguide.runtime.indexing import Pixels, gather_pixels, indices_of_each, scatter, scatter_add
+from bokehguide.runtime.indexing import Pixels, bands, gather_pixels, indices_of_each, scatter, scatter_add
 
 NO_DEPTH = 1e10
 """Depth of a pixel without a primary hit: the value that Blender uses."""
@@ -234,8 +234,14 @@ class Film:
 
     def radiance(self) -> Tensor:
         """Mean radiance, float32 `[H, W, 3]`."""
-        mean = self._radiance / self._count.clamp(min=1.0)
-        return mean.float().T.reshape(self.height, self.width, 3)
+        mean = torch.empty(self._radiance.shape, device=self._radiance.device)
+        for band in self._bands():
+            mean[:, band] = self._radiance[:, band] / self._count[band].clamp(min=1.0)
+        return mean.T.reshape(self.height, self.width, 3)
+
+    def _bands(self) -> Iterator[slice]:
+        """Slices of all pixels. Results in single precision are computed in double precision, for one slice at a time."""
+        return bands(self.width * self.height)
 
     def group_radiance(self) -> Tensor:
         """Mean radiance of the light groups, `[G, 3, pixels]`."""
@@ -268,15 +274,24 @@ class Film:
         The estimate assumes independent samples. The samples of a pixel are stratified, so that the estimate is slightly too
         large. The largest value is the largest float32, for radiances above 1e19.
         """
-        count = self._count.double().clamp(min=1.0)
-        mean = luminance(self._radiance) / count
-        spread = (self._square / count - mean * mean).clamp(min=0.0) / (count - 1.0).clamp(min=1.0)
-        return spread.clamp(max=torch.finfo(torch.float32).max).float().reshape(self.height, self.width)
+        found = torch.cat([self._variance(band) for band in self._bands()])
+        return found.reshape(self.height, self.width)
+
+    def _variance(self, band: slice) -> Tensor:
+        """`variance` of some pixels, float32 `[N]`."""
+        count = self._count[band].double().clamp(min=1.0)
+        mean = luminance(self._radiance[:, band]) / count
+        spread = (self._square[band] / count - mean * mean).clamp(min=0.0) / (count - 1.0).clamp(min=1.0)
+        return spread.clamp(max=torch.finfo(torch.float32).max).float()
 
     def relative_noise(self) -> float:
         """Estimated standard error of the mean, relative to the mean plus 0.01, averaged over the frame."""
-        mean = luminance(self.radiance().reshape(-1, 3).T).clamp(min=0.0)
-        return float((self.variance().reshape(-1).sqrt() / (mean + 0.01)).mean())
+        errors = torch.empty(self._count.shape, device=self._count.device)
+        radiance = self.radiance().reshape(-1, 3).T
+        for band in self._bands():
+            mean = luminance(radiance[:, band]).clamp(min=0.0)
+            errors[band] = self._variance(band).sqrt() / (mean + 0.01)
+        return float(errors.mean())
 
     def covered(self) -> dict[str, Covered]:
         """Objects and their coverage by kind, of all pixels in the order of rows."""
@@ -289,22 +304,30 @@ class Film:
         mean over the part of the lens that sees a surface. This quotient has a small bias at low SPP where a pixel sees several
         depths.
         """
-        shape = (self.height, self.width)
-        count = self._count.clamp(min=1.0)
-        features = self._features.means(count)
-        depth = features[2] / features[1].clamp(min=LEAST_HIT)
-        depth = torch.where(self._farthest > 0.0, depth.clamp(self._nearest, self._farthest), NO_DEPTH)
-        layers = {
-            "beauty": self.radiance(),
-            "alpha": features[0].reshape(shape),
-            "depth": depth.reshape(shape),
-            "normal": features[3:6].T.reshape(*shape, 3),
-            "albedo": features[6:9].T.reshape(*shape, 3),
-            "emission": (self._emission / count).T.reshape(*shape, 3),
-            "variance": self.variance(),
-            "sample_count": self._count.reshape(shape),
+        layers: dict[str, np.ndarray] = {}
+        for band in self._bands():
+            for name, values in self._layers(band).items():
+                if name not in layers:
+                    layers[name] = np.empty((len(self._count), *values.shape[:-1]), np.float32)
+                layers[name][band] = values.float().movedim(0, -1).cpu().numpy()
+        return {name: layer.reshape(self.height, self.width, *layer.shape[1:]) for name, layer in layers.items()}
+
+    def _layers(self, band: slice) -> dict[str, Tensor]:
+        """`layers` of some pixels, `[N]` or `[3, N]`, in single or double precision."""
+        count = self._count[band].clamp(min=1.0)
+        features = self._features.means(count, band)
+        nearest, farthest = self._nearest[band], self._farthest[band]
+        depth = (features[2] / features[1].clamp(min=LEAST_HIT)).clamp(nearest, farthest)
+        return {
+            "beauty": self._radiance[:, band] / count,
+            "alpha": features[0],
+            "depth": torch.where(farthest > 0.0, depth, NO_DEPTH),
+            "normal": features[3:6],
+            "albedo": features[6:9],
+            "emission": self._emission[:, band] / count,
+            "variance": self._variance(band),
+            "sample_count": self._count[band],
         }
-        return {name: np.ascontiguousarray(layer.cpu().numpy(), np.float32) for name, layer in layers.items()}
 
 
 def _summed(rows: Tensor) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -18,6 +18,11 @@ frame's arrays, and indices give copies."""
 def pixel_numbers(pixels: Pixels, device: torch.device | str = "cpu") -> Tensor:
     """The flat indices as int64 `[N]`."""
     return torch.arange(pixels.start, pixels.stop, device=device) if isinstance(pixels, slice) else pixels
+
+
+def bands(pixels: int, size: int = 1 << 18) -> Iterator[slice]:
+    """Slices of at most `size` of the pixels, in order: work on one after the other bounds the memory of its intermediates."""
+    return (slice(first, min(first + size, pixels)) for first in range(0, pixels, size))
 
 
 def indices(mask: Tensor) -> Tensor:

@@ -265,10 +265,12 @@ class RenderLoop:
         summary = StepSummary(
             self.step_number, self._mean_luminance, self._picture_so_far, self._groups_so_far if self._groups else None
         )
-        lens, lights = [result.lens for result in results], [result.lights for result in results]
-        recorded = self.workers.submit(self.mode.lens.accumulate, lens, summary)
-        self.mode.lights.accumulate(lights, summary)  # in the order of the pixels, whatever the threads
+        recorded = self.workers.submit(self.mode.lens.accumulate, [result.lens for result in results], summary)
+        # Light samples come in the order of the pixels, whatever the threads.
+        self.mode.lights.accumulate([result.lights for result in results], summary)
         recorded.result()
+        for result in results:
+            result.release()
         for strategy in self.mode.strategies.values():
             strategy.update(summary)
 
@@ -296,7 +298,7 @@ class RenderLoop:
 
     def _picture_so_far(self) -> Tensor:
         """Mean radiance so far of the film's pixels, `[3, pixels]`, 0 in pixels of other ranks."""
-        return self.film.radiance().reshape(-1, 3).T * self._mine_of_film().to(self.settings.device)
+        return self.film.radiance().reshape(-1, 3).T.mul_(self._mine_of_film().to(self.settings.device))
 
     def _groups_so_far(self) -> Tensor:
         """As `_picture_so_far`, of the light groups, `[G, 3, pixels]`."""

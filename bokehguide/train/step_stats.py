@@ -41,6 +41,10 @@ class BatchResult:
     lens: LensRecord = field(default_factory=LensRecord)
     lights: object = None
 
+    def release(self) -> None:
+        """Free the reports, after the strategies have added them; the figures stay."""
+        self.lens, self.lights = LensRecord(self.lens.figures), None
+
 
 def step_stats(step: int, results: Sequence[BatchResult], seconds: float, gaussians: int, ranks: Ranks) -> StepStats:
     """The sums over a step's batches on all ranks; collective."""

@@ -7,7 +7,7 @@ import OpenImageIO as oiio
 import pytest
 
 from bokehguide.errors import BokehguideError
-from bokehguide.image import read_exr, read_metadata, read_rgb, write_exr
+from bokehguide.image import drained, read_exr, read_metadata, read_rgb, write_exr
 
 HEIGHT, WIDTH = 5, 7
 
@@ -39,6 +39,20 @@ def test_every_channel_comes_back_bit_by_bit(tmp_path, layers):
     for name, plane in expected.items():
         assert channels[name].dtype == np.float32
         np.testing.assert_array_equal(channels[name], plane, err_msg=name)
+
+
+def test_drained_layers_make_the_same_file_and_are_freed_one_by_one(tmp_path, layers):
+    write_exr(tmp_path / "a.exr", layers)
+    left, seen = dict(layers), []
+
+    def watched():
+        for name, layer in drained(left):
+            seen.append((name, len(left)))
+            yield name, layer
+
+    write_exr(tmp_path / "b.exr", watched())
+    assert seen == [(name, len(layers) - place) for place, name in enumerate(layers, start=1)]
+    assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
 
 
 def test_strided_views_are_written_as_they_look(tmp_path, layers):

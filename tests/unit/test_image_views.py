@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from bokehguide.errors import BokehguideError
-from bokehguide.image import Display, to_display, tone_map
+from bokehguide.image import Display, to_display, tone_map, views
 from bokehguide.image.views import ROLL_OFF, VIEWS, rolled_off
 
 LAMP = torch.tensor([4000.0, 300.0, 100.0]) / 4000.0
@@ -30,6 +30,14 @@ def test_an_exposure_from_a_file_gives_the_same_picture(view):
     radiance = torch.rand(64, 64, 3, generator=torch.Generator().manual_seed(1))
     for exposure in (2.38, -1.1, 0.07):
         assert torch.equal(to_display(radiance, exposure, view), to_display(radiance, float(np.float32(exposure)), view))
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_bands_of_rows_change_no_bit(view, monkeypatch):
+    radiance = torch.rand(71, 23, 3, generator=torch.Generator().manual_seed(2)) ** 8 * 1000.0
+    whole = to_display(radiance, 1.0, view)
+    monkeypatch.setattr(views, "BAND", 1)  # bands of ROWS rows; the last has fewer
+    assert torch.equal(to_display(radiance, 1.0, view), whole)
 
 
 def test_srgb_is_the_clip_and_exposure_is_in_stops():

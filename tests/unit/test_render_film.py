@@ -10,6 +10,7 @@ from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, Rat
 from bokehguide.render.film import KEPT_BAD_SAMPLES, NO_DEPTH, BadSample, Film, FilmSamples
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
+from bokehguide.runtime.indexing import bands
 from tests.support.statistical import SIGNIFICANCE, z_test
 
 
@@ -172,6 +173,20 @@ def test_layers_are_contiguous_float32_of_the_frames_shape():
         colored = name in ("beauty", "normal", "albedo", "emission")
         assert layer.shape == ((4, 5, 3) if colored else (4, 5)), name
         assert layer.dtype == np.float32 and layer.flags.c_contiguous, name
+
+
+@pytest.mark.parametrize("features", [MeanFeatures, RatioFeatures, ControlVariateFeatures])
+def test_bands_change_no_bit(features, monkeypatch):
+    film = Film(5, 4, features=features)
+    film.initialise(slice(None), samples(random(9, 20)[:3]))
+    for step in (1, 2, 3):
+        uniforms = random(step, 20)
+        depth = torch.where(uniforms[0] < 0.3, NO_DEPTH, 1.0 + uniforms[1])
+        film.add(slice(None), samples(uniforms[:3], 2.0 * uniforms[3], uniforms[2], depth), step)
+    found = {**film.layers(), "radiance": film.radiance(), "noise": film.relative_noise()}
+    monkeypatch.setattr(Film, "_bands", lambda _: bands(20, 7))
+    for name, layer in {**film.layers(), "radiance": film.radiance(), "noise": film.relative_noise()}.items():
+        np.testing.assert_array_equal(layer, found[name], err_msg=name)
 
 
 def test_depth_is_the_mean_over_the_samples_that_met_a_surface():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from dataclasses import replace
 
 import pytest
@@ -10,6 +11,7 @@ import torch
 
 from bokehguide.errors import BokehguideError
 from bokehguide.guiding.config import GaussianConfig
+from bokehguide.guiding.emitter_guide import EmitterGuide
 from bokehguide.guiding.guide import GuideRecord
 from bokehguide.guiding.protocols import BatchSamples
 from bokehguide.guiding.uniform import UniformLens
@@ -209,3 +211,25 @@ def test_the_record_has_only_finite_samples_that_pass_the_lens(mode):
     for _ in range(4):
         loop.step()
     assert blocked > 0 and bad > 0
+
+
+def test_reports_are_freed_before_the_strategies_update(monkeypatch):
+    """A large picture has half a gigabyte of reports."""
+    reports, alive = [], []
+    record, update = EmitterGuide.record, EmitterGuide.update
+
+    def recorded(guide, samples, good):
+        found = record(guide, samples, good)
+        reports.append(weakref.ref(found.records.cells))
+        return found
+
+    def updated(guide, summary):
+        alive.append(sum(report() is not None for report in reports))
+        update(guide, summary)
+
+    monkeypatch.setattr(EmitterGuide, "record", recorded)
+    monkeypatch.setattr(EmitterGuide, "update", updated)
+    with RenderLoop(scene(), RenderSettings("guided", threads=1)) as loop:
+        stats = [loop.step() for _ in range(2)]
+    assert len(reports) > 0 and alive == [0, 0]
+    assert 0.0 < stats[1].beta < 1.0

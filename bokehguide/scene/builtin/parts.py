@@ -5,19 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby, pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bokehguide.scene.builtin.solids import along, merged, revolved, shaded
 from bokehguide.scene.shapes import joined, spheres, transform, transformed, unit_box
 from bokehguide.scene.types import Camera, Material, Mesh, as_vector
-
-if TYPE_CHECKING:
-    from trimesh import Trimesh
-
-CREASE = np.radians(35.0)
-"""Radians; edges with a larger angle between their faces stay sharp."""
 
 
 class Builder:
@@ -65,43 +59,23 @@ def _painted(mesh: Mesh, material: int) -> Mesh:
     return Mesh(mesh.vertices, mesh.triangles, material, mesh.normals)
 
 
-def shaded(surface: Trimesh) -> Mesh:
-    """`surface` with normals that are smooth except at creases."""
-    from trimesh.graph import smooth_shade
-
-    smooth = smooth_shade(surface, angle=CREASE)
-    return Mesh(
-        vertices=np.asarray(smooth.vertices, dtype=np.float32),
-        triangles=np.asarray(smooth.faces, dtype=np.int32),
-        material=0,
-        normals=np.asarray(smooth.vertex_normals, dtype=np.float32),
-    )
-
-
 def lathe(profile: Sequence[tuple[float, float]], sections: int = 64) -> Mesh:
     """A solid of revolution about y. profile: (radius, height) pairs from the bottom up."""
-    from trimesh.creation import revolve
-
-    body = revolve(np.asarray(profile, dtype=float), sections=sections)
-    body.apply_transform(transform(rotate=(-90.0, 0.0, 0.0)))
-    return shaded(body)
+    return shaded(merged(revolved(profile, sections)).moved(transform(rotate=(-90.0, 0.0, 0.0))))
 
 
 def ring(radius: float, thickness: float, sections: int = 64) -> Mesh:
     """A torus about y. thickness: radius of the tube."""
-    from trimesh.creation import torus
-
-    around_z = torus(radius, thickness, major_sections=sections, minor_sections=20)
-    around_z.apply_transform(transform(rotate=(-90.0, 0.0, 0.0)))
-    return shaded(around_z)
+    angles = np.linspace(0.0, 2.0 * np.pi, 21)
+    tube = np.column_stack((thickness * np.cos(angles), thickness * np.sin(angles))) + [radius, 0.0]
+    return shaded(merged(revolved(tube, sections)).moved(transform(rotate=(-90.0, 0.0, 0.0))))
 
 
 def rod(start: ArrayLike, end: ArrayLike, radius: float, sections: int = 24) -> Mesh:
     """A closed cylinder from `start` to `end`."""
-    from trimesh.creation import cylinder
-
-    segment = np.array([start, end], dtype=float)
-    return shaded(cylinder(radius, segment=segment, sections=sections))
+    placement, height = along(start, end)
+    profile = [(0.0, -height / 2), (radius, -height / 2), (radius, height / 2), (0.0, height / 2)]
+    return shaded(merged(revolved(profile, sections).moved(placement)))
 
 
 def cable(points: np.ndarray, radius: float, sections: int = 8) -> Mesh:
