@@ -40,7 +40,8 @@ def main() -> None:
     parser.add_argument("--size", type=size, default="1280x720", metavar="WxH", help="default: 1280x720")
     radius = "metres (default: the scene's); pixels of a wider lens have more candidates"
     parser.add_argument("--aperture-radius", type=float, metavar="M", help=radius)
-    parser.add_argument("--spp", type=positive, default=16, metavar="N", help=f"measured steps of each mode, a multiple of {TURN_SPP} (default: 16)")
+    spp = f"measured steps of each mode, a multiple of {TURN_SPP} (default: 16)"
+    parser.add_argument("--spp", type=positive, default=16, metavar="N", help=spp)
     warm_up = "steps before the measurement (default: 8, the steps of the global fit)"
     parser.add_argument("--warm-up", type=natural, default=8, metavar="N", help=warm_up)
     parser.add_argument("--threads", type=threads, metavar="N", help="default: one per core")

@@ -11,7 +11,7 @@ and the lens point of pixel k. Only one pixel sees a point in focus, and the wei
 the shading normal of x may face one pixel, and another normal may replace it for a second pixel. The pixels then do not see the
 same surface, and V is 0.
 
-Groups are wide or high tiles of the film. Their positions change with every step, so that no tile is visible in the picture. No
+Groups are tiles of the film. Their positions change with every step, so that no tile is visible in the picture. No
 group crosses the end of a band of rows or columns, so that ranks, batches and blocks of adaptive SPP contain whole groups. The
 noise of the pixels of a group is correlated.
 """

@@ -43,13 +43,13 @@ from tests.support.statistical import SIGNIFICANCE, z_test
 from tests.support.tracing import bumpy, rectangle
 
 WIDTH, HEIGHT = 48, 32
-GROUP = LONG, SHORT = GuidedConfig.reuse_group
+GROUP = GuidedConfig.reuse_group
 COATED = replace(FLOOR, clearcoat=1.0, clearcoat_roughness=0.6)
 
 
-def members_of(places, width: int, key: int) -> torch.Tensor:
-    """For each other place in a group of the default size, the pixel there for each of N pixels, `[.., N]`, or -1."""
-    return _members(places, PixelGroups.of(width, GROUP, key), torch.device("cpu"))
+def members_of(places, width: int, key: int, size: tuple[int, int] = GROUP) -> torch.Tensor:
+    """For each other place in a group, the pixel there for each of N pixels, `[.., N]`, or -1."""
+    return _members(places, PixelGroups.of(width, size, key), torch.device("cpu"))
 
 
 def key_of(step: Step, seed: int) -> int:
@@ -208,7 +208,7 @@ def test_plain_loops_agree_where_shading_normals_are_replaced(material):
     step = step_of(loop, seed=5)
     assert 0.2 < float(step.samples.paths.primary_hits.surface.facing.mean()) < 0.8
     different, seen = unlike(loop, step)
-    assert different == 0 and 30 < seen < 0.8 * sum(step.reused.weight > 0.0) * (LONG * SHORT - 1)
+    assert different == 0 and 30 < seen < 0.8 * sum(step.reused.weight > 0.0) * (math.prod(GROUP) - 1)
 
 
 @pytest.mark.slow
@@ -230,15 +230,16 @@ def lists_of_pixels(width: int, height: int, seed: int = 0) -> dict[str, torch.T
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["whole", "bands", "sparse"])
+@pytest.mark.parametrize("long, short", [GROUP, (4, 2)])
 @pytest.mark.parametrize("width, height", [(21, 19), (3, 25), (1, 9), (2, 17), (16, 24), (70, 25)])
-def test_groups_are_tiles_within_bands(width, height, kind):
-    """Each group has all listed pixels of a tile of 4 × 2 or 2 × 4 pixels, and each member lists the others."""
+def test_groups_are_tiles_within_bands(width, height, long, short, kind):
+    """Each group has all listed pixels of a tile, which is wide or high, and each member lists the others."""
     places = lists_of_pixels(width, height)[kind]
     numbers = torch.arange(places.start, places.stop) if isinstance(places, slice) else places
     number_of = {pixel: i for i, pixel in enumerate(numbers.tolist())}
     shapes = set()
     for step in range(12):
-        members = members_of(places, width, hash_int(step))
+        members = members_of(places, width, hash_int(step), (long, short))
         groups = [{i} for i in range(len(numbers))]
         for member in members.unbind():
             for i, other in enumerate(member.tolist()):
@@ -250,26 +251,27 @@ def test_groups_are_tiles_within_bands(width, height, kind):
             assert all(groups[other] == group for other in group)
             x, y = (np.array([part(int(numbers[j])) for j in group]) for part in (lambda n: n % width, lambda n: n // width))
             assert len(set(y // ROWS_PER_BAND)) == len(set(x // COLUMNS)) == 1
-            wide, high = (np.ptp(x) < one and np.ptp(y) < other for one, other in ((LONG, SHORT), (SHORT, LONG)))
+            wide, high = (np.ptp(x) < one and np.ptp(y) < other for one, other in ((long, short), (short, long)))
             assert wide or high
             shapes.add((wide, high))
             box = [(a, b) for a in range(x.min(), x.max() + 1) for b in range(y.min(), y.max() + 1)]
             assert all(number_of[b * width + a] in group for a, b in box if b * width + a in number_of)
-    assert {(True, False), (False, True)} <= shapes or min(width, height) < LONG
+    assert long == short or {(True, False), (False, True)} <= shapes or min(width, height) < long
 
 
+@pytest.mark.parametrize("long, short", [GROUP, (4, 2)])
 @pytest.mark.parametrize("width, height", [(13, 19), (3, 9)])
-def test_adjacent_pixels_of_a_band_are_in_one_group_in_some_steps(width, height):
-    """In the share of tiles with both: three of four along them, one of two across them; never across bands."""
+def test_adjacent_pixels_of_a_band_are_in_one_group_in_some_steps(width, height, long, short):
+    """In the share of tiles with both: three of four along a side of four pixels; never across bands."""
     together, steps = np.zeros((2, height, width)), 400
     for step in range(steps):
-        seen = members_of(slice(0, width * height), width, hash_int(step)).numpy()
+        seen = members_of(slice(0, width * height), width, hash_int(step), (long, short)).numpy()
         place = np.arange(width * height)
         for axis, offset in enumerate((1, width)):
             together[axis] += (seen == place + offset).any(0).reshape(height, width) / steps
     inside = np.arange(height - 1) % ROWS_PER_BAND != ROWS_PER_BAND - 1
     for frequency in (together[0, :, :-1], together[1, :-1][inside]):
-        expected = 0.5 * (0.75 + 0.5)
+        expected = 0.5 * ((1.0 - 1.0 / long) + (1.0 - 1.0 / short))
         error = math.sqrt(expected * (1.0 - expected) / steps)
         assert float(np.abs(frequency - expected).max()) < 4.5 * error  # all pixels have one of a few places in tiles
     assert not together[1, :-1][~inside].any()
