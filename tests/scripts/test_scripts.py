@@ -65,7 +65,7 @@ def test_one_reading_of_sizes(name, script):
 @pytest.mark.slow
 def test_bench_measures_each_mode_and_the_peer(script, tmp_path):
     peers = importlib.util.find_spec("mitsuba") is not None
-    options = ("--scene", "daylight", "--size", "32x18", "--spp", 1, "--warm-up", 1, "--json", "bench.json")
+    options = ("--scene", "daylight", "--size", "32x18", "--spp", 4, "--warm-up", 1, "--json", "bench.json")
     finished = script("bench.py", *options, *(["--peers"] if peers else []))
     assert finished.returncode == 0, finished.stderr
     rows = json.loads((tmp_path / "bench.json").read_text())
