@@ -1,7 +1,7 @@
 """Mixtures on the lens in the native core: the same distributions as `EllipseMixture` and `GaussianMixture`.
 
-`native/lens_mixture.h` holds what both have in common. `ellipses.h`, `parallelograms.h`, `environment_shapes.h` and `gaussians.h`
-hold the formulas of their components.
+`native/lens_mixture.h` computes weights, choices of candidates and densities of either mixture. The formulas of the components
+are in `ellipses.h`, `parallelograms.h`, `environment_shapes.h` and `gaussians.h`.
 """
 
 from __future__ import annotations

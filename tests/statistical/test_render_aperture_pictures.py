@@ -5,19 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import lru_cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from bokehguide.guiding import gaussian_guide
 from bokehguide.models.gaussian_mixture import GaussianMixture
 from bokehguide.render.lens import ShapedLens
 from bokehguide.scene.types import Aperture, Camera, FilmSettings, Scene
 from bokehguide.train import RenderLoop, RenderSettings
 from tests.support import aperture_cases, scenes
 from tests.support.aperture_cases import plain_transmission
+from tests.support.gaussians import use_pytorch
 from tests.support.render_checks import Estimate, estimate, insert_gaussians
 from tests.support.statistical import SIGNIFICANCE, block_means, chi_square, z_test
 from tests.support.tracing import emitter, rectangle
@@ -189,7 +188,7 @@ def no_cat_s_eye(monkeypatch) -> None:
 
 def flat_density(monkeypatch) -> None:
     """q forgets W, though draws follow it. PyTorch has the mixture, as the native core has a `blend` of its own."""
-    monkeypatch.setattr(gaussian_guide, "native", SimpleNamespace(core=lambda: None))
+    use_pytorch(monkeypatch)
     monkeypatch.setattr(
         GaussianMixture,
         "blend",

@@ -5,13 +5,10 @@ Every defect leaves a picture that looks plausible.
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import torch
 
-from bokehguide.guiding import gaussian_guide
 from bokehguide.models import gaussian_mixture
 from bokehguide.models.base import LensSample
 from bokehguide.models.gaussian_mixture import GaussianMixture
@@ -20,7 +17,7 @@ from bokehguide.models.projection import lens_density
 from bokehguide.render.film import Film
 from bokehguide.render.vector import dot
 from tests.support import render_checks
-from tests.support.gaussians import FAR_GAUSSIANS, WIDTH, frozen_guide, single_precision_error
+from tests.support.gaussians import FAR_GAUSSIANS, WIDTH, frozen_guide, single_precision_error, use_pytorch
 from tests.support.lens_cases import CASES, LensCase, grid, histogram_check, seen_by_pixel
 from tests.support.render_checks import furnace, learning, means_check, one_everywhere
 from tests.support.statistical import SIGNIFICANCE
@@ -31,7 +28,7 @@ DRAWS = 1_000_000
 @pytest.fixture(autouse=True)
 def in_pytorch(monkeypatch):
     """Mixtures of Gaussians in PyTorch, whose functions the defects replace."""
-    monkeypatch.setattr(gaussian_guide, "native", SimpleNamespace(core=lambda: None))
+    use_pytorch(monkeypatch)
 
 
 def case(name: str) -> LensCase:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 import torch
 from torch import Tensor
 
+from bokehguide.guiding import gaussian_guide as guide_module
 from bokehguide.guiding.gaussian_guide import GaussianGuide
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.models.projection import lens_density, project_to_lens
@@ -24,6 +26,11 @@ FAR_GAUSSIANS = [
     pytest.param(100.0, 0.02, 2e-2, id="far emitter"),
     pytest.param(2000.0, 1.0, 1e-2, id="environment, at 1000 focus distances"),
 ]
+
+
+def use_pytorch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let PyTorch hold the mixtures of Gaussians, for tests that replace its functions."""
+    monkeypatch.setattr(guide_module, "native", SimpleNamespace(core=lambda: None))
 
 
 def small_camera() -> ThinLensCamera:
