@@ -4,9 +4,11 @@
     python scripts/gpu_check.py --device cpu --quick
 
 Means: independent renders on the device and on a CPU have equal means over blocks of pixels and over the frame, in all modes
-(Welch's t-test, Šidák's correction). Speed: steps between two CUDA events, after a warm-up. Host waits: operations for which
-PyTorch's synchronisation debugger warns that the host waits. Guide: milliseconds of the phases of a step at 1920×1080, beside the
-15 + 2 + 20 ms of the paper. `--device cpu` runs the same checks without a GPU, and shows that the script works.
+(Welch's t-test, Šidák's correction). Processes share the renders, as a small frame occupies neither a GPU nor the cores.
+Speed: steps at 1920×1080 between two CUDA events, after a warm-up, in one process after the other. Host waits: operations for
+which PyTorch's synchronisation debugger warns that the host waits. Guide: differences between the steps of modes that differ in
+one part, beside the 15 + 2 + 20 ms of the paper. `--device cpu` runs the same checks without a GPU, and shows that the script
+works.
 
 Exit code 1 if a test of means fails.
 """
@@ -15,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import multiprocessing
 import time
 import warnings
 from dataclasses import replace
@@ -24,6 +27,7 @@ import numpy as np
 import torch
 from scipy import stats
 from torch.nn.functional import avg_pool2d
+from tqdm import tqdm
 
 from bokehguide.cli.arguments import Parser
 from bokehguide.cli.report import peak_memory_mb, write_json
@@ -31,33 +35,39 @@ from bokehguide.cli.scripts import run
 from bokehguide.evaluation import markdown
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.runtime.device import check_device
+from bokehguide.runtime.distributed import available_cores
+from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import MODES, RenderLoop, RenderSettings
 
 SCENES = ("fairy-lights", "night-street", "chrome")
-SPEED_MODES = ("uniform", "lis-o", "guided")
+SPEED_MODES = ("uniform", "lis", "lis-b", "lis-o", "guided")
 BLOCK = 16
 LEVEL = 0.01
 """Level at which one call of the script in a hundred fails by chance."""
 CPU_SEED = 1_000_000
 """Seed of the first render on the CPU."""
-PAPER = {"fitting and guiding": 15.0, "blend weights": 2.0, "polynomials": 20.0}
-"""Milliseconds per SPP at 1920×1080 that the paper reports on an RTX 4070."""
+MOST_PROCESSES = 8
+"""Processes with renders of small frames, each of which takes half a gigabyte of a GPU."""
+PAPER = {
+    ("lis", "uniform"): ("fitting and guiding", 15.0),
+    ("lis-b", "lis"): ("blend weights", 2.0),
+    ("lis-o", "lis-b"): ("polynomials", 20.0),
+}
+"""Parts of the paper's guide that one mode has beyond another, and their milliseconds per SPP at 1920×1080 on an RTX 4070."""
 
 
 def main() -> int:
     args = parse()
     check_device(args.device)
-    means = [compare_means(name, args) for name in SCENES[: 1 if args.quick else None]]
-    rows = [row for scene in means for row in scene]
-    speed = [measure(mode, args) for mode in SPEED_MODES]
+    rows, speed = all_means(args), all_steps(args)
     failed = sum(row["p"] < 1.0 - (1.0 - LEVEL) ** (1.0 / len(rows)) for row in rows)
     print(f"Means, {args.device} and CPU\n\n{table(rows)}\n\n{failed} of {len(rows)} tests fail\n")
     print(f"Steps at {'x'.join(map(str, frame_of(args)))}, {device_name(args.device)}\n\n{table(speed)}\n")
-    paper = ", ".join(f"{name} {value:.0f} ms" for name, value in PAPER.items())
-    print(f"Guide of the paper at 1920x1080: {paper}")
+    guide = guide_parts(speed)
+    print(f"Guide, milliseconds per SPP\n\n{table(guide)}")
     if args.json:
-        write_json(args.json, {"device": device_name(args.device), "means": rows, "steps": speed})
+        write_json(args.json, {"device": device_name(args.device), "means": rows, "steps": speed, "guide": guide})
     return 1 if failed else 0
 
 
@@ -69,18 +79,30 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def compare_means(name: str, args: argparse.Namespace) -> list[dict]:
-    """The tests of one scene, a row for each mode."""
-    runs, spp = (4, 4) if args.quick else (12, 12)
+def all_means(args: argparse.Namespace) -> list[dict]:
+    """Rows of the tests of means, from processes that render at the same time."""
+    tasks = [(name, mode, args) for name in SCENES[: 1 if args.quick else None] for mode in modes_of(name)]
+    tasks.sort(key=lambda task: not MODES[task[1]].whole_frame)  # the slow ones first
+    processes = min(len(tasks), MOST_PROCESSES, max(available_cores() // 2, 1))
+    with multiprocessing.get_context("spawn").Pool(processes, dedicate_process) as pool:
+        return list(tqdm(pool.imap(compare_means, tasks), "means", len(tasks), unit="test"))
+
+
+def modes_of(scene: str) -> list[str]:
+    """Modes to compare in a scene: the slow modes that resample the whole frame in the first scene alone."""
+    return [mode for mode, entry in MODES.items() if scene == SCENES[0] or not entry.whole_frame]
+
+
+def compare_means(task: tuple[str, str, argparse.Namespace]) -> dict:
+    """The test of one mode in one scene."""
+    name, mode, args = task
+    runs, spp = (4, 4) if args.quick else (6, 3) if MODES[mode].whole_frame else (12, 12)
     scene = load_scene(name, Overrides(width=96, height=54))
     tracers = {device: PathTracer(scene, torch.device(device)) for device in ("cpu", args.device)}
-    rows = []
-    for mode in MODES:
-        settings = RenderSettings(mode, spp)
-        ours = [render(scene, replace(settings, seed=seed, device=args.device), tracers) for seed in range(runs)]
-        cpu = [render(scene, replace(settings, seed=CPU_SEED + seed), tracers) for seed in range(runs)]
-        rows.append({"scene": name, "mode": mode, **welch(np.stack(ours), np.stack(cpu))})
-    return rows
+    settings = RenderSettings(mode, spp, threads=1)
+    ours = [render(scene, replace(settings, seed=seed, device=args.device), tracers) for seed in range(runs)]
+    cpu = [render(scene, replace(settings, seed=CPU_SEED + seed), tracers) for seed in range(runs)]
+    return {"scene": name, "mode": mode, **welch(np.stack(ours), np.stack(cpu))}
 
 
 def render(scene: Scene, settings: RenderSettings, tracers: dict[str, PathTracer]) -> np.ndarray:
@@ -106,8 +128,24 @@ def frame_of(args: argparse.Namespace) -> tuple[int, int]:
     return (192, 108) if args.quick else (1920, 1080)
 
 
+def all_steps(args: argparse.Namespace) -> list[dict]:
+    """Rows of the measurements of speed, one process after the other, so that each has its own peak memory."""
+    rows = []
+    for mode in tqdm(SPEED_MODES, "speed", unit="mode"):
+        with multiprocessing.get_context("spawn").Pool(1, dedicate_process) as pool:
+            rows.append(pool.apply(measure, (mode, args)))
+    return rows
+
+
+def guide_parts(speed: list[dict]) -> list[dict]:
+    """Milliseconds of each part of the guide, and those that the paper reports."""
+    step = {row["mode"]: row["ms / step"] for row in speed}
+    parts = [{"part": name, "paper": paper, "here": step[more] - step[less]} for (more, less), (name, paper) in PAPER.items()]
+    return [*parts, {"part": "all of guided", "paper": "", "here": step["guided"] - step["uniform"]}]
+
+
 def measure(mode: str, args: argparse.Namespace) -> dict:
-    """Speed, waits, memory and phases of one mode."""
+    """Speed, waits and memory of one mode, and phases by the clock of the host."""
     warm_up, spp = (2, 2) if args.quick else (8, 8)
     width, height = frame_of(args)
     scene = load_scene(SCENES[0], Overrides(width=width, height=height))

@@ -106,15 +106,18 @@ class Surface:
 
 
 class Geometry:
-    """Triangles, materials and textures of a scene, and the Embree tracer over them."""
+    """Triangles, materials and textures of a scene, and the Embree tracer over them.
 
-    def __init__(self, scene: Scene, device: torch.device | str = "cpu"):
+    threads: see `Tracer`.
+    """
+
+    def __init__(self, scene: Scene, device: torch.device | str = "cpu", threads: int = 1):
         self.device = torch.device(device)
         meshes = scene.meshes
         count = sum(len(mesh.triangles) for mesh in meshes)
         log.info("preparing %s triangles and %s materials", f"{count:,}", f"{len(scene.materials):,}")
         vertices, corners = triangles.joined(meshes)
-        self.tracer = Tracer(vertices, corners)
+        self.tracer = Tracer(vertices, corners, threads)
         self.vertices, self.vertex_numbers = self._rows(vertices), self._rows(corners)
         self.materials = Materials(scene.materials, meshes, self.device)
         counts = torch.tensor([len(mesh.triangles) for mesh in meshes])

@@ -77,12 +77,13 @@ class PathTracer:
     light_sampler: light sampler of all vertices; a trace may have another light sampler for primary hits. max_depth: largest
     number of segments of a path; with 1, the camera sees only emission.
 
-    geometry: of another tracer whose scene differs in its lights at infinity alone, to be used again.
+    geometry: of another tracer whose scene differs in its lights at infinity alone, to be used again. threads: number of threads
+    on which Embree traces the rays of one call of `trace`.
     """
 
-    def __init__(self, scene: Scene, device: torch.device | str = "cpu", geometry: Geometry | None = None):
+    def __init__(self, scene: Scene, device: torch.device | str = "cpu", geometry: Geometry | None = None, threads: int = 1):
         self._scene = scene
-        self.geometry = geometry or Geometry(scene, device)
+        self.geometry = geometry or Geometry(scene, device, threads)
         self.lights = Lights(scene, self.geometry)
         self.light_sampler = PowerLightSampler(self.lights)
         self.visibility = Visibility(self.geometry, scene.meshes)

@@ -104,8 +104,9 @@ class Visibility:
         """Numbers among all triangles of those of the translucent tracer, int64."""
         if geometry.materials.has_translucent:
             translucent = geometry.materials.translucent.tolist()
-            self.opaque, _ = _part(meshes, [not translucent[mesh.material] for mesh in meshes])
-            self.translucent, numbers = _part(meshes, [translucent[mesh.material] for mesh in meshes])
+            threads = geometry.tracer.threads
+            self.opaque, _ = _part(meshes, [not translucent[mesh.material] for mesh in meshes], threads)
+            self.translucent, numbers = _part(meshes, [translucent[mesh.material] for mesh in meshes], threads)
             self.numbers = torch.from_numpy(numbers).to(geometry.device)
 
     def nearest(
@@ -246,9 +247,10 @@ def _beyond(origins: Tensor, directions: Tensor, distance: Tensor, again: Tensor
     return start, origins + start * directions
 
 
-def _part(meshes: Sequence[Mesh], chosen: list[bool]) -> tuple[Tracer | None, np.ndarray]:
+def _part(meshes: Sequence[Mesh], chosen: list[bool], threads: int) -> tuple[Tracer | None, np.ndarray]:
     """Tracer over the chosen meshes, None without meshes, and the numbers of its triangles among all triangles."""
     numbers = [np.arange(span.start, span.stop) for (_, span), wanted in zip(triangles.spans(meshes), chosen) if wanted]
     if not numbers:
         return None, np.zeros(0, np.int64)
-    return Tracer(*triangles.joined([mesh for mesh, wanted in zip(meshes, chosen) if wanted])), np.concatenate(numbers)
+    vertices, corners = triangles.joined([mesh for mesh, wanted in zip(meshes, chosen) if wanted])
+    return Tracer(vertices, corners, threads), np.concatenate(numbers)

@@ -23,6 +23,14 @@ def check_device(device: str) -> None:
         raise BokehguideError("device: cuda: torch finds no CUDA device here; give cpu")
 
 
+def free_memory(device: torch.device) -> float:
+    """Bytes of a GPU that PyTorch may take or holds unused; infinity for other devices."""
+    if device.type != "cuda":
+        return math.inf
+    held = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return torch.cuda.mem_get_info(device)[0] + held
+
+
 def to_host(*tensors: Tensor) -> list[Tensor]:
     """Copies on the host of tensors `[.., N]` with the same N and type. The host waits for the copies.
 

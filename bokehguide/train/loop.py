@@ -24,6 +24,7 @@ from bokehguide.render.light_groups import GroupedLights
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.split_film import SplitFilm
+from bokehguide.runtime.device import free_memory
 from bokehguide.runtime.distributed import Ranks, available_cores
 from bokehguide.runtime.indexing import Pixels, box_pixels, indices, pixel_numbers
 from bokehguide.runtime.timer import PhaseTimer
@@ -31,7 +32,7 @@ from bokehguide.runtime.workers import Workers
 from bokehguide.scene.light_groups import find_light_groups
 from bokehguide.scene.types import Scene
 from bokehguide.train.mattes import triangle_objects
-from bokehguide.train.scheduler import BATCH, GPU_BATCH, Batches
+from bokehguide.train.scheduler import GPU_THREADS, Batches
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.step_stats import BatchResult, StepStats, step_stats
 
@@ -57,10 +58,11 @@ class RenderLoop:
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None = None, tracer: PathTracer | None = None):
         self.scene, self.settings, self.ranks = scene, settings, ranks or Ranks()
         entry, device = MODES[settings.mode], torch.device(settings.device)
+        threads, on_cpu = settings.threads or available_cores(), device.type == "cpu"
         if entry.whole_frame and not self.ranks.alone:
             raise BokehguideError(f"mode: {settings.mode} reuses samples of the whole frame; render it in one process")
         self.camera = ThinLensCamera(scene.camera, scene.film.width, scene.film.height, device)
-        self.tracer = tracer or PathTracer(scene, device)
+        self.tracer = tracer or PathTracer(scene, device, threads=1 if on_cpu else threads)
         self._window = *_, width, height = settings.window(self.camera.width, self.camera.height)
         self._frame_pixels = box_pixels(self._window, self.camera.width).to(device) if settings.crop else None
         """Pixels of the frame that are on the film, int64 `[pixels]`; None if all pixels are."""
@@ -75,10 +77,9 @@ class RenderLoop:
         self.mode = entry.build(context)
         self.film = self._empty_film()
         self.step_number = 0
-        threads = settings.threads or available_cores()
-        self.workers = Workers(threads, device)
-        largest = BATCH if device.type == "cpu" else GPU_BATCH
-        self.batches = Batches(threads, self.mode.lens.paths_per_sample, largest=largest)
+        paths = self.mode.lens.paths_per_sample
+        self.workers = Workers(threads if on_cpu else GPU_THREADS, device)
+        self.batches = Batches(threads, paths) if on_cpu else Batches.on_gpu(free_memory(device), paths)
         self._learns = any(strategy.learns for strategy in self.mode.strategies.values())
         self._phases: Counter[str] = Counter()
         self._mean_luminance = 1.0

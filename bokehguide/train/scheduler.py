@@ -8,11 +8,17 @@ from itertools import pairwise
 
 import numpy as np
 
-BATCH, GPU_BATCH, SMALL_BATCH = 131072, 524288, 28800
-"""Pixels of a batch: largest number on a CPU and on a GPU, and smallest number if there are several batches.
+BATCH, SMALL_BATCH = 131072, 28800
+"""Pixels of a batch on a CPU: largest number, and smallest number if there are several batches.
 
 The overhead of a batch does not depend on its size, but its memory does. Above BATCH pixels, the overhead on a CPU is too small
 to measure. Below SMALL_BATCH pixels, the overhead exceeds the gain of another thread. All threads have equally many batches."""
+GPU_BATCH, SMALL_GPU_BATCH = 1048576, 131072
+"""As BATCH and SMALL_BATCH, on a GPU with enough memory. The overhead of a batch is large: each operation is a kernel launch."""
+GPU_THREADS = 2
+"""Threads that launch kernels on a GPU: one launches while the other traces rays. More would wait for the interpreter."""
+PATH_BYTES, GPU_SHARE = 8192, 0.5
+"""Memory of a path on a GPU, and the share of the free memory that all batches may take."""
 SHORTEST, LONGEST = 0.5, 1.5
 """Least size of a span over the mean size, and largest size over the intended size, before bounds move to allowed cuts."""
 
@@ -34,6 +40,12 @@ class Batches:
         """Bounds of the spans, as fractions of the row."""
         self._longest = 1.0
         """Largest size of a span over the mean."""
+
+    @classmethod
+    def on_gpu(cls, free: float, paths: int = 1) -> Batches:
+        """Batches for GPU_THREADS threads and a GPU with `free` bytes of memory."""
+        largest = int(min(GPU_BATCH, GPU_SHARE * free / (GPU_THREADS * PATH_BYTES)))
+        return cls(GPU_THREADS, paths, min(SMALL_GPU_BATCH, largest // (2 * paths)), largest)
 
     def spans(self, pixels: int, ends: np.ndarray | None = None) -> list[slice]:
         """Consecutive spans of `pixels` pixels, none of them empty.

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from bokehguide.render import tracer as tracer_module
 from bokehguide.render.tracer import MISS_DISTANCE, Tracer
+from bokehguide.runtime import native
 from tests.support.brute_force import every_hit
 
 
@@ -101,6 +103,20 @@ def test_any_memory_layout_gives_the_same_hits(soup):
     assert torch.equal(tracer.intersect(*rows).triangle, straight.triangle)
     every_other = tracer.intersect(torch.from_numpy(origins)[:, ::2], torch.from_numpy(directions)[:, ::2])
     assert torch.equal(every_other.triangle, straight.triangle[::2])
+
+
+@pytest.mark.parametrize("core", ["0", "1"])
+@pytest.mark.parametrize("threads", [2, 3, 16])
+def test_threads_give_the_bits_of_one_thread(soup, threads, core, monkeypatch):
+    monkeypatch.setenv(native.SWITCH, core)
+    monkeypatch.setattr(tracer_module, "PART", 700)
+    vertices, triangles, *rays = soup
+    rays = [torch.from_numpy(rows) for rows in rays]
+    one, several = Tracer(vertices, triangles), Tracer(vertices, triangles, threads)
+    limits = torch.linspace(0.1, 3.0, rays[0].shape[1])
+    for given in (rays, [*rays, limits], [rows[:, ::2] for rows in rays], [rows[:, :699] for rows in rays]):
+        assert all(torch.equal(*fields) for fields in zip(one.intersect(*given), several.intersect(*given)))
+    assert torch.equal(one.visible(*rays, limits), several.visible(*rays, limits))
 
 
 def test_no_rays_at_all(soup):

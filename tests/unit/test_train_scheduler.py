@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bokehguide.train.scheduler import BATCH, GPU_BATCH, LONGEST, SHORTEST, SMALL_BATCH, Batches
+from bokehguide.train.scheduler import (
+    BATCH,
+    GPU_BATCH,
+    GPU_SHARE,
+    GPU_THREADS,
+    LONGEST,
+    PATH_BYTES,
+    SHORTEST,
+    SMALL_BATCH,
+    SMALL_GPU_BATCH,
+    Batches,
+)
 
 
 def lengths(spans: list[slice]) -> np.ndarray:
@@ -51,12 +62,26 @@ def test_where_they_cannot_cost_the_same_they_come_as_near_as_their_sizes_may():
 
 
 @pytest.mark.parametrize("paths", [1, 2])
-@pytest.mark.parametrize("largest", [BATCH, GPU_BATCH])
-def test_they_have_the_largest_number_of_pixels_over_the_number_of_paths(paths, largest):
-    batches, count = Batches(2, paths, largest=largest), 4 * paths
+@pytest.mark.parametrize("gpu", [False, True])
+def test_they_have_the_largest_number_of_pixels_over_the_number_of_paths(paths, gpu):
+    batches, largest = (Batches.on_gpu(float("inf"), paths), GPU_BATCH) if gpu else (Batches(2, paths), BATCH)
     for _ in range(2):
-        assert lengths(batches.spans(4 * largest)).tolist() == [largest // paths] * count
-        batches.cost([1.0] * count)
+        assert lengths(batches.spans(4 * largest)).tolist() == [largest // paths] * 4 * paths
+        batches.cost([1.0] * 4 * paths)
+
+
+@pytest.mark.parametrize("paths", [1, 2])
+@pytest.mark.parametrize("gigabytes", [0.1, 2.0, 6.0])
+def test_the_batches_of_a_gpu_fit_its_free_memory(gigabytes, paths):
+    """All threads together take a share of the memory, whatever the size of the picture."""
+    free = gigabytes * 1e9
+    for pixels in (320 * 180, 640 * 360, 1920 * 1080, 3840 * 2160):
+        longest = max(lengths(Batches.on_gpu(free, paths).spans(pixels)))
+        assert longest * paths * PATH_BYTES * GPU_THREADS <= GPU_SHARE * free
+
+
+def test_a_gpu_renders_a_small_picture_in_one_batch():
+    assert len(Batches.on_gpu(float("inf")).spans(2 * SMALL_GPU_BATCH - 1)) == 1
 
 
 def test_another_number_of_spans_begins_with_even_ones():
