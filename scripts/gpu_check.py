@@ -60,9 +60,10 @@ PAPER = {
 def main() -> int:
     args = parse()
     check_device(args.device)
-    rows, speed = all_means(args), all_steps(args)
+    rows = all_means(args)
     failed = sum(row["p"] < 1.0 - (1.0 - LEVEL) ** (1.0 / len(rows)) for row in rows)
-    print(f"Means, {args.device} and CPU\n\n{table(rows)}\n\n{failed} of {len(rows)} tests fail\n")
+    print(f"Means, {args.device} and CPU\n\n{table(rows)}\n\n{failed} of {len(rows)} tests fail\n", flush=True)
+    speed = all_steps(args)
     print(f"Steps at {'x'.join(map(str, frame_of(args)))}, {device_name(args.device)}\n\n{table(speed)}\n")
     guide = guide_parts(speed)
     print(f"Guide, milliseconds per SPP\n\n{table(guide)}")

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from bokehguide.guiding.cluster_lights import ClusterTables, Counts, MixtureLights, VoxelLights, sample_counts
 from bokehguide.guiding.config import GuidedConfig
@@ -30,8 +31,8 @@ TILES, SMALLEST = 80, 4
 """Largest number of tiles along the longer side of the frame, and least side of a tile in pixels.
 
 A smaller tile has too few samples to learn from."""
-POOLS = ((1, 0.5), (3, 0.3), (7, 0.2))
-"""Squares of tiles over which second moments are averaged: tiles along the side, and weight of the average."""
+OWN, POOLS = 0.5, ((3, 0.3), (7, 0.2))
+"""Weight of a tile's own second moments, and squares of tiles over which they are averaged: tiles along the side, and weight."""
 PRIOR_VISIBLE = 0.2
 """Prior: number of visible samples of each cluster in each tile before the first sample."""
 MIN_VISIBILITY = 0.05
@@ -202,14 +203,13 @@ class LearnedLightSampler(RankSums, LightSampler):
         return torch.stack([moved(each.T, torch.where(pixel >= 0, place, -1)).T for each in sums])
 
     def _pooled(self, total: Tensor) -> Tensor:
-        """A sum `[tiles, clusters]`, averaged over the squares around each tile."""
-        clusters = total.shape[1]
-        pooled = torch.zeros(self._down, self._across, clusters, dtype=total.dtype, device=total.device)
+        """A sum `[tiles, clusters]`, averaged over the squares around each tile, which are smaller at the edges of the frame."""
+        tiles = total.view(1, self._down, self._across, -1).permute(0, 3, 1, 2)
+        pooled = OWN * tiles
         for width, share in POOLS:
-            of_rows, of_columns = (_means(count, width).to(total.device) for count in (self._down, self._across))
-            rows = (of_rows @ total.view(self._down, -1)).view(pooled.shape)
-            pooled.add_(of_columns @ rows, alpha=share)
-        return pooled.view(total.shape)
+            rows = avg_pool2d(tiles, (width, 1), 1, (width // 2, 0), count_include_pad=False)
+            pooled.add_(avg_pool2d(rows, (1, width), 1, (0, width // 2), count_include_pad=False), alpha=share)
+        return pooled.permute(0, 2, 3, 1).reshape(total.shape)
 
     def load_state_dict(self, state_dict, *args, **kwargs):
         """Restore the state. Raises ValueError where probabilities are negative or rows do not sum to 1."""
@@ -227,10 +227,3 @@ def _rows(tiles: Tensor, clusters: Tensor, contribution_rms: Tensor, visibility:
     counted = (clusters >= 0).double()
     contribution_rms = contribution_rms.double().nan_to_num(0.0, MAX_CONTRIBUTION).clamp(max=MAX_CONTRIBUTION)
     return tiles * count + clusters.clamp(min=0), contribution_rms * contribution_rms * counted, counted, visibility * counted
-
-
-def _means(count: int, width: int) -> Tensor:
-    """Matrix that averages `count` tiles over windows of `width` tiles, shorter at the ends, float64 `[count, count]`."""
-    place = torch.arange(count)
-    near = ((place - place[:, None]).abs() <= width // 2).double()
-    return near / near.sum(1, keepdim=True)

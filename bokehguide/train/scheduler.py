@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-BATCH, SMALL_BATCH = 131072, 28800
+BATCH, SMALL_BATCH = 131072, 9600
 """Pixels of a batch on a CPU: largest number, and smallest number if there are several batches.
 
 The overhead of a batch does not depend on its size, but its memory does. Above BATCH pixels, the overhead on a CPU is too small

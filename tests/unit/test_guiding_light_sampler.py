@@ -10,7 +10,7 @@ import torch
 
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.learned_lights import LearnedLights
-from bokehguide.guiding.light_sampler import MIN_VISIBILITY, POOLS, PRIOR_VISIBLE, SMALLEST, TILES, LearnedLightSampler
+from bokehguide.guiding.light_sampler import MIN_VISIBILITY, OWN, POOLS, PRIOR_VISIBLE, SMALLEST, TILES, LearnedLightSampler
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectangle
 from bokehguide.scene.types import Camera, FilmSettings, Material, Scene
@@ -102,7 +102,7 @@ def test_the_probability_is_proportional_to_the_roots_of_pooled_moments():
     for row in range(12):
         for column in range(20):
             pooled = 0.0
-            for size, share in POOLS:
+            for size, share in ((1, OWN), *POOLS):
                 half = size // 2
                 around = sums[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
                 pooled = pooled + share * around.mean((0, 1))
