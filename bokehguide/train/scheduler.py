@@ -8,13 +8,16 @@ from itertools import pairwise
 
 import numpy as np
 
-BATCH, SMALL_BATCH = 131072, 9600
-"""Pixels of a batch on a CPU: largest number, and smallest number if there are several batches.
+BATCH = 131072
+"""Largest number of pixels of a batch on a CPU. The overhead of a larger batch is too small to measure."""
+OVERHEAD = 1600
+"""Pixels whose work on a CPU takes as long as the overhead of a batch, in `lis-o` (700 in `uniform`, 900 in `guided`).
 
-The overhead of a batch does not depend on its size, but its memory does. Above BATCH pixels, the overhead on a CPU is too small
-to measure. Below SMALL_BATCH pixels, the overhead exceeds the gain of another thread. All threads have equally many batches."""
+The overhead holds the interpreter's lock. Therefore the overheads of all batches together should not take longer than one batch:
+pixels / n = n · OVERHEAD for n batches."""
 GPU_BATCH, SMALL_GPU_BATCH = 1048576, 131072
-"""As BATCH and SMALL_BATCH, on a GPU with enough memory. The overhead of a batch is large: each operation is a kernel launch."""
+"""Largest and smallest number of pixels of a batch on a GPU with enough memory. The overhead of a batch is large, as each operation
+is a kernel launch."""
 GPU_THREADS = 2
 """Threads that launch kernels on a GPU: one launches while the other traces rays. More would wait for the interpreter."""
 PATH_BYTES, GPU_SHARE = 8192, 0.5
@@ -30,7 +33,7 @@ class Batches:
     of rays; seconds are not reproducible.
 
     paths: approximate number of paths of a pixel. The largest number of pixels is divided by this number. smallest: number of
-    pixels of a batch, at least, if there are several; None: SMALL_BATCH.
+    pixels of a batch, at least, if there are several; None: by OVERHEAD.
     """
 
     def __init__(self, threads: int, paths: int = 1, smallest: int | None = None, largest: int = BATCH):
@@ -55,7 +58,9 @@ class Batches:
         if pixels == 0:
             return []
         rounds = math.ceil(pixels / (self._most * self._threads))
-        count = max(min(rounds * self._threads, pixels // (self._smallest or SMALL_BATCH)), 1)
+        count = rounds * self._threads  # all threads have equally many
+        if rounds == 1:
+            count = max(min(count, int(pixels / (self._smallest or math.sqrt(OVERHEAD * pixels)))), 1)
         if len(self._cuts) != count + 1:  # another size, or spans merged at equal ends
             self._cuts = np.linspace(0.0, 1.0, count + 1)
         self._longest = LONGEST * self._most * count / pixels

@@ -462,7 +462,7 @@ def test_a_sample_that_is_not_finite_stays_in_its_own_pixel():
 @pytest.mark.slow
 @pytest.mark.parametrize("crop", [None, (2, 0, 21, 37)], ids=["frame", "crop"])
 def test_where_batches_are_cut_changes_no_bit(crop, monkeypatch):
-    monkeypatch.setattr("bokehguide.train.scheduler.SMALL_BATCH", 40)
+    monkeypatch.setattr("bokehguide.train.scheduler.OVERHEAD", 1)
 
     def rendered(threads: int) -> RenderLoop:
         settings = RenderSettings("guided", seed=1, threads=threads, crop=crop)
@@ -484,7 +484,7 @@ def test_where_batches_are_cut_changes_no_bit(crop, monkeypatch):
 
 def test_batches_hold_whole_bands(monkeypatch):
     """Also batches of scattered pixels."""
-    monkeypatch.setattr("bokehguide.train.scheduler.SMALL_BATCH", 60)
+    monkeypatch.setattr("bokehguide.train.scheduler.OVERHEAD", 1)
     loop = loop_of(terrace(24, 37), threads=4)
     active = torch.rand(24 * 37, generator=torch.Generator().manual_seed(3)) < 0.3
     for _ in range(2):

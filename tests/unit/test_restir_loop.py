@@ -37,7 +37,7 @@ def rendered(mode: str, threads: int = 1, steps: int = 3) -> RenderLoop:
 @pytest.mark.parametrize("mode", RESTIR_MODES)
 def test_any_number_of_threads_gives_the_same_bits(mode, few_neighbours, monkeypatch):
     """Of a frame cut into several batches, which take samples from each other."""
-    monkeypatch.setattr("bokehguide.train.scheduler.SMALL_BATCH", 100)
+    monkeypatch.setattr("bokehguide.train.scheduler.OVERHEAD", 1)
     one, two = rendered(mode).film.layers(), rendered(mode, threads=2).film.layers()
     for name, layer in one.items():
         np.testing.assert_array_equal(layer, two[name], err_msg=name)

@@ -88,7 +88,7 @@ def test_the_bits_are_those_of_an_uninterrupted_render(mode, tmp_path):
 @pytest.mark.parametrize("mode", ["uniform", "lis-o", "guided"])
 def test_where_batches_were_cut_leaves_no_trace(mode, tmp_path, monkeypatch):
     """Cuts move from step to step, and begin elsewhere in a render that goes on."""
-    monkeypatch.setattr("bokehguide.train.scheduler.SMALL_BATCH", 50)
+    monkeypatch.setattr("bokehguide.train.scheduler.OVERHEAD", 1)
     loop = RenderLoop(scene(mode), replace(settings(mode), threads=3))
     save_checkpoint(tmp_path / "a.ckpt", onwards(loop, 5), 0.0)
     again = RenderLoop(scene(mode), replace(settings(mode), threads=3))

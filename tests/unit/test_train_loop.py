@@ -38,7 +38,7 @@ def rendered(mode: str, threads: int = 1, seed: int = 0) -> RenderLoop:
 @pytest.mark.parametrize("mode", LENS_MODES)
 def test_any_number_of_threads_gives_the_same_bits(mode, monkeypatch):
     """Of a frame cut into several batches."""
-    monkeypatch.setattr("bokehguide.train.scheduler.SMALL_BATCH", 100)
+    monkeypatch.setattr("bokehguide.train.scheduler.OVERHEAD", 1)
     one = rendered(mode)
     for threads in (2, 3):
         assert_same_bits(one, rendered(mode, threads))
@@ -52,7 +52,7 @@ def test_so_it_does_where_few_batches_are_guided(mode, monkeypatch):
     lens = replace(scenes.emitters(80, 45).camera, aperture_radius=radius)
     area = math.pi * torch.tensor(radius) ** 2
     assert float(1.0 / (area * (1.0 / area))) != 1.0
-    monkeypatch.setattr("bokehguide.train.scheduler.SMALL_BATCH", 100)
+    monkeypatch.setattr("bokehguide.train.scheduler.OVERHEAD", 1)
 
     def picture(threads: int) -> RenderLoop:
         loop = RenderLoop(replace(scenes.emitters(80, 45), camera=lens), RenderSettings(mode, threads=threads))

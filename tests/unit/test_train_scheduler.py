@@ -11,12 +11,15 @@ from bokehguide.train.scheduler import (
     GPU_SHARE,
     GPU_THREADS,
     LONGEST,
+    OVERHEAD,
     PATH_BYTES,
     SHORTEST,
-    SMALL_BATCH,
     SMALL_GPU_BATCH,
     Batches,
 )
+
+SMALL = 28_800
+"""Pixels of a batch that has little overhead."""
 
 
 def lengths(spans: list[slice]) -> np.ndarray:
@@ -25,7 +28,7 @@ def lengths(spans: list[slice]) -> np.ndarray:
 
 @pytest.mark.parametrize("paths", [1, 4])
 @pytest.mark.parametrize("threads", [1, 2, 16])
-@pytest.mark.parametrize("pixels", [0, 1, SMALL_BATCH, 3 * SMALL_BATCH + 1, BATCH, 1280 * 720, 10 * BATCH])
+@pytest.mark.parametrize("pixels", [0, 1, SMALL, 3 * SMALL + 1, BATCH, 1280 * 720, 10 * BATCH])
 def test_every_pixel_is_in_one_span_of_a_fair_size(pixels, threads, paths):
     """Whatever the spans cost: from one step to the next that may change as it likes."""
     batches, rng = Batches(threads, paths), np.random.default_rng(1)
@@ -80,6 +83,14 @@ def test_the_batches_of_a_gpu_fit_its_free_memory(gigabytes, paths):
         assert longest * paths * PATH_BYTES * GPU_THREADS <= GPU_SHARE * free
 
 
+@pytest.mark.parametrize("pixels", [1, OVERHEAD, 192 * 108, 320 * 180, 640 * 360, 1280 * 720])
+def test_the_overhead_of_all_batches_takes_no_longer_than_one_batch(pixels):
+    """On any number of threads; another batch would break the rule."""
+    count = len(Batches(1000).spans(pixels))
+    assert count == 1 or count * OVERHEAD <= pixels / count
+    assert (count + 1) * OVERHEAD > pixels / (count + 1)
+
+
 def test_a_gpu_renders_a_small_picture_in_one_batch():
     assert len(Batches.on_gpu(float("inf")).spans(2 * SMALL_GPU_BATCH - 1)) == 1
 
@@ -100,7 +111,7 @@ def bands(pixels: int, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("threads", [1, 3, 16])
-@pytest.mark.parametrize("pixels", [0, 1, 100, SMALL_BATCH, 7 * SMALL_BATCH + 1, 4 * BATCH])
+@pytest.mark.parametrize("pixels", [0, 1, 100, SMALL, 7 * SMALL + 1, 4 * BATCH])
 def test_they_are_cut_where_they_may_be_and_every_pixel_is_in_one_span(pixels, threads):
     """Whatever they cost, and whatever the ends are from step to step."""
     batches, rng = Batches(threads), np.random.default_rng(1)
@@ -114,12 +125,12 @@ def test_they_are_cut_where_they_may_be_and_every_pixel_is_in_one_span(pixels, t
 
 
 def test_each_cut_is_at_the_nearest_end():
-    spans = Batches(4).spans(4 * SMALL_BATCH, np.array([0, 20_000, 30_000, 55_000, 70_000, 80_000, 4 * SMALL_BATCH]))
-    assert [span.stop for span in spans] == [30_000, 55_000, 80_000, 4 * SMALL_BATCH]
+    spans = Batches(4).spans(4 * SMALL, np.array([0, 20_000, 30_000, 55_000, 70_000, 80_000, 4 * SMALL]))
+    assert [span.stop for span in spans] == [30_000, 55_000, 80_000, 4 * SMALL]
 
 
 def test_where_there_are_fewer_ends_than_spans_there_are_fewer_spans():
-    pixels = 8 * SMALL_BATCH
+    pixels = 8 * SMALL
     batches = Batches(8)
     assert len(batches.spans(pixels)) == 8
     for _ in range(5):
