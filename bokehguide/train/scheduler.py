@@ -16,8 +16,7 @@ OVERHEAD = 1600
 The overhead holds the interpreter's lock. Therefore the overheads of all batches together should not take longer than one batch:
 pixels / n = n · OVERHEAD for n batches."""
 GPU_BATCH, SMALL_GPU_BATCH = 1048576, 131072
-"""Largest and smallest number of pixels of a batch on a GPU with enough memory. The overhead of a batch is large, as each operation
-is a kernel launch."""
+"""Largest and smallest number of pixels of a batch on a GPU with enough memory. Each operation of a batch is a kernel launch."""
 GPU_THREADS = 2
 """Threads that launch kernels on a GPU: one launches while the other traces rays. More would wait for the interpreter."""
 PATH_BYTES, GPU_SHARE = 8192, 0.5
