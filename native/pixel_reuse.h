@@ -281,52 +281,147 @@ inline int64_t trace_views(const Tables& t, const LensCamera& lens, const LensSa
     return rays;
 }
 
-// Radiance of the samples as their viewers see them (`_radiance`), in place of the directions of the views.
-class SeenRadiance {
+// Radiance of the samples as their viewers see them, over the scale of the source (`_seen_radiance`), in place of the directions of the
+// views; and the weights of directions for the pixels' own samples (`_own_radiance`).
+class alignas(64) SeenRadiance {
   public:
-    SeenRadiance(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views, const ReusedGroups* groups)
-        : t_(t), samples_(samples), record_(record), views_(views), groups_(groups) {}
+    SeenRadiance(const Tables& t, const LensSamples& samples, const HitRecord& record, const ViewRows& views, const OwnSamples& own,
+                 const float* density, const ReusedGroups* groups, float* radiance)
+        : t_(t), samples_(samples), record_(record), views_(views), own_(own), density_(density), groups_(groups), radiance_(radiance) {}
 
     void run() {
-        for (int64_t first = 0, end; first < views_.count; first = end) {
-            for (end = first; end < views_.count && end < first + LANES && views_.source[end] == views_.source[first];) ++end;
-            shade(first, int(end - first));
+        for (int64_t end; first_ < views_.count; first_ = end) {
+            source_ = views_.source[first_];
+            for (end = first_; end < views_.count && views_.source[end] == source_;) ++end;
+            count_ = int(end - first_);
+            shade();
         }
     }
 
   private:
+    static constexpr int MOST = 64, VECTORS = MOST / LANES;  // views of a hit
+    static constexpr int PATHS = 4;  // shaded together
     const Tables& t_;
     const LensSamples& samples_;
     const HitRecord& record_;
     const ViewRows& views_;
+    const OwnSamples& own_;
+    const float* density_;
     const ReusedGroups* groups_;
-    Vec3 parts_[bokehguide::MOST_LIGHT_GROUPS];
+    float* radiance_;
+    int64_t first_ = 0;
+    int32_t source_ = 0;
+    int count_ = 0;
+    Vec3 light_[VECTORS], values_[PATHS][2][VECTORS], parts_[bokehguide::MOST_LIGHT_GROUPS][VECTORS];
+    float ratio_[PATHS][2];  // weight of a direction over that of the lens point
 
-    // A vector of views of one hit, or fewer.
-    void shade(int64_t first, int count) {
-        const int32_t source = views_.source[first], hit = views_.place[source];
-        for (int group = 0; groups_ != nullptr && group < groups_->count; ++group) {
-            const float* const own = groups_->own + 3 * group * samples_.count + source;
-            parts_[group] = hit >= 0 ? grey(all(0.0f)) : Vec3{all(own[0]), all(own[samples_.count]), all(own[2 * samples_.count])};
+    int vectors() const { return (count_ + LANES - 1) / LANES; }
+
+    // All views of one hit.
+    void shade() {
+        const int32_t hit = views_.place[source_];
+        for (int v = 0; v < vectors(); ++v) begin(v, hit);
+        if (hit >= 0 && views_.scale[source_] > 0.0f) {
+            const int32_t start = record_.light.first_path[hit], end = start + record_.light.paths[hit];
+            for (int32_t path = start; path < end; path += PATHS) reflect(hit, path, end - path < PATHS ? int(end - path) : PATHS);
         }
-        const float* const own = samples_.radiance + source;
-        Vec3 light = {all(own[0]), all(own[samples_.count]), all(own[2 * samples_.count])};
-        if (hit >= 0) light = radiance(hit, outgoing(first, count));
-        for (int lane = 0; lane < count; ++lane) {
-            float* const to = views_.outgoing + first + lane;
-            to[0] = light.x[lane], to[views_.columns] = light.y[lane], to[2 * views_.columns] = light.z[lane];
+        for (int lane = 0; lane < count_; ++lane) {
+            const Vec3& light = light_[lane / LANES];
+            float* const to = views_.outgoing + first_ + lane;
+            to[0] = light.x[lane % LANES], to[views_.columns] = light.y[lane % LANES], to[2 * views_.columns] = light.z[lane % LANES];
         }
-        if (groups_ != nullptr) add_groups(first, count, light);
+        if (groups_ != nullptr) add_groups();
     }
-    // Add the views to the groups where their `light` is finite, as in the sum of all groups.
-    void add_groups(int64_t first, int count, Vec3 light) {
-        for (int lane = 0; lane < count; ++lane) {
-            const int64_t view = first + lane;
-            const float share = views_.passing[view] * views_.jacobian[view] * views_.scale[views_.source[view]];
-            const float all_groups[3] = {light.x[lane] * share, light.y[lane] * share, light.z[lane] * share};
+    // Emission, or radiance from infinity.
+    void begin(int v, int32_t hit) {
+        for (int group = 0; groups_ != nullptr && group < groups_->count; ++group) {
+            const float* const own = groups_->own + 3 * group * samples_.count + source_;
+            parts_[group][v] = hit >= 0 ? grey(all(0.0f)) : Vec3{all(own[0]), all(own[samples_.count]), all(own[2 * samples_.count])};
+        }
+        const float* const own = samples_.radiance + source_;
+        light_[v] = {all(own[0]), all(own[samples_.count]), all(own[2 * samples_.count])};
+        if (hit < 0) return;
+        const int64_t columns = record_.light.hit_columns;
+        const float* const emitted = record_.emission + hit;
+        light_[v] = {all(emitted[0]), all(emitted[columns]), all(emitted[2 * columns])};
+        if (!t_.plain_emission) {
+            const Hits at = {all(record_.triangle[hit]), all(record_.distance[hit]), all(record_.u[hit]), all(record_.v[hit])};
+            light_[v] = emission(t_, at, all(record_.light.surface[FRONT_ROW * columns + hit]), outgoing(v), all(-1));
+        }
+        if (groups_ != nullptr) parts_[groups_->materials[t_.triangles[record_.triangle[hit]].material]][v] = light_[v];
+    }
+    // Add the light of some paths of the hit.
+    void reflect(int32_t hit, int32_t start, int paths) {
+        const PathLight& of = record_.light;
+        for (int v = 0; v < vectors(); ++v) {
+            const RecordedScattering scattering(t_, of, hit, outgoing(v));
+            for (int i = 0; i < paths; ++i) {
+                for (int kind = 0; kind < 2; ++kind) {
+                    if (is_lit(of, start + i, kind)) values_[i][kind][v] = scattering.evaluate(of, start + i, kind);
+                }
+            }
+        }
+        for (int i = 0; i < paths; ++i) weigh(start + i, i);
+        for (int v = 0; v < vectors(); ++v) {
+            for (int i = 0; i < paths; ++i) {
+                Vec3 light = grey(all(0.0f));
+                for (int kind = 0; kind < 2; ++kind) {
+                    if (!is_lit(of, start + i, kind)) continue;
+                    const Vec3 value = values_[i][kind][v] * all(ratio_[i][kind]);
+                    light = light + value * incident_light(of, start + i, kind);
+                    if (groups_ != nullptr) add_parts(start + i, kind, value, v);
+                }
+                light_[v] = light_[v] + light;
+            }
+        }
+    }
+    // The weights of the directions of a path, and the pixel's own sample with these weights.
+    void weigh(int32_t path, int number) {
+        const PathLight& of = record_.light;
+        const float passed = own_.transmittance ? own_.transmittance[source_] : 1.0f, scale = views_.scale[source_];
+        const float passing = samples_.weight[source_] > 0.0f ? own_.passing[source_] * passed : 0.0f;
+        for (int kind = 0; kind < 2; ++kind) {
+            if (!is_lit(of, path, kind)) continue;
+            const auto at = [&](const float* rows, int channel) { return rows[(3 * kind + channel) * of.path_columns + path]; };
+            const float own = luminance(Vec3{all(at(of.bsdf, 0)), all(at(of.bsdf, 1)), all(at(of.bsdf, 2))})[0];
+            float sum = own_.density[source_] * passed * own;
+            for (int lane = 0; lane < count_; ++lane) {
+                const float density = density_[first_ + lane] * views_.jacobian[first_ + lane];
+                sum += density * luminance(values_[number][kind][lane / LANES])[lane % LANES];
+            }
+            const float factor = sum > 0.0f ? own / sum : 0.0f, more = passing * (factor - scale);
+            ratio_[number][kind] = factor / scale;
+            for (int channel = 0; channel < 3; ++channel) {
+                radiance_[channel * samples_.count + source_] += at(of.bsdf, channel) * at(of.incident, channel) * more;
+                for (int group = 0; groups_ != nullptr && group < groups_->count; ++group) {
+                    const float reflected = groups_->reflected[(6 * group + 3 * kind + channel) * of.path_columns + path];
+                    if (at(of.bsdf, channel) > FAINTEST) groups_->radiance[(3 * group + channel) * samples_.count + source_] += reflected * more;
+                }
+            }
+        }
+    }
+    // Add the radiance of light groups by way of one path and one kind of sample; value: BSDF times cosine and weight.
+    void add_parts(int32_t path, int kind, Vec3 value, int v) {
+        const int64_t columns = record_.light.path_columns;
+        const float* const bsdf = groups_->bsdf + 3 * kind * columns + path;
+        const auto ratio = [&](Float x, float of) { return of > FAINTEST ? x / of : all(0.0f); };
+        const Vec3 scale = {ratio(value.x, bsdf[0]), ratio(value.y, bsdf[columns]), ratio(value.z, bsdf[2 * columns])};
+        for (int group = 0; group < groups_->count; ++group) {
+            const float* const from = groups_->reflected + (6 * group + 3 * kind) * columns + path;
+            if (from[0] == 0.0f && from[columns] == 0.0f && from[2 * columns] == 0.0f) continue;
+            parts_[group][v] = parts_[group][v] + scale * Vec3{all(from[0]), all(from[columns]), all(from[2 * columns])};
+        }
+    }
+    // Add the views to the groups where their light is finite, as in the sum of all groups.
+    void add_groups() {
+        for (int lane = 0; lane < count_; ++lane) {
+            const int64_t view = first_ + lane;
+            const int v = lane / LANES, at = lane % LANES;
+            const float share = views_.passing[view] * views_.jacobian[view] * views_.scale[source_];
+            const float all_groups[3] = {light_[v].x[at] * share, light_[v].y[at] * share, light_[v].z[at] * share};
             if (!std::isfinite(share)) continue;
             for (int group = 0; group < groups_->count; ++group) {
-                const float channels[3] = {parts_[group].x[lane], parts_[group].y[lane], parts_[group].z[lane]};
+                const float channels[3] = {parts_[group][v].x[at], parts_[group][v].y[at], parts_[group][v].z[at]};
                 float* const to = groups_->radiance + 3 * group * samples_.count + views_.viewer[view];
                 for (int channel = 0; channel < 3; ++channel) {
                     const float seen = channels[channel] * share;
@@ -335,25 +430,14 @@ class SeenRadiance {
             }
         }
     }
-    Vec3 outgoing(int64_t first, int count) const {
+    Vec3 outgoing(int v) const {
         Vec3 found;
         for (int lane = 0; lane < LANES; ++lane) {
-            const float* const from = views_.outgoing + first + (lane < count ? lane : count - 1);
+            const int number = v * LANES + lane;
+            const float* const from = views_.outgoing + first_ + (number < count_ ? number : count_ - 1);
             found.x[lane] = from[0], found.y[lane] = from[views_.columns], found.z[lane] = from[2 * views_.columns];
         }
         return found;
-    }
-    Vec3 radiance(int32_t hit, Vec3 outgoing) {
-        const int64_t columns = record_.light.hit_columns;
-        const float* const emitted = record_.emission + hit;
-        Vec3 light = {all(emitted[0]), all(emitted[columns]), all(emitted[2 * columns])};
-        if (!t_.plain_emission) {
-            const Hits at = {all(record_.triangle[hit]), all(record_.distance[hit]), all(record_.u[hit]), all(record_.v[hit])};
-            light = emission(t_, at, all(record_.light.surface[FRONT_ROW * columns + hit]), outgoing, all(-1));
-        }
-        if (groups_ == nullptr) return light + reflected(t_, record_.light, hit, outgoing, nullptr, nullptr);
-        parts_[groups_->materials[t_.triangles[record_.triangle[hit]].material]] = light;
-        return light + reflected(t_, record_.light, hit, outgoing, groups_, parts_);
     }
 };
 
@@ -372,13 +456,15 @@ inline void add_views(const Tables& t, const LensSamples& samples, const HitReco
     for (int row = 0; groups != nullptr && row < 3 * groups->count; ++row) {
         for (int64_t i = 0; i < count; ++i) groups->radiance[row * count + i] = groups->own[row * count + i] * weight[i];
     }
-    SeenRadiance(t, samples, record, views, groups).run();
+    SeenRadiance* const seen = new (std::align_val_t(64)) SeenRadiance(t, samples, record, views, own, density, groups, radiance);
+    seen->run();
+    operator delete(seen, std::align_val_t(64));
     for (int64_t first = 0; first < views.count; first += LANES) {
         const int size = views.count - first < LANES ? int(views.count - first) : LANES;
         const Int source = first_lanes(size) ? load<Int>(views.source + first) : all(0);
         const Float share = or_zero(load<Float>(views.passing + first) * load<Float>(views.jacobian + first) * gather(scale, source));
-        const auto seen = [&](int channel) { return or_zero(load<Float>(views.outgoing + channel * views.columns + first) * share); };
-        const Float channels[3] = {seen(0), seen(1), seen(2)};
+        const auto weighted = [&](int channel) { return or_zero(load<Float>(views.outgoing + channel * views.columns + first) * share); };
+        const Float channels[3] = {weighted(0), weighted(1), weighted(2)};
         for (int lane = 0; lane < size; ++lane) {
             const int32_t viewer = views.viewer[first + lane];
             weight[viewer] += share[lane];

@@ -35,41 +35,35 @@ inline Surface recorded_surface(const Tables& t, const PathLight& of, int32_t hi
     return s;
 }
 
-// Adds the radiance of light groups by way of one path and one kind of sample to `parts`; value: BSDF times cosine.
-inline void add_parts(const ReusedGroups& groups, int64_t columns, int32_t path, int kind, Vec3 value, Vec3* parts) {
-    const float* const bsdf = groups.bsdf + 3 * kind * columns + path;
-    const auto ratio = [&](Float x, float of) { return of > FAINTEST ? x / of : all(0.0f); };
-    const Vec3 scale = {ratio(value.x, bsdf[0]), ratio(value.y, bsdf[columns]), ratio(value.z, bsdf[2 * columns])};
-    for (int group = 0; group < groups.count; ++group) {
-        const float* const from = groups.reflected + (6 * group + 3 * kind) * columns + path;
-        if (from[0] == 0.0f && from[columns] == 0.0f && from[2 * columns] == 0.0f) continue;
-        parts[group] = parts[group] + scale * Vec3{all(from[0]), all(from[columns]), all(from[2 * columns])};
-    }
+// Whether light comes from a direction of a path: of its light sample or of its BSDF sample.
+inline bool is_lit(const PathLight& of, int32_t path, int kind) {
+    const float* const incident = of.incident + 3 * kind * of.path_columns + path;
+    return incident[0] != 0.0f || incident[of.path_columns] != 0.0f || incident[2 * of.path_columns] != 0.0f;
 }
+inline Vec3 path_column(const PathLight& of, const float* rows, int32_t path) {
+    return {all(rows[path]), all(rows[of.path_columns + path]), all(rows[2 * of.path_columns + path])};
+}
+inline Vec3 incident_light(const PathLight& of, int32_t path, int kind) { return path_column(of, of.incident + 3 * kind * of.path_columns, path); }
 
-// Radiance of one hit towards a vector of unit directions, added up over the paths of the hit (`PrimaryHits.radiance` without emission).
-// parts: the radiance of light groups is added to them; null for none.
-inline Vec3 reflected(const Tables& t, const PathLight& of, int32_t hit, Vec3 outgoing, const ReusedGroups* groups, Vec3* parts) {
-    const float* directions[2] = {of.light_direction, of.scattered_direction};
-    Surface s = recorded_surface(t, of, hit);
-    s.outgoing = outgoing;
-    const Scattering scattering = opaque_part(t, s);
-    const auto column = [&](const float* rows, int32_t path) {
-        return Vec3{all(rows[path]), all(rows[of.path_columns + path]), all(rows[2 * of.path_columns + path])};
-    };
-    Vec3 sum = grey(all(0.0f));
-    for (int32_t path = of.first_path[hit]; path < of.first_path[hit] + of.paths[hit]; ++path) {
-        Vec3 light = grey(all(0.0f));
-        for (int kind = 0; kind < 2; ++kind) {
-            const float* const incident = of.incident + 3 * kind * of.path_columns;
-            if (incident[path] == 0.0f && incident[of.path_columns + path] == 0.0f && incident[2 * of.path_columns + path] == 0.0f) continue;
-            const Vec3 value = scattering.evaluate(column(directions[kind], path)).value;
-            light = light + value * column(incident, path);
-            if (groups != nullptr) add_parts(*groups, of.path_columns, path, kind, value, parts);
-        }
-        sum = sum + light;
+// The BSDF of one hit towards a vector of unit directions (`PrimaryHits.bsdf`).
+class RecordedScattering {
+  public:
+    RecordedScattering(const Tables& t, const PathLight& of, int32_t hit, Vec3 outgoing)
+        : surface_(recorded_surface(t, of, hit)), scattering_(opaque_part(t, seen_from(surface_, outgoing))) {}
+
+    // BSDF times cosine for a direction of a path.
+    Vec3 evaluate(const PathLight& of, int32_t path, int kind) const {
+        return scattering_.evaluate(path_column(of, kind == 0 ? of.light_direction : of.scattered_direction, path)).value;
     }
-    return sum;
-}
+
+  private:
+    Surface surface_;
+    Scattering scattering_;
+
+    static const Surface& seen_from(Surface& s, Vec3 outgoing) {
+        s.outgoing = outgoing;
+        return s;
+    }
+};
 
 }  // namespace BOKEHGUIDE_ISA

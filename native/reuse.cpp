@@ -143,6 +143,7 @@ class Views {
     void set_record(const nb::dict& record, int64_t hits, int64_t paths) {
         record_.light = path_light(scene_.t, record, paths);
         record_.light.incident = entry<Floats>(record, "incident", 6 * size_t(record_.light.path_columns)).data();
+        record_.light.bsdf = entry<Floats>(record, "bsdf", 6 * size_t(record_.light.path_columns)).data();
         record_.light.first_path = nb::cast<Ints>(record["first_path"], false).data();
         const size_t columns = size_t(record_.light.hit_columns);
         if (hits < 0 || size_t(hits) > columns) throw std::invalid_argument("more hits than the record has entries");

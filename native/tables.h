@@ -140,7 +140,7 @@ struct SplitRecord {
 // The incident light of recorded paths, by which their primary hits are shaded; rows as in `SplitRecord`.
 struct PathLight {
     int64_t hit_columns, path_columns, path_count;
-    const float *surface, *light_direction, *scattered_direction, *incident;
+    const float *surface, *light_direction, *scattered_direction, *incident, *bsdf;
     const int32_t *first_path, *paths;  // of each hit
 };
 

@@ -105,7 +105,7 @@ class GuidedConfig:
     split_count: int = 2
     max_split_count: int = 16
     reuse_group: tuple[int, int] = (4, 4)
-    min_spread: float = 0.5
+    min_spread: float = 0.2
     control_variate: bool = True
     control_shrinkage: float = 64.0
 

@@ -6,8 +6,11 @@ hit through the pixel's own focus point. This is the reconnection of Area ReSTIR
 whether a surface blocks the line.
 
 Multiple importance sampling with the balance heuristic combines the hits. Pixel k finds a point x with the density
-p_k = q_k |∂l_k / ∂x|. In pixel i, the weight of x is W V_i |∂l_i / ∂x| / (A Σ_k V_k p_k), where V_k is the visibility between x
-and the lens point of pixel k. Only one pixel sees a point in focus, and the weight of this point is W / (A q). At a silhouette,
+p_k = q_k |∂l_k / ∂x|. In pixel i, the weight of emission at x is W V_i |∂l_i / ∂x| / (A Σ_k V_k p_k), where V_k is the visibility
+between x and the lens point of pixel k. Light that x reflects comes from a direction ω, drawn as pixel s sees x. Its weight is
+W V_i |∂l_i / ∂x| f_s / (A Σ_k V_k p_k f_k), where f_k is the luminance of the BSDF for ω as pixel k sees x. On a glossy surface,
+the pixels therefore do not use directions that are rare for s but frequent for i with a large weight.
+Only one pixel sees a point in focus, and the weight of this point is W / (A q). At a silhouette,
 the shading normal of x may face one pixel, and another normal may replace it for a second pixel. The pixels then do not see the
 same surface, and V is 0.
 
@@ -37,7 +40,7 @@ from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import hash_int
 from bokehguide.render.tracer import MISS_DISTANCE
-from bokehguide.render.vector import dot, length
+from bokehguide.render.vector import dot, length, luminance
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.distributed import ROWS_PER_BAND
 from bokehguide.runtime.indexing import ActiveEntries, Pixels, indices, pixel_numbers, scatter
@@ -86,6 +89,70 @@ class _Views(NamedTuple):
     on_surface: Tensor
     path_count: int
     ends: list[int]
+
+
+class _SeenPaths(NamedTuple):
+    """Q paths of the hits on surfaces of a row of views. view: index into the views; path: of the primary hits, int64 `[Q]` each.
+    bsdf: towards the lens points of the views, for the two directions of a path, `[3, Q]` each."""
+
+    view: Tensor
+    path: Tensor
+    bsdf: tuple[Tensor, Tensor]
+
+    @classmethod
+    def of(cls, views: _Views, hits: _Hits, primary: PrimaryHits | None) -> _SeenPaths | None:
+        """The paths of `views`; None without any."""
+        if primary is None or len(views.on_surface) == 0:
+            return None
+        place = hits.place.index_select(0, views.source.index_select(0, views.on_surface))
+        index, path = primary.paths_of(place, views.path_count)
+        view = views.on_surface.index_select(0, index)
+        return cls(view, path, primary.bsdf(path, views.outgoing.index_select(1, view)))
+
+
+class _Weights(NamedTuple):
+    """Weights of the samples of N pixels with P paths. scale: 1 / Σ_k V_k p_k, `[N]`. passing: W V / A at each pixel's own lens
+    point, `[N]`. factors: f_s / Σ_k V_k p_k f_k, `[P]`, for the two directions of a path."""
+
+    scale: Tensor
+    passing: Tensor
+    factors: list[Tensor]
+
+    @property
+    def of_own(self) -> Tensor:
+        """Weight `[N]` of the lens point of each pixel's own sample."""
+        return self.passing * self.scale
+
+
+class _Densities(NamedTuple):
+    """Σ_k V_k p_k for each of N hits, `of_lens`, and Σ_k V_k p_k f_k for the two directions of each of P paths, `of_directions`.
+    bsdf: f_s, `[P]` for each direction."""
+
+    of_lens: Tensor
+    of_directions: list[Tensor]
+    bsdf: list[Tensor]
+
+    @classmethod
+    def of_own(cls, own: dict[str, Tensor], hits: PrimaryHits | None) -> _Densities:
+        """The summands of the pixels' own lens points."""
+        of_lens = own["density"] * own.get("transmittance", 1.0)
+        if hits is None:
+            return cls(of_lens, [], [])
+        bsdf = [luminance(value) for value in hits.reflection[0]]
+        return cls(of_lens, [of_lens.index_select(0, hits.path_rays) * value for value in bsdf], bsdf)
+
+    def add(self, density: Tensor, views: _Views, seen: _SeenPaths | None) -> None:
+        """Add views with `density` `[J]`."""
+        self.of_lens.index_add_(0, views.source, density)
+        if seen is not None:
+            for sums, value in zip(self.of_directions, seen.bsdf):
+                sums.index_add_(0, seen.path, density.index_select(0, seen.view) * luminance(value))
+
+    def weights(self, passing: Tensor) -> _Weights:
+        """passing: see `_Weights`."""
+        scale = torch.where(self.of_lens > 0.0, 1.0 / self.of_lens, 0.0)
+        factors = [torch.where(sums > 0.0, value / sums, 0.0) for value, sums in zip(self.bsdf, self.of_directions)]
+        return _Weights(scale, passing, factors)
 
 
 class _LensRays(NamedTuple):
@@ -140,27 +207,28 @@ class PixelPathReuse:
         return PixelGroups.of(self._width, self._group, hash_int(hash_int(self._seed ^ 0x68E31DA4) + step))
 
     def _reuse(self, groups: PixelGroups, samples: BatchSamples, own: dict[str, Tensor], timer: PhaseTimer) -> Reused:
-        paths, batch, drawn = samples.paths, samples.batch, samples.drawn
-        hits, transmittance = self._hits(samples), own.get("transmittance", 1.0)
-        total, rows = own["density"] * transmittance, []
-        members = _members(batch.places, groups, total.device)
-        together = max(1, PAIRS_AT_ONCE // len(total)) if total.device.type == "cpu" else len(members)
+        paths, hits, rows = samples.paths, self._hits(samples), []
+        sums = _Densities.of_own(own, paths.primary_hits)
+        members = _members(samples.batch.places, groups, sums.of_lens.device)
+        together = max(1, PAIRS_AT_ONCE // members.shape[1]) if members.device.type == "cpu" else len(members)
         for viewers in members.split(together) if len(members) > 0 else ():
             views = self._views(viewers, hits, samples, timer)
             if len(views.source) > 0:
-                density = ViewPoints(views.viewer, views.points, views.ends).densities(samples.query, len(total))
-                total.index_add_(0, views.source, density * views.jacobian)
-                rows.append(views)
-        scale = torch.where(total > 0.0, 1.0 / total, 0.0)
-        weight = torch.where(drawn.weight > 0.0, own["passing"] * transmittance * scale, 0.0)
-        reused = Reused(paths.radiance * weight, weight, None if paths.groups is None else paths.groups.rays * weight)
-        for views in rows:
-            weight = (views.passing * views.jacobian * scale.index_select(0, views.source)).nan_to_num(0.0, 0.0, 0.0)
-            seen = _radiance(views, hits, paths) * weight
-            reused.radiance.index_add_(1, views.viewer, seen.nan_to_num(0.0, 0.0, 0.0))
+                density = ViewPoints(views.viewer, views.points, views.ends).densities(samples.query, members.shape[1])
+                rows.append((views, _SeenPaths.of(views, hits, paths.primary_hits)))
+                sums.add(density * views.jacobian, *rows[-1])
+        weights = sums.weights(torch.where(samples.drawn.weight > 0.0, own["passing"] * own.get("transmittance", 1.0), 0.0))
+        by_group = [] if paths.groups is None else [paths.of_group(group) for group in range(len(paths.groups.rays))]
+        reused = Reused(_own_radiance(paths, weights), weights.of_own, None)
+        if by_group:
+            reused = reused._replace(light_groups=torch.stack([_own_radiance(light, weights) for light in by_group]))
+        for views, seen in rows:
+            weight = (views.passing * views.jacobian * weights.scale.index_select(0, views.source)).nan_to_num(0.0, 0.0, 0.0)
+            light = _seen_radiance(views, seen, hits, paths, weight, weights)
+            reused.radiance.index_add_(1, views.viewer, light.nan_to_num(0.0, 0.0, 0.0))
             reused.weight.index_add_(0, views.viewer, weight)
-            for group, radiance in enumerate(() if reused.light_groups is None else reused.light_groups):
-                part = torch.where(seen.isfinite(), _radiance(views, hits, paths.of_group(group)) * weight, 0.0)
+            for of_group, radiance in zip(by_group, () if reused.light_groups is None else reused.light_groups):
+                part = torch.where(light.isfinite(), _seen_radiance(views, seen, hits, of_group, weight, weights), 0.0)
                 radiance.index_add_(1, views.viewer, part.nan_to_num(0.0, 0.0, 0.0))
         return reused
 
@@ -300,14 +368,34 @@ class PixelReuse(SampleReuse):
         self.control_variate.merge()
 
 
-def _radiance(views: _Views, hits: _Hits, paths: PathSamples) -> Tensor:
-    """Radiance `[3, J]` of the samples as the viewers see them."""
+def _own_radiance(paths: PathSamples, weights: _Weights) -> Tensor:
+    """Radiance `[3, N]` of the samples of the pixels themselves, times its weights."""
+    radiance, hits = paths.radiance * weights.of_own, paths.primary_hits
+    if hits is not None:
+        # Reflected light has the weight of its direction in place of that of the lens point.
+        of_lens, passing = (values.index_select(0, hits.path_rays) for values in (weights.scale, weights.passing))
+        for value, incident, factor in zip(*hits.reflection, weights.factors):
+            radiance.index_add_(1, hits.path_rays, value * incident * (passing * (factor - of_lens)))
+    return radiance
+
+
+def _seen_radiance(
+    views: _Views, seen: _SeenPaths | None, hits: _Hits, paths: PathSamples, weight: Tensor, weights: _Weights
+) -> Tensor:
+    """Radiance `[3, J]` of the samples as the viewers see them, times its weights.
+
+    weight: of emission and of hits at infinity, `[J]`.
+    """
     radiance, index = paths.radiance.index_select(1, views.source), views.on_surface
-    if len(index) > 0:
-        assert paths.primary_hits is not None
+    if paths.primary_hits is not None and len(index) > 0:
         place = hits.place.index_select(0, views.source.index_select(0, index))
-        outgoing = views.outgoing.index_select(1, index)
-        scatter(radiance, index, paths.primary_hits.radiance(place, outgoing, views.path_count))
+        scatter(radiance, index, paths.primary_hits.emitted(place, views.outgoing.index_select(1, index)))
+    radiance = radiance * weight
+    if paths.primary_hits is not None and seen is not None:
+        share = (views.passing * views.jacobian).index_select(0, seen.view)
+        for value, incident, factor in zip(seen.bsdf, paths.primary_hits.reflection[1], weights.factors):
+            light = value * incident.index_select(1, seen.path) * (share * factor.index_select(0, seen.path))
+            radiance.index_add_(1, seen.view, light)
     return radiance
 
 

@@ -244,7 +244,7 @@ class NativeHits(PrimaryHits):
         )
         self.direct = self.record["reflected"][:3, :count]
         self._normals: list[Tensor] | None = None
-        self._incident = self.emits = None
+        self._reflection = self.emits = None
 
     def core_record(self) -> CoreRecord:
         """See `PrimaryHits`. Where a BSDF is too small as a divisor, the incident light counts as 0."""

@@ -50,7 +50,7 @@ class PrimaryHits:
     def __post_init__(self) -> None:
         self.direct, self.light_direction = torch.zeros_like(self.indirect), self.path_surface.normal
         self.scattered_direction = self.path_surface.normal
-        self._incident: Pair | None = None
+        self._reflection: tuple[Pair, Pair] | None = None
         self.emits: Tensor | None = None
         """1 for hits whose emission counts, else 0, `[K]`; None if all emission counts."""
         self._normals: list[Tensor] | None = None
@@ -78,46 +78,47 @@ class PrimaryHits:
         facing = [dot(normal.index_select(1, chosen), outgoing) > MIN_FACING for normal in normals]
         return torch.stack(facing).all(0)
 
-    def radiance(self, chosen: Tensor, outgoing: Tensor, count: int) -> Tensor:
-        """Radiance `[3, J]` of the surfaces `chosen`, int64 `[J]`, towards unit directions `[3, J]`.
+    @property
+    def directions(self) -> Pair:
+        """Unit directions `[3, P]` of each path's light sample and BSDF sample."""
+        return self.light_direction, self.scattered_direction
 
-        The estimate uses the incident light of the recorded paths. It is unbiased for any direction above an opaque surface, and
-        its noise increases with the smoothness of the surface. Partly transmissive surfaces are not supported. Shading normals
-        come from the view of the rays (`same_normals`).
+    @property
+    def reflection(self) -> tuple[Pair, Pair]:
+        """BSDF times cosine, and incident light over the density of the direction: `[3, P]` for each of `directions`.
 
-        count: total number of paths of the chosen surfaces.
+        Products of both are the radiance along the ray. The incident light is 0 where the BSDF is too small as a divisor.
         """
-        directions, incident = (self.light_direction, self.scattered_direction), self._incident
-        if incident is None:
-            reflected = (self.direct, self.indirect)
-            incident = self._incident = _incident(self.path_surface, self.path_surface.outgoing, directions, reflected)
+        if self._reflection is None:
+            values = opaque_values(self.path_surface, self.path_surface.outgoing, self.directions)
+            light = zip(values, (self.direct, self.indirect))
+            incident = [torch.where(value > FAINTEST, reflected / value, 0.0) for value, reflected in light]
+            self._reflection = ((values[0], values[1]), (incident[0], incident[1]))
+        return self._reflection
+
+    def paths_of(self, chosen: Tensor, count: int) -> Pair:
+        """The paths of the surfaces `chosen`, int64 `[J]`: indices into `chosen`, and paths, int64 `[Q]` each.
+
+        count: total number Q of these paths.
+        """
         counts = self.counts.index_select(0, chosen)
         viewer = torch.repeat_interleave(counts, output_size=count)
         first = (self.counts.cumsum(0) - self.counts).index_select(0, chosen) - (counts.cumsum(0) - counts)
-        paths = torch.arange(len(viewer), device=viewer.device) + first.index_select(0, viewer)
-        surface = self.path_surface.select(paths)
-        directions, incident = (
-            (one.index_select(1, paths), other.index_select(1, paths)) for one, other in (directions, incident)
-        )
-        reflected = _reflected(surface, outgoing.index_select(1, viewer), directions, incident)
-        return self._emitted(chosen, outgoing).index_add_(1, viewer, reflected)
+        return viewer, torch.arange(len(viewer), device=viewer.device) + first.index_select(0, viewer)
 
-    def _emitted(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
+    def bsdf(self, paths: Tensor, outgoing: Tensor) -> Pair:
+        """BSDF times cosine `[3, Q]` for the directions of `paths`, int64 `[Q]`, seen from unit directions `[3, Q]`.
+
+        Partly transmissive surfaces are not supported. Shading normals come from the view of the rays (`same_normals`).
+        """
+        directions = tuple(direction.index_select(1, paths) for direction in self.directions)
+        light, scattered = opaque_values(self.path_surface.select(paths), outgoing, directions)
+        return light, scattered
+
+    def emitted(self, chosen: Tensor, outgoing: Tensor) -> Tensor:
+        """Emission `[3, J]` of the surfaces `chosen`, int64 `[J]`, towards unit directions `[3, J]`."""
         if self.geometry.materials.plain_emission:
             return self.emission.index_select(1, chosen)
         hit = Hit(*(field.index_select(0, chosen) for field in self.hit))
         emission = self.geometry.emission(hit, self.surface.front.index_select(0, chosen), outgoing)
         return emission if self.emits is None else emission * self.emits.index_select(0, chosen)
-
-
-def _incident(surface: Surface, outgoing: Tensor, directions: Pair, reflected: Pair) -> Pair:
-    """Incident light `[3, P]` from the reflected radiance; 0 where the BSDF is 0."""
-    values = opaque_values(surface, outgoing, directions)
-    first, second = (torch.where(value > FAINTEST, light / value, 0.0) for value, light in zip(values, reflected))
-    return first, second
-
-
-def _reflected(surface: Surface, outgoing: Tensor, directions: Pair, incident: Pair) -> Tensor:
-    """Reflected radiance `[3, P]`."""
-    first, second = opaque_values(surface, outgoing, directions)
-    return first * incident[0] + second * incident[1]

@@ -14,6 +14,7 @@ from bokehguide.render.splitting import SplitPaths
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Cone, Material, Scene, Texture
 from tests.support.rooms import bsdf_sampling_only, checkered, neon, room, sky_with_a_window
+from tests.support.seen_hits import seen_radiance
 from tests.support.statistical import SIGNIFICANCE
 from tests.support.tracing import agreement, bumpy, emitter, matte, rectangle, scene
 
@@ -65,15 +66,15 @@ def towards(first: PrimaryHits, place: np.ndarray) -> Tensor:
 
 def from_elsewhere(tracer: PathTracer, seed: int = 0) -> np.ndarray:
     first = traced(tracer, HERE, seed).primary_hits
-    return first.radiance(torch.arange(COUNT), towards(first, ELSEWHERE), len(first.owner)).double().numpy()
+    return seen_radiance(first, torch.arange(COUNT), towards(first, ELSEWHERE), len(first.owner)).double().numpy()
 
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_towards_where_the_ray_came_from_it_is_what_was_found(name):
     parts = torch.randint(1, 5, (COUNT,), generator=torch.Generator().manual_seed(1))
     samples = traced(PathTracer(lit(MATERIALS[name])), HERE, 0, parts)
-    found = samples.primary_hits.radiance(
-        torch.arange(COUNT), towards(samples.primary_hits, HERE), len(samples.primary_hits.owner)
+    found = seen_radiance(
+        samples.primary_hits, torch.arange(COUNT), towards(samples.primary_hits, HERE), len(samples.primary_hits.owner)
     )
     torch.testing.assert_close(found, samples.radiance, rtol=1e-4, atol=1e-5)
     assert float(samples.radiance.std()) > 0.01
@@ -101,8 +102,8 @@ def test_without_light_samples_it_has_the_same_mean(monkeypatch):
     bsdf_sampling_only(monkeypatch)
     samples = traced(tracer, HERE, 0)
     assert not samples.primary_hits.direct.any() and bool(samples.primary_hits.indirect.any())
-    found = samples.primary_hits.radiance(
-        torch.arange(COUNT), towards(samples.primary_hits, HERE), len(samples.primary_hits.owner)
+    found = seen_radiance(
+        samples.primary_hits, torch.arange(COUNT), towards(samples.primary_hits, HERE), len(samples.primary_hits.owner)
     )
     torch.testing.assert_close(found, samples.radiance, rtol=1e-4, atol=1e-5)
     assert agreement(from_elsewhere(tracer), expected) > SIGNIFICANCE
@@ -111,8 +112,8 @@ def test_without_light_samples_it_has_the_same_mean(monkeypatch):
 def test_in_the_dark_it_is_black():
     samples = traced(PathTracer(scene([PLATE], [matte(), MATERIALS["coated"]], max_depth=4)), HERE, 0)
     assert samples.primary_hits is not None
-    assert not samples.primary_hits.radiance(
-        torch.arange(COUNT), towards(samples.primary_hits, ELSEWHERE), len(samples.primary_hits.owner)
+    assert not seen_radiance(
+        samples.primary_hits, torch.arange(COUNT), towards(samples.primary_hits, ELSEWHERE), len(samples.primary_hits.owner)
     ).any()
 
 
@@ -133,13 +134,13 @@ def test_it_is_of_those_asked_for_alone(name):
     first = samples.primary_hits
     number = len(first.rays)
     assert 200 < number < 399
-    back = first.radiance(torch.arange(number), first.surface.outgoing, len(first.owner))
+    back = seen_radiance(first, torch.arange(number), first.surface.outgoing, len(first.owner))
     torch.testing.assert_close(back, samples.radiance[:, first.rays], rtol=1e-4, atol=1e-5)
     outgoing = torch.nn.functional.normalize(first.surface.outgoing + 0.5 * first.surface.geometric_normal, dim=0)
-    whole = first.radiance(torch.arange(number), outgoing, len(first.owner))
+    whole = seen_radiance(first, torch.arange(number), outgoing, len(first.owner))
     shuffled = torch.randperm(number, generator=torch.Generator().manual_seed(3))
     for chosen in (torch.arange(0, number, 3), torch.tensor([17]), torch.tensor([], dtype=torch.int64), shuffled, shuffled[:50]):
-        found = first.radiance(chosen, outgoing[:, chosen], int(first.counts[chosen].sum()))
+        found = seen_radiance(first, chosen, outgoing[:, chosen], int(first.counts[chosen].sum()))
         torch.testing.assert_close(found, whole[:, chosen], rtol=1e-5, atol=1e-6)
     assert float((whole - samples.radiance[:, first.rays]).abs().max()) > 0.02
 
