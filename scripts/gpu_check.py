@@ -86,7 +86,8 @@ def all_means(args: argparse.Namespace) -> list[dict]:
     tasks.sort(key=lambda task: not MODES[task[1]].whole_frame)  # the slow ones first
     processes = min(len(tasks), MOST_PROCESSES, max(available_cores() // 2, 1))
     with multiprocessing.get_context("spawn").Pool(processes, dedicate_process) as pool:
-        return list(tqdm(pool.imap(compare_means, tasks), "means", len(tasks), unit="test"))
+        rows = list(tqdm(pool.imap(compare_means, tasks), "means", len(tasks), unit="test"))
+    return sorted(rows, key=lambda row: (SCENES.index(row["scene"]), [*MODES].index(row["mode"])))
 
 
 def modes_of(scene: str) -> list[str]:

@@ -84,8 +84,9 @@ def test_the_check_of_a_gpu_runs_on_a_cpu(script, tmp_path):
     found = json.loads((tmp_path / "gpu.json").read_text())
     assert [row["mode"] for row in found["means"]] == list(MODES)
     assert all(row["regions"] == 25 and 0.0 <= row["p"] <= 1.0 for row in found["means"])
-    assert [row["mode"] for row in found["steps"]] == ["uniform", "lis-o", "guided"]
+    assert [row["mode"] for row in found["steps"]] == ["uniform", "lis", "lis-b", "lis-o", "guided"]
     assert all(row["M samples/s"] > 0.0 for row in found["steps"])
+    assert [row["paper"] for row in found["guide"]] == [15.0, 2.0, 20.0, ""]
     assert finished.stdout.count("| guided |") == 2 and "0 of 7 tests fail" in finished.stdout
 
 
