@@ -14,10 +14,12 @@ using bokehguide::LensCamera;
 using bokehguide::LensSamples;
 using bokehguide::OwnSamples;
 using bokehguide::PixelGroups;
+using bokehguide::ReusedGroups;
 using bokehguide::ViewRows;
 
 // Groups end with bands of ROWS_PER_BAND rows and with bands of 2^COLUMN_BITS columns.
 constexpr int ROWS_PER_BAND = 8, COLUMN_BITS = 5, FRONT_ROW = 12;
+constexpr int MOST = 64;  // members of a group
 constexpr float GROUP_SPACING = 3.0f, INFINITELY_DEEP = 1e30f, SHORTENED = 1.0f - 1e-4f;
 
 inline Vec3 camera_to_world(const bokehguide::Camera& c, Vec3 v) {
@@ -130,7 +132,6 @@ class ViewFinder {
     }
 
   private:
-    static constexpr int MOST = 64;  // members of a group
     const LensCamera& lens_;
     const PixelGroups& groups_;
     const LensSamples& samples_;
@@ -299,7 +300,7 @@ class alignas(64) SeenRadiance {
     }
 
   private:
-    static constexpr int MOST = 64, VECTORS = MOST / LANES;  // views of a hit
+    static constexpr int VECTORS = MOST / LANES;  // of views of a hit
     static constexpr int PATHS = 4;  // shaded together
     const Tables& t_;
     const LensSamples& samples_;
@@ -385,9 +386,11 @@ class alignas(64) SeenRadiance {
             const auto at = [&](const float* rows, int channel) { return rows[(3 * kind + channel) * of.path_columns + path]; };
             const float own = luminance(Vec3{all(at(of.bsdf, 0)), all(at(of.bsdf, 1)), all(at(of.bsdf, 2))})[0];
             float sum = own_.density[source_] * passed * own;
-            for (int lane = 0; lane < count_; ++lane) {
-                const float density = density_[first_ + lane] * views_.jacobian[first_ + lane];
-                sum += density * luminance(values_[number][kind][lane / LANES])[lane % LANES];
+            for (int v = 0; v < vectors(); ++v) {
+                const Float seen = luminance(values_[number][kind][v]);
+                for (int64_t view = first_ + v * LANES, i = 0; i < LANES && view < first_ + count_; ++view, ++i) {
+                    sum += density_[view] * views_.jacobian[view] * seen[i];
+                }
             }
             const float factor = sum > 0.0f ? own / sum : 0.0f, more = passing * (factor - scale);
             ratio_[number][kind] = factor / scale;
@@ -403,7 +406,7 @@ class alignas(64) SeenRadiance {
     // Add the radiance of light groups by way of one path and one kind of sample; value: BSDF times cosine and weight.
     void add_parts(int32_t path, int kind, Vec3 value, int v) {
         const int64_t columns = record_.light.path_columns;
-        const float* const bsdf = groups_->bsdf + 3 * kind * columns + path;
+        const float* const bsdf = record_.light.bsdf + 3 * kind * columns + path;
         const auto ratio = [&](Float x, float of) { return of > FAINTEST ? x / of : all(0.0f); };
         const Vec3 scale = {ratio(value.x, bsdf[0]), ratio(value.y, bsdf[columns]), ratio(value.z, bsdf[2 * columns])};
         for (int group = 0; group < groups_->count; ++group) {

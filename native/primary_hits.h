@@ -7,7 +7,6 @@
 namespace BOKEHGUIDE_ISA {
 
 using bokehguide::PathLight;
-using bokehguide::ReusedGroups;
 
 constexpr float FAINTEST = 1e-20f;
 

@@ -126,7 +126,6 @@ class Views {
         groups.radiance = entry<FloatsOut>(arrays, "radiance", 3 * size_t(groups.count) * count()).data();
         if (record_.count > 0) {
             groups.reflected = entry<Floats>(arrays, "reflected", 6 * paths * size_t(groups.count)).data();
-            groups.bsdf = entry<Floats>(arrays, "bsdf", 6 * paths).data();
         }
         return groups;
     }

@@ -137,7 +137,8 @@ struct SplitRecord {
     int64_t hit_count, path_count;
 };
 
-// The incident light of recorded paths, by which their primary hits are shaded; rows as in `SplitRecord`.
+// The incident light of recorded paths, by which their primary hits are shaded, and their BSDFs along the rays; rows as in
+// `SplitRecord`.
 struct PathLight {
     int64_t hit_columns, path_columns, path_count;
     const float *surface, *light_direction, *scattered_direction, *incident, *bsdf;
@@ -243,11 +244,11 @@ struct OwnSamples {
 };
 
 // Light groups in the reuse of primary hits: those of materials; radiance of the samples before and after reuse, `[groups, 3, N]`; and
-// that of recorded paths, with their BSDFs, as in `LightGroups` and `SplitRecord`.
+// that of recorded paths, as in `LightGroups`.
 struct ReusedGroups {
     int32_t count;
     const int32_t* materials;
-    const float *own, *reflected, *bsdf;
+    const float *own, *reflected;
     float* radiance;
 };
 

@@ -48,7 +48,7 @@ LEVEL = 0.01
 CPU_SEED = 1_000_000
 """Seed of the first render on the CPU."""
 MOST_PROCESSES = 8
-"""Processes with renders of small frames, each of which takes half a gigabyte of a GPU."""
+"""Largest number of processes that render small frames at the same time."""
 PAPER = {
     ("lis", "uniform"): ("fitting and guiding", 15.0),
     ("lis-b", "lis"): ("blend weights", 2.0),
@@ -140,7 +140,7 @@ def all_steps(args: argparse.Namespace) -> list[dict]:
 
 
 def guide_parts(speed: list[dict]) -> list[dict]:
-    """Milliseconds of each part of the guide, and those that the paper reports."""
+    """Milliseconds of each part of the guide, here and in the paper."""
     step = {row["mode"]: row["ms / step"] for row in speed}
     parts = [{"part": name, "paper": paper, "here": step[more] - step[less]} for (more, less), (name, paper) in PAPER.items()]
     return [*parts, {"part": "all of guided", "paper": "", "here": step["guided"] - step["uniform"]}]

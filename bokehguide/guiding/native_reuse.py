@@ -129,7 +129,7 @@ def _light_group_arrays(groups: GroupRadiance | None, record: CoreRecord) -> dic
     arrays = {"own": groups.rays, "radiance": torch.empty_like(groups.rays), "materials": groups.groups.materials}
     if record.hits > 0:
         assert groups.reflected is not None
-        arrays |= {"reflected": groups.reflected, "bsdf": record.arrays["bsdf"]}
+        arrays["reflected"] = groups.reflected
     return arrays
 
 
