@@ -44,55 +44,66 @@ struct DirectLight {
     Vec3 value;
     Scattered scattered;
     Int triangle, row, cluster;
-    Float contribution_rms;
+    Float contribution_rms, broad;
+};
+
+constexpr float BROAD = 16.0f, MAX_UNIFORM = 0x1.fffffep-1f;
+
+// `mis.broad_share`.
+inline Float broad_share(Float pdf, Float bsdf_pdf) {
+    const Float ratio = pdf / (BROAD * divisor(bsdf_pdf));
+    return 1.0f / (1.0f + ratio * ratio);
+}
+
+// `BsdfWeights`.
+struct BsdfWeights {
+    Float weight, broad;
 };
 
 // Light samples at a vector of surfaces; active: lanes that count.
 class ClusterSampler {
   public:
     ClusterSampler(const Tables& tables, const ClusterLights& lights, Vec3 point, Int active)
-        : t(tables), c(lights), query(tables, point), row(tile_of(lights, point)), active(active) {}
+        : t(tables), c(lights), query(tables, point), row(tile_of(lights, point)), active(active),
+          factor(lights.factor == nullptr ? all(1.0f) : gather(lights.factor, row)) {}
 
     // `ResampledLights.sample`; light, bsdf: first dimensions of the light samples and of the BSDF samples.
     DirectLight sample(const Scattering& scattering, const Float (&u)[6], const Random& random, const PathKeys& keys, uint32_t light,
                        uint32_t bsdf) const {
-        Candidate kept = light_candidate(scattering, u);
+        Candidate kept = light_candidate(scattering, u, 0);
         Float total = kept.target;
         const auto consider = [&](const Candidate& other, int number) {
             total = total + other.target;
             const Int changes = uniform(random, keys.own, CANDIDATE_CHOICE + uint32_t(number)) * total < other.target;
             kept = choose_candidate(changes, other, kept);
         };
-        for (int number = 1; number < c.candidates; ++number) {
+        for (int number = 1; number < c.light_candidates; ++number) {
             const Stratified sequence(random, light, 6, uint32_t(c.first_step), uint32_t(number));
             Float numbers[6];
             for (int i = 0; i < 6; ++i) numbers[i] = sequence(keys, i);
-            consider(light_candidate(scattering, numbers), number);
+            consider(light_candidate(scattering, numbers, number), number);
         }
-        for (int number = 1; number < c.bsdf_count; ++number) {
+        for (int number = 1; number <= c.bsdf_candidates; ++number) {
             const Stratified sequence(random, bsdf, 3, uint32_t(c.first_step), uint32_t(number));
-            consider(bsdf_candidate(scattering, {sequence(keys, 0), sequence(keys, 1), sequence(keys, 2)}), c.candidates - 1 + number);
+            consider(bsdf_candidate(scattering, {sequence(keys, 0), sequence(keys, 1), sequence(keys, 2)}), c.light_candidates - 1 + number);
         }
-        const Float scale = total / (float(c.candidates) * divisor(kept.target));
+        const Float scale = total / (float(c.light_candidates) * divisor(kept.target));
         const Float contribution_rms = luminance(kept.value) * sqrt(kept.share * scale);
-        return {kept.direction, kept.distance, kept.value * scale, kept.scattered, kept.triangle, row, kept.cluster, contribution_rms};
+        return {kept.direction, kept.distance, kept.value * scale, kept.scattered, kept.triangle, row, kept.cluster, contribution_rms,
+                kept.broad};
     }
 
-    // Densities of all light samples together, for MIS: `environment_pdf` and `triangle_pdf` of `MixtureLights` times `count`.
-    Float environment_pdf(Vec3 direction) const {
-        if (!t.has_far_power) return all(0.0f);
-        return environment_pdf(direction, t.map_density == nullptr ? all(0) : texel_at(t, direction));
+    // `ResampledLights.environment_weights` and `triangle_weights`.
+    BsdfWeights environment_weights(Vec3 direction, Float pdf) const {
+        const Float light = t.has_far_power ? density(direction, t.map_density == nullptr ? all(0) : texel_at(t, direction)) : all(0.0f);
+        return with_factor(pdf, together(light, pdf));
     }
-    // Weight of a BSDF sample that leaves the scene.
-    Float bsdf_weight(Float pdf, Float other) const {
-        const float count = float(c.bsdf_count);
-        return power_heuristic(count * pdf, other) / count;
-    }
-    Float triangle_pdf(Int triangle, Float distance, Float cosine) const {
-        if (t.emitters == 0) return all(0.0f);
+    BsdfWeights triangle_weights(Int triangle, Float distance, Float cosine, Float pdf) const {
+        if (t.emitters == 0) return with_factor(pdf, all(0.0f));
         const Int emitter = emitter_of(t, triangle), known = emitter < 0 ? all(0) : emitter;
         const Float chosen = share(gather(&t.emitter_rows[0].cluster, known * 16)) * one_if(emitter >= 0);
-        return float(c.candidates) * chosen * emitter_field(t, known, 13) * distance * distance / divisor(abs(cosine), LEAST_COSINE);
+        const Float light = chosen * emitter_field(t, known, 13) * distance * distance / divisor(abs(cosine), LEAST_COSINE);
+        return with_factor(pdf, float(c.light_candidates) * light);
     }
 
   private:
@@ -100,6 +111,15 @@ class ClusterSampler {
     const ClusterLights& c;
     PointQuery query;
     Int row, active;
+    Float factor;
+
+    // `BsdfWeights.with_factor`.
+    BsdfWeights with_factor(Float pdf, Float light_pdf) const {
+        const Float broad = power_heuristic(light_pdf, pdf) * broad_share(light_pdf, pdf);
+        return {power_heuristic(pdf, light_pdf) + (1.0f - factor) * broad, broad};
+    }
+    // Density of all candidates together in directions of the map.
+    Float together(Float light, Float bsdf_pdf) const { return float(c.light_candidates) * light + float(c.bsdf_candidates) * bsdf_pdf; }
 
     // `_Candidate`.
     struct Candidate {
@@ -108,36 +128,41 @@ class ClusterSampler {
         Vec3 value;
         Scattered scattered;
         Int cluster, triangle;
-        Float share, target;
+        Float share, target, broad;
     };
     static Candidate choose_candidate(Int first, const Candidate& one, const Candidate& other) {
         return {choose(first, one.direction, other.direction), first ? one.distance : other.distance,
                 choose(first, one.value, other.value),
                 {choose(first, one.scattered.value, other.scattered.value), first ? one.scattered.pdf : other.scattered.pdf},
                 first ? one.cluster : other.cluster, first ? one.triangle : other.triangle,
-                first ? one.share : other.share, first ? one.target : other.target};
+                first ? one.share : other.share, first ? one.target : other.target, first ? one.broad : other.broad};
     }
-    Candidate light_candidate(const Scattering& scattering, const Float (&u)[6]) const {
-        const ClusterSample drawn = draw(u);
+    Candidate light_candidate(const Scattering& scattering, const Float (&u)[6], int number) const {
+        const Float numbers[6] = {at_most((u[0] + float(number)) / float(c.light_candidates), MAX_UNIFORM), u[1], u[2], u[3], u[4], u[5]};
+        const ClusterSample drawn = draw(numbers);
         const LightSample& light = drawn.light;
         const Scattered found = scattering.evaluate(light.direction);
-        const Float count = light.distance >= all(MISS_DISTANCE) ? all(float(c.bsdf_count)) : all(1.0f);
-        const Float weight = power_heuristic(float(c.candidates) * light.pdf, count * found.pdf) / divisor(light.pdf);
-        const Vec3 value = found.value * light.radiance * weight;
-        return {light.direction, light.distance, value, found, drawn.cluster, light.triangle, drawn.share,
-                luminance(value) * visibility(drawn.cluster)};
+        const Float pdf = light.distance >= all(MISS_DISTANCE) ? together(light.pdf, found.pdf) : float(c.light_candidates) * light.pdf;
+        const Candidate empty{light.direction, light.distance, {}, found, drawn.cluster, light.triangle, drawn.share, {}, {}};
+        return weighed(empty, found.value * light.radiance / divisor(pdf), pdf, drawn.cluster);
+    }
+    // `ResampledLights._weighed`; light: reflected light over the density of all candidates, `pdf`.
+    Candidate weighed(Candidate candidate, Vec3 light, Float pdf, Int cluster) const {
+        const Float bsdf_pdf = candidate.scattered.pdf, broad = broad_share(pdf, bsdf_pdf), kept = 1.0f - (1.0f - factor) * broad;
+        const Vec3 contribution = light * (power_heuristic(pdf, bsdf_pdf) * float(c.light_candidates));
+        candidate.value = contribution * kept, candidate.target = luminance(contribution) * visibility(cluster);
+        candidate.broad = broad / kept;
+        return candidate;
     }
     Candidate bsdf_candidate(const Scattering& scattering, const Float (&u)[3]) const {
         Vec3 weight, of_opaque;
         Float pdf;
         const Vec3 direction = scattering.sample(u[0], u[1], u[2], weight, pdf, of_opaque);
         const Int texel = texel_at(t, direction), cluster = c.first_texels + bytes_at(c.texel_cluster, texel);
-        const Float chosen = bsdf_weight(pdf, environment_pdf(direction, texel)) * float(c.candidates);
-        const Vec3 value = weight * environment_radiance(t, direction) * chosen;
-        const Float target = luminance(value) * visibility(cluster);
-        return {direction, all(MISS_DISTANCE), value, {weight * pdf, pdf}, all(-1), all(-1), all(0.0f), target};
+        const Float of_all = together(density(direction, texel), pdf);
+        const Candidate empty{direction, all(MISS_DISTANCE), {}, {weight * pdf, pdf}, all(-1), all(-1), all(0.0f), {}, {}};
+        return weighed(empty, weight * environment_radiance(t, direction) * (pdf / divisor(of_all)), of_all, cluster);
     }
-    Float environment_pdf(Vec3 direction, Int texel) const { return float(c.candidates) * density(direction, texel); }
     Float visibility(Int cluster) const {
         return c.cumulative == nullptr ? all(1.0f) : gather(c.visibility, row * c.clusters + cluster);
     }

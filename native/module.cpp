@@ -134,6 +134,7 @@ SplitRecord split_record(const nb::dict& arrays, size_t surface_rows, size_t ray
     if (with_lights) {
         record.light_row = whole("light_row", paths), record.light_cluster = whole("light_cluster", paths);
         record.light_rms = of_paths("light_rms", 1), record.light_visibility = of_paths("light_visibility", 1);
+        record.light_difference = of_paths("light_difference", 1);
     }
     return record;
 }

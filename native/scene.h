@@ -221,9 +221,9 @@ class NamedClusterLights : Named {
         const auto whole = [&](const char* name) { return int32_t(number(name)); };
         c.pixel_slope = real("pixel_slope"), c.half_width = real("half_width"), c.half_height = real("half_height");
         c.tile_size = real("tile_size"), c.last_column = real("across") - 1.0f, c.last_row = real("down") - 1.0f;
-        c.across = whole("across"), c.clusters = whole("clusters"), c.candidates = whole("candidates");
-        c.cumulative = array<float>("cumulative"), c.visibility = array<float>("visibility");
-        c.levels = whole("levels"), c.first_step = whole("first_step"), c.bsdf_count = whole("bsdf_count");
+        c.across = whole("across"), c.clusters = whole("clusters"), c.light_candidates = whole("light_candidates");
+        c.cumulative = array<float>("cumulative"), c.visibility = array<float>("visibility"), c.factor = array<float>("factor");
+        c.levels = whole("levels"), c.first_step = whole("first_step"), c.bsdf_candidates = whole("bsdf_candidates");
         c.first_texels = whole("first_texels"), c.map_clusters = whole("map_clusters"), c.first_distant = whole("first_distant");
         c.texel_table = alias_table("texel", texel_table_), c.texel_start = array<int32_t>("texel_start");
         c.texel_order = array<int32_t>("texel_order"), c.texel_cluster = array<uint8_t>("texel_cluster");

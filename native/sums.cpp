@@ -31,6 +31,21 @@ void add_light_samples(Out<double> sums, const Ints& tile, const Ints& cluster, 
     }
 }
 
+// `MisFactors.add`: adds paths to sums `[2, tiles]`; factor: of each tile.
+void add_mis_samples(Out<double> sums, const Floats& factor, const Ints& tile, const Floats& difference, const Floats& reflected, double most) {
+    const size_t count = tile.size(), tiles = factor.size();
+    check(sums, 2 * tiles, "sums"), check(difference, count, "difference"), check(reflected, count, "reflected");
+    nb::gil_scoped_release released;
+    double* const total = sums.data();
+    const auto finite = [most](double value) { return std::isnan(value) ? 0.0 : (value < most ? (value > -most ? value : -most) : most); };
+    for (size_t i = 0; i < count; ++i) {
+        const size_t place = size_t(tile.data()[i]);
+        if (place >= tiles) continue;
+        const double change = finite(difference.data()[i]), rest = finite(reflected.data()[i]) - double(factor.data()[place]) * change;
+        total[place] += rest * change, total[tiles + place] += change * change;
+    }
+}
+
 // `RecordBuffer.add`: adds samples with positions `[3, N]` to sums `[5, cells]`.
 void add_records(FloatsOut sums, const Out<const int64_t>& cells, const Floats& points, const Floats& luminance) {
     const size_t count = luminance.size(), places = sums.size() / 5;
@@ -167,6 +182,7 @@ void cover(const nb::dict& arrays, const Ints& objects, const std::optional<Out<
 void bind_sums(nb::module_& m) {
     m.def("add_records", &add_records);
     m.def("add_light_samples", &add_light_samples);
+    m.def("add_mis_samples", &add_mis_samples);
     m.def("correct_samples", &correct_samples, nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
           nb::arg(), nb::arg());
     m.def("cover", &cover, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());

@@ -110,8 +110,8 @@ struct ClusterLights {
     float axes[9], position[3], pixel_slope, half_width, half_height, tile_size, last_column, last_row;
     int32_t across;
     // The table; null in the first epoch, in which the voxel grid chooses alone
-    const float *cumulative, *visibility;
-    int32_t levels, clusters, first_step, candidates, bsdf_count;
+    const float *cumulative, *visibility, *factor;
+    int32_t levels, clusters, first_step, light_candidates, bsdf_candidates;
     // Clusters of the environment: those of the map begin at `first_texels`, those of distant lights at `first_distant`
     int32_t first_texels, map_clusters, first_distant;
     const AliasEntry* texel_table;  // null where the map is not sampled, as the next four
@@ -133,7 +133,7 @@ struct SplitRecord {
     float *direct, *indirect, *bsdf;  // bsdf: BSDF times cosine of both directions, [6, paths]
     // Light samples of paths; null without `lights`
     int32_t *light_row, *light_cluster;
-    float *light_rms, *light_visibility;
+    float *light_rms, *light_visibility, *light_difference;
     int64_t hit_count, path_count;
 };
 

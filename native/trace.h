@@ -351,8 +351,9 @@ class Tracing {
         if (depth == 1 && !t.visible_environment) return;
         Vec3 light = gather3(b.throughput, path) * environment_radiance(t, direction);
         if (depth > 1) {
-            const Vec3 vertex = gather3(b.vertex, path);
-            light = light * environment_weight(depth, vertex, direction, gather(b.pdf, path));
+            const BsdfWeights weights = environment_weights(depth, gather3(b.vertex, path), direction, gather(b.pdf, path));
+            subtract_broad(depth, path, light, weights, first_lanes(missed - i));
+            light = light * weights.weight;
             add_images(path, light, all(MISS_DISTANCE), first_lanes(missed - i));
         }
         add_to_groups(path, light, all(-1), direction, first_lanes(missed - i));
@@ -366,11 +367,18 @@ class Tracing {
         }
     }
 
-    // MIS weight of BSDF samples that leave the scene.
-    Float environment_weight(int depth, Vec3 vertex, Vec3 direction, Float pdf) const {
-        if (!learned(depth)) return power_heuristic(pdf, environment_pdf(t, vertex, direction));
-        const ClusterSampler sampler(t, *trace.lights, vertex, all(-1));
-        return sampler.bsdf_weight(pdf, sampler.environment_pdf(direction));
+    // MIS weights of BSDF samples that leave the scene.
+    BsdfWeights environment_weights(int depth, Vec3 vertex, Vec3 direction, Float pdf) const {
+        if (!learned(depth)) return {power_heuristic(pdf, environment_pdf(t, vertex, direction)), all(0.0f)};
+        return ClusterSampler(t, *trace.lights, vertex, all(-1)).environment_weights(direction, pdf);
+    }
+    // `LightSampleRecorder.broad_light`.
+    void subtract_broad(int depth, Int path, Vec3 light, const BsdfWeights& weights, Int arrives) {
+        if (!learned(depth)) return;
+        const Float broad = luminance(light * weights.broad);
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (arrives[lane]) trace.split->light_difference[base + block.slot[path[lane]]] -= broad[lane];
+        }
     }
 
     // Surfaces, absorption on the way there, and emission from there.
@@ -391,14 +399,20 @@ class Tracing {
         if (depth > 1) {
             const Vec3 vertex = load3(b.vertex, i), offset = s.position - vertex;
             const Float distance = length(offset), cosine = dot(s.geometric_normal, offset) / divisor(distance);
-            const Float other = learned(depth) ? ClusterSampler(t, *trace.lights, vertex, all(-1)).triangle_pdf(hit.triangle, distance, cosine)
-                                               : triangle_pdf(t, vertex, hit.triangle, distance, cosine);
-            light = light * power_heuristic(load<Float>(b.pdf + i), other);
+            const BsdfWeights weights = triangle_weights(depth, vertex, hit.triangle, distance, cosine, load<Float>(b.pdf + i));
+            subtract_broad(depth, lane_numbers() + i, light, weights, emits);
+            light = light * weights.weight;
             add_images(lane_numbers() + i, light, distance, emits);
         }
         add_to_groups(lane_numbers() + i, light, hit.triangle, s.outgoing, emits);
         const Vec3 radiance = load3(b.radiance, i);
         store3(b.radiance, i, choose(emits, radiance + light, radiance));
+    }
+
+    // MIS weights of BSDF samples that meet triangles.
+    BsdfWeights triangle_weights(int depth, Vec3 vertex, Int triangle, Float distance, Float cosine, Float pdf) const {
+        if (!learned(depth)) return {power_heuristic(pdf, triangle_pdf(t, vertex, triangle, distance, cosine)), all(0.0f)};
+        return ClusterSampler(t, *trace.lights, vertex, all(-1)).triangle_weights(triangle, distance, cosine, pdf);
     }
 
     void report_primary_hits() {
@@ -516,7 +530,7 @@ class Tracing {
     }
     void record_light(int i, const DirectLight& light) const {
         record(trace.split->light_row, i, light.row), record(trace.split->light_cluster, i, light.cluster);
-        record(trace.split->light_rms, i, light.contribution_rms);
+        record(trace.split->light_rms, i, light.contribution_rms), record(trace.split->light_difference, i, light.broad);
     }
     void record_directions(int i, Vec3 direction, Float pdf, Int active) const {
         record(trace.split->scattered_direction, i, direction);
@@ -535,7 +549,10 @@ class Tracing {
             if (trace.lights != nullptr) record(trace.split->light_visibility, i, visibility);
         }
         if (trace.groups != nullptr) group_light_samples({trace.groups->reflected, trace.split->path_columns, base, 6}, true);
-        for (int i = 0; i < paths && trace.lights != nullptr; ++i) trace.split->light_rms[base + i] *= b.visibility[i];
+        for (int i = 0; i < paths && trace.lights != nullptr; ++i) {
+            const float light = 0.2126f * b.contribution[0][i] + 0.7152f * b.contribution[1][i] + 0.0722f * b.contribution[2][i];
+            trace.split->light_rms[base + i] *= b.visibility[i], trace.split->light_difference[base + i] *= light * b.visibility[i];
+        }
     }
 
     // Add the light samples to rows of their groups. in_order: columns are paths, not slots.

@@ -16,6 +16,7 @@ from bokehguide.render.lights.base import ClusterRecord, DirectLight, LightSampl
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.power_sampler import PowerLightSampler, voxel_share
 from bokehguide.render.lights.scene_lights import PointQuery
+from bokehguide.render.mis import BsdfWeights
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import divisor, luminance
@@ -23,6 +24,8 @@ from bokehguide.runtime.indexing import indices, scatter
 
 VOXEL_SHARE = 0.125
 """Share of light samples for which the voxel grid chooses the cluster. Every light then has a positive density."""
+MAX_UNIFORM = 1.0 - 2.0**-24
+"""Largest float32 below 1."""
 
 
 class ClusterSample(NamedTuple):
@@ -38,10 +41,11 @@ class ClusterSample(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """N candidates of resampling. value: contribution, `[3, N]`. target: luminance of `value` times expected visibility, `[N]`.
+    """N candidates of resampling. value: contribution, `[3, N]`. target: luminance of the contribution by the power heuristic
+    alone, times expected visibility, `[N]`.
 
     share, cluster: see `ClusterSample`; 0 and -1 for BSDF samples, which the record of clusters ignores. triangle: see
-    `LightSample`.
+    `LightSample`. broad: see `ClusterRecord`.
     """
 
     direction: Tensor
@@ -52,6 +56,7 @@ class _Candidate(NamedTuple):
     cluster: Tensor
     bsdf_pdf: Tensor
     triangle: Tensor
+    broad: Tensor
 
 
 class Counts(NamedTuple):
@@ -70,14 +75,15 @@ DEFAULT_COUNTS = Counts()
 class ResampledLights:
     """Base class of distributions from which resampling keeps one sample.
 
-    row: row of each point in the table of probabilities that learns from the samples, int32 `[N]`.
+    row: row of each point in the table of probabilities that learns from the samples, int32 `[N]`. factor: of the broad part of
+    the MIS weights of light samples (`BsdfWeights`), `[N]` or one number.
     """
 
     first_step: int
 
-    def __init__(self, power: PowerLightSampler, row: Tensor, counts: Counts):
-        self._power, self._row, self._counts = power, row, counts
-        self.count, self.bsdf_count = sample_counts(power, counts)
+    def __init__(self, power: PowerLightSampler, row: Tensor, counts: Counts, factor: Tensor | float):
+        self._power, self._row, self._counts, self._factor = power, row, counts, factor
+        self._light_count, self._bsdf_count = sample_counts(power, counts)
 
     def draw(self, query: PointQuery, uniforms: Tensor) -> ClusterSample:
         """One light sample for each point of the query from uniform numbers `[6, N]`."""
@@ -87,59 +93,86 @@ class ResampledLights:
         """Expected visible share of the light of each cluster `[N]`."""
         raise NotImplementedError
 
+    def triangle_pdf(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
+        """See `LightDistribution`."""
+        raise NotImplementedError
+
     def environment_pdf(self, points: Tensor, directions: Tensor) -> Tensor:
         """See `LightDistribution`."""
         raise NotImplementedError
 
+    def triangle_weights(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor, pdf: Tensor) -> BsdfWeights:
+        """See `LightDistribution`."""
+        light_pdf = self._light_count * self.triangle_pdf(points, triangle, distance, cosine)
+        return BsdfWeights.with_factor(pdf, light_pdf, self._factor)
+
+    def environment_weights(self, points: Tensor, directions: Tensor, pdf: Tensor) -> BsdfWeights:
+        """See `LightDistribution`."""
+        light_pdf = self._light_count * self.environment_pdf(points, directions) + self._bsdf_count * pdf
+        return BsdfWeights.with_factor(pdf, light_pdf, self._factor)
+
     def sample(self, surface: Surface, scattering: Scattering, uniforms: Tensor, random: PixelRandom) -> DirectLight:
         """Resampled importance sampling (Talbot et al. 2005): keeps a candidate in proportion to its target.
 
-        Only the kept candidate needs a shadow ray. The MIS weights count all samples, because resampling draws directions with a
-        large contribution almost as often as all of them together. BSDF candidates compete with the light candidates for
-        directions of the map, as does the BSDF sample of the path itself: Bitterli et al. 2020 mix both kinds as well.
+        Only the kept candidate needs a shadow ray. All candidates together are one technique, whose density is the sum of theirs
+        (balance heuristic), because resampling draws directions with a large contribution almost as often as all of them
+        together. BSDF candidates draw directions of the map, as Bitterli et al. 2020 do. The other technique is the BSDF sample
+        that continues the path. The choices of cluster by the light candidates are stratified.
         """
         query, first = self._power.lights.query(surface.position), dimensions.vertex(1)
-        kept = self._light_candidate(query, scattering, uniforms)
+        kept = self._light_candidate(query, scattering, uniforms, 0)
         total = kept.target
-        for number in range(1, self.count + self.bsdf_count - 1):
-            if number < self.count:
+        for number in range(1, self._light_count + self._bsdf_count):
+            if number < self._light_count:
                 light = random.stratified(first + dimensions.LIGHT, dimensions.LIGHT_COUNT, self.first_step, number)
-                other = self._light_candidate(query, scattering, light)
+                other = self._light_candidate(query, scattering, light, number)
             else:
-                bsdf = random.stratified(first + dimensions.BSDF, 3, self.first_step, number - self.count + 1)
+                bsdf = random.stratified(first + dimensions.BSDF, 3, self.first_step, number - self._light_count + 1)
                 other = self._bsdf_candidate(surface.position, scattering, bsdf)
             total = total + other.target
             changes = random.uniform(dimensions.choice(number), 1)[0] * total < other.target
             kept = _Candidate(*(torch.where(changes, one, two) for one, two in zip(other, kept)))
-        scale = total / (self.count * divisor(kept.target))
+        scale = total / (self._light_count * divisor(kept.target))
         contribution_rms = luminance(kept.value) * (kept.share * scale).sqrt()
-        clusters = ClusterRecord(self._row, kept.cluster, contribution_rms)
+        clusters = ClusterRecord(self._row, kept.cluster, contribution_rms, kept.broad)
         return DirectLight(kept.direction, kept.distance, kept.value * scale, kept.bsdf_pdf, kept.triangle, clusters)
 
-    def _light_candidate(self, query: PointQuery, scattering: Scattering, uniforms: Tensor) -> _Candidate:
-        """Candidates from uniform numbers `[6, N]`."""
-        light = self.draw(query, uniforms)
+    def _light_candidate(self, query: PointQuery, scattering: Scattering, uniforms: Tensor, number: int) -> _Candidate:
+        """Candidates of this number from uniform numbers `[6, N]`, the first of which chooses the cluster."""
+        stratum = ((uniforms[:1] + number) / self._light_count).clamp(max=MAX_UNIFORM)
+        light = self.draw(query, torch.cat((stratum, uniforms[1:])))
         value, bsdf_pdf = scattering.evaluate(light.direction)
-        found = torch.where(light.distance >= MISS_DISTANCE, self.bsdf_count * bsdf_pdf, bsdf_pdf)
-        value = mis.light_contribution(light.radiance, light.pdf, value, found, self.count)
-        target = luminance(value) * self.expected_visibility(light.cluster)
-        return _Candidate(light.direction, light.distance, value, light.share, target, light.cluster, bsdf_pdf, light.triangle)
+        found = torch.where(light.distance >= MISS_DISTANCE, self._bsdf_count * bsdf_pdf, 0.0)
+        pdf = self._light_count * light.pdf + found
+        value, contribution, broad = self._weighed(value * light.radiance / divisor(pdf), pdf, bsdf_pdf)
+        target = luminance(contribution) * self.expected_visibility(light.cluster)
+        chosen = light.share, target, light.cluster, bsdf_pdf, light.triangle, broad
+        return _Candidate(light.direction, light.distance, value, *chosen)
 
     def _bsdf_candidate(self, points: Tensor, scattering: Scattering, uniforms: Tensor) -> _Candidate:
         """Candidates from uniform numbers `[3, N]`."""
         direction, weight, pdf = scattering.sample(uniforms)
         environment, clusters = self._power.lights.sampled_environment, self._power.lights.clusters
         cluster = clusters.cluster(environment.texels(direction))
-        other = self.count * self.environment_pdf(points, direction)
-        value = weight * environment.radiance(direction) * (mis.bsdf_weight(pdf, other, self.bsdf_count) * self.count)
-        target, far = luminance(value) * self.expected_visibility(cluster), torch.full_like(pdf, MISS_DISTANCE)
+        together = self._light_count * self.environment_pdf(points, direction) + self._bsdf_count * pdf
+        light = weight * environment.radiance(direction) * (pdf / divisor(together))
+        value, contribution, broad = self._weighed(light, together, pdf)
+        target, far = luminance(contribution) * self.expected_visibility(cluster), torch.full_like(pdf, MISS_DISTANCE)
         none = torch.full_like(cluster, -1)
-        return _Candidate(direction, far, value, torch.zeros_like(pdf), target, none, pdf, none)
+        return _Candidate(direction, far, value, torch.zeros_like(pdf), target, none, pdf, none, broad)
+
+    def _weighed(self, light: Tensor, pdf: Tensor, bsdf_pdf: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Contributions `[3, N]` of reflected light over the density `pdf` of all candidates; the same by the power heuristic
+        alone; and `ClusterRecord.broad`."""
+        contribution = light * (mis.power_heuristic(pdf, bsdf_pdf) * self._light_count)
+        broad = mis.broad_share(pdf, bsdf_pdf)
+        factor = 1.0 - (1.0 - self._factor) * broad
+        return contribution * factor, contribution, broad / factor
 
 
 def sample_counts(power: PowerLightSampler, counts: Counts) -> tuple[int, int]:
-    """`count` and `bsdf_count` of a `LightDistribution` at primary hits."""
-    return (counts.lights, 1 + counts.bsdf) if power.lights.clusters.map else (counts.lights + counts.bsdf, 1)
+    """Numbers of light candidates and BSDF candidates at primary hits."""
+    return counts if power.lights.clusters.map else (counts.lights + counts.bsdf, 0)
 
 
 class VoxelLights(ResampledLights):
@@ -148,7 +181,7 @@ class VoxelLights(ResampledLights):
     first_step = 1
 
     def __init__(self, power: PowerLightSampler, row: Tensor, counts: Counts = DEFAULT_COUNTS):
-        super().__init__(power, row, counts)
+        super().__init__(power, row, counts, 1.0)
 
     def select(self, index: Tensor) -> VoxelLights:
         """See `LightDistribution`."""
@@ -185,12 +218,13 @@ class VoxelLights(ResampledLights):
 class ClusterTables(NamedTuple):
     """Probabilities of C clusters in each of R rows. The probabilities have not changed since the step `first_step`.
 
-    visibility: expected visible share of each cluster's light, positive, `[R, C]`. first_far: number of the first cluster of the
-    environment, `[1]`, on the device, so that nothing waits for the host.
+    visibility: expected visible share of each cluster's light, positive, `[R, C]`. factor: see `ResampledLights`, positive, `[R]`.
+    first_far: number of the first cluster of the environment, `[1]`, on the device, so that nothing waits for the host.
     """
 
     table: ClusterTable
     visibility: Tensor
+    factor: Tensor
     first_far: Tensor
     first_step: int
 
@@ -216,7 +250,7 @@ class MixtureLights(ResampledLights):
     """Mixture of two choices of clusters: by a table, and by the voxel grid with the weight VOXEL_SHARE."""
 
     def __init__(self, power: PowerLightSampler, row: Tensor, tables: ClusterTables, counts: Counts = DEFAULT_COUNTS):
-        super().__init__(power, row, counts)
+        super().__init__(power, row, counts, tables.factor.index_select(0, row))
         self._tables, self.first_step = tables, tables.first_step
 
     def select(self, index: Tensor) -> MixtureLights:

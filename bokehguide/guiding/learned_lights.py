@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import cast
 
+from torch import Tensor
+
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.inheritance import Learned
 from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSampleRecorder, LightSamples
 from bokehguide.guiding.protocols import BatchSamples, LightStrategy, ModeContext, StepSummary
 from bokehguide.render.observer import PathObserver
+from bokehguide.render.vector import luminance
 
 
 class LearnedLights(LightStrategy):
@@ -27,14 +30,18 @@ class LearnedLights(LightStrategy):
     def observers(self) -> Sequence[PathObserver]:
         return (LightSampleRecorder(),)
 
-    def record(self, samples: BatchSamples) -> list[LightSamples]:
-        recorders = cast(Sequence[LightSampleRecorder], samples.light_observers)
-        return [found for recorder in recorders for found in recorder.samples]
+    def record(self, samples: BatchSamples) -> list[tuple[LightSamples, Tensor]]:
+        """Light samples of the paths of a batch, and luminance that the paths reflect."""
+        hits, recorders = samples.paths.primary_hits, cast(Sequence[LightSampleRecorder], samples.light_observers)
+        if hits is None:
+            return []
+        reflected = luminance(hits.direct + hits.indirect)
+        return [(found, reflected) for recorder in recorders for found in recorder.samples]
 
-    def accumulate(self, records: Sequence[list[LightSamples]], summary: StepSummary) -> None:
+    def accumulate(self, records: Sequence[list[tuple[LightSamples, Tensor]]], summary: StepSummary) -> None:
         for record in records:
-            for found in record:
-                self.sampler.add(*found)
+            for found, reflected in record:
+                self.sampler.add(found, reflected)
 
     def update(self, summary: StepSummary) -> None:
         if summary.ends_epoch and self._learns:
@@ -42,7 +49,8 @@ class LearnedLights(LightStrategy):
 
     def inherit(self, learned: Learned, name: str) -> None:
         if self._learns:
-            self.sampler.inherit(learned, learned.state[name]["sampler.sums"])
+            sums = (learned.state[name][f"sampler.{each}"] for each in ("sums", "factors.sums"))
+            self.sampler.inherit(learned, *sums)
 
     def merge(self) -> None:
         self.sampler.merge()

@@ -17,13 +17,14 @@ from torch.nn.functional import avg_pool2d
 from bokehguide.guiding.cluster_lights import ClusterTables, Counts, MixtureLights, VoxelLights, sample_counts
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.inheritance import Learned, moved
+from bokehguide.guiding.mis_factors import MisFactors
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lights.base import DirectLight, LightDistribution, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.power_sampler import PowerLightSampler
 from bokehguide.render.native import cluster_lights
 from bokehguide.render.observer import CoreReport, PathObserver
-from bokehguide.render.vector import divisor
+from bokehguide.render.vector import divisor, luminance
 from bokehguide.runtime import native
 from bokehguide.runtime.distributed import Ranks, RankSums
 
@@ -45,13 +46,14 @@ class LightSamples(NamedTuple):
     """Light samples at primary hits, one for each of K paths; all fields are `[K]`.
 
     row, cluster: see `ClusterRecord`. contribution_rms: `ClusterRecord.contribution_rms` times the visibility.
-    visibility: unblocked share of the light.
+    visibility: unblocked share of the light. difference: luminance of D (`mis_factors`).
     """
 
     row: Tensor
     cluster: Tensor
     contribution_rms: Tensor
     visibility: Tensor
+    difference: Tensor
 
 
 class LightSampleRecorder(PathObserver):
@@ -65,8 +67,14 @@ class LightSampleRecorder(PathObserver):
     def light_sample(self, paths: Tensor, light: DirectLight, contribution: Tensor, visibility: Tensor) -> None:
         """See `PathObserver`."""
         if light.clusters is not None:
-            row, cluster, contribution_rms = light.clusters
-            self.samples.append(LightSamples(row, cluster, contribution_rms * visibility, visibility))
+            row, cluster, contribution_rms, broad = light.clusters
+            found = luminance(contribution) * broad
+            self.samples.append(LightSamples(row, cluster, contribution_rms * visibility, visibility, found))
+
+    def broad_light(self, paths: Tensor, radiance: Tensor) -> None:
+        """See `PathObserver`."""
+        for found in self.samples:
+            found.difference.index_add_(0, paths, luminance(radiance), alpha=-1)
 
     def reported(self, report: CoreReport) -> None:
         """See `PathObserver`."""
@@ -79,7 +87,7 @@ class LearnedLightSampler(RankSums, LightSampler):
 
     `add` takes the light samples of a step; `update` ends an epoch.
 
-    power: light sampler that owns the lights and the voxel grid.
+    power: light sampler that owns the lights and the voxel grid. factors: learned factors of MIS weights by tile.
     sums: float64 `[3, tiles, clusters]`: Σ contribution_rms² (see `LightSamples`), number of samples, Σ visibility.
     probability, visibility: probability and expected visibility in the present epoch, `[tiles, clusters]`, 0 in the first epoch.
     """
@@ -106,6 +114,7 @@ class LearnedLightSampler(RankSums, LightSampler):
         self.register_buffer("probability", torch.zeros(shape, device=device))
         self.register_buffer("visibility", torch.zeros(shape, device=device))
         self.register_buffer("epoch", torch.tensor(1))
+        self.factors = MisFactors(across * down, device, ranks)
         # Constants are on the device, so that nothing waits for the host.
         self._count = torch.tensor([clusters.count], dtype=torch.int32, device=device)
         self._first_far = torch.tensor([clusters.triangles], device=device)
@@ -135,10 +144,11 @@ class LearnedLightSampler(RankSums, LightSampler):
         made, tables = self._core_lights, self._tables
         if made is None or made[0] is not tables:
             arrays, numbers = self._tile_numbers()
-            arrays |= {} if tables is None else {"cumulative": tables.table.cumulative, "visibility": tables.visibility}
+            if tables is not None:
+                arrays |= {"cumulative": tables.table.cumulative, "visibility": tables.visibility, "factor": tables.factor}
             levels, first_step = (0, 1) if tables is None else (tables.table.levels, tables.first_step)
-            count, bsdf_count = sample_counts(self._power, self._counts)
-            numbers |= {"levels": levels, "first_step": first_step, "candidates": count, "bsdf_count": bsdf_count}
+            lights, bsdf = sample_counts(self._power, self._counts)
+            numbers |= {"levels": levels, "first_step": first_step, "light_candidates": lights, "bsdf_candidates": bsdf}
             made = self._core_lights = (tables, cluster_lights(core, self._power.lights.clusters, arrays, numbers))
         return made[1]
 
@@ -153,10 +163,13 @@ class LearnedLightSampler(RankSums, LightSampler):
         """Tables of the present probabilities."""
         table = ClusterTable(self.probability.double())
         visibility = self.visibility if self._learns_visibility else torch.ones_like(self.visibility)
-        return ClusterTables(table, visibility, self._first_far, int(self.epoch))
+        return ClusterTables(table, visibility, self.factors.factor.clone(), self._first_far, int(self.epoch))
 
-    def add(self, tiles: Tensor, clusters: Tensor, contribution_rms: Tensor, visibility: Tensor) -> None:
-        """Add light samples, `[N]` each. tiles, clusters: int32; samples of cluster -1 are ignored."""
+    def add(self, samples: LightSamples, reflected: Tensor) -> None:
+        """Add light samples; reflected: luminance that the paths reflect at their primary hits, `[K]`. For the probabilities of
+        clusters, samples of cluster -1 are ignored."""
+        tiles, clusters, contribution_rms, visibility, difference = samples
+        self.factors.add(tiles, difference, reflected)
         core = native.core()
         if core is not None and self.mine.device.type == "cpu":
             core.add_light_samples(
@@ -167,9 +180,15 @@ class LearnedLightSampler(RankSums, LightSampler):
         for total, values in zip(self.mine.view(3, -1), rows):
             total.index_add_(0, place, values)  # double precision: the order of ranks does not matter
 
+    def merge(self) -> None:
+        """See `RankSums`."""
+        super().merge()
+        self.factors.merge()
+
     def update(self, step: int) -> None:
         """Begin an epoch at `step`: compute the probabilities from all samples so far; collective."""
         self.merge()
+        self.factors.update(self._pooled)
         self.epoch.fill_(step)
         moments, tried, arrived = (self._pooled(total) for total in self.sums)
         roots = moments.sqrt()
@@ -178,18 +197,19 @@ class LearnedLightSampler(RankSums, LightSampler):
         self.visibility.copy_(((arrived + PRIOR_VISIBLE) / (tried + PRIOR_VISIBLE)).clamp(min=MIN_VISIBILITY))
         self._tables = self._make_tables()
 
-    def inherit(self, learned: Learned, sums: Tensor) -> None:
-        """Begin with sums of an earlier render, `[3, tiles, clusters]`, where its surfaces lie in this frame.
+    def inherit(self, learned: Learned, sums: Tensor, of_factors: Tensor) -> None:
+        """Begin with sums of an earlier render, `[3, tiles, clusters]` and `[2, tiles]`, where its surfaces lie in this frame.
 
         Tiles without samples get the mean of all tiles, with the weight of one sample.
         """
         if not bool(sums[1].any()):
             return
         if not learned.same_view(self._camera):
-            sums = self._moved(learned, sums)
+            sums, of_factors = self._moved(learned, sums), self._moved(learned, of_factors[..., None])[..., 0]
         mean = sums.mean(1, keepdim=True)
         empty = sums[1].sum(1, keepdim=True) == 0.0
         self.sums.copy_(learned.share * sums + empty * mean / mean[1].sum())
+        self.factors.sums.copy_(learned.share * of_factors)
         self.update(1)
 
     def _moved(self, learned: Learned, sums: Tensor) -> Tensor:
@@ -218,6 +238,8 @@ class LearnedLightSampler(RankSums, LightSampler):
         negative = any(bool((values < 0.0).any()) for values in (self.sums, self.visibility, self.probability))
         if negative or (learned and bool(((whole - 1.0).abs() > 1e-4).any())):
             raise ValueError("probabilities of lights that are negative or do not sum to 1")
+        if not self.factors.sound:
+            raise ValueError("factors of MIS weights that are out of range")
         self._tables = self._make_tables() if learned else None
         return result
 

@@ -131,8 +131,8 @@ class NativeTracer:
         fields, (hits, paths) = self._trace(given, timer, groups, arrays, lights, images)
         samples = None
         if lights is not None and paths > 0:
-            row, cluster, rms, visibility = (arrays[name][:paths] for name in LIGHT_ROWS)
-            samples = (row, cluster, rms, visibility)
+            row, cluster, rms, visibility, difference = (arrays[name][:paths] for name in LIGHT_ROWS)
+            samples = (row, cluster, rms, visibility, difference)
         recorded = _recorded(self._geometry, arrays, hits, paths) if hits > 0 else None
         return fields, recorded, CoreReport(fields["radiance"], fields["distance"], images, samples)
 
@@ -162,7 +162,7 @@ class NativeTracer:
         return fields, (recorded[0], recorded[1])
 
 
-LIGHT_ROWS = ("light_row", "light_cluster", "light_rms", "light_visibility")
+LIGHT_ROWS = ("light_row", "light_cluster", "light_rms", "light_visibility", "light_difference")
 """Arrays of the light samples of a trace: see `CoreReport.light_samples`."""
 SURFACE_ROWS = (3, 3, 3, 3, 1, 1, 1, 3, 1, 1, 1, 1, 1, 1, 3, 1, 1, 3, 3, 1, 3, 1, 1, 3, 1, 1, 1, 1, 1)
 """Rows of the fields of `Surface` in the native core."""

@@ -55,6 +55,10 @@ class PathObserver:
         direction: unit, of the segments, `[3, K]`. The path tracer calls this method for primary hits as well.
         """
 
+    def broad_light(self, paths: Tensor, radiance: Tensor) -> None:
+        """BSDF samples of primary hits have met lights; radiance: the light times the broad part of the MIS weight of light
+        samples (`BsdfWeights`), `[3, K]`."""
+
     def finished(self, radiance: Tensor, distance: Tensor) -> None:
         """The trace has ended, with the radiance `[3, N]` along the rays and the distances `[N]` of the primary hits."""
 
@@ -68,13 +72,13 @@ class CoreReport(NamedTuple):
     radiance: along the rays, `[3, N]`. distance: of the primary hits, `[N]`. images: virtual images, `[3, N]`. The first row is
     the luminance that arrives by way of mirrors and glass, and the second row is the distance of the brightest image. The third
     row is 1 if a path leaves the primary hit as in a mirror or glass, else 0. light_samples: light samples at primary hits, None
-    if no table chose their clusters. The tensors `[P]` are row, cluster, contribution_rms times visibility, and visibility.
+    if no table chose their clusters. The tensors `[P]` are the fields of `LightSamples`.
     """
 
     radiance: Tensor
     distance: Tensor
     images: Tensor
-    light_samples: tuple[Tensor, Tensor, Tensor, Tensor] | None
+    light_samples: tuple[Tensor, Tensor, Tensor, Tensor, Tensor] | None
 
 
 class PrimaryHitAOVs(PathObserver):

@@ -10,7 +10,7 @@ from functools import cached_property, partial
 import torch
 from torch import Tensor
 
-from bokehguide.render import dimensions, mis
+from bokehguide.render import dimensions
 from bokehguide.render.bsdf.dielectric import DELTA_PDF
 from bokehguide.render.bsdf.mixture import Scattering
 from bokehguide.render.geometry import Geometry, Surface
@@ -196,13 +196,15 @@ class _Segment:
         """Add the radiance of the environment to paths that left the scene, with the MIS weight against light sampling."""
         environment = self._tracer.lights.environment
         if environment is not None:
-            other = paths.lights.count * paths.lights.environment_pdf(rays.vertex, rays.direction)
-            weight = mis.bsdf_weight(rays.pdf, other, paths.lights.bsdf_count)
-            arrived = paths.throughput * environment.radiance(rays.direction) * weight
+            weights = paths.lights.environment_weights(rays.vertex, rays.direction, rays.pdf)
+            light = paths.throughput * environment.radiance(rays.direction)
+            arrived = light * weights.weight
             paths.radiance += arrived
             for observer in self._observers:
-                observer.arrival(paths.index, torch.full_like(weight, MISS_DISTANCE), arrived)
+                observer.arrival(paths.index, torch.full_like(weights.weight, MISS_DISTANCE), arrived)
                 observer.emitter(paths.index, arrived, None, rays.direction)
+                if weights.broad is not None:
+                    observer.broad_light(paths.index, light * weights.broad)
 
     def _meet(self, paths: Paths, rays: Rays, found: Arrivals) -> tuple[Paths, Surface]:
         """Paths that met surfaces, and the surfaces. The emission of the surfaces is added to the paths."""
@@ -239,12 +241,14 @@ class _Segment:
         distance = length(offset)
         cosine = dot(surface.geometric_normal.index_select(1, index), offset) / divisor(distance)
         lights = paths.lights.select(index)
-        other = lights.count * lights.triangle_pdf(rays.vertex, emitter.triangle, distance, cosine)
-        arrived = emission * mis.power_heuristic(rays.pdf, other)
+        weights = lights.triangle_weights(rays.vertex, emitter.triangle, distance, cosine, rays.pdf)
+        arrived, place = emission * weights.weight, paths.index.index_select(0, index)
         paths.radiance.index_add_(1, index, arrived)
         for observer in self._observers:
-            observer.arrival(paths.index.index_select(0, index), distance, arrived)
-            observer.emitter(paths.index.index_select(0, index), arrived, emitter.triangle, rays.direction)
+            observer.arrival(place, distance, arrived)
+            observer.emitter(place, arrived, emitter.triangle, rays.direction)
+            if weights.broad is not None:
+                observer.broad_light(place, emission * weights.broad)
 
     def _begin_vertex(self, paths: Paths, found: Arrivals, surface: Surface) -> tuple[Paths, Surface]:
         """Paths that scatter, with the distributions of their light samples, and the surfaces of their vertices."""

@@ -43,7 +43,8 @@ def learned_choice(power: PowerLightSampler, count: int, spread: float = 2.0) ->
     weights[:, ::5] = 0.0
     weights[:, -1] = 1.0
     table = ClusterTable(torch.from_numpy(weights / weights.sum(axis=1, keepdims=True)))
-    tables = ClusterTables(table, torch.ones(3, clusters.count), torch.tensor([clusters.triangles]), 1)
+    factor = torch.tensor([1.0, 0.4, 0.05])
+    tables = ClusterTables(table, torch.ones(3, clusters.count), factor, torch.tensor([clusters.triangles]), 1)
     return MixtureLights(power, (torch.arange(count) % 3).int(), tables)
 
 
@@ -51,7 +52,8 @@ def learned_choice(power: PowerLightSampler, count: int, spread: float = 2.0) ->
 class OneTable(LightSampler):
     """A light sampler with one row of a table for all points, in proportion to weights, uniform without any.
 
-    epoch: first step of the table; candidates, bsdf_candidates: light and BSDF samples of which resampling keeps one.
+    epoch: first step of the table; candidates, bsdf_candidates: light and BSDF samples of which resampling keeps one; factor: of MIS
+    weights.
     """
 
     tracer: PathTracer
@@ -59,12 +61,14 @@ class OneTable(LightSampler):
     epoch: int = 1
     candidates: int = 2
     bsdf_candidates: int = 1
+    factor: float = 0.3
 
     def at(self, points: Tensor) -> MixtureLights:
         clusters = self.tracer.lights.clusters
         weights = np.ones(clusters.count) if self.weights is None else np.asarray(self.weights, np.float64)
         table = ClusterTable(torch.from_numpy((weights / weights.sum())[None]))
-        tables = ClusterTables(table, torch.ones(1, clusters.count), torch.tensor([clusters.triangles]), self.epoch)
+        factor = torch.full((1,), self.factor)
+        tables = ClusterTables(table, torch.ones(1, clusters.count), factor, torch.tensor([clusters.triangles]), self.epoch)
         row = torch.zeros(points.shape[1], dtype=torch.int32)
         return MixtureLights(self.tracer.light_sampler, row, tables, Counts(self.candidates, self.bsdf_candidates))
 

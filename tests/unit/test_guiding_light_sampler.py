@@ -10,10 +10,11 @@ import torch
 
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.learned_lights import LearnedLights
-from bokehguide.guiding.light_sampler import MIN_VISIBILITY, OWN, POOLS, PRIOR_VISIBLE, SMALLEST, TILES, LearnedLightSampler
+from bokehguide.guiding.light_sampler import MIN_VISIBILITY, OWN, POOLS, PRIOR_VISIBLE, SMALLEST, TILES, LearnedLightSampler, LightSamples
+from bokehguide.guiding.mis_factors import MIN_FACTOR
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectangle
-from bokehguide.scene.types import Camera, FilmSettings, Material, Scene
+from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Scene
 from bokehguide.train import RenderLoop, RenderSettings
 from tests.support import scenes
 from tests.support.statistical import SIGNIFICANCE, z_test
@@ -93,7 +94,7 @@ def test_the_probability_is_proportional_to_the_roots_of_pooled_moments():
     clusters = torch.randint(-1, 4, (count,), generator=generator)  # the last cluster is never seen
     contribution_rms = torch.rand(count, generator=generator) * (tiles > 60)
     seen = torch.rand(count, generator=generator) * (clusters != 3)
-    guide.add(tiles.int(), clusters.int(), contribution_rms, seen)
+    guide.add(LightSamples(tiles.int(), clusters.int(), contribution_rms, seen, seen), seen)
     guide.update(2)
     sums = np.zeros((12, 20, 3, 5))
     for tile, cluster, value, arrived in zip(tiles.tolist(), clusters.tolist(), contribution_rms.tolist(), seen.tolist()):
@@ -122,14 +123,17 @@ def test_one_infinite_sample_leaves_the_rest_of_the_frame_as_it_is():
     contribution_rms, seen = torch.rand(2, count, generator=generator)
     spoilt, whole = guide_of(*size), guide_of(*size)
     for guide in (spoilt, whole):
-        guide.add(tiles, clusters, contribution_rms, seen)
-    spoilt.add(*(torch.zeros(500, dtype=torch.int32),) * 2, torch.full((500,), torch.inf), torch.ones(500))
+        guide.add(LightSamples(tiles, clusters, contribution_rms, seen, seen - 0.5), seen)
+    first, infinite = torch.zeros(500, dtype=torch.int32), torch.full((500,), torch.inf)
+    spoilt.add(LightSamples(first, first, infinite, torch.ones(500), infinite), torch.ones(500))
     for guide in (spoilt, whole):
         guide.update(2)
     reach = POOLS[-1][0] // 2
     beyond = torch.ones(12, 20, dtype=torch.bool)
     beyond[: reach + 1, : reach + 1] = False
     assert torch.equal(spoilt.probability[beyond.flatten()], whole.probability[beyond.flatten()])
+    assert torch.equal(spoilt.factors.factor[beyond.flatten()], whole.factors.factor[beyond.flatten()])
+    assert bool(spoilt.factors.factor.isfinite().all())
     assert bool(spoilt.probability.isfinite().all()) and float(spoilt.probability[0, 0]) == 1.0
 
 
@@ -199,6 +203,54 @@ def test_a_loop_without_light_goes_on():
     sampler = rendered(shut, 5).mode.lights.sampler
     assert not sampler.sums[0].any()
     assert bool((sampler.probability == 1.0 / sampler.probability.shape[1]).all())
+
+
+def test_factors_of_mis_weights_minimise_the_second_moment():
+    """Of X = U + θ D, by plain loops over the pooled samples, among factors in range; tiles without samples keep 1."""
+    guide, generator = guide_of(20 * SMALLEST, 12 * SMALLEST), torch.Generator().manual_seed(2)
+    size, pools = (12, 20), ((1, OWN), *POOLS)
+    own = 1.2 * torch.rand(240, generator=generator) - 0.1
+    products = np.zeros((2, *size, 2))
+    for epoch in range(2):  # the second epoch adds to samples with the factors of the first
+        tiles = torch.randint(120, 240, (6000,), generator=generator)
+        change, noise = torch.randn(2, 6000, generator=generator)
+        rest = 0.1 * noise - own[tiles] * change
+        reflected = rest + guide.factors.factor[tiles] * change
+        guide.add(LightSamples(tiles.int(), torch.zeros_like(tiles).int(), noise.abs(), noise.abs(), change), reflected)
+        for tile, one, other in zip(tiles.tolist(), rest.tolist(), change.tolist()):
+            products[epoch, tile // 20, tile % 20] += one * other, other * other
+        guide.update(2 + epoch)
+        sums = products[: epoch + 1].sum(0)
+        for row, column in ((0, 3), (6, 0), (7, 8), (11, 19), (9, 10)):
+            pooled = 0.0
+            for width, share in pools:
+                half = width // 2
+                around = sums[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
+                pooled = pooled + share * around.mean((0, 1))
+            expected = np.clip(-pooled[0] / pooled[1], MIN_FACTOR, 1.0) if pooled[1] > 0.0 else 1.0
+            np.testing.assert_allclose(guide.factors.factor[row * 20 + column], expected, rtol=1e-4)
+    learned = guide.factors.factor[120:]
+    assert float(learned.min()) < 0.4 and float(learned.max()) > 0.6 and bool((guide.factors.factor[:20] == 1.0).all())
+
+
+def test_broad_light_moves_to_bsdf_samples_where_shadow_rays_are_blocked():
+    """Under an even sky, a wall blocks shadow rays of a floor: the BSDF sample takes light over, and the variance falls."""
+    with loop_of(replace(parted(), environment=Environment(np.ones((8, 16, 3), np.float32)))) as under_sky:
+        for _ in range(16):
+            under_sky.step()
+    factors = under_sky.mode.lights.sampler.factors
+    assert float(factors.factor.median()) < 0.9
+    product, square = factors.sums.sum(1)
+    assert float(product) < 0.0  # the variance falls up to the factor -product / square, and rises beyond
+    assert float(-product / square) < 0.9
+
+
+@pytest.mark.parametrize("name, value", [("factors.sums", torch.nan), ("factors.factor", 0.01), ("factors.factor", 1.5)])
+def test_factors_out_of_range_are_refused(name, value):
+    state = guide_of().state_dict()
+    state[name] = torch.full_like(state[name], value)
+    with pytest.raises(ValueError, match="out of range"):
+        guide_of().load_state_dict(state)
 
 
 @pytest.mark.parametrize("name, value", [("sums", -1.0), ("visibility", -0.1), ("probability", -0.1), ("probability", 0.4)])

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSampleRecorder
+from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSampleRecorder, LightSamples
 from bokehguide.guiding.virtual_images import HighlightImages
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.native import NativeHits
@@ -41,8 +41,10 @@ def sampler(name: str, learned: bool) -> LearnedLightSampler:
         generator = torch.Generator().manual_seed(8)
         tiles, clusters = lights.probability.shape
         row, cluster = (torch.randint(size, (4000,), generator=generator, dtype=torch.int32) for size in (tiles, clusters))
-        rms, visibility = torch.rand(2, 4000, generator=generator)
-        lights.add(row, cluster, (rms * 4.0).exp(), (visibility > 0.5).float())
+        rms, visibility, difference, rest = torch.rand(4, 4000, generator=generator)
+        difference = difference - 0.5
+        samples = LightSamples(row, cluster, (rms * 4.0).exp(), (visibility > 0.5).float(), difference)
+        lights.add(samples, rest - 0.3 * difference)
         lights.update(2)
     return lights
 
@@ -108,6 +110,7 @@ def test_records_of_light_samples_agree(name, learned):
     assert (found.cluster != expected.cluster).float().mean() <= 2.0 * FLIPS
     assert differing(found.visibility, expected.visibility) <= 2.0 * FLIPS
     assert differing(found.contribution_rms, expected.contribution_rms) <= 2.0 * FLIPS
+    assert differing(found.difference, expected.difference) <= 3.0 * FLIPS and bool(expected.difference.any())
     assert len(expected.cluster.unique()) > 1 or name in ("spot in the dark", "coats", "sheets")
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.guiding.emitter_guide import EmitterGuide
-from bokehguide.guiding.light_sampler import LearnedLightSampler
+from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSamples
 from bokehguide.guiding.pixel_reuse import PixelPathReuse, PixelReuse
 from bokehguide.models.ellipse_mixture import EllipseMixture
 from bokehguide.models.native_mixture import NativeEllipseMixture
@@ -172,14 +172,17 @@ def test_sums_of_learning_agree(consecutive, monkeypatch):
         torch.randint(low, high, (count,), generator=generator, dtype=torch.int32) for low, high in ((0, tiles), (-1, clusters))
     ]
     samples += [(8.0 * torch.rand(count, generator=generator)).exp(), torch.rand(count, generator=generator)]
-    samples[2][:2] = torch.tensor((torch.nan, torch.inf))
+    samples += [torch.randn(count, generator=generator)]
+    reflected = torch.randn(count, generator=generator)
+    samples[2][:2] = samples[4][:2] = reflected[5:7] = torch.tensor((torch.nan, torch.inf))
+    lights.factors.factor.copy_(torch.rand(tiles, generator=generator))
     results = []
     for form in ("1", "0"):
         monkeypatch.setenv(native.SWITCH, form)
-        control.mine.zero_(), lights.mine.zero_()
+        control.mine.zero_(), lights.mine.zero_(), lights.factors.mine.zero_()
         corrected = control.corrected(places, radiance, weight)
-        lights.add(*samples)
-        results.append((corrected, control.mine.clone(), lights.mine.clone()))
+        lights.add(LightSamples(*samples), reflected)
+        results.append((corrected, control.mine.clone(), lights.mine.clone(), lights.factors.mine.clone()))
     lights.mine.zero_()
     for found, expected in zip(*results):
         torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-9, equal_nan=True)

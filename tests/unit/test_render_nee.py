@@ -7,6 +7,7 @@ from bokehguide.guiding.cluster_lights import DEFAULT_COUNTS, ClusterSample, Cou
 from bokehguide.render import dimensions
 from bokehguide.render.bsdf.mixture import Scattering
 from bokehguide.render.geometry import Geometry
+from bokehguide.render.mis import BROAD
 from bokehguide.render.lights.base import DirectLight
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
@@ -22,7 +23,7 @@ class Spot:
     """COUNT copies of a place on the floor of a room with emitters of several kinds and a sky, under a learned choice."""
 
     def __init__(self, material: str = "coated", counts: Counts = DEFAULT_COUNTS):
-        self.count, self.bsdf_count = counts.lights, 1 + counts.bsdf
+        self.count, self.bsdf_count = counts
         tracer = PathTracer(room(MATERIALS[material], sky_with_a_window(6.0), checkered()))
         self.power = tracer.light_sampler
         self.geometry: Geometry = tracer.geometry
@@ -31,6 +32,7 @@ class Spot:
         self.surface = self.geometry.surface(origin, direction, self.geometry.tracer.intersect(origin, direction))
         self.scattering = Scattering(self.surface, None)
         learned = learned_choice(self.power, COUNT)
+        self.factor = learned._tables.factor[learned._row]
         shares = torch.linspace(0.05, 1.0, self.power.lights.clusters.count).repeat(3, 1)
         self.lights = MixtureLights(self.power, learned._row, learned._tables._replace(visibility=shares), counts)
         self.random = PixelRandom(3, 1, torch.arange(COUNT))
@@ -38,35 +40,42 @@ class Spot:
     def sample(self) -> DirectLight:
         return self.lights.sample(self.surface, self.scattering, self.random.uniform(0, 6), self.random)
 
-    def light_value(self, light: ClusterSample) -> tuple[torch.Tensor, torch.Tensor]:
-        """Contribution of a light sample and the density of the BSDF. The contribution has the weight of the multi-sample power
-        heuristic (Veach 1997), and is divided by the density of one light sample."""
+    def weighed(self, light: torch.Tensor, pdf: torch.Tensor, bsdf_pdf: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Contributions of reflected light that all candidates together find with the density `pdf`, as if each light sample
+        found all of the light: with the factor of the broad part, and by the power heuristic alone."""
+        whole = light * (self.count * pdf / (pdf.square() + bsdf_pdf.square()).clamp(min=1e-30))
+        broad = bsdf_pdf.square() / (bsdf_pdf.square() + (pdf / BROAD).square()).clamp(min=1e-30)
+        return whole * (1.0 - (1.0 - self.factor) * broad), whole
+
+    def light_value(self, light: ClusterSample) -> tuple[torch.Tensor, ...]:
+        """`weighed` for a light sample, and the density of the BSDF."""
         value, pdf = self.scattering.evaluate(light.direction)
-        of_bsdf = torch.where(light.distance > 1e30, self.bsdf_count, 1) * pdf
-        return value * light.radiance / (1.0 + (of_bsdf / (self.count * light.pdf)).square()) / light.pdf, pdf
+        of_bsdf = torch.where(light.distance > 1e30, self.bsdf_count * pdf, 0.0)
+        return *self.weighed(value * light.radiance, self.count * light.pdf + of_bsdf, pdf), pdf
 
     def bsdf_value(self, uniforms: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """The same of a BSDF sample, as if it were one of as many samples as there are light samples; and its direction."""
+        """The same for a BSDF sample, and its direction."""
         direction, weight, pdf = self.scattering.sample(uniforms)
-        lights, together = self.count * self.lights.environment_pdf(self.surface.position, direction), self.bsdf_count * pdf
-        share = together.square() / (together.square() + lights.square()).clamp(min=1e-30) / self.bsdf_count
-        return weight * self.power.lights.environment.radiance(direction) * share * self.count, pdf, direction
+        together = self.count * self.lights.environment_pdf(self.surface.position, direction) + self.bsdf_count * pdf
+        light = weight * pdf * self.power.lights.environment.radiance(direction)
+        return *self.weighed(light, together, pdf), pdf, direction
 
     def candidates(self) -> tuple[torch.Tensor, ...]:
         """Direction `[C, 3, COUNT]` of each of C candidates; luminance and resampling target, float64, and density of the BSDF,
-        `[C, COUNT]`."""
+        `[C, COUNT]`. The choices of cluster are stratified."""
         query, first, found = self.power.lights.query(self.surface.position), dimensions.vertex(1), []
         for number in range(self.count):
             light = self.random.stratified(first + dimensions.LIGHT, 6, 1, number) if number else self.random.uniform(0, 6)
-            drawn = self.lights.draw(query, light)
+            stratum = (light[:1] + number) / self.count
+            drawn = self.lights.draw(query, torch.cat((stratum, light[1:])))
             found.append((*self.light_value(drawn), drawn.direction, drawn.cluster))
-        for number in range(1, self.bsdf_count):
-            value, pdf, direction = self.bsdf_value(self.random.stratified(first + dimensions.BSDF, 3, 1, number))
+        for number in range(1, self.bsdf_count + 1):
+            *values, direction = self.bsdf_value(self.random.stratified(first + dimensions.BSDF, 3, 1, number))
             texel = self.power.lights.sampled_environment.texels(direction)
-            found.append((value, pdf, direction, self.power.lights.clusters.cluster(texel)))
-        value, densities, directions, cluster = (torch.stack(each) for each in zip(*found))
-        bright = torch.stack([luminance(each).double() for each in value])
-        target = bright * torch.stack([self.lights.expected_visibility(each) for each in cluster])
+            found.append((*values, direction, self.power.lights.clusters.cluster(texel)))
+        value, whole, densities, directions, cluster = (torch.stack(each) for each in zip(*found))
+        bright, whole = (torch.stack([luminance(each).double() for each in light]) for light in (value, whole))
+        target = whole * torch.stack([self.lights.expected_visibility(each) for each in cluster])
         return directions, bright, target, densities
 
 
@@ -92,10 +101,11 @@ def test_candidates_are_kept_in_proportion_to_their_targets(counts):
 @pytest.mark.parametrize("bsdf, share", [(0, 0.6), (1, 1.0)])
 @pytest.mark.parametrize("material", ["coated", "glossy metal"])
 def test_resampling_keeps_the_mean_and_reduces_the_variance(material, bsdf, share):
-    """With four light samples; against one of them and the BSDF sample, if there is one."""
+    """With four light samples; against one light sample and the BSDF sample, if there is one."""
     spot = Spot(material, Counts(4, bsdf))
     bright, best = spot.candidates()[1], luminance(spot.sample().value).double()
-    one = bright[1] + bright[4:].sum(0) / 4
+    light = spot.lights.draw(spot.power.lights.query(spot.surface.position), PixelRandom(8, 1, torch.arange(COUNT)).uniform(0, 6))
+    one = luminance(spot.light_value(light)[0]).double() + bright[4:].sum(0) / 4
     error = ((one.var() + best.var()) / COUNT).sqrt()
     assert z_test((one.mean() - best.mean())[None].numpy(), error[None].numpy()) > SIGNIFICANCE
     assert float(best.var()) < share * float(one.var())

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bokehguide.render.bsdf.mixture import Scattering
 from bokehguide.render.geometry import Surface
+from bokehguide.render.mis import BsdfWeights
 from bokehguide.render.random import PixelRandom
 
 
@@ -32,12 +33,13 @@ class ClusterRecord(NamedTuple):
 
     row: row of the table, int32 `[N]`. cluster: int32 `[N]`. contribution_rms: luminance of the unshadowed contribution times the
     square root of the cluster's probability, `[N]`. The expected value of its square is the sum over clusters of the second
-    moments of their contributions.
+    moments of their contributions. broad: broad part of the MIS weight (`mis.broad_share`) over the weight, `[N]`.
     """
 
     row: Tensor
     cluster: Tensor
     contribution_rms: Tensor
+    broad: Tensor
 
 
 @dataclass
@@ -61,19 +63,11 @@ class LightDistribution(Protocol):
     """Distribution of light samples at the vertices of N paths. All densities are per unit solid angle.
 
     first_step: step since which the distribution has not changed. Its random numbers may be stratified over the steps from this
-    step on. count: number of light samples from which `sample` makes one. The multi-sample power heuristic (Veach 1997)
-    multiplies their density by this number. bsdf_count: number of BSDF samples whose directions into the environment count, with
-    the one that continues the path.
+    step on.
     """
 
     @property
     def first_step(self) -> int: ...
-
-    @property
-    def count(self) -> int: ...
-
-    @property
-    def bsdf_count(self) -> int: ...
 
     def select(self, index: Tensor) -> Self:
         """Distribution for the paths at `index`, int64 `[M]`."""
@@ -92,6 +86,14 @@ class LightDistribution(Protocol):
 
     def environment_pdf(self, points: Tensor, directions: Tensor) -> Tensor:
         """Density `[N]` with which points `[3, N]` sample directions `[3, N]` of the environment."""
+        ...
+
+    def triangle_weights(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor, pdf: Tensor) -> BsdfWeights:
+        """MIS weights of BSDF samples with the density `pdf` `[N]` that meet `triangle`; other arguments: see `triangle_pdf`."""
+        ...
+
+    def environment_weights(self, points: Tensor, directions: Tensor, pdf: Tensor) -> BsdfWeights:
+        """MIS weights of BSDF samples with the density `pdf` `[N]` that leave the scene in `directions` `[3, N]`."""
         ...
 
 

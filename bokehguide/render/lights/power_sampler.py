@@ -13,6 +13,7 @@ from bokehguide.render.geometry import Surface
 from bokehguide.render.lights.base import DirectLight, LightSample, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.scene_lights import Lights, PointQuery
+from bokehguide.render.mis import BsdfWeights
 from bokehguide.render.random import PixelRandom
 
 
@@ -22,7 +23,7 @@ class PowerLightSampler(LightSampler):
     The sampler is also the distribution that `at` returns. The distribution depends on the cell of a point, and never changes.
     """
 
-    first_step, count, bsdf_count = 1, 1, 1
+    first_step = 1
     in_core = True
 
     def __init__(self, lights: Lights):
@@ -83,6 +84,14 @@ class PowerLightSampler(LightSampler):
     def environment_pdf(self, points: Tensor, directions: Tensor) -> Tensor:
         """See `LightDistribution`."""
         return self.lights.environment_pdf(directions, lambda *at: self._environment_density(self.lights.query(points), *at))
+
+    def triangle_weights(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor, pdf: Tensor) -> BsdfWeights:
+        """See `LightDistribution`."""
+        return BsdfWeights(mis.power_heuristic(pdf, self.triangle_pdf(points, triangle, distance, cosine)))
+
+    def environment_weights(self, points: Tensor, directions: Tensor, pdf: Tensor) -> BsdfWeights:
+        """See `LightDistribution`."""
+        return BsdfWeights(mis.power_heuristic(pdf, self.environment_pdf(points, directions)))
 
 
 def voxel_share(table: ClusterTable, cells: Tensor, environment_share: Tensor, cluster: Tensor) -> Tensor:
