@@ -218,7 +218,7 @@ class VoxelLights(ResampledLights):
 class ClusterTables(NamedTuple):
     """Probabilities of C clusters in each of R rows. The probabilities have not changed since the step `first_step`.
 
-    visibility: expected visible share of each cluster's light, positive, `[R, C]`. factor: see `ResampledLights`, positive, `[R]`.
+    visibility: expected visible share of each cluster's light, positive, `[R, C]`. factor: see `ResampledLights`, `[R]`.
     first_far: number of the first cluster of the environment, `[1]`, on the device, so that nothing waits for the host.
     """
 

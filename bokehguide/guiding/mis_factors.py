@@ -4,10 +4,10 @@ The shadow ray of a light sample and the BSDF sample that continues the path bot
 power heuristic ignores the visibility, and ignores that a BSDF sample which misses the light finds a surface. The better weights
 therefore differ from place to place. Lights in few directions, which BSDF samples rarely find, keep the power heuristic.
 
-With the factor θ, the radiance that a path reflects is X = U + θ D. D is the broad light that the shadow ray finds, minus the broad
-light that the BSDF sample finds, each with the weight that θ multiplies (`mis.BsdfWeights`). The expected value of D is 0, so that
-the mean of X does not depend on θ. The factor θ = -E[U D] / E[D²] minimises the variance, as do the optimal weights of Kondapaneni
-et al. 2019.
+With the factor θ, the radiance that a path reflects is X = U + θ D. D is the broad light that the shadow ray finds, minus the
+broad light that the BSDF sample finds, each with the weight that θ multiplies (`mis.BsdfWeights`). The expected value of D is 0,
+so that the mean of X does not depend on θ. The factor θ = -E[U D] / E[D²] minimises the variance, as do the optimal weights of
+Kondapaneni et al. 2019.
 """
 
 from __future__ import annotations

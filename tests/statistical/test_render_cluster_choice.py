@@ -16,10 +16,10 @@ from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Environment, Scene, Sun
-from tests.support.choice_cases import ROOM_RAY, Everywhere, learned_choice
+from tests.support.choice_cases import ROOM_RAY, Everywhere, learned_choice, traced
 from tests.support.light_cases import DRAWS, emitters, sampled, window
 from tests.support.rooms import MATERIALS, room, sky_with_a_window
-from tests.support.statistical import SIGNIFICANCE, chi_square
+from tests.support.statistical import SIGNIFICANCE, chi_square, z_test
 from tests.support.tracing import agreement, emitter, estimates, matte
 
 SUNS = (Sun((0.6, 0.8, 0.0), 8.0, (2.0, 2.0, 2.0)), Sun((0.0, -0.6, -0.8), 12.0, (1.0, 1.0, 0.5)))
@@ -143,6 +143,17 @@ def test_whatever_is_chosen_the_mean_is_the_same(name):
     lit = room(MATERIALS[name], sky_with_a_window(6.0), emitter(2.0))
     plain = estimates(lit, *ROOM_RAY, count=120_000, seed=1)
     assert agreement(following(learned_choice, lit), plain) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("name", ["lamp", "map"])
+@pytest.mark.parametrize("material", ["matte", "glossy metal", "frosted sheet"])
+def test_the_mean_of_the_difference_between_both_techniques_is_zero(material, name):
+    """Of broad light (`mis_factors`), with shadows; and the difference is not zero itself."""
+    lit = room(MATERIALS[material], *((None, emitter(2.0)) if name == "lamp" else (sky_with_a_window(6.0), matte(0.2))))
+    difference = traced(lit, ROOM_RAY, 120_000, split=True).lights.samples[0].difference.double()
+    error = difference.std() / math.sqrt(len(difference))
+    assert float(error) > 0.0
+    assert z_test(difference.mean()[None].numpy(), error[None].numpy()) > SIGNIFICANCE
 
 
 FORGETFUL = {

@@ -52,8 +52,8 @@ def learned_choice(power: PowerLightSampler, count: int, spread: float = 2.0) ->
 class OneTable(LightSampler):
     """A light sampler with one row of a table for all points, in proportion to weights, uniform without any.
 
-    epoch: first step of the table; candidates, bsdf_candidates: light and BSDF samples of which resampling keeps one; factor: of MIS
-    weights.
+    epoch: first step of the table; candidates, bsdf_candidates: light and BSDF samples of which resampling keeps one.
+    factor: of MIS weights.
     """
 
     tracer: PathTracer

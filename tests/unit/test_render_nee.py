@@ -7,8 +7,8 @@ from bokehguide.guiding.cluster_lights import DEFAULT_COUNTS, ClusterSample, Cou
 from bokehguide.render import dimensions
 from bokehguide.render.bsdf.mixture import Scattering
 from bokehguide.render.geometry import Geometry
-from bokehguide.render.mis import BROAD
 from bokehguide.render.lights.base import DirectLight
+from bokehguide.render.mis import BROAD
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
