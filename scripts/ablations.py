@@ -87,6 +87,7 @@ PARTS: dict[str, dict[str, object]] = {
     "control variate": {"control_variate": False},
     "resampled lights": {"light_candidates": 1, "bsdf_candidates": 0},
     "learned visibility": {"learn_visibility": False},
+    "learned MIS weights": {"learn_mis": False},
     "learned lights": {"learn_lights": False},
 }
 """The parts of the mode `guided`, and the fields that take each part away."""
@@ -100,6 +101,7 @@ NEEDED = {
     "learned β (else 0.65)": ("known emitters",),
     "pooled β": ("known emitters", "learned β (else 0.65)"),
     "learned visibility": ("learned lights", "resampled lights"),
+    "learned MIS weights": ("learned lights",),
     "control variate": ("reused primary hits",),
 }
 """Parts that do nothing by themselves, and the parts that they are added to."""

@@ -80,6 +80,7 @@ class GuidedConfig:
     light_candidates, bsdf_candidates: numbers of light samples and of BSDF samples from which resampling keeps one. Without an
     environment map, light samples take the place of the BSDF samples.
     learn_visibility: whether the resampling weights include the learned visibility of the cluster.
+    learn_mis: whether a factor of the MIS weights of light samples is learned.
     """
 
     known_emitters: bool = True
@@ -113,3 +114,4 @@ class GuidedConfig:
     light_candidates: int = 3
     bsdf_candidates: int = 1
     learn_visibility: bool = True
+    learn_mis: bool = True

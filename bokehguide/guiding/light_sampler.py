@@ -119,6 +119,7 @@ class LearnedLightSampler(RankSums, LightSampler):
         self._count = torch.tensor([clusters.count], dtype=torch.int32, device=device)
         self._first_far = torch.tensor([clusters.triangles], device=device)
         self._counts, self._learns_visibility = Counts(config.light_candidates, config.bsdf_candidates), config.learn_visibility
+        self._learns_mis = config.learn_mis
         self._tables: ClusterTables | None = None  # None in the first epoch
         self._core_lights: tuple[ClusterTables | None, object] | None = None
 
@@ -188,7 +189,8 @@ class LearnedLightSampler(RankSums, LightSampler):
     def update(self, step: int) -> None:
         """Begin an epoch at `step`: compute the probabilities from all samples so far; collective."""
         self.merge()
-        self.factors.update(self._pooled)
+        if self._learns_mis:
+            self.factors.update(self._pooled)
         self.epoch.fill_(step)
         moments, tried, arrived = (self._pooled(total) for total in self.sums)
         roots = moments.sqrt()
