@@ -185,8 +185,8 @@ class ClusterSampler {
         return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * probability(cluster);
     }
     Float density(Vec3 direction, Int texel) const {
-        const Float by_voxel = query.environment_share * environment_density(t, direction, texel);
-        return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * table_density(direction, texel);
+        const Float of_map = map_density(t, texel), by_voxel = query.environment_share * environment_density(t, direction, of_map);
+        return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * table_density(direction, texel, of_map);
     }
 
     ClusterSample draw(const Float (&u)[6]) const {
@@ -217,13 +217,22 @@ class ClusterSampler {
     }
 
     ClusterSample draw_environment(Int cluster, Int by_voxel, const Float (&u)[5]) const {
-        Int element = environment_element(t, u);
-        if (c.cumulative != nullptr) element = by_voxel ? element : cluster_element(within(cluster, c.first_texels, c.clusters - 1), u[0], u[1]);
+        const Int element = environment_element(cluster, by_voxel, u);
         const Vec3 direction = environment_direction(t, element, u[2], u[3]);
         const Int texel = element_texel(t, element, direction);
         const Float pdf = density(direction, texel);
         const LightSample light = {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf, all(-1)};
         return {light, cluster_of(element), pdf / density_within(element)};
+    }
+
+    // Elements from the clusters, or from the whole environment where the voxel grid chooses. All other lanes read one entry of the
+    // table of the whole environment, which stays in the cache.
+    Int environment_element(Int cluster, Int by_voxel, const Float (&u)[5]) const {
+        if (c.cumulative == nullptr) return BOKEHGUIDE_ISA::environment_element(t, u);
+        const Int element = cluster_element(within(cluster, c.first_texels, c.clusters - 1), u[0], u[1]);
+        if (!any(by_voxel & active)) return element;
+        const Float numbers[5] = {by_voxel ? u[0] : all(0.0f), by_voxel ? u[1] : all(0.0f), u[2], u[3], u[4]};
+        return by_voxel ? BOKEHGUIDE_ISA::environment_element(t, numbers) : element;
     }
 
     // `LightClusters.sample_element`, `cluster`, `pdf_within` and `environment_pdf`.
@@ -240,16 +249,18 @@ class ClusterSampler {
         return element < 0 ? distant : c.first_texels + bytes_at(c.texel_cluster, element > 0 ? element : all(0));
     }
     Float density_within(Int element) const {
-        Float density = c.texel_table == nullptr ? all(0.0f) : gather(c.texel_density, element > 0 ? element : all(0));
+        const Int texel = element > 0 ? element : all(0);
+        Float density = c.texel_table == nullptr ? all(0.0f) : map_density(t, texel) * gather(c.cluster_scale, bytes_at(c.texel_cluster, texel));
         for (int number = 1; number <= t.distant_count; ++number) {
             density = element == -number ? all(t.distant[number - 1].density) : density;
         }
         return density;
     }
-    Float table_density(Vec3 direction, Int texel) const {
+    Float table_density(Vec3 direction, Int texel, Float of_map) const {
         Float density = all(0.0f);
         if (c.texel_table != nullptr) {
-            density = probability(c.first_texels + bytes_at(c.texel_cluster, texel)) * gather(c.texel_density, texel);
+            const Int number = bytes_at(c.texel_cluster, texel);
+            density = probability(c.first_texels + number) * (of_map * gather(c.cluster_scale, number));
         }
         for (int number = 0; number < t.distant_count; ++number) {
             const DistantTable& light = t.distant[number];

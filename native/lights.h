@@ -136,9 +136,11 @@ inline Float environment_alpha(const Tables& t, Vec3 direction) {
     return at_most(sum, 1.0f);
 }
 
-// `EnvironmentLight.pdf` at directions in texels of the map.
-inline Float environment_density(const Tables& t, Vec3 direction, Int texel) {
-    Float density = t.map_density == nullptr ? all(0.0f) : gather(t.map_density, texel) * t.map_share;
+// Density of each texel in the whole map.
+inline Float map_density(const Tables& t, Int texel) { return t.map_density == nullptr ? all(0.0f) : gather(t.map_density, texel); }
+// `EnvironmentLight.pdf` at directions in texels of the map with densities `of_map`.
+inline Float environment_density(const Tables& t, Vec3 direction, Float of_map) {
+    Float density = of_map * t.map_share;
     for (int number = 0; number < t.distant_count; ++number) {
         const DistantTable& light = t.distant[number];
         density = density + light.share * light.density * contains(light, direction);
@@ -150,7 +152,7 @@ inline Float environment_density(const Tables& t, Vec3 direction, Int texel) {
 inline Float environment_pdf(const Tables& t, Vec3 point, Vec3 direction) {
     if (!t.has_far_power) return all(0.0f);
     const Int texel = t.map_density == nullptr ? all(0) : texel_at(t, direction);
-    return PointQuery(t, point).environment_share * environment_density(t, direction, texel);
+    return PointQuery(t, point).environment_share * environment_density(t, direction, map_density(t, texel));
 }
 
 struct LightSample {
@@ -215,7 +217,7 @@ inline Int element_texel(const Tables& t, Int element, Vec3 direction) {
 inline LightSample sample_environment(const Tables& t, const PointQuery& query, const Float (&u)[5]) {
     const Int element = environment_element(t, u);
     const Vec3 direction = environment_direction(t, element, u[2], u[3]);
-    const Float pdf = query.environment_share * environment_density(t, direction, element_texel(t, element, direction));
+    const Float pdf = query.environment_share * environment_density(t, direction, map_density(t, element_texel(t, element, direction)));
     return {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf, all(-1)};
 }
 

@@ -227,7 +227,7 @@ class NamedClusterLights : Named {
         c.first_texels = whole("first_texels"), c.map_clusters = whole("map_clusters"), c.first_distant = whole("first_distant");
         c.texel_table = alias_table("texel", texel_table_), c.texel_start = array<int32_t>("texel_start");
         c.texel_order = array<int32_t>("texel_order"), c.texel_cluster = array<uint8_t>("texel_cluster");
-        c.texel_density = array<float>("texel_density");
+        c.cluster_scale = array<float>("cluster_scale");
         forget_names();
     }
 

@@ -117,7 +117,7 @@ struct ClusterLights {
     const AliasEntry* texel_table;  // null where the map is not sampled, as the next four
     const int32_t *texel_start, *texel_order;
     const uint8_t* texel_cluster;
-    const float* texel_density;
+    const float* cluster_scale;
 };
 
 // Primary hits whose rays split into paths, and the paths (render/primary_hits.py). Hits are in the order of the rays.

@@ -263,7 +263,7 @@ def cluster_lights(core: ModuleType, clusters: LightClusters, arrays: dict[str, 
         within = clusters.map.within
         arrays = {**arrays, "texel_keep": within.keep, "texel_alias": within.alias, "texel_start": within.start}
         arrays |= {"texel_order": clusters.map.order, "texel_cluster": clusters.map.clusters}
-        arrays["texel_density"] = clusters.map.densities
+        arrays["cluster_scale"] = clusters.map.scale
     tables = {name: table.contiguous() for name, table in arrays.items()}
     return core.ClusterLights(tables, {name: float(value) for name, value in numbers.items()})
 

@@ -123,7 +123,7 @@ class EnvironmentMap:
         """Luminance above the map's mean, integrated over the sphere."""
         self.table = AliasTable(excess.reshape(-1), device) if self.power > 0.0 else None
         if self.table is not None:
-            self.densities = self.table.probability * self.uniform_density()
+            self.densities = self.probability * self.uniform_density()
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
@@ -155,6 +155,12 @@ class EnvironmentMap:
     def density(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of `sample` in texels `[N]`."""
         return self.densities.index_select(0, texel)
+
+    @property
+    def probability(self) -> Tensor:
+        """Probability of drawing each texel, `[H * W]`."""
+        assert self.table is not None
+        return self.table.probability
 
     def uniform_density(self) -> Tensor:
         """Solid-angle density of uniform directions over each texel, `[H * W]`."""

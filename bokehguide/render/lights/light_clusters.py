@@ -69,7 +69,8 @@ class MapClusters:
     """Clusters of the texels of a map.
 
     count: number of clusters. within: choice among the texels of each cluster. order: texels sorted by cluster, int32 `[H W]`.
-    clusters: cluster of each texel, uint8 `[H W]`. densities: solid-angle density of each texel within its cluster, `[H W]`.
+    clusters: cluster of each texel, uint8 `[H W]`. scale: density of a texel within its cluster over the density of the texel in
+    the whole map, for each cluster, `[count]`.
     """
 
     def __init__(self, light: EnvironmentMap):
@@ -87,8 +88,10 @@ class MapClusters:
         starts = np.searchsorted(cluster[order], np.arange(self.count + 1))
         self.within = AliasTable(shares.reshape(-1)[order], device, starts)
         self.order, self.clusters = (torch.from_numpy(values).to(device) for values in (order, cluster))
-        self.densities = light.uniform_density()
-        self.densities[self.order.long()] *= self.within.probability
+        self._density = light.density
+        share = torch.zeros(self.count, dtype=torch.float64, device=device)
+        share.index_add_(0, self.clusters.int(), light.probability.double())
+        self.scale = (1.0 / share).float()
 
     def sample_element(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Texels `[N]` of clusters `[N]` from uniform numbers `[2, N]`."""
@@ -100,7 +103,7 @@ class MapClusters:
 
     def pdf(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of each texel within its cluster."""
-        return self.densities.index_select(0, texel)
+        return self._density(texel) * self.scale.index_select(0, self.cluster(texel))
 
 
 def _block_directions(row: np.ndarray, column: np.ndarray, rows: int, columns: int) -> np.ndarray:
