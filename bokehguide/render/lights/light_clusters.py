@@ -12,6 +12,7 @@ from bokehguide.render.lights.alias_table import AliasTable
 from bokehguide.render.lights.clusters import build_clusters
 from bokehguide.render.lights.environment import EnvironmentLight, EnvironmentMap
 from bokehguide.render.lights.voxel_grid import LightVoxelGrid
+from bokehguide.render.vector import divisor
 
 BLOCKS = 64
 """Number of blocks of texels from pole to pole; around the horizon, there are twice as many. Clusters consist of blocks."""
@@ -91,7 +92,7 @@ class MapClusters:
         self._density = light.density
         share = torch.zeros(self.count, dtype=torch.float64, device=device)
         share.index_add_(0, self.clusters.int(), light.probability.double())
-        self.scale = (1.0 / share).float()
+        self.scale = (1.0 / divisor(share)).float()
 
     def sample_element(self, cluster: Tensor, uniforms: Tensor) -> Tensor:
         """Texels `[N]` of clusters `[N]` from uniform numbers `[2, N]`."""
