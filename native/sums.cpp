@@ -31,8 +31,8 @@ void add_light_samples(Out<double> sums, const Ints& tile, const Ints& cluster, 
     }
 }
 
-// `MisFactors.add`: adds paths to sums `[2, tiles]`; factor: of each tile.
-void add_mis_samples(Out<double> sums, const Floats& factor, const Ints& tile, const Floats& difference, const Floats& reflected, double most) {
+// `MisFactors.moments`: adds paths to sums `[2, tiles]`; factor: of each tile.
+void add_mis_moments(Out<double> sums, const Floats& factor, const Ints& tile, const Floats& difference, const Floats& reflected, double most) {
     const size_t count = tile.size(), tiles = factor.size();
     check(sums, 2 * tiles, "sums"), check(difference, count, "difference"), check(reflected, count, "reflected");
     nb::gil_scoped_release released;
@@ -182,7 +182,7 @@ void cover(const nb::dict& arrays, const Ints& objects, const std::optional<Out<
 void bind_sums(nb::module_& m) {
     m.def("add_records", &add_records);
     m.def("add_light_samples", &add_light_samples);
-    m.def("add_mis_samples", &add_mis_samples);
+    m.def("add_mis_moments", &add_mis_moments);
     m.def("correct_samples", &correct_samples, nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
           nb::arg(), nb::arg());
     m.def("cover", &cover, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());

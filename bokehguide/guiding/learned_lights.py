@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import cast
 
-from torch import Tensor
-
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.inheritance import Learned
-from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSampleRecorder, LightSamples
+from bokehguide.guiding.light_sampler import LearnedLightSampler, LightBatch, LightSampleRecorder
 from bokehguide.guiding.protocols import BatchSamples, LightStrategy, ModeContext, StepSummary
 from bokehguide.render.observer import PathObserver
 from bokehguide.render.vector import luminance
@@ -30,18 +28,18 @@ class LearnedLights(LightStrategy):
     def observers(self) -> Sequence[PathObserver]:
         return (LightSampleRecorder(),)
 
-    def record(self, samples: BatchSamples) -> list[tuple[LightSamples, Tensor]]:
-        """Light samples of the paths of a batch, and luminance that the paths reflect."""
+    def record(self, samples: BatchSamples) -> list[LightBatch]:
+        """Light samples of the paths of a batch."""
         hits, recorders = samples.paths.primary_hits, cast(Sequence[LightSampleRecorder], samples.light_observers)
         if hits is None:
             return []
         reflected = luminance(hits.direct + hits.indirect)
-        return [(found, reflected) for recorder in recorders for found in recorder.samples]
+        return [self.sampler.batch(found, reflected) for recorder in recorders for found in recorder.samples]
 
-    def accumulate(self, records: Sequence[list[tuple[LightSamples, Tensor]]], summary: StepSummary) -> None:
+    def accumulate(self, records: Sequence[list[LightBatch]], summary: StepSummary) -> None:
         for record in records:
-            for found, reflected in record:
-                self.sampler.add(found, reflected)
+            for batch in record:
+                self.sampler.add(batch)
 
     def update(self, summary: StepSummary) -> None:
         if summary.ends_epoch and self._learns:

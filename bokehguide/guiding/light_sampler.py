@@ -56,6 +56,16 @@ class LightSamples(NamedTuple):
     difference: Tensor
 
 
+class LightBatch(NamedTuple):
+    """What a batch adds to the sums of a `LearnedLightSampler`: fields of `LightSamples`, and `MisFactors.moments`."""
+
+    row: Tensor
+    cluster: Tensor
+    contribution_rms: Tensor
+    visibility: Tensor
+    moments: Tensor
+
+
 class LightSampleRecorder(PathObserver):
     """Records the light samples of one trace whose cluster a table chose. samples: list of at most one batch."""
 
@@ -85,7 +95,7 @@ class LightSampleRecorder(PathObserver):
 class LearnedLightSampler(RankSums, LightSampler):
     """Learns the probabilities with which primary hits sample clusters of lights.
 
-    `add` takes the light samples of a step; `update` ends an epoch.
+    `add` takes the light samples of a batch; `update` ends an epoch.
 
     power: light sampler that owns the lights and the voxel grid. factors: learned factors of MIS weights by tile.
     sums: float64 `[3, tiles, clusters]`: Σ contribution_rms² (see `LightSamples`), number of samples, Σ visibility.
@@ -166,11 +176,17 @@ class LearnedLightSampler(RankSums, LightSampler):
         visibility = self.visibility if self._learns_visibility else torch.ones_like(self.visibility)
         return ClusterTables(table, visibility, self.factors.factor.clone(), self._first_far, int(self.epoch))
 
-    def add(self, samples: LightSamples, reflected: Tensor) -> None:
-        """Add light samples; reflected: luminance that the paths reflect at their primary hits, `[K]`. For the probabilities of
-        clusters, samples of cluster -1 are ignored."""
-        tiles, clusters, contribution_rms, visibility, difference = samples
-        self.factors.add(tiles, difference, reflected)
+    def batch(self, samples: LightSamples, reflected: Tensor) -> LightBatch:
+        """What to add for the samples of a batch; reflected: luminance that the paths reflect at their primary hits, `[K]`.
+
+        Sums over tiles take the place of the values of paths that nothing else needs, so that a step keeps less memory.
+        """
+        return LightBatch(*samples[:4], self.factors.moments(samples.row, samples.difference, reflected))
+
+    def add(self, batch: LightBatch) -> None:
+        """Add the light samples of a batch. For the probabilities of clusters, samples of cluster -1 are ignored."""
+        tiles, clusters, contribution_rms, visibility, moments = batch
+        self.factors.add(moments)
         core = native.core()
         if core is not None and self.mine.device.type == "cpu":
             core.add_light_samples(

@@ -23,12 +23,14 @@ from bokehguide.runtime.distributed import Ranks, RankSums
 
 MIN_FACTOR = 0.05
 """Smallest factor, so that light samples keep a positive weight and the factor can rise again."""
+STEPS = 1000
+"""Factors are multiples of 1 / STEPS, so that the order of the sums does not change them."""
 MAX_RADIANCE = 1e30
 """Radiance in learning is clamped to this value, so that sums of squares stay finite."""
 
 
 class MisFactors(RankSums):
-    """Learns the factor of each tile. `add` takes the paths of a step; `update` ends an epoch.
+    """Learns the factor of each tile. `add` takes the moments of a batch; `update` ends an epoch.
 
     sums: float64 `[2, tiles]`: Σ U D and Σ D². factor: of the present epoch, float32 `[tiles]`.
     """
@@ -39,22 +41,27 @@ class MisFactors(RankSums):
         super().__init__(torch.zeros(2, tiles, dtype=torch.float64, device=device), ranks)
         self.register_buffer("factor", torch.ones(tiles, device=device))
 
-    def add(self, tiles: Tensor, difference: Tensor, reflected: Tensor) -> None:
-        """Add paths: tile, int32, luminance of D and luminance of X, `[P]` each."""
-        core = native.core()
-        if core is not None and self.mine.device.type == "cpu":
-            core.add_mis_samples(self.mine, self.factor, tiles, difference, reflected, MAX_RADIANCE)
-            return
+    def moments(self, tiles: Tensor, difference: Tensor, reflected: Tensor) -> Tensor:
+        """Sums `[2, tiles]` over paths: tile, int32, luminance of D and luminance of X, `[P]` each."""
+        found, core = torch.zeros_like(self.sums), native.core()
+        if core is not None and found.device.type == "cpu":
+            core.add_mis_moments(found, self.factor, tiles, difference, reflected, MAX_RADIANCE)
+            return found
         change, light = (_finite(values) for values in (difference, reflected))
         rest = light - self.factor.double().index_select(0, tiles) * change
-        for total, values in zip(self.mine, (rest * change, change * change)):
+        for total, values in zip(found, (rest * change, change * change)):
             total.index_add_(0, tiles, values)
+        return found
+
+    def add(self, moments: Tensor) -> None:
+        """Add the `moments` of a batch."""
+        self.mine.add_(moments)
 
     def update(self, pooled: Callable[[Tensor], Tensor]) -> None:
         """Begin an epoch: compute the factors from all merged paths. pooled: averages `[tiles, 2]` over tiles."""
         product, square = pooled(self.sums.T).T
         found = torch.where(square > 0.0, -product / divisor(square, 1e-300), 1.0)
-        self.factor.copy_(found.clamp(MIN_FACTOR, 1.0))
+        self.factor.copy_((found.clamp(MIN_FACTOR, 1.0) * STEPS).round() / STEPS)
 
     @property
     def sound(self) -> bool:

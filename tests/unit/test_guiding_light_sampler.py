@@ -20,7 +20,7 @@ from bokehguide.guiding.light_sampler import (
     LearnedLightSampler,
     LightSamples,
 )
-from bokehguide.guiding.mis_factors import MIN_FACTOR
+from bokehguide.guiding.mis_factors import MIN_FACTOR, STEPS
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectangle
 from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Scene
@@ -103,7 +103,7 @@ def test_the_probability_is_proportional_to_the_roots_of_pooled_moments():
     clusters = torch.randint(-1, 4, (count,), generator=generator)  # the last cluster is never seen
     contribution_rms = torch.rand(count, generator=generator) * (tiles > 60)
     seen = torch.rand(count, generator=generator) * (clusters != 3)
-    guide.add(LightSamples(tiles.int(), clusters.int(), contribution_rms, seen, seen), seen)
+    guide.add(guide.batch(LightSamples(tiles.int(), clusters.int(), contribution_rms, seen, seen), seen))
     guide.update(2)
     sums = np.zeros((12, 20, 3, 5))
     for tile, cluster, value, arrived in zip(tiles.tolist(), clusters.tolist(), contribution_rms.tolist(), seen.tolist()):
@@ -132,9 +132,9 @@ def test_one_infinite_sample_leaves_the_rest_of_the_frame_as_it_is():
     contribution_rms, seen = torch.rand(2, count, generator=generator)
     spoilt, whole = guide_of(*size), guide_of(*size)
     for guide in (spoilt, whole):
-        guide.add(LightSamples(tiles, clusters, contribution_rms, seen, seen - 0.5), seen)
+        guide.add(guide.batch(LightSamples(tiles, clusters, contribution_rms, seen, seen - 0.5), seen))
     first, infinite = torch.zeros(500, dtype=torch.int32), torch.full((500,), torch.inf)
-    spoilt.add(LightSamples(first, first, infinite, torch.ones(500), infinite), torch.ones(500))
+    spoilt.add(spoilt.batch(LightSamples(first, first, infinite, torch.ones(500), infinite), torch.ones(500)))
     for guide in (spoilt, whole):
         guide.update(2)
     reach = POOLS[-1][0] // 2
@@ -226,7 +226,8 @@ def test_factors_of_mis_weights_minimise_the_second_moment():
         change, noise = torch.randn(2, 6000, generator=generator)
         rest = 0.1 * noise - own[tiles] * change
         reflected = rest + guide.factors.factor[tiles] * change
-        guide.add(LightSamples(tiles.int(), torch.zeros_like(tiles).int(), noise.abs(), noise.abs(), change), reflected)
+        samples = LightSamples(tiles.int(), torch.zeros_like(tiles).int(), noise.abs(), noise.abs(), change)
+        guide.add(guide.batch(samples, reflected))
         for tile, one, other in zip(tiles.tolist(), rest.tolist(), change.tolist()):
             products[epoch, tile // 20, tile % 20] += one * other, other * other
         guide.update(2 + epoch)
@@ -238,9 +239,26 @@ def test_factors_of_mis_weights_minimise_the_second_moment():
                 around = sums[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
                 pooled = pooled + share * around.mean((0, 1))
             expected = np.clip(-pooled[0] / pooled[1], MIN_FACTOR, 1.0) if pooled[1] > 0.0 else 1.0
-            np.testing.assert_allclose(guide.factors.factor[row * 20 + column], expected, rtol=1e-4)
+            np.testing.assert_allclose(guide.factors.factor[row * 20 + column], np.round(expected * STEPS) / STEPS, rtol=1e-6)
     learned = guide.factors.factor[120:]
     assert float(learned.min()) < 0.4 and float(learned.max()) > 0.6 and bool((guide.factors.factor[:20] == 1.0).all())
+
+
+def test_factors_of_mis_weights_do_not_depend_on_the_batches():
+    generator = torch.Generator().manual_seed(5)
+    tiles = torch.randint(0, 240, (9000,), generator=generator).int()
+    change = 10.0 ** torch.empty(9000).uniform_(-6.0, 6.0, generator=generator)
+    reflected = change * torch.rand(9000, generator=generator)
+    found = []
+    for size in (9000, 1000, 77, 1):
+        guide = guide_of(20 * SMALLEST, 12 * SMALLEST)
+        for first in range(0, 9000, size):
+            part = slice(first, first + size)
+            one = torch.ones(len(tiles[part]))
+            guide.add(guide.batch(LightSamples(tiles[part], tiles[part] * 0, one, one, change[part]), reflected[part]))
+        guide.update(2)
+        found.append(guide.factors.factor)
+    assert float(found[0].std()) > 0.1 and all(torch.equal(found[0], other) for other in found[1:])
 
 
 @pytest.mark.slow
