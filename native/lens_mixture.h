@@ -4,6 +4,7 @@
 
 #pragma once
 
+#include "columns.h"
 #include "projection.h"
 #include "tables.h"
 
@@ -132,6 +133,14 @@ template <class Shapes> void sample_mixture(const typename Shapes::Rows& m, cons
     const MixtureSampler<Shapes> sampler(m);
     for (int64_t first = 0; first < m.pixels; first += LANES) {
         sampler.sample(first, m.pixels - first < LANES ? int(m.pixels - first) : LANES, uniforms, points, candidates);
+    }
+}
+
+// `LensMixture.weights` of a round aperture.
+inline void lens_weights(const bokehguide::MixtureRows& m, const float* points, const float* density, float* weights) {
+    for (Columns at(m.pixels); at.first < m.pixels; at.first += LANES) {
+        const Float x = at(points, 0), y = at(points, 1), passes = one_if(x * x + y * y <= all(m.lens_squared_radius));
+        at.put(weights, 0, at.flags(m.guided) ? passes / at_least(m.lens_area * at(density, 0), 1e-20f) : all(1.0f));
     }
 }
 

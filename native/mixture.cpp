@@ -174,6 +174,15 @@ void evaluate(const Mixture& mixture, const Floats& points, const std::optional<
                      {components.data(), sums.data(), density.data()});
 }
 
+// `LensMixture.weights` on a round aperture.
+void weights(const Mixture& mixture, const Floats& points, const Floats& density, FloatsOut out) {
+    const MixtureRows& m = mixture.rows();
+    const size_t pixels = size_t(m.pixels);
+    check(points, 2 * pixels, "points"), check(density, pixels, "density"), check(out, pixels, "weights");
+    nb::gil_scoped_release released;
+    kernels().lens_weights(m, points.data(), density.data(), out.data());
+}
+
 }  // namespace
 
 void Mixture::set(MixtureRows& m) {
@@ -200,6 +209,7 @@ void bind_mixture(nb::module_& m) {
     nb::class_<ParallelogramShapes>(m, "ParallelogramShapes").def(nb::init<nb::dict>());
     nb::class_<Mixture>(m, "Mixture")
         .def("sample", &sample, nb::arg(), nb::arg(), nb::arg().none())
+        .def("weights", &weights)
         .def("evaluate", &evaluate, nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg());
     nb::class_<EllipseMixture, Mixture>(m, "EllipseMixture")
         .def(nb::init<nb::dict, nb::dict, nb::object, nb::object>(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg().none());

@@ -12,10 +12,10 @@
 #include <dlfcn.h>
 #endif
 
+#include "bindings.h"
 #include "mixture.h"
 #include "reuse.h"
 #include "scene.h"
-#include "sums.h"
 
 namespace bokehguide {
 
@@ -103,20 +103,6 @@ long load_embree(const std::string& path) {
     return embree.device_property(device, 0);
 }
 
-// Keys of random numbers. directions: of Sobol' sequences, int32 `[8, 30]`.
-Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index) {
-    static int32_t directions[8][30];
-    static bool ready = false;
-    if (!ready) {
-        nb::list rows = nb::cast<nb::list>(nb::module_::import_("bokehguide.render.random").attr("_DIRECTIONS"));
-        for (int row = 0; row < 8; ++row) {
-            for (int bit = 0; bit < 30; ++bit) directions[row][bit] = nb::cast<int32_t>(rows[row][bit]);
-        }
-        ready = true;
-    }
-    return {step_key, seed_key, index, directions};
-}
-
 // The arrays of a record of split paths, by the names of `SplitRecord`.
 SplitRecord split_record(const nb::dict& arrays, size_t surface_rows, size_t rays, bool with_lights) {
     SplitRecord record{};
@@ -192,11 +178,11 @@ nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& directio
     return nb::make_tuple(arguments.rays, arguments.embree_seconds, record.hit_count, record.path_count);
 }
 
-using Doubles = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+using Doubles = Out<double>;
 
 // Adds samples to the sums of a film, both as dictionaries by the names of render/film.py. Returns whether all are finite.
-bool expose(const nb::dict& sums, const nb::dict& samples, const std::optional<nb::ndarray<const int64_t, nb::c_contig>>& pixels,
-            int64_t first, bool recenter, nb::ndarray<uint8_t, nb::c_contig, nb::device::cpu> good) {
+bool expose(const nb::dict& sums, const nb::dict& samples, const std::optional<Out<const int64_t>>& pixels,
+            int64_t first, bool recenter, Out<uint8_t> good) {
     const size_t count = good.size();
     FilmSums film{};
     film.pixels = int64_t(nb::cast<FloatsOut>(sums["count"]).size());
@@ -224,6 +210,7 @@ bool expose(const nb::dict& sums, const nb::dict& samples, const std::optional<n
 
 NB_MODULE(_native, m) {
     using namespace bokehguide;
+    import_torch();
     nb::set_leak_warnings(false);  // scenes in caches of Python live until the process ends
     m.def("load_embree", &load_embree);
     m.attr("MOST_LANES") = MOST_LANES;
@@ -234,47 +221,19 @@ NB_MODULE(_native, m) {
                       const nb::ndarray<const int32_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>&>())
         .def("nearest", &Triangles::nearest, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg())
         .def("visible", &Triangles::visible);
-    nb::class_<Random>(m, "Random").def("__init__", [](Random* self, uint32_t step_key, uint32_t seed_key, uint32_t index) {
-        new (self) Random(random_of(step_key, seed_key, index));
-    });
     nb::class_<Scene>(m, "Scene")
         .def(nb::init<nb::dict, nb::dict, nb::object, nb::object, nb::object>(), nb::arg(), nb::arg(), nb::arg().none(),
              nb::arg().none(), nb::arg().none())
         .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
              nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none(),
              nb::arg("groups").none() = nb::none());
+    bind_frame(m);
+    bind_reports(m);
     bind_mixture(m);
     bind_reuse(m);
     bind_sums(m);
     nb::class_<NamedClusterLights>(m, "ClusterLights").def(nb::init<nb::dict, nb::dict>());
     m.def("expose", &expose, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg());
-    m.def("camera_rays", [](const Floats& axes, const Floats& position, const Floats& focus, const Floats& points, FloatsOut rows) {
-        const size_t count = rows.size() / 6;
-        check(axes, 9, "axes"), check(position, 3, "position");
-        check(focus, 3 * count, "focus"), check(points, 2 * count, "points");
-        Camera camera;
-        std::memcpy(camera.axes, axes.data(), sizeof camera.axes), std::memcpy(camera.position, position.data(), sizeof camera.position);
-        nb::gil_scoped_release released;
-        kernels().camera_rays(camera, int64_t(count), focus.data(), points.data(), rows.data(), rows.data() + 3 * count);
-    });
-    m.def("record_hits", [](nb::tuple frame, nb::tuple raster, float far, float miss, const Floats& points, const Floats& directions,
-                            const Floats& distance, const Floats& weight, FloatsOut positions, Out<int64_t> cells) {
-        const size_t count = distance.size();
-        check(points, 2 * count, "points"), check(directions, 3 * count, "directions"), check(weight, count, "weight");
-        check(positions, 3 * count, "positions"), check(cells, count, "cells");
-        const auto real = [&](int i) { return nb::cast<double>(frame[i]); };
-        const auto whole = [&](int i) { return nb::cast<int32_t>(raster[i]); };
-        const RecordRaster r = {float(0.5 * real(0)), float(0.5 * real(1)), float(real(2)), whole(0), whole(1), whole(2), far, miss};
-        nb::gil_scoped_release released;
-        kernels().record_hits(r, int64_t(count), points.data(), directions.data(), distance.data(), weight.data(), positions.data(), cells.data());
-    });
-    m.def("random", [](const Random& random, const Ints& pixels, uint32_t dimension, int numbers, int first, int number,
-                       const std::optional<Ints>& odd, FloatsOut out) {
-        check(out, size_t(numbers) * pixels.size(), "out");
-        if (odd) check(*odd, pixels.size(), "odd");
-        nb::gil_scoped_release released;
-        kernels().random(random, int64_t(pixels.size()), pixels.data(), dimension, numbers, first, number, odd ? odd->data() : nullptr, out.data());
-    }, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
     // Stages of a trace, for tests.
     m.def("surfaces", [](const Scene& scene, const Floats& origin, const Floats& direction, const Ints& triangle, const Floats& hits,
                          FloatsOut rows) {

@@ -380,7 +380,7 @@ class alignas(64) SeenRadiance {
     void weigh(int32_t path, int number) {
         const PathLight& of = record_.light;
         const float passed = own_.transmittance ? own_.transmittance[source_] : 1.0f, scale = views_.scale[source_];
-        const float passing = samples_.weight[source_] > 0.0f ? own_.passing[source_] * passed : 0.0f;
+        const float passing = samples_.weight[source_] > 0.0f ? own_.passing_at(source_) * passed : 0.0f;
         for (int kind = 0; kind < 2; ++kind) {
             if (!is_lit(of, path, kind)) continue;
             const auto at = [&](const float* rows, int channel) { return rows[(3 * kind + channel) * of.path_columns + path]; };
@@ -452,7 +452,7 @@ inline void add_views(const Tables& t, const LensSamples& samples, const HitReco
     for (int64_t view = 0; view < views.count; ++view) scale[views.source[view]] += density[view] * views.jacobian[view];
     for (int64_t i = 0; i < count; ++i) {
         scale[i] = scale[i] > 0.0f ? 1.0f / scale[i] : 0.0f;
-        const float passing = own.passing[i] * (own.transmittance ? own.transmittance[i] : 1.0f);
+        const float passing = own.passing_at(i) * (own.transmittance ? own.transmittance[i] : 1.0f);
         weight[i] = samples.weight[i] > 0.0f ? passing * scale[i] : 0.0f;
         for (int channel = 0; channel < 3; ++channel) radiance[channel * count + i] = samples.radiance[channel * count + i] * weight[i];
     }

@@ -44,6 +44,15 @@ inline Vec3 path_column(const PathLight& of, const float* rows, int32_t path) {
 }
 inline Vec3 incident_light(const PathLight& of, int32_t path, int kind) { return path_column(of, of.incident + 3 * kind * of.path_columns, path); }
 
+// `PrimaryHits.reflection`: 0 where the BSDF is too small as a divisor.
+inline void incident_of(const PathLight& of, const float* reflected, float* incident) {
+    for (int64_t row = 0; row < 6; ++row) {
+        const float *const value = of.bsdf + row * of.path_columns, *const light = reflected + row * of.path_columns;
+        float* const found = incident + row * of.path_columns;
+        for (int64_t path = 0; path < of.path_count; ++path) found[path] = value[path] > FAINTEST ? light[path] / value[path] : 0.0f;
+    }
+}
+
 // The BSDF of one hit towards a vector of unit directions (`PrimaryHits.bsdf`).
 class RecordedScattering {
   public:

@@ -2,6 +2,8 @@
 
 #include "reuse.h"
 
+#include <vector>
+
 #include "mixture.h"
 #include "scene.h"
 
@@ -25,8 +27,7 @@ namespace {
 // The views of a batch. Each thread keeps the memory of its last one.
 class Views {
   public:
-    // arrays: samples by the names of `LensSamples`, and a record of hits by those of `SplitRecord`, with their incident light and
-    // first paths; numbers: of `LensCamera` and `PixelGroups`. pixels: null for consecutive ones.
+    // arrays: samples by the names of `LensSamples`, and a record of hits by those of `SplitRecord`; numbers: of `LensCamera` and `PixelGroups`. pixels: null for consecutive ones.
     Views(const Scene& scene, nb::dict arrays, nb::dict numbers, const std::optional<Out<const int64_t>>& pixels) : arrays_(arrays), scene_(scene) {
         set_lens(numbers);
         const auto floats = [&](const char* name, size_t rows) { return entry<Floats>(arrays, name, rows * count()).data(); };
@@ -88,7 +89,8 @@ class Views {
     void reuse(const Floats& density, const nb::dict& own, FloatsOut radiance, FloatsOut weight, const std::optional<nb::dict>& groups) const {
         check(density, size_t(views_.count), "density"), check(radiance, 3 * count(), "radiance"), check(weight, count(), "weight");
         const auto floats = [&](const char* name) { return entry<Floats>(own, name, count()).data(); };
-        const OwnSamples samples = {floats("density"), floats("passing"), own.contains("transmittance") ? floats("transmittance") : nullptr};
+        const auto maybe = [&](const char* name) { return own.contains(name) ? floats(name) : nullptr; };
+        const OwnSamples samples = {floats("density"), maybe("passing"), maybe("transmittance"), lens_.passing};
         ReusedGroups by_group{};
         if (groups) by_group = reused_groups(*groups);
         nb::gil_scoped_release released;
@@ -97,6 +99,8 @@ class Views {
 
   private:
     nb::dict arrays_;  // stay alive as long as the views
+    std::unique_ptr<float[]> incident_;
+    std::vector<int32_t> first_path_;
     const Scene& scene_;
     LensCamera lens_{};
     LensSamples samples_{};
@@ -141,9 +145,10 @@ class Views {
     }
     void set_record(const nb::dict& record, int64_t hits, int64_t paths) {
         record_.light = path_light(scene_.t, record, paths);
-        record_.light.incident = entry<Floats>(record, "incident", 6 * size_t(record_.light.path_columns)).data();
-        record_.light.bsdf = entry<Floats>(record, "bsdf", 6 * size_t(record_.light.path_columns)).data();
-        record_.light.first_path = nb::cast<Ints>(record["first_path"], false).data();
+        const size_t values = 6 * size_t(record_.light.path_columns);
+        incident_.reset(new float[values]), record_.light.incident = incident_.get();
+        const float* const reflected = entry<Floats>(record, "reflected", values).data();
+        record_.light.bsdf = entry<Floats>(record, "bsdf", values).data();
         const size_t columns = size_t(record_.light.hit_columns);
         if (hits < 0 || size_t(hits) > columns) throw std::invalid_argument("more hits than the record has entries");
         record_.count = hits;
@@ -151,9 +156,15 @@ class Views {
         const auto floats = [&](const char* name, size_t rows) { return entry<Floats>(record, name, rows * columns).data(); };
         record_.distance = floats("distance", 1), record_.u = floats("u", 1), record_.v = floats("v", 1);
         record_.emission = floats("emission", 3);
+        first_path_.resize(size_t(hits)), record_.light.first_path = first_path_.data();
+        int32_t path = 0;
         for (int64_t hit = 0; hit < hits; ++hit) {
             if (record_.ray[hit] < 0 || size_t(record_.ray[hit]) >= count()) throw std::invalid_argument("a ray beyond the batch");
+            first_path_[size_t(hit)] = path, path += record_.light.paths[hit];
         }
+        if (path > paths) throw std::invalid_argument("more paths of hits than paths");
+        nb::gil_scoped_release released;
+        kernels().incident_light(record_.light, reflected, incident_.get());
     }
     // span: of the numbers of pixels from the first to the last.
     void make_rows(int64_t span) {

@@ -71,7 +71,7 @@ class Named {
             if (size) *size = 0;
             return nullptr;
         }
-        auto found = nb::cast<nb::ndarray<const T, nb::c_contig, nb::device::cpu>>(arrays_[name.c_str()]);
+        auto found = nb::cast<Out<const T>>(arrays_[name.c_str()]);
         if (size) *size = found.size();
         kept_.push_back(nb::ndarray<>(found));
         return found.data();

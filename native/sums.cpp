@@ -1,6 +1,6 @@
 // Sums over samples: guiding/light_sampler.py, guiding/record_buffer.py, guiding/control_variate.py and render/coverage.py.
 
-#include "sums.h"
+#include "bindings.h"
 
 #include <nanobind/stl/optional.h>
 

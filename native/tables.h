@@ -184,6 +184,17 @@ struct FilmSums {
     float *count, *nearest, *farthest, *moments, *center;      // the last two null without a control variate
 };
 
+// Numbers of pixels in a frame, null for consecutive pixels from `first` on.
+struct PixelNumbers {
+    const int64_t* numbers;
+    int64_t first;
+
+    int64_t number(int64_t i) const { return numbers == nullptr ? first + i : numbers[i]; }
+};
+struct FilmFrame {
+    int32_t width;
+    float half_width, half_height, pixel_slope, focus_distance;
+};
 struct Camera {
     float axes[9], position[3];  // camera to world, row by row
 };
@@ -197,6 +208,39 @@ struct RecordRaster {
     float half_width, half_height, pixel_slope;
     int32_t border, width, height;
     float far, miss;  // distance at which rays without a hit end, and from which on a distance is none
+};
+
+// What `Guide.record` reports: samples; the mixture of their pixels, all null without one; and emitters that the record leaves out.
+struct GuideSamples {
+    int64_t count;
+    const float *radiance, *weight;
+    const uint8_t* good;
+};
+struct MixtureSamples {
+    const float *density, *beta;
+    const uint8_t* guided;
+    float unit, area;  // of radiance, and of the lens
+};
+struct KnownEmission {
+    const float* emission;
+    const int32_t* triangle;
+    const uint8_t* known;  // triangles
+    bool whole_environment;
+};
+// Draws of emitters (guiding/emitter_guide.py): of N pixels, and of the candidates among which they choose.
+struct EmitterDraws {
+    const float *beta, *mixture, *density, *ratio;
+    const int64_t* candidate;  // -1 for none
+    const float *weight, *contribution;
+    const int32_t* slots;
+    float area_of_unit, most;
+};
+// Tiles of a frame and rates by slot (guiding/success_rates.py).
+struct SuccessTiles {
+    int32_t width, size, across;
+    uint32_t last_slot;
+    int64_t emitters;
+    const float* rates;
 };
 
 // Groups of pixels of a film that reuse each other's primary hits (guiding/pixel_reuse.py): the number of the first pixel of a
@@ -238,9 +282,13 @@ struct ViewRows {
     int32_t numbers;  // in `among`, or of the batch
 };
 
-// The weights of reuse, for each pixel: density and W / A at the pixel's own lens point, transmittance there, null for 1.
+// The weights of reuse, for each pixel: density and W / A at the pixel's own lens point, null for a round aperture, whose W / A is
+// `inside` where the sample has a weight; transmittance there, null for 1.
 struct OwnSamples {
     const float *density, *passing, *transmittance;
+    float inside;
+
+    float passing_at(int64_t pixel) const { return passing == nullptr ? inside : passing[pixel]; }
 };
 
 // Light groups in the reuse of primary hits: those of materials; radiance of the samples before and after reuse, `[groups, 3, N]`; and

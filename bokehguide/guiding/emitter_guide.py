@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from types import ModuleType
 from typing import NamedTuple, cast
 
 import torch
@@ -26,15 +27,14 @@ from torch.nn.functional import avg_pool2d, pad
 
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.emitter_proposals import emitter_proposals
-from bokehguide.guiding.guide import Guide, GuideRecord, learned_of
+from bokehguide.guiding.guide import Guide, GuideRecord, finite, learned_of
 from bokehguide.guiding.highlight_fitting import fit_ellipsoids
 from bokehguide.guiding.inheritance import Learned, moved
 from bokehguide.guiding.layered_record import VoxelRecord
 from bokehguide.guiding.lens_queries import MixtureQuery, UniformQuery
-from bokehguide.guiding.protocols import BatchSamples, LensQuery, ModeContext, PixelBatch, StepSummary
+from bokehguide.guiding.protocols import BatchSamples, LensPoints, LensQuery, ModeContext, PixelBatch, StepSummary
 from bokehguide.guiding.success_rates import SuccessRates
 from bokehguide.guiding.virtual_images import HighlightImages
-from bokehguide.models.base import owners
 from bokehguide.models.candidates import draw_candidates
 from bokehguide.models.ellipse_mixture import EllipseMixture
 from bokehguide.models.native_mixture import CoreField, NativeEllipseMixture
@@ -44,7 +44,7 @@ from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.splitting import SplitPaths
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
-from bokehguide.runtime.indexing import ActiveEntries, gather_pixels, scatter_add
+from bokehguide.runtime.indexing import ActiveEntries, Pixels, core_pixels, gather_pixels, scatter_add
 
 MAX_RATIO = 1e18
 """Contributions in learning are clamped to this value, so that their squares stay finite in single precision."""
@@ -108,12 +108,12 @@ class EmitterGuide(Guide):
         start, component = self.candidates.batch(batch.pixels)
         if len(component) == 0:
             return UniformQuery(self.camera.lens, batch.focus, uniforms[1:3])
-        slots = self.success_rates.slots(batch.pixels, owners(start, len(component)), component)
-        return MixtureQuery(self._mixture(batch, start, component, slots), uniforms, component, slots)
+        slots, rates = self.success_rates.of_candidates(batch.pixels, start, component)
+        return MixtureQuery(self._mixture(batch, start, component, rates), uniforms, component, slots)
 
-    def _mixture(self, batch: PixelBatch, start: Tensor, component: Tensor, slots: Tensor) -> AnyEllipseMixture:
+    def _mixture(self, batch: PixelBatch, start: Tensor, component: Tensor, scale: Tensor) -> AnyEllipseMixture:
         lens, focus, clips = self.camera.lens, batch.focus, self.config.clip_to_lens
-        scale, beta = self.success_rates.learned_scale(slots), gather_pixels(self.beta, batch.pixels)
+        beta = gather_pixels(self.beta, batch.pixels)
         if self._core_field is not None:
             return NativeEllipseMixture(lens, focus, beta, start, self._core_field, component, scale, clips)
         mean, outline = self.field.mean.index_select(1, component), self.outlines.index_select(1, component)
@@ -154,6 +154,9 @@ class EmitterGuide(Guide):
         """Add to the moments of the batch's pixels; returns the contributions of the emitters that were drawn."""
         mixture, slots_of, at, candidate = query.mixture, query.slots, samples.drawn.at, samples.drawn.candidate
         assert slots_of is not None and at is not None and candidate is not None
+        core = native.core()
+        if core is not None and isinstance(mixture, NativeEllipseMixture):
+            return self._learn_by_core(core, samples.batch.pixels, mixture, samples.drawn, slots_of, ratio)
         scatter_add(self.moments, samples.batch.pixels, _moments(mixture.beta, at.mixture, at.density, ratio))
         drawn = ActiveEntries(candidate >= 0)
         chosen = drawn.select(candidate).clamp(min=0)
@@ -163,12 +166,32 @@ class EmitterGuide(Guide):
         contribution = drawn.select(ratio) * share / expected
         return DrawnEmitters(slots, contribution.nan_to_num(0.0, MAX_RATIO).clamp(max=MAX_RATIO).square())
 
-    def recorded_luminance(self, paths: PathSamples) -> Tensor:
-        """Luminance `[N]` without the light that comes directly from emitters with proposals."""
+    def _learn_by_core(
+        self, core: ModuleType, pixels: Pixels, mixture: NativeEllipseMixture, drawn: LensPoints, slots: Tensor, ratio: Tensor
+    ) -> DrawnEmitters:
+        """`learn_from` by the native core."""
+        assert drawn.at is not None and drawn.candidate is not None
+        first, numbers, count = core_pixels(pixels)
+        draws = {"beta": mixture.beta, "mixture": drawn.at.mixture, "density": drawn.at.density, "ratio": ratio}
+        draws |= {"candidate": drawn.candidate, "weight": mixture.weight, "slots": slots}
+        draws["contribution"] = mixture.expected_contribution
+        of_draws, squares = torch.empty(count, dtype=torch.int32), torch.empty(count)
+        area = mixture.lens.area * float(self.unit)
+        found = core.learn_emitters(self.moments, first, numbers, draws, area, MAX_RATIO, of_draws, squares)
+        return DrawnEmitters(of_draws[:found], squares[:found])
+
+    def recorded_light(self, paths: PathSamples, good: Tensor) -> Tensor:
+        """See `Guide`: without the light that comes directly from emitters with proposals."""
+        core, known = native.core(), self._proposals.triangles
+        if core is not None and good.device.type == "cpu":
+            light = torch.empty(len(good))
+            emission = paths.emission.contiguous(), paths.triangle, known, self._proposals.whole_environment
+            core.recorded_light(paths.radiance.contiguous(), good, *emission, light)
+            return light
         hit = paths.triangle >= 0
-        known = self._proposals.triangles[paths.triangle.clamp(min=0).long()] & hit
+        known = known[paths.triangle.clamp(min=0).long()] & hit
         light = _luminance_beside(paths.radiance, paths.emission, known)
-        return light * hit if self._proposals.whole_environment else light
+        return finite(light * hit if self._proposals.whole_environment else light, good)
 
     def accumulate(self, records: Sequence[GuideRecord], summary: StepSummary) -> None:
         threshold = self.config.highlights.radiance_threshold * summary.mean_luminance

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import NamedTuple
 
 import torch
@@ -23,7 +24,7 @@ from bokehguide.models.native_mixture import CoreGaussians, NativeGaussianMixtur
 from bokehguide.models.polynomial_offset import PolynomialOffset
 from bokehguide.render import dimensions
 from bokehguide.runtime import native
-from bokehguide.runtime.indexing import ActiveEntries, Pixels, gather_pixels, scatter
+from bokehguide.runtime.indexing import Pixels, gather_pixels, scatter
 
 AnyGaussianMixture = GaussianMixture | NativeGaussianMixture
 
@@ -56,6 +57,7 @@ class GaussianGuide(Guide):
         self.blend = BlendWeightMap(pixels, config.blend)
         self.record_buffer = RecordBuffer(self.camera, self.ranks)
         self.offsets: PolynomialOffset | None = None
+        self._core_field: tuple[PolynomialOffset | None, CoreGaussians] | None = None
         self.register_buffer("uniform", torch.zeros(pixels, dtype=torch.bool))
         """Pixels that stay uniform until the epoch ends, bool `[pixels]`."""
         self.to(device)
@@ -80,20 +82,25 @@ class GaussianGuide(Guide):
     def mixture(self, pixels: Pixels, raster: Tensor, focus: Tensor, start: Tensor, gaussian: Tensor) -> AnyGaussianMixture:
         """The mixture of N pixels at raster positions `[2, N]`; start, gaussian: candidates (see `CandidateList.batch`)."""
         lens, beta, core = self.camera.lens, self.blend(pixels), native.core()
-        weight = self.field.lens_weights(lens.focus_distance)
         if core is not None and focus.device.type == "cpu":
-            field = CoreGaussians.of(core, self.field, weight, self.offsets)
-            return NativeGaussianMixture(lens, focus, beta, start, field, gaussian, raster)
+            return NativeGaussianMixture(lens, focus, beta, start, self._field_of(core), gaussian, raster)
+        weight = self.field.lens_weights(lens.focus_distance)
         mean, sigma = self.field.mean.index_select(1, gaussian), self.field.sigma.index_select(0, gaussian)
         if self.offsets is not None:
             mean = mean + self.offsets(gaussian, raster.index_select(1, owners(start, len(gaussian))))
         return GaussianMixture(lens, focus, beta, start, mean, sigma, weight.index_select(0, gaussian))
 
+    def _field_of(self, core: ModuleType) -> CoreGaussians:
+        """The field in the native core, made for the first batch after a change."""
+        made = self._core_field
+        if made is None or made[0] is not self.offsets:
+            weight = self.field.lens_weights(self.camera.lens.focus_distance)
+            made = self._core_field = (self.offsets, CoreGaussians.of(core, self.field, weight, self.offsets))
+        return made[1]
+
     def _stratify_uniform(self, batch: PixelBatch, uniforms: Tensor) -> None:
         """Replace two of the uniform numbers `[5, N]` by stratified numbers, in pixels that stay uniform until the epoch ends."""
-        uniform = ActiveEntries(gather_pixels(self.uniform, batch.pixels))
-        if len(uniform) > 0:
-            uniform.scatter(uniforms[2:4], batch.random.select(uniform.index).stratified(dimensions.LENS, 2, int(self.epoch)))
+        batch.random.stratify(uniforms[2:4], gather_pixels(self.uniform, batch.pixels), dimensions.LENS, int(self.epoch))
 
     @torch.no_grad()
     def learn_from(self, samples: BatchSamples, query: MixtureQuery[AnyGaussianMixture], ratio: Tensor) -> Gradients:
@@ -159,6 +166,7 @@ class GaussianGuide(Guide):
 
     def set_candidates(self, slack: float = 0.0) -> None:
         """List the candidates of the pixels that do not stay uniform. Call this method after each change of the field."""
+        self._core_field = None
         self.candidates = draw_candidates(self.field, self.camera, slack, self.uniform) if len(self.field) else None
 
     def freeze(self) -> None:

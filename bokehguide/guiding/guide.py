@@ -61,17 +61,36 @@ class Guide(LensSampler):
         return len(self.field)
 
     def record(self, samples: BatchSamples, good: Tensor) -> GuideRecord:
-        drawn, paths = samples.drawn, samples.paths
-        weight = drawn.weight.nan_to_num(0.0, 0.0, 0.0) * good
-        report = GuideRecord(records=self._primary_hits(samples, weight, good))
-        report.figures = weight.new_zeros(4, dtype=torch.float64)
-        for query in samples.query.mixtures:
-            # The unit of radiance is the frame's mean luminance. While the mean is 0, the ratio is 0.
-            unit = samples.batch.mean_luminance or math.inf
-            ratio = finite(luminance(paths.radiance), good) * weight / unit
-            report.learned = self.learn_from(samples, query, ratio)
-            report.figures = _figures(query, weight, one_sample_kl(ratio, query.own_pdf(drawn), self.camera.lens.area))
-        return report
+        mixtures = samples.query.mixtures
+        query = mixtures[0] if mixtures else None
+        weight, ratio, figures = self._weights_and_ratios(samples, good, query)
+        light = self.recorded_light(samples.paths, good)
+        records = self.records(samples.drawn.points, samples.directions, self.recorded_distance(samples), light, weight)
+        learned = None if query is None else self.learn_from(samples, query, ratio)
+        return GuideRecord(records=records, learned=learned, figures=figures)
+
+    def _weights_and_ratios(
+        self, samples: BatchSamples, good: Tensor, query: MixtureQuery | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Weights `[N]` of the samples, 0 for those that are not on the film; ratios `[N]` as `learn_from` takes them; and
+        `LensRecord.figures`. Without a mixture, the ratios are undefined and the figures are 0."""
+        weight, radiance, core = samples.drawn.weight, samples.paths.radiance, native.core()
+        figures = torch.zeros(4, dtype=torch.float64, device=weight.device)
+        # The unit of radiance is the frame's mean luminance. While the mean is 0, the ratio is 0.
+        unit, area = samples.batch.mean_luminance or math.inf, self.camera.lens.area
+        if core is not None and weight.device.type == "cpu":
+            weights, ratio, mixture = torch.empty_like(weight), torch.empty_like(weight), (None, None, None)
+            if query is not None:
+                mixture = query.own_pdf(samples.drawn), query.mixture.beta, query.mixture.guided
+            given = (radiance.contiguous(), weight.contiguous(), good)
+            core.weigh_samples(*given, *mixture, unit, area, weights, ratio, figures)
+            return weights, ratio, figures
+        weight = weight.nan_to_num(0.0, 0.0, 0.0) * good
+        if query is None:
+            return weight, weight, figures
+        ratio = finite(luminance(radiance), good) * weight / unit
+        loss = one_sample_kl(ratio, query.own_pdf(samples.drawn), area)
+        return weight, ratio, _figures(query, weight, loss)
 
     def learn_from(self, samples: BatchSamples, query: MixtureQuery[Any], ratio: Tensor) -> object:
         """Report of one sample per pixel for learning the mixture; `accumulate` receives it as `GuideRecord.learned`.
@@ -80,26 +99,27 @@ class Guide(LensSampler):
         """
         raise NotImplementedError
 
-    def recorded_luminance(self, paths: PathSamples) -> Tensor:
-        """Luminance `[N]` of the samples for the record."""
-        return luminance(paths.radiance)
+    def recorded_light(self, paths: PathSamples, good: Tensor) -> Tensor:
+        """Luminance `[N]` of the samples for the record, 0 for samples that are not on the film."""
+        core = native.core()
+        if core is None or good.device.type != "cpu":
+            return finite(luminance(paths.radiance), good)
+        light = torch.empty(len(good))
+        core.recorded_light(paths.radiance.contiguous(), good, None, None, None, False, light)
+        return light
 
     def recorded_distance(self, samples: BatchSamples) -> Tensor:
         """Distance `[N]` along each camera ray at which the record places the light of the ray."""
         return samples.paths.distance
 
-    def _primary_hits(self, samples: BatchSamples, weight: Tensor, good: Tensor) -> Records:
-        directions = self.camera.axes.T @ samples.directions
-        light = finite(self.recorded_luminance(samples.paths), good)
-        return self.records(samples.drawn.points, directions, self.recorded_distance(samples), light, weight)
-
     def records(self, points: Tensor, directions: Tensor, distance: Tensor, light: Tensor, weight: Tensor) -> Records:
-        """Records of `light` `[N]` at `distance` `[N]`, metres, along rays from lens points `[2, N]` in camera-frame directions
-        `[3, N]`; weight: of the samples, `[N]`, 0 for those to leave out."""
+        """Records of `light` `[N]` at `distance` `[N]`, metres, along rays from lens points `[2, N]` in world directions
+        `[3, N]`; weight: of the samples, `[N]`, 0 for samples to leave out."""
         core, far = native.core(), FAR * self.camera.lens.focus_distance
         if core is not None and distance.device.type == "cpu":
             cells, position = self._hits_by_core(core, points, directions, distance, weight, far)
             return Records(cells, position, light)
+        directions = self.camera.axes.T @ directions
         position = _positions(points, directions, distance, to_device(far, distance.device, torch.float32))
         cells = self.record_buffer.cells(self.camera, position)
         return Records(torch.where(weight > 0.0, cells, -1), position, light)
@@ -112,7 +132,7 @@ class Guide(LensSampler):
         frame, raster = (camera.width, camera.height, camera.pixel_slope), (record.border, record.width, record.height)
         position, cells = torch.empty(3, len(distance)), torch.empty(len(distance), dtype=torch.int64)
         rays = [values.contiguous() for values in (points, directions, distance, weight)]
-        core.record_hits(frame, raster, far, MISS_DISTANCE, *rays, position, cells)
+        core.record_hits(frame, raster, (far, MISS_DISTANCE), camera.axes.contiguous(), *rays, position, cells)
         return cells, position
 
     def images(self, beta: Tensor) -> dict[str, Tensor]:

@@ -195,7 +195,7 @@ class LensGuide:
         self, lens: LensPointDistribution, points: Tensor, distance: Tensor, light: Tensor, weight: Tensor, unit: float
     ) -> None:
         """Keep the records of one sample a pixel, and its gradient of β."""
-        directions = normalize(lens.focus - torch.cat((points, torch.zeros_like(points[:1]))))
+        directions = self.camera.axes @ normalize(lens.focus - torch.cat((points, torch.zeros_like(points[:1]))))
         self._records.append(GuideRecord(records=self._guide.records(points, directions, distance, light, weight)))
         if lens.mixture is not None:
             gradient = blend_gradient(lens.mixture, light * weight / unit, lens.mixture.evaluate(points))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, Self, TypeVar
 
-import torch
 from torch import Tensor
 
 from bokehguide.guiding.protocols import LensPoints, LensQuery
@@ -57,11 +56,9 @@ class MixtureQuery(LensQuery, Generic[M]):
         return (self,)
 
     def sample(self) -> LensPoints:
-        mixture, lens = self.mixture, self.mixture.lens
-        points, candidate = mixture.sample(self.uniforms)
-        at, unblocked = mixture.evaluate(points), lens.unblocked(points, mixture.focus)
-        weight = lens.transmission(points) * unblocked / (lens.area * at.density).clamp(min=1e-20)  # W of Eq. 6
-        return LensPoints(points, torch.where(mixture.guided, weight, unblocked), at, candidate)
+        points, candidate = self.mixture.sample(self.uniforms)
+        at = self.mixture.evaluate(points)
+        return LensPoints(points, self.mixture.weights(at), at, candidate)
 
     def pdf(self, points: Tensor) -> Tensor:
         return self.mixture.pdf(points)

@@ -88,7 +88,7 @@ def native_reuse(
 ) -> Reused | None:
     """The samples of a batch after reuse; None where the core did not record the primary hits. Adds to `paths.rays`.
 
-    own: density and passing share W / A at each pixel's own lens point, and the transmittance there if it is not 1, `[N]` each.
+    own: density at each pixel's own lens point, and the transmittance there if it is not 1, `[N]` each.
     """
     record = native.record(samples.paths.primary_hits)
     if record is None:
@@ -103,6 +103,8 @@ def native_reuse(
     count = samples.drawn.weight.shape[0]
     density = _densities(views, samples.query, groups.across * groups.down, count)
     by_group = _light_group_arrays(samples.paths.groups, record)
+    if not camera.lens.is_disc:
+        own = own | {"passing": camera.lens.passing(samples.drawn.points, samples.batch.focus)}
     reused = Reused(torch.empty(3, count), torch.empty(count), None if by_group is None else by_group["radiance"])
     views.reuse(density, {name: values.contiguous() for name, values in own.items()}, reused.radiance, reused.weight, by_group)
     return reused

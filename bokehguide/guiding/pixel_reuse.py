@@ -195,8 +195,7 @@ class PixelPathReuse:
         Samples that are not finite are not reused, and stay in their pixel.
         """
         drawn, batch = samples.drawn, samples.batch
-        own = {"density": samples.query.own_pdf(drawn), "passing": self._camera.lens.passing(drawn.points, batch.focus)}
-        own |= self._own_transmittance(samples, timer)
+        own = {"density": samples.query.own_pdf(drawn)} | self._own_transmittance(samples, timer)
         groups, native = self._groups(batch.step), self._tracer.native
         found = None
         if native is not None:
@@ -217,7 +216,8 @@ class PixelPathReuse:
                 density = ViewPoints(views.viewer, views.points, views.ends).densities(samples.query, members.shape[1])
                 rows.append((views, _SeenPaths.of(views, hits, paths.primary_hits)))
                 sums.add(density * views.jacobian, *rows[-1])
-        weights = sums.weights(torch.where(samples.drawn.weight > 0.0, own["passing"] * own.get("transmittance", 1.0), 0.0))
+        passing = self._camera.lens.passing(samples.drawn.points, samples.batch.focus) * own.get("transmittance", 1.0)
+        weights = sums.weights(torch.where(samples.drawn.weight > 0.0, passing, 0.0))
         by_group = [] if paths.groups is None else [paths.of_group(group) for group in range(len(paths.groups.rays))]
         reused = Reused(_own_radiance(paths, weights), weights.of_own, None)
         if by_group:

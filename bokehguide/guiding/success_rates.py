@@ -9,10 +9,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from bokehguide.models.base import owners
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.random import hash_tensor
+from bokehguide.runtime import native
 from bokehguide.runtime.distributed import Ranks, RankSums
-from bokehguide.runtime.indexing import Pixels, pixel_numbers
+from bokehguide.runtime.indexing import Pixels, core_pixels, pixel_numbers
 
 TILE = 4
 """Pixels along the side of a tile."""
@@ -29,8 +31,8 @@ MAX_RATE = 5.0
 class SuccessRates(RankSums):
     """Learns the root mean square of contribution over expected contribution, for each pair of tile and emitter.
 
-    `slots` returns the slot of a pair in a hash table. `add` takes draws, `update` ends an epoch, and `learned_scale` returns the
-    rates of the present epoch.
+    A pair has a slot in a hash table. `of_candidates` returns slots and the rates of the present epoch, `add` takes draws, and
+    `update` ends an epoch.
 
     sums: number of draws, and sum of the squared ratios, `[2, slots]`. emitters: number of the scene's emitters, which are the
     first components of the field. All other components have slot 0 with the rate 1.
@@ -39,9 +41,22 @@ class SuccessRates(RankSums):
     def __init__(self, camera: ThinLensCamera, emitters: int, ranks: Ranks | None = None):
         slots, device = 1 << max(int(SLOTS_PER_PIXEL * camera.width * camera.height) - 1, 1).bit_length(), camera.position.device
         super().__init__(torch.zeros(2, slots, dtype=torch.float64, device=device), ranks)
-        self._width, self._bounds = camera.width, torch.tensor([[emitters], [slots - 1]], dtype=torch.int32, device=device)
+        self._width, self._emitters = camera.width, emitters
+        self._bounds = torch.tensor([[emitters], [slots - 1]], dtype=torch.int32, device=device)
         self.register_buffer("rates", torch.ones(slots, device=device))
         """Rates of the present epoch, by slot. They are saved, because the sums already include draws of this epoch."""
+
+    def of_candidates(self, pixels: Pixels, start: Tensor, component: Tensor) -> tuple[Tensor, Tensor]:
+        """Slots int32 `[M]` and rates `[M]` of the candidates of pixels; start, component: see `CandidateList.batch`."""
+        core = native.core()
+        if core is not None and component.device.type == "cpu":
+            first, numbers, _ = core_pixels(pixels)
+            slots, rates = torch.empty(len(component), dtype=torch.int32), torch.empty(len(component))
+            tiles = (self._width, TILE, -(-self._width // TILE), self._emitters)
+            core.success_rates(tiles, self.rates, first, numbers, start.contiguous(), component.contiguous(), slots, rates)
+            return slots, rates
+        slots = self.slots(pixels, owners(start, len(component)), component)
+        return slots, self.rates.index_select(0, slots)
 
     def slots(self, pixels: Pixels, owner: Tensor, component: Tensor) -> Tensor:
         """Slots int32 `[M]` of components `[M]` of the field, each for the pixel `pixels[owner]`; owner: `[M]`."""
@@ -63,10 +78,6 @@ class SuccessRates(RankSums):
         draws = draws + PRIOR_DRAWS
         self.rates = ((squares + PRIOR_DRAWS**2 / draws) / draws).sqrt().clamp(max=MAX_RATE).float()
         self.rates[0] = 1.0
-
-    def learned_scale(self, slots: Tensor) -> Tensor:
-        """Factors `[M]` for the weights of candidates in `slots` `[M]`."""
-        return self.rates.index_select(0, slots)
 
 
 def _slots(tile: Tensor, owner: Tensor, component: Tensor, bounds: Tensor) -> Tensor:

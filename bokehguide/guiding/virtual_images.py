@@ -20,6 +20,7 @@ from bokehguide.render.observer import CoreReport, PathObserver
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import cross, divisor, dot, length, luminance, normalize
+from bokehguide.runtime import native
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.indexing import ActiveEntries, PendingIndices, scatter_add
 
@@ -162,11 +163,9 @@ class HighlightImages(ImageRecorder):
 
     def reported(self, report: CoreReport) -> None:
         """See `PathObserver`."""
-        light, image, continues = report.images
-        luminances = luminance(report.radiance)
-        bright = luminances > self._bright
-        own = torch.where((continues > 0.0) & (luminances <= self._bright), MISS_DISTANCE, report.distance)
-        found = torch.where(bright & (light > 0.5 * luminances), image, own)
+        core, found = native.core(), torch.empty_like(report.distance)
+        assert core is not None
+        core.apparent_distances(report.radiance, report.distance, report.images, self._bright, MISS_DISTANCE, found)
         self.distances = lambda: found
 
 

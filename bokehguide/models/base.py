@@ -132,6 +132,12 @@ class LensMixture(LensDistribution):
     def pdf(self, points: Tensor) -> Tensor:
         return self.evaluate(points).density
 
+    def weights(self, at: LensDensity) -> Tensor:
+        """W / (A q) of Eq. 11 at samples of the mixture, `[N]`; in pixels that are not guided, the unblocked share of W."""
+        lens, unblocked = self.lens, self.lens.unblocked(at.points, self.focus)
+        weight = lens.transmission(at.points) * unblocked / (lens.area * at.density).clamp(min=1e-20)
+        return torch.where(self.guided, weight, unblocked)
+
 
 def owners(start: Tensor, count: int) -> Tensor:
     """Pixel that owns each candidate of a packed list, int64 `[M]`. start: int64 `[N + 1]`; count: M."""

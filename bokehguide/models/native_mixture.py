@@ -104,6 +104,14 @@ class NativeMixture(LensMixture):
         self.core.evaluate(points, transmission, components, mixture, density)
         return LensDensity(points, components, mixture, density)
 
+    def weights(self, at: LensDensity) -> Tensor:
+        """See `LensMixture`."""
+        if not self.lens.is_disc:
+            return super().weights(at)
+        weights = torch.empty(at.points.shape[1])
+        self.core.weights(at.points, at.density, weights)
+        return weights
+
 
 class NativeEllipseMixture(NativeMixture):
     """`EllipseMixture` of the components `component` int64 `[M]` of a field. For the other arguments, see `EllipseMixture`."""

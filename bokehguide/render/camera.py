@@ -7,16 +7,29 @@ the world is right-handed. Raster positions are in pixels from the top left corn
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from bokehguide.render import dimensions
 from bokehguide.render.film import NO_DEPTH
 from bokehguide.render.lens import make_lens
+from bokehguide.render.random import PixelRandom
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import normalize
 from bokehguide.runtime import native
+from bokehguide.runtime.indexing import Pixels, core_pixels, pixel_numbers
 from bokehguide.scene import types
+
+
+class FilmPositions(NamedTuple):
+    """One position in each of N pixels. raster: positions in the frame, pixels, `[2, N]`. subpixel: positions within the pixel,
+    0 to 1, `[2, N]`. focus: focus points x_F, camera frame, metres, `[3, N]`."""
+
+    raster: Tensor
+    subpixel: Tensor
+    focus: Tensor
 
 
 class ThinLensCamera:
@@ -54,6 +67,20 @@ class ThinLensCamera:
         distance = self.lens.focus_distance
         return torch.stack((x * distance, y * distance, torch.full_like(x, distance)))
 
+    def film_positions(self, pixels: Pixels, random: PixelRandom) -> FilmPositions:
+        """A random position in each of N pixels of the frame."""
+        core, keys = native.core(), random.pixel_keys
+        if core is not None and keys.device.type == "cpu":
+            first, numbers, count = core_pixels(pixels)
+            rows, size, lengths = torch.empty(7, count), (self.width, self.height), (self.pixel_slope, self.lens.focus_distance)
+            core.film_positions(size, lengths, random.core_keys(core), dimensions.FILM, first, numbers, keys, rows)
+            return FilmPositions(*rows.split((2, 2, 3)))
+        numbers = pixel_numbers(pixels, keys.device)
+        row = numbers // self.width
+        corner = torch.stack((numbers - row * self.width, row))
+        raster = corner + random.stratified(dimensions.FILM, 2)
+        return FilmPositions(raster, raster - corner, self.focus_points(raster))
+
     def rays(self, focus: Tensor, lens_points: Tensor) -> tuple[Tensor, Tensor]:
         """World origins and unit directions `[3, N]` of rays from lens points `[2, N]` through focus points `[3, N]`."""
         core = native.core()
@@ -67,6 +94,11 @@ class ThinLensCamera:
 
     def depth(self, distance: Tensor, directions: Tensor) -> Tensor:
         """Depth along the axis, metres, of hits at `distance` `[N]` in world `directions` `[3, N]`; NO_DEPTH for misses."""
+        core = native.core()
+        if core is not None and distance.device.type == "cpu":
+            depths, axes = torch.empty(len(distance)), self.axes.contiguous()
+            core.camera_depths(axes, distance.contiguous(), directions.contiguous(), MISS_DISTANCE, NO_DEPTH, depths)
+            return depths
         return torch.where(distance < MISS_DISTANCE, distance * (self.axes[:, 2] @ directions), NO_DEPTH)
 
     def coc_diameter(self, depth: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.aperture import RIM, Iris, Mask
+from bokehguide.runtime import native
 from bokehguide.runtime.device import to_device
 from bokehguide.scene import types
 
@@ -47,6 +48,11 @@ class Lens:
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Points `[2, N]` with the density W / A from uniform numbers `[2, N]`. Rounding moves no point outside the rim."""
+        core = native.core()
+        if core is not None and uniforms.device.type == "cpu" and uniforms.dtype == torch.float32:
+            points = torch.empty(2, uniforms.shape[1])
+            core.sample_disc(self.radius * RIM, uniforms.contiguous(), points)
+            return points
         radius = self.radius * RIM * uniforms[0].sqrt()
         angle = 2.0 * math.pi * uniforms[1]
         return torch.stack((radius * angle.cos(), radius * angle.sin()))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import cached_property
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from bokehguide.render.lights.light_clusters import LightClusters
 from bokehguide.render.lights.scene_lights import Lights
 from bokehguide.render.materials import NORMAL_MAPS, SLOTS, Materials
 from bokehguide.render.observer import CoreReport, PathObserver
-from bokehguide.render.primary_hits import FAINTEST, CoreRecord, PrimaryHits
+from bokehguide.render.primary_hits import CoreRecord, PrimaryHits
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.splitting import Splitting
 from bokehguide.render.textures import TextureAtlas
@@ -133,7 +133,7 @@ class NativeTracer:
         if lights is not None and paths > 0:
             row, cluster, rms, visibility, difference = (arrays[name][:paths] for name in LIGHT_ROWS)
             samples = (row, cluster, rms, visibility, difference)
-        recorded = _recorded(self._geometry, arrays, hits, paths) if hits > 0 else None
+        recorded = NativeHits(self._geometry, arrays, hits, paths) if hits > 0 else None
         return fields, recorded, CoreReport(fields["radiance"], fields["distance"], images, samples)
 
     def _trace(
@@ -195,17 +195,6 @@ def _path_arrays(count: int, with_lights: bool) -> dict[str, Tensor]:
     return arrays
 
 
-def _recorded(geometry: Geometry, arrays: dict[str, Tensor], hits: int, paths: int) -> PrimaryHits:
-    """The primary hits that the native core has recorded; their tensors share the memory of the record."""
-    of_hits = {
-        name: arrays[name][..., :hits] for name in ("ray", "triangle", "paths", "distance", "u", "v", "surface", "emission")
-    }
-    hit = Hit(of_hits["triangle"], of_hits["distance"], of_hits["u"], of_hits["v"])
-    surface = surface_of(geometry.materials, of_hits["surface"])
-    fields = (of_hits["ray"].long(), hit, surface, of_hits["emission"], of_hits["paths"].long(), arrays["owner"][:paths])
-    return NativeHits(geometry, *fields, arrays["reflected"][3:, :paths], arrays)
-
-
 def surface_of(materials: Materials, rows: Tensor) -> Surface:
     """Surfaces from the rows `[R, K]` of the native core, without the fields that no material needs."""
     parts = [part if len(part) > 1 else part[0] for part in rows.split(surface_fields(materials))]
@@ -231,27 +220,67 @@ def surface_of(materials: Materials, rows: Tensor) -> Surface:
     return Surface(**values)
 
 
-@dataclass
 class NativeHits(PrimaryHits):
-    """`PrimaryHits` that the native core has recorded. record: arrays of the core."""
+    """`PrimaryHits` that the native core has recorded.
 
-    record: dict[str, Tensor]
+    record: arrays of the core, of which `hits` hits and `paths` paths are in use. Tensors share the memory of the record, and are
+    made when PyTorch asks for them.
+    """
 
-    def __post_init__(self) -> None:
-        count = len(self.owner)
-        self.light_direction, self.scattered_direction = (
-            self.record[name][:, :count] for name in ("light_direction", "scattered_direction")
-        )
-        self.direct = self.record["reflected"][:3, :count]
+    def __init__(self, geometry: Geometry, record: dict[str, Tensor], hits: int, paths: int):
+        self.geometry, self._record, self._hits, self._paths = geometry, record, hits, paths
         self._normals: list[Tensor] | None = None
         self._reflection = self.emits = None
 
+    def _of_hits(self, name: str) -> Tensor:
+        return self._record[name][..., : self._hits]
+
+    def _of_paths(self, name: str) -> Tensor:
+        return self._record[name][..., : self._paths]
+
+    @cached_property
+    def rays(self) -> Tensor:  # type: ignore[override]
+        return self._of_hits("ray").long()
+
+    @cached_property
+    def hit(self) -> Hit:  # type: ignore[override]
+        return Hit(*(self._of_hits(name) for name in ("triangle", "distance", "u", "v")))
+
+    @cached_property
+    def surface(self) -> Surface:  # type: ignore[override]
+        return surface_of(self.geometry.materials, self._of_hits("surface"))
+
+    @cached_property
+    def emission(self) -> Tensor:  # type: ignore[override]
+        return self._of_hits("emission")
+
+    @cached_property
+    def counts(self) -> Tensor:  # type: ignore[override]
+        return self._of_hits("paths").long()
+
+    @cached_property
+    def owner(self) -> Tensor:  # type: ignore[override]
+        return self._of_paths("owner")
+
+    @cached_property
+    def light_direction(self) -> Tensor:  # type: ignore[override]
+        return self._of_paths("light_direction")
+
+    @cached_property
+    def scattered_direction(self) -> Tensor:  # type: ignore[override]
+        return self._of_paths("scattered_direction")
+
+    @cached_property
+    def direct(self) -> Tensor:  # type: ignore[override]
+        return self._of_paths("reflected")[:3]
+
+    @cached_property
+    def indirect(self) -> Tensor:  # type: ignore[override]
+        return self._of_paths("reflected")[3:]
+
     def core_record(self) -> CoreRecord:
-        """See `PrimaryHits`. Where a BSDF is too small as a divisor, the incident light counts as 0."""
-        bsdf = self.record["bsdf"]
-        incident = torch.where(bsdf > FAINTEST, self.record["reflected"] / bsdf, 0.0)
-        arrays = self.record | {"incident": incident, "first_path": (self.counts.cumsum(0) - self.counts).int()}
-        return CoreRecord(arrays, len(self.rays), len(self.owner))
+        """See `PrimaryHits`."""
+        return CoreRecord(self._record, self._hits, self._paths)
 
 
 def cluster_lights(core: ModuleType, clusters: LightClusters, arrays: dict[str, Tensor], numbers: dict[str, float]) -> object:

@@ -20,7 +20,7 @@ Pair = tuple[Tensor, Tensor]
 
 
 class CoreRecord(NamedTuple):
-    """Primary hits in the native core. arrays: by the names of `SplitRecord` and `PathLight` in `native/tables.h`. hits, paths:
+    """Primary hits in the native core. arrays: by the names of `SplitRecord` in `native/tables.h`. hits, paths:
     how many are in use."""
 
     arrays: dict[str, Tensor]

@@ -28,6 +28,7 @@ from torch import Tensor
 
 from bokehguide.runtime import native
 from bokehguide.runtime.device import to_device
+from bokehguide.runtime.indexing import ActiveEntries, Pixels, core_pixels, pixel_numbers
 
 _MASK = 0xFFFFFFFF
 _BITS = 31
@@ -116,14 +117,26 @@ def _scrambled(pixel_keys: Tensor, keys: Tensor, points: list[int], odd: tuple[l
     return _to_unit(values)
 
 
+def _pixel_keys(seed: int, pixels: Pixels, device: torch.device) -> Tensor:
+    """Hashes of seed and pixel, int32 `[N]`."""
+    core = native.core()
+    if core is not None and device.type == "cpu":
+        first, numbers, count = core_pixels(pixels)
+        keys = torch.empty(count, dtype=torch.int32)
+        core.pixel_keys(hash_int(seed), first, None if numbers is None else numbers.long(), keys)
+        return keys
+    return hash_tensor(pixel_numbers(pixels, device).to(torch.int32) ^ _signed(hash_int(seed)))
+
+
 class PixelRandom:
     """Random numbers for the paths of some pixels in one step.
 
-    seed, step: any integers; the first step is 1. pixels: flat pixel indices, int32 `[N]`.
+    seed, step: any integers; the first step is 1. pixels: flat pixel indices. device: of the numbers of consecutive pixels.
     """
 
-    def __init__(self, seed: int, step: int, pixels: Tensor):
-        self.pixel_keys = self._pair_keys = hash_tensor(pixels.to(torch.int32) ^ _signed(hash_int(seed)))
+    def __init__(self, seed: int, step: int, pixels: Pixels, device: torch.device | str = "cpu"):
+        device = pixels.device if isinstance(pixels, Tensor) else torch.device(device)
+        self.pixel_keys = self._pair_keys = _pixel_keys(seed, pixels, device)
         self._odd: Tensor | None = None
         self.step_key = hash_int(hash_int(seed ^ 0x9E3779B9) + step)
         self.seed_key = hash_int(seed ^ 0x2545F491)
@@ -166,10 +179,24 @@ class PixelRandom:
         self, core: ModuleType, keys: Tensor, dimension: int, count: int, first: int, number: int = 0, odd: Tensor | None = None
     ) -> Tensor:
         """Numbers of the native core; first, number: as in `stratified`, `first` is 0 for `uniform`. odd: see `_scrambled`."""
-        numbers, random = torch.empty(count, len(keys)), core.Random(self.step_key, self.seed_key, self.index)
-        odd = None if odd is None else odd.contiguous()
-        core.random(random, keys.contiguous(), dimension & _MASK, count, first, number, odd, numbers)
+        numbers, odd = torch.empty(count, len(keys)), None if odd is None else odd.contiguous()
+        core.random(self.core_keys(core), keys.contiguous(), dimension & _MASK, count, first, number, odd, None, numbers)
         return numbers
+
+    def core_keys(self, core: ModuleType) -> object:
+        """The `Random` of the extension: the keys of the step."""
+        return core.Random(self.step_key, self.seed_key, self.index)
+
+    def stratify(self, numbers: Tensor, replaced: Tensor, dimension: int, first: int) -> None:
+        """Replace `numbers` `[count, N]` by those of `stratified` in some pixels; replaced: bool `[N]`."""
+        if self._core is not None:
+            keys = self._pair_keys if self._in_epoch(first) else self.pixel_keys
+            given = (dimension & _MASK, len(numbers), first, 0)
+            self._core.random(self.core_keys(self._core), keys.contiguous(), *given, self._odd, replaced.contiguous(), numbers)
+            return
+        entries = ActiveEntries(replaced)
+        if len(entries) > 0:
+            entries.scatter(numbers, self.select(entries.index).stratified(dimension, len(numbers), first))
 
     def _keys(self, keys: Iterable[int]) -> Tensor:
         return to_device([_signed(hash_int(key)) for key in keys], self.pixel_keys.device, torch.int32)

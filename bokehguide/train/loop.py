@@ -16,7 +16,6 @@ from bokehguide.errors import BokehguideError
 from bokehguide.guiding.inheritance import Learned
 from bokehguide.guiding.modes import MODES
 from bokehguide.guiding.protocols import BatchSamples, LensPoints, LensQuery, ModeContext, PixelBatch, StepSummary
-from bokehguide.render import dimensions
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
 from bokehguide.render.film import Film, FilmSamples, earliest
@@ -26,7 +25,7 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.render.split_film import SplitFilm
 from bokehguide.runtime.device import free_memory
 from bokehguide.runtime.distributed import Ranks, available_cores
-from bokehguide.runtime.indexing import Pixels, box_pixels, indices, pixel_numbers
+from bokehguide.runtime.indexing import Pixels, box_pixels, indices
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.runtime.workers import Workers
 from bokehguide.scene.light_groups import find_light_groups
@@ -186,13 +185,9 @@ class RenderLoop:
     def _pixels(self, places: Pixels) -> PixelBatch:
         """Pixels of the film with their jittered raster positions and focus points."""
         pixels = places if self._frame_pixels is None else self._frame_pixels[places]
-        numbers = pixel_numbers(pixels, self.settings.device)
-        random = PixelRandom(self.settings.seed, self.step_number, numbers)
-        rows = numbers // self.camera.width
-        corner = torch.stack((numbers - rows * self.camera.width, rows))
-        raster = corner + random.stratified(dimensions.FILM, 2)
-        focus = self.camera.focus_points(raster)
-        return PixelBatch(self.step_number, places, pixels, raster, raster - corner, focus, random, self._mean_luminance)
+        random = PixelRandom(self.settings.seed, self.step_number, pixels, self.settings.device)
+        positions = self.camera.film_positions(pixels, random)
+        return PixelBatch(self.step_number, places, pixels, *positions, random, self._mean_luminance)
 
     def _trace(self, batch: PixelBatch, query: LensQuery, drawn: LensPoints, timer: PhaseTimer) -> BatchSamples:
         """Trace paths from lens points, and make samples of them."""

@@ -10,8 +10,8 @@ import numpy as np
 
 BATCH = 131072
 """Largest number of pixels of a batch on a CPU. The overhead of a larger batch is too small to measure."""
-OVERHEAD = 1600
-"""Pixels whose work on a CPU takes as long as the overhead of a batch, in `lis-o` (700 in `uniform`, 900 in `guided`).
+OVERHEAD = 400
+"""Pixels whose work on a CPU takes as long as the overhead of a batch, in `lis-o` (160 in `uniform` and `guided`).
 
 The overhead holds the interpreter's lock. Therefore the overheads of all batches together should not take longer than one batch:
 pixels / n = n · OVERHEAD for n batches."""

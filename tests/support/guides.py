@@ -19,6 +19,7 @@ from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.random import PixelRandom
 from bokehguide.runtime import native
 from bokehguide.runtime.distributed import Ranks
+from bokehguide.runtime.indexing import Pixels, pixel_numbers
 from bokehguide.scene.types import Camera
 from bokehguide.train import RenderSettings
 
@@ -39,11 +40,11 @@ def film_context(width: int, height: int, ranks: Ranks | None = None) -> ModeCon
     return context(ThinLensCamera(Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), width, height), ranks)
 
 
-def pixel_batch(guide: Guide, pixels: slice | None = None, raster: Tensor | None = None) -> PixelBatch:
+def pixel_batch(guide: Guide, pixels: Pixels | None = None, raster: Tensor | None = None) -> PixelBatch:
     """Pixels of the guide's camera, by default all, in a step of the present epoch; raster: by default the pixels' centres."""
     camera = guide.camera
-    pixels = pixels or slice(0, camera.width * camera.height)
-    numbers = torch.arange(pixels.start, pixels.stop)
+    pixels = slice(0, camera.width * camera.height) if pixels is None else pixels
+    numbers = pixel_numbers(pixels)
     corner = torch.stack((numbers % camera.width, numbers // camera.width))
     raster = corner + 0.5 if raster is None else raster
     step = max(int(guide.epoch), 2)  # GaussianGuide is uniform in step 1

@@ -41,7 +41,7 @@ def all_slots(rates: SuccessRates, emitters: int = EMITTERS) -> np.ndarray:
 
 def test_all_rates_are_one_at_the_start():
     rates = success_rates()
-    assert (rates.learned_scale(torch.from_numpy(all_slots(rates).ravel())) == 1.0).all()
+    assert (rates.rates == 1.0).all()
 
 
 @pytest.mark.parametrize("contribution", [0.0, 0.5, 1.0, 3.0, 100.0])
@@ -49,12 +49,12 @@ def test_the_rate_is_the_root_mean_square_of_contributions(contribution):
     """The prior is PRIOR_DRAWS draws with contribution 1, which weigh less with more draws. The rate is bounded."""
     rates, slots = success_rates(), torch.tensor([7, 8, 8, 8, 9] + [10] * 40)
     rates.add(slots, torch.full((len(slots),), contribution**2))
-    assert (rates.learned_scale(slots) == 1.0).all()  # until the epoch ends
+    assert (rates.rates[slots] == 1.0).all()  # until the epoch ends
     rates.update()
     for slot, draws in ((6, 0), (7, 1), (8, 3), (9, 1), (10, 40)):
         share = PRIOR_DRAWS / (draws + PRIOR_DRAWS)
         expected = math.sqrt((1.0 - share) * contribution**2 + share**2)
-        assert float(rates.learned_scale(torch.tensor([slot]))) == pytest.approx(min(expected, MAX_RATE), rel=1e-6)
+        assert float(rates.rates[slot]) == pytest.approx(min(expected, MAX_RATE), rel=1e-6)
 
 
 def test_found_highlights_have_no_rate():
@@ -65,8 +65,8 @@ def test_found_highlights_have_no_rate():
     assert (slots[:EMITTERS] > 0).all() and (slots[EMITTERS:] == 0).all() and all_slots(rates).min() > 0
     rates.add(slots, torch.zeros(len(slots)))
     rates.update()
-    learned_scale = rates.learned_scale(slots)
-    assert (learned_scale[:EMITTERS] < 1.0).all() and (learned_scale[EMITTERS:] == 1.0).all()
+    learned = rates.rates[slots]
+    assert (learned[:EMITTERS] < 1.0).all() and (learned[EMITTERS:] == 1.0).all()
 
 
 def test_each_tile_has_slots_of_its_own():
@@ -125,7 +125,7 @@ def test_the_rate_of_a_visible_emitter_is_near_one():
     guide = rendered(half_hidden(), 16).mode.lens
     query = mixture_query(guide, pixel_batch(guide))
     visible = query.gaussian == guide.field.mean[0].argmax()
-    rates = guide.success_rates.learned_scale(query.slots[visible])
+    rates = guide.success_rates.rates[query.slots[visible]]
     assert len(rates) > 400 and float(rates.median()) == pytest.approx(1.0, abs=0.1)
 
 

@@ -1,4 +1,4 @@
-// Sums over samples, as functions of the module.
+// Functions that add parts to the Python module.
 
 #pragma once
 
@@ -6,6 +6,8 @@
 
 namespace bokehguide {
 
+void bind_frame(nanobind::module_& m);
+void bind_reports(nanobind::module_& m);
 void bind_sums(nanobind::module_& m);
 
 }  // namespace bokehguide

@@ -1,0 +1,100 @@
+// Pixels, their random numbers, lens points and rays, as functions of the module: the loops are in camera.h.
+
+#include "bindings.h"
+#include "scene.h"
+
+namespace bokehguide {
+
+namespace {
+
+using Numbers = std::optional<Out<const int64_t>>;
+
+// Keys of random numbers. directions: of Sobol' sequences, int32 `[8, 30]`.
+Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index) {
+    static int32_t directions[8][30];
+    static bool ready = false;
+    if (!ready) {
+        nb::list rows = nb::cast<nb::list>(nb::module_::import_("bokehguide.render.random").attr("_DIRECTIONS"));
+        for (int row = 0; row < 8; ++row) {
+            for (int bit = 0; bit < 30; ++bit) directions[row][bit] = nb::cast<int32_t>(rows[row][bit]);
+        }
+        ready = true;
+    }
+    return {step_key, seed_key, index, directions};
+}
+
+// first, numbers: of consecutive pixels, or of any pixels.
+void pixel_keys(uint32_t seed, int64_t first, const Numbers& numbers, IntsOut keys) {
+    if (numbers) check(*numbers, keys.size(), "pixels");
+    nb::gil_scoped_release released;
+    kernels().pixel_keys(seed, int64_t(keys.size()), {numbers ? numbers->data() : nullptr, first}, keys.data());
+}
+
+void random(const Random& random, const Ints& pixels, uint32_t dimension, int numbers, int first, int number, const std::optional<Ints>& odd,
+            const std::optional<Out<const bool>>& replaced, FloatsOut out) {
+    check(out, size_t(numbers) * pixels.size(), "out");
+    if (odd) check(*odd, pixels.size(), "odd");
+    if (replaced) check(*replaced, pixels.size(), "replaced");
+    const uint8_t* flags = replaced ? reinterpret_cast<const uint8_t*>(replaced->data()) : nullptr;
+    nb::gil_scoped_release released;
+    kernels().random_numbers(random, int64_t(pixels.size()), pixels.data(), dimension, numbers, first, number, odd ? odd->data() : nullptr, flags,
+                             out.data());
+}
+
+// size: width and height of the frame; lengths: width of a pixel at unit distance, and the focus distance.
+void film_positions(nb::tuple size, nb::tuple lengths, const Random& random, uint32_t dimension, int64_t first, const Numbers& numbers,
+                    const Ints& keys, FloatsOut rows) {
+    const size_t count = keys.size();
+    check(rows, 7 * count, "rows");
+    if (numbers) check(*numbers, count, "pixels");
+    const double width = nb::cast<double>(size[0]), height = nb::cast<double>(size[1]);
+    const FilmFrame frame = {int32_t(width), float(0.5 * width), float(0.5 * height), nb::cast<float>(lengths[0]), nb::cast<float>(lengths[1])};
+    nb::gil_scoped_release released;
+    kernels().film_positions(frame, random, dimension, int64_t(count), {numbers ? numbers->data() : nullptr, first}, keys.data(), rows.data());
+}
+
+void sample_disc(float radius, const Floats& uniforms, FloatsOut points) {
+    check(uniforms, points.size(), "uniforms");
+    nb::gil_scoped_release released;
+    kernels().sample_disc(radius, int64_t(points.size() / 2), uniforms.data(), points.data());
+}
+
+Camera camera_of(const Floats& axes, const Floats* position) {
+    check(axes, 9, "axes");
+    Camera camera{};
+    std::memcpy(camera.axes, axes.data(), sizeof camera.axes);
+    if (position != nullptr) check(*position, 3, "position"), std::memcpy(camera.position, position->data(), sizeof camera.position);
+    return camera;
+}
+
+void camera_rays(const Floats& axes, const Floats& position, const Floats& focus, const Floats& points, FloatsOut rows) {
+    const size_t count = rows.size() / 6;
+    check(focus, 3 * count, "focus"), check(points, 2 * count, "points");
+    const Camera camera = camera_of(axes, &position);
+    nb::gil_scoped_release released;
+    kernels().camera_rays(camera, int64_t(count), focus.data(), points.data(), rows.data(), rows.data() + 3 * count);
+}
+
+void camera_depths(const Floats& axes, const Floats& distance, const Floats& directions, float miss, float none, FloatsOut depths) {
+    const size_t count = depths.size();
+    check(distance, count, "distance"), check(directions, 3 * count, "directions");
+    const Camera camera = camera_of(axes, nullptr);
+    nb::gil_scoped_release released;
+    kernels().camera_depths(camera, int64_t(count), distance.data(), directions.data(), miss, none, depths.data());
+}
+
+}  // namespace
+
+void bind_frame(nb::module_& m) {
+    nb::class_<Random>(m, "Random").def("__init__", [](Random* self, uint32_t step_key, uint32_t seed_key, uint32_t index) {
+        new (self) Random(random_of(step_key, seed_key, index));
+    });
+    m.def("pixel_keys", &pixel_keys, nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
+    m.def("random", &random, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg().none(), nb::arg());
+    m.def("film_positions", &film_positions, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg());
+    m.def("sample_disc", &sample_disc);
+    m.def("camera_rays", &camera_rays);
+    m.def("camera_depths", &camera_depths);
+}
+
+}  // namespace bokehguide
