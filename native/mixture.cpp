@@ -135,6 +135,11 @@ class GaussianMixture : public MixtureOfKind<GaussianRows, &Kernels::gaussians, 
     // Fills the rows of Gaussians.
     const float* pack(float* rows) const {
         const size_t components = size_t(m.components);
+        const bool offsets = m.degree >= 0;
+        const float *const sigma = floats("sigma", components), *const radius = offsets ? floats("inverse_radius", components) : nullptr;
+        const float *const center = offsets ? floats("center", 2 * components) : nullptr, *const unit = offsets ? floats("unit", components) : nullptr;
+        const float* const coefficients = offsets ? floats("coefficients", 3 * monomials() * components) : nullptr;
+        nb::gil_scoped_release released;
         std::fill_n(rows, components * size_t(m.row_length), 0.0f);
         // Copies columns of the array `name` `[columns, components]` to `field` and the next ones.
         const auto put = [&](const float* columns, size_t count, int field) {
@@ -142,11 +147,9 @@ class GaussianMixture : public MixtureOfKind<GaussianRows, &Kernels::gaussians, 
                 for (size_t i = 0; i < components; ++i) rows[i * size_t(m.row_length) + size_t(field) + column] = columns[column * components + i];
             }
         };
-        put(m.mean, 3, MEAN), put(m.strength, 1, STRENGTH), put(floats("sigma", components), 1, SIGMA);
-        if (m.degree < 0) return rows;
-        put(floats("inverse_radius", components), 1, INVERSE_RADIUS), put(floats("center", 2 * components), 2, CENTER);
-        put(floats("unit", components), 1, UNIT);
-        const float* coefficients = floats("coefficients", 3 * monomials() * components);
+        put(m.mean, 3, MEAN), put(m.strength, 1, STRENGTH), put(sigma, 1, SIGMA);
+        if (!offsets) return rows;
+        put(radius, 1, INVERSE_RADIUS), put(center, 2, CENTER), put(unit, 1, UNIT);
         for (size_t number = 0; number < monomials(); ++number) {
             const int place = OFFSETS + OFFSET_FIELDS * int(number);
             for (size_t axis = 0; axis < 3; ++axis) put(coefficients + (axis * monomials() + number) * components, 1, place + int(axis));
@@ -191,17 +194,18 @@ void Mixture::set(MixtureRows& m) {
     m.start = start.data(), m.given = given.data();
     m.components = int64_t(nb::cast<Floats>(arrays_["strength"], false).size());
     const size_t pixels = size_t(m.pixels), candidates = size_t(m.candidates), components = size_t(m.components);
+    m.focus = floats("focus", 3 * pixels), m.given_beta = floats("beta", pixels);
+    m.mean = floats("mean", 3 * components), m.strength = floats("strength", components);
+    m.contribution = entry<FloatsOut>(arrays_, "contribution", size_t(m.columns)).data(), m.weight = entry<FloatsOut>(arrays_, "weight", candidates).data();
+    m.beta = entry<FloatsOut>(arrays_, "own_beta", pixels).data(), m.guided = entry<Out<uint8_t>>(arrays_, "guided", pixels).data();
+    m.lens_radius = float(number("radius")), m.lens_squared_radius = float(number("squared_radius")), m.lens_area = float(number("area"));
+    nb::gil_scoped_release released;
     for (size_t pixel = 0; pixel <= pixels; ++pixel) {
         if (m.start[pixel] < (pixel ? m.start[pixel - 1] : 0) || m.start[pixel] > m.candidates) throw std::invalid_argument("starts must ascend");
     }
     for (size_t i = 0; i < candidates; ++i) {
         if (m.given[i] < 0 || m.given[i] >= m.components) throw std::invalid_argument("a component beyond the field");
     }
-    m.focus = floats("focus", 3 * pixels), m.given_beta = floats("beta", pixels);
-    m.mean = floats("mean", 3 * components), m.strength = floats("strength", components);
-    m.contribution = entry<FloatsOut>(arrays_, "contribution", size_t(m.columns)).data(), m.weight = entry<FloatsOut>(arrays_, "weight", candidates).data();
-    m.beta = entry<FloatsOut>(arrays_, "own_beta", pixels).data(), m.guided = entry<Out<uint8_t>>(arrays_, "guided", pixels).data();
-    m.lens_radius = float(number("radius")), m.lens_squared_radius = float(number("squared_radius")), m.lens_area = float(number("area"));
 }
 
 void bind_mixture(nb::module_& m) {

@@ -38,11 +38,12 @@ void recorded_light(const Floats& radiance, const Bools& good, const std::option
         if (!triangle || !known) throw std::invalid_argument("emission without triangles");
         check(*emission, 3 * count, "emission"), check(*triangle, count, "triangle");
         of = {emission->data(), triangle->data(), flags(*known), whole_environment};
-        for (size_t i = 0; i < count; ++i) {
-            if (of.triangle[i] >= int64_t(known->size())) throw std::invalid_argument("a triangle beyond the scene");
-        }
     }
+    const int64_t triangles = known ? int64_t(known->size()) : 0;
     nb::gil_scoped_release released;
+    for (size_t i = 0; emission && i < count; ++i) {
+        if (of.triangle[i] >= triangles) throw std::invalid_argument("a triangle beyond the scene");
+    }
     kernels().recorded_light({int64_t(count), radiance.data(), nullptr, flags(good)}, of, light.data());
 }
 
@@ -82,11 +83,11 @@ int64_t learn_emitters(FloatsOut moments, int64_t first, const std::optional<Out
     const EmitterDraws d = {of_pixels("beta"), of_pixels("mixture"), of_pixels("density"), of_pixels("ratio"),
                             entry<Out<const int64_t>>(draws, "candidate", count).data(), of_candidates("weight"), of_candidates("contribution"),
                             entry<Ints>(draws, "slots", candidates).data(), float(area_of_unit), float(most)};
+    nb::gil_scoped_release released;
     for (size_t i = 0; i < count; ++i) {
         if (d.candidate[i] >= int64_t(candidates)) throw std::invalid_argument("a draw beyond the candidates");
         if (pixels && (pixels->data()[i] < 0 || pixels->data()[i] >= int64_t(frame))) throw std::invalid_argument("pixels beyond the frame");
     }
-    nb::gil_scoped_release released;
     return kernels().learn_emitters(d, int64_t(count), {pixels ? pixels->data() : nullptr, first}, int64_t(frame), moments.data(), slots.data(), squares.data());
 }
 
@@ -96,13 +97,13 @@ void success_rates(nb::tuple tiles, const Floats& table, int64_t first, const st
     const int64_t count = int64_t(start.size()) - 1;
     check(slots, components.size(), "slots"), check(rates, components.size(), "rates");
     if (pixels) check(*pixels, size_t(count), "pixels");
-    for (int64_t i = 0; i <= count; ++i) {
-        if (start.data()[i] < (i ? start.data()[i - 1] : 0) || start.data()[i] > int64_t(components.size())) throw std::invalid_argument("starts must ascend");
-    }
     const auto whole = [&](int i) { return nb::cast<int32_t>(tiles[i]); };
     if (table.size() == 0 || (table.size() & (table.size() - 1)) != 0) throw std::invalid_argument("slots must be a power of two");
     const SuccessTiles of = {whole(0), whole(1), whole(2), uint32_t(table.size() - 1), whole(3), table.data()};
     nb::gil_scoped_release released;
+    for (int64_t i = 0; i <= count; ++i) {
+        if (start.data()[i] < (i ? start.data()[i - 1] : 0) || start.data()[i] > int64_t(components.size())) throw std::invalid_argument("starts must ascend");
+    }
     kernels().success_rates(of, count, {pixels ? pixels->data() : nullptr, first}, start.data(), components.data(), slots.data(), rates.data());
 }
 

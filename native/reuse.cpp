@@ -41,6 +41,7 @@ class Views {
         if (pixels) {
             check(*pixels, count(), "pixels");
             groups_.pixels = pixels->data();
+            nb::gil_scoped_release released;
             for (size_t i = 0; i < count(); ++i) {
                 if (groups_.pixels[i] < (i == 0 ? 0 : groups_.pixels[i - 1] + 1)) throw std::invalid_argument("pixels must ascend");
             }
@@ -156,6 +157,7 @@ class Views {
         const auto floats = [&](const char* name, size_t rows) { return entry<Floats>(record, name, rows * columns).data(); };
         record_.distance = floats("distance", 1), record_.u = floats("u", 1), record_.v = floats("v", 1);
         record_.emission = floats("emission", 3);
+        nb::gil_scoped_release released;
         first_path_.resize(size_t(hits)), record_.light.first_path = first_path_.data();
         int32_t path = 0;
         for (int64_t hit = 0; hit < hits; ++hit) {
@@ -163,7 +165,6 @@ class Views {
             first_path_[size_t(hit)] = path, path += record_.light.paths[hit];
         }
         if (path > paths) throw std::invalid_argument("more paths of hits than paths");
-        nb::gil_scoped_release released;
         kernels().incident_light(record_.light, reflected, incident_.get());
     }
     // span: of the numbers of pixels from the first to the last.
