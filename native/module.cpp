@@ -148,12 +148,13 @@ LightGroups light_groups(const nb::dict& arrays, const Tables& t, size_t rays, s
 nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& direction, const std::optional<Floats>& alive,
                 const Ints& pixel_keys, const Random& random, int max_depth, FloatsOut rows, IntsOut triangle,
                 const std::optional<nb::dict>& split, const NamedClusterLights* lights, const std::optional<FloatsOut>& images,
-                const std::optional<nb::dict>& groups) {
+                const std::optional<nb::dict>& groups, const std::optional<Floats>& shadow_threshold) {
     const size_t count = pixel_keys.size();
     check(origin, 3 * count, "origin"), check(direction, 3 * count, "direction"), check(rows, 14 * count, "rows");
     check(triangle, count, "triangle");
     if (alive) check(*alive, count, "alive");
     if (images) check(*images, 3 * count, "images");
+    if (shadow_threshold) check(*shadow_threshold, count, "shadow_threshold");
     if (!split && (lights != nullptr || images)) throw std::invalid_argument("cluster lights and images need a record of splits");
     Trace arguments{};
     SplitRecord record{};
@@ -164,6 +165,7 @@ nb::tuple trace(const Scene& scene, const Floats& origin, const Floats& directio
     arguments.first_step = lights ? lights->c.first_step : 1;
     arguments.lights = lights ? &lights->c : nullptr;
     if (images) arguments.images = const_cast<float*>(images->data());
+    arguments.shadow_threshold = shadow_threshold ? shadow_threshold->data() : nullptr;
     LightGroups by_group{};
     if (groups && count > 0) by_group = light_groups(*groups, scene.t, count, size_t(record.path_columns)), arguments.groups = &by_group;
     if (split && groups && count > 0 && by_group.reflected == nullptr) throw std::invalid_argument("split paths need rows of light groups");
@@ -226,7 +228,7 @@ NB_MODULE(_native, m) {
              nb::arg().none(), nb::arg().none())
         .def("trace", &trace, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
              nb::arg("split").none() = nb::none(), nb::arg("lights").none() = nb::none(), nb::arg("images").none() = nb::none(),
-             nb::arg("groups").none() = nb::none());
+             nb::arg("groups").none() = nb::none(), nb::arg("shadow_threshold").none() = nb::none());
     bind_frame(m);
     bind_reports(m);
     bind_mixture(m);

@@ -165,7 +165,8 @@ struct Trace {
     // Virtual images (guiding/virtual_images.py), [3, count]: their light, the distance of the brightest, and whether some path
     // leaves the primary hit as in a mirror or glass. Null for none.
     float* images;
-    const LightGroups* groups;  // null for none
+    const LightGroups* groups;      // null for none
+    const float* shadow_threshold;  // of the roulette of shadow rays, [count]; null for none
     // Results, all written.
     float *radiance, *distance, *normal, *albedo, *emission, *alpha;
     int32_t* triangle;

@@ -20,9 +20,9 @@ using bokehguide::Trace;
 // Rows of a `Surface`.
 constexpr int NORMAL_ROW = 9, ALBEDO_ROW = 15;
 constexpr int ROULETTE_DEPTH = 4;
-constexpr float MAX_SURVIVAL = 0.95f, SHADOW_END = 1.0f - 1e-4f;
+constexpr float MAX_SURVIVAL = 0.95f, SHADOW_END = 1.0f - 1e-4f, MIN_CHANCE = 0.25f;
 // Random dimensions (render/dimensions.py).
-constexpr uint32_t PART = 0, BSDF = 1, ROULETTE = 4, LIGHT = 5, LIGHT_COUNT = 6;
+constexpr uint32_t PART = 0, BSDF = 1, ROULETTE = 4, LIGHT = 5, LIGHT_COUNT = 6, SHADOW = 11;
 inline uint32_t vertex_dimension(int depth) { return 32 + 16 * uint32_t(depth - 1); }
 inline uint32_t crossing_dimension(int depth) { return (1u << 20) + MAX_CROSSINGS * uint32_t(depth); }
 
@@ -463,7 +463,7 @@ class Tracing {
             const Light light = direct_light(depth, i, s, scattering, of_light, keys, active);
             if (trace.images != nullptr) prepare_image(i, s, light, active);
             if (depth == 1 && trace.split != nullptr) record(trace.split->bsdf, i, light.scattered.value);
-            aim_shadow_ray(i, s, throughput, light);
+            aim_shadow_ray(depth, i, s, throughput, light, keys);
         }
         Float of_bsdf[3], pdf;
         numbers(depth, BSDF, keys, of_bsdf);
@@ -509,14 +509,32 @@ class Tracing {
         return {light.direction, light.distance, found.value * light.radiance * weight, found, light.triangle};
     }
 
-    void aim_shadow_ray(int i, const Surface& s, Vec3 throughput, const Light& light) {
+    void aim_shadow_ray(int depth, int i, const Surface& s, Vec3 throughput, const Light& light, const PathKeys& keys) {
         Block& b = block;
-        const Vec3 contribution = throughput * light.value;
+        Vec3 contribution = throughput * light.value;
+        if (trace.shadow_threshold != nullptr) contribution = contribution * roulette_factor(depth, i, largest(contribution), keys);
         const Vec3 origin = leave(s, light.direction), target = light.direction - (origin - s.position) / light.distance;
         const Float stretch = length(target);
         store3(b.contribution, i, contribution), store(b.weight + i, largest(contribution));
         b.shadow.aim(i, origin, target / stretch, light.distance * stretch * SHADOW_END);
         if (trace.split != nullptr || trace.groups != nullptr) store3(b.light_direction, i, light.direction), store(b.light_triangle + i, light.triangle);
+    }
+
+    // `roulette_factor` of shadow_roulette.py, and `DirectLight.thinned`.
+    Float roulette_factor(int depth, int i, Float light, const PathKeys& keys) {
+        const Int slot = load<Int>(block.slot + i), active = first_lanes(paths - i);
+        const Int ray = trace.split != nullptr ? gather(block.ray, active ? slot : all(0)) : slot;
+        const Float threshold = gather(trace.shadow_threshold + first, active ? ray : all(0));
+        const Float chance = light > all(0.0f) ? clamp(light / divisor(threshold), MIN_CHANCE, 1.0f) : all(1.0f);
+        const Float factor = one_if(uniform(trace.random, keys.own, vertex_dimension(depth) + SHADOW) < chance) / chance;
+        if (depth == 1 && trace.lights != nullptr) {
+            for (int lane = 0; lane < LANES && i + lane < paths; ++lane) {
+                const int64_t path = base + i + lane;
+                if (!(factor[lane] > 0.0f)) trace.split->light_cluster[path] = -1;
+                trace.split->light_rms[path] *= __builtin_sqrtf(factor[lane]);
+            }
+        }
+        return factor;
     }
 
     // Records of paths at their primary hits, where slots are places.

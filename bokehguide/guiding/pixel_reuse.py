@@ -30,7 +30,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.guiding.config import GuidedConfig
-from bokehguide.guiding.control_variate import ControlVariate, NoControlVariate
+from bokehguide.guiding.control_variate import CELL, ControlVariate, NoControlVariate
 from bokehguide.guiding.native_reuse import PixelGroups, Reused, ViewPoints, native_reuse
 from bokehguide.guiding.protocols import BatchSamples, ModeContext, SampleReuse, StepSummary
 from bokehguide.models.reconnection import reconnect, reconnection_jacobian
@@ -340,6 +340,7 @@ class PixelReuse(SampleReuse):
 
     learns = True
     weighted = True
+    roulette_cell = CELL
 
     def __init__(self, context: ModeContext, config: GuidedConfig):
         super().__init__()

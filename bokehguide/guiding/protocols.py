@@ -284,10 +284,12 @@ class LightStrategy(Strategy):
 class SampleReuse(Strategy):
     """Lets pixels use samples of other pixels. In this base class, a pixel uses only its own sample.
 
-    weighted: whether reused samples may have weights other than 1.
+    weighted: whether reused samples may have weights other than 1. roulette_cell: cells of the roulette of shadow rays (see
+    `ShadowRoulette`).
     """
 
     weighted = False
+    roulette_cell = 1
 
     def cuts(self, width: int, height: int) -> np.ndarray | None:
         """Pixel numbers at which a film may be cut into batches, ascending from 0 to the number of pixels; None: all."""

@@ -12,7 +12,8 @@ dimension.
 | 2^30                       | neighbours of a pixel                                |
 | 2^30 + 1 …                 | choices among the samples of neighbours              |
 
-At a vertex: 0 opaque or transmissive part, 1 … 3 BSDF sample, 4 Russian roulette, 5 … 10 light sample.
+At a vertex: 0 opaque or transmissive part, 1 … 3 BSDF sample, 4 Russian roulette, 5 … 10 light sample, 11 roulette of the
+shadow ray.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ INITIAL_LENS = 7
 NEIGHBOURS = 1 << 30
 NEIGHBOUR_CHOICE = NEIGHBOURS + 1
 
-PART, BSDF, ROULETTE, LIGHT = 0, 1, 4, 5
+PART, BSDF, ROULETTE, LIGHT, SHADOW = 0, 1, 4, 5, 11
 """Offsets from `vertex`."""
 LIGHT_COUNT = 6
 MAX_CROSSINGS = 256

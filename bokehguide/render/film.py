@@ -264,6 +264,10 @@ class Film:
         total, count = self.light()
         return total / max(1.0, count)
 
+    def counts(self) -> Tensor:
+        """Number of samples, float32 `[H, W]`; the tensor is that of the film."""
+        return self._count.reshape(self.height, self.width)
+
     def samples(self) -> float:
         """Number of all samples."""
         return float(self._count.double().sum())

@@ -45,6 +45,7 @@ class CoreRays(NamedTuple):
     alive: Tensor | None
     random: PixelRandom
     max_depth: int
+    shadow_threshold: Tensor | None = None
 
 
 class NativeTracer:
@@ -144,6 +145,7 @@ class NativeTracer:
         assert core is not None
         rows, triangle = torch.empty(ROWS, count), torch.empty(count, dtype=torch.int32)
         alive = None if given.alive is None else given.alive.contiguous()
+        threshold = None if given.shadow_threshold is None else given.shadow_threshold.contiguous()
         keys = random.pixel_keys.contiguous(), core.Random(random.step_key, random.seed_key, random.index)
         rays, seconds, *recorded = self._scene.trace(
             given.origin.contiguous(),
@@ -155,6 +157,7 @@ class NativeTracer:
             triangle,
             *split,
             groups=None if groups is None else groups.core_arrays(),
+            shadow_threshold=threshold,
         )
         timer.add("tracing rays", seconds)
         fields: dict[str, Any] = dict(zip(("radiance", "normal", "albedo", "emission"), rows[:12].split(3)))

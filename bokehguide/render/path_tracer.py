@@ -23,6 +23,7 @@ from bokehguide.render.observer import PathObserver, PrimaryHitAOVs
 from bokehguide.render.paths import Paths, Rays
 from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.shadow_roulette import roulette_factor
 from bokehguide.render.splitting import UNSPLIT, Splitting
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import divisor, dot, length
@@ -110,23 +111,26 @@ class PathTracer:
         splitting: Splitting = UNSPLIT,
         observers: Sequence[PathObserver] = (),
         groups: GroupedLights | None = None,
+        shadow_threshold: Tensor | None = None,
     ) -> PathSamples:
         """Trace rays with world origins and unit directions `[3, N]`.
 
         max_depth: largest number of segments in this trace. alive: positive for rays to trace, `[N]`, None for all; all other
         rays are misses. light_sampler: light sampler at primary hits. splitting: strategy of splitting at primary hits.
-        observers: the trace calls their methods. groups: light groups whose radiance the trace is to give.
+        observers: the trace calls their methods. groups: light groups whose radiance the trace is to give. shadow_threshold: light
+        samples that contribute less to a ray play Russian roulette before their shadow ray (`shadow_roulette.py`), largest channel
+        of the radiance along the ray, `[N]`; None for no roulette.
         """
         sampler, max_depth = light_sampler or self.light_sampler, max_depth or self.max_depth
         by_group = None if groups is None else GroupRadiance.empty(groups, origin.shape[1], origin.device)
         if self.native is not None and self.native.knows(sampler, splitting, *observers):
-            given = CoreRays(origin, direction, alive, random, max_depth)
+            given = CoreRays(origin, direction, alive, random, max_depth, shadow_threshold)
             fields = self.native.trace(given, sampler, splitting, observers, timer, by_group)
             return PathSamples(**fields, primary_hits=splitting.primary_hits, groups=by_group)
         aovs = PrimaryHitAOVs(origin.shape[1], origin.device)
         observers = (*observers, by_group) if by_group is not None else observers
         trace = _Trace(self, sampler, splitting, (aovs, *observers), timer)
-        radiance = trace.run(origin, direction, alive, random, max_depth)
+        radiance = trace.run(origin, direction, alive, random, max_depth, shadow_threshold)
         samples = PathSamples(radiance, **vars(aovs), rays=trace.rays, primary_hits=splitting.primary_hits, groups=by_group)
         for observer in observers:
             observer.finished(radiance, samples.distance)
@@ -144,13 +148,22 @@ class _Trace:
     timer: PhaseTimer
     rays: int = 0
 
-    def run(self, origin: Tensor, direction: Tensor, alive: Tensor | None, random: PixelRandom, max_depth: int) -> Tensor:
+    def run(
+        self,
+        origin: Tensor,
+        direction: Tensor,
+        alive: Tensor | None,
+        random: PixelRandom,
+        max_depth: int,
+        shadow_threshold: Tensor | None,
+    ) -> Tensor:
         """Radiance `[3, N]` along the rays."""
         radiance, index = torch.zeros_like(origin), torch.arange(origin.shape[1], device=origin.device)
         pdf = torch.full(index.shape, DELTA_PDF, device=origin.device)
         rays: Rays | None = Rays(origin, origin, direction, pdf, alive)
         lights = self.tracer.light_sampler.at(origin)
-        paths = Paths(radiance, index, torch.ones_like(origin), torch.zeros_like(origin), random, lights)
+        start = torch.ones_like(origin), torch.zeros_like(origin)
+        paths = Paths(radiance, index, *start, random, lights, shadow_threshold)
         for depth in range(1, max_depth + 1):
             segment = _PrimarySegment(self, depth) if depth == 1 else _Segment(self, depth)
             paths, rays = segment.extend(paths, rays, depth == max_depth)
@@ -281,6 +294,10 @@ class _Segment:
         light = paths.lights.sample(surface, scattering, uniforms, paths.random)
         ray = _shadow_ray(surface, paths.throughput, light.direction, light.distance, light.value)
         contribution, brightest, origin, direction, distance = ray
+        if paths.shadow_threshold is not None:
+            number = paths.random.uniform(dimensions.vertex(self._depth) + dimensions.SHADOW, 1)[0]
+            factor = roulette_factor(brightest, paths.shadow_threshold, number)
+            light, contribution, brightest = light.thinned(factor), contribution * factor, brightest * factor
         visibility, traced = self._tracer.visibility.transmittance(origin, direction, distance, brightest, self._trace.timer)
         self._trace.rays += traced
         contribution *= visibility

@@ -37,7 +37,8 @@ class Paths:
     """N continuing paths. A path that ends is removed.
 
     collected: radiance `[3, M]` of M rays. A path that ends adds its radiance to the entry `index`. index: int64 `[N]`.
-    throughput, radiance: `[3, N]`. lights: distribution of light samples at the last vertices.
+    throughput, radiance: `[3, N]`. lights: distribution of light samples at the last vertices. shadow_threshold: see
+    `PathTracer.trace`, `[N]`.
     """
 
     collected: Tensor
@@ -46,11 +47,14 @@ class Paths:
     radiance: Tensor
     random: PixelRandom
     lights: LightDistribution
+    shadow_threshold: Tensor | None = None
 
     def select(self, index: Tensor) -> Paths:
         """Paths at `index`, int64 `[M]`."""
         place, throughput, radiance = (x.index_select(-1, index) for x in (self.index, self.throughput, self.radiance))
-        return Paths(self.collected, place, throughput, radiance, self.random.select(index), self.lights.select(index))
+        threshold = None if self.shadow_threshold is None else self.shadow_threshold.index_select(0, index)
+        random, lights = self.random.select(index), self.lights.select(index)
+        return Paths(self.collected, place, throughput, radiance, random, lights, threshold)
 
     def split(self, counts: Tensor, total: int) -> tuple[Paths, Tensor]:
         """Replace each path by `counts`, int64 `[N]`, adjacent paths with equal shares of the throughput.

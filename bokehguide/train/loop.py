@@ -15,13 +15,14 @@ from torch import Tensor
 from bokehguide.errors import BokehguideError
 from bokehguide.guiding.inheritance import Learned
 from bokehguide.guiding.modes import MODES
-from bokehguide.guiding.protocols import BatchSamples, LensPoints, LensQuery, ModeContext, PixelBatch, StepSummary
+from bokehguide.guiding.protocols import BatchSamples, LensPoints, LensQuery, ModeContext, PixelBatch, StepSummary, starts_epoch
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
 from bokehguide.render.film import Film, FilmSamples, earliest
 from bokehguide.render.light_groups import GroupedLights
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.shadow_roulette import ShadowRoulette
 from bokehguide.render.split_film import SplitFilm
 from bokehguide.runtime.device import free_memory
 from bokehguide.runtime.distributed import Ranks, available_cores
@@ -75,6 +76,7 @@ class RenderLoop:
         self._grouped = GroupedLights(self._groups, self.tracer.geometry, self.tracer.lights) if self._groups else None
         self.mode = entry.build(context)
         self.film = self._empty_film()
+        self.shadow_roulette = ShadowRoulette(width, height, self.mode.reuse.roulette_cell, device)
         self.step_number = 0
         paths = self.mode.lens.paths_per_sample
         self.workers = Workers(threads if on_cpu else GPU_THREADS, device)
@@ -151,6 +153,8 @@ class RenderLoop:
         with self.workers.serial():
             self._learn()
             self.step_number += 1
+            if starts_epoch(self.step_number):
+                self.shadow_roulette.update(self.film, self._mean_so_far())
             spans = self._spans()
             results = self._in_batches(self._render_batch, spans)
             resampled = self._in_batches(self._resample_batch, self.mode.reuse.second_pass(spans))
@@ -204,6 +208,7 @@ class RenderLoop:
             splitting=lens.splitting(drawn.weight),
             observers=(*of_lens, *of_lights),
             groups=self._grouped,
+            shadow_threshold=self.shadow_roulette.thresholds(batch.places, drawn.weight),
         )
         film = self._film_samples(paths, directions, drawn.weight)
         return BatchSamples(batch, query, drawn, directions, paths, of_lens, of_lights, film)
@@ -256,8 +261,7 @@ class RenderLoop:
 
     def _learn_from(self, results: Sequence[BatchResult]) -> None:
         """Pass the reports of all batches to the strategies, and end the step of the strategies."""
-        light, count = self.ranks.totals(*self._light_so_far())
-        self._mean_luminance = light / max(count, 1.0)
+        self._mean_luminance = self._mean_so_far()
         summary = StepSummary(
             self.step_number, self._mean_luminance, self._picture_so_far, self._groups_so_far if self._groups else None
         )
@@ -287,6 +291,11 @@ class RenderLoop:
         scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
         self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
         return results
+
+    def _mean_so_far(self) -> float:
+        """Mean luminance of the frame so far, 0 before the first step; collective."""
+        light, count = self.ranks.totals(*self._light_so_far())
+        return light / max(count, 1.0)
 
     def _light_so_far(self) -> tuple[float, float]:
         """Luminance of this rank's samples so far, and their number."""
@@ -346,6 +355,7 @@ class RenderLoop:
                 state[name] = strategy.state_dict()
             optimizers = {name: each.state_dict() for name, each in self.mode.lens.optimizers.items()}
             by_pixel = {"lens": state["lens"], "optimizers": optimizers}
+            state |= self.ranks.merged({"shadow_roulette": self.shadow_roulette.state_dict()}, self._mine_of_film())
             return state | self.ranks.merged(by_pixel, self._of_frame(self._mine_of_film()))
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -359,6 +369,7 @@ class RenderLoop:
             self._unlearned = None
             film = state["film"] if self.ranks.first else {**state["film"], "bad_count": 0, "bad_samples": []}
             self.film.load_state_dict(film)
+            self.shadow_roulette.load_state_dict(state["shadow_roulette"])
             for name, strategy in self.mode.strategies.items():
                 strategy.load_state_dict(state[name])
             for name, optimizer in self.mode.lens.optimizers.items():

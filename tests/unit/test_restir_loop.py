@@ -15,6 +15,7 @@ from bokehguide.cli import main
 from bokehguide.errors import BokehguideError
 from bokehguide.guiding.uniform import UniformLens
 from bokehguide.image import read_exr, read_metadata
+from bokehguide.render.shadow_roulette import ShadowRoulette
 from bokehguide.scene.types import Environment
 from bokehguide.train import LENS_MODES, MODES, RenderLoop, RenderSettings
 from tests.support.restir_cases import HEIGHT, WIDTH, loop_of, scene
@@ -90,6 +91,7 @@ def test_a_pinhole_copies_only():
 
 def test_a_frame_of_one_pixel_has_no_neighbours():
     alone, plain = loop_of("area-restir", shown=scene(1, 1)), loop_of("uniform", shown=scene(1, 1))
+    plain.shadow_roulette = ShadowRoulette(1, 1, cell=0)  # as in Area ReSTIR
     for _ in range(4):
         assert alone.step().rays == plain.step().rays
     torch.testing.assert_close(alone.film.radiance(), plain.film.radiance())

@@ -29,6 +29,7 @@ class AreaRestir(SampleReuse):
     """Sample reuse by a second pass over the frame, in which each pixel resamples its own sample and its neighbours' samples."""
 
     weighted = True
+    roulette_cell = 0  # shifts trace a path again in another pixel, and the path must not depend on the pixel
 
     def __init__(self, context: ModeContext):
         super().__init__()

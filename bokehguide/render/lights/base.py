@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import NamedTuple, Protocol, Self
 
+import torch
 from torch import Tensor
 
 from bokehguide.render.bsdf.mixture import Scattering
@@ -57,6 +58,17 @@ class DirectLight:
     bsdf_pdf: Tensor
     triangle: Tensor
     clusters: ClusterRecord | None = None
+
+    def thinned(self, factor: Tensor) -> DirectLight:
+        """The samples after a roulette with factors `[N]` (`roulette_factor`). Ended samples have the cluster -1.
+
+        The expected values of `value` and of the square of `contribution_rms` stay the same.
+        """
+        clusters = self.clusters
+        if clusters is not None:
+            cluster, rms = torch.where(factor > 0.0, clusters.cluster, -1), clusters.contribution_rms * factor.sqrt()
+            clusters = clusters._replace(cluster=cluster, contribution_rms=rms)
+        return replace(self, value=self.value * factor, clusters=clusters)
 
 
 class LightDistribution(Protocol):
