@@ -1,12 +1,12 @@
 """Russian roulette of shadow rays: light that hardly changes a pixel is tested for shadow less often.
 
-Many light samples are dark against the noise of their pixel, as a dim wall inside a bright circle of confusion. The shadow rays
-of these samples cost as much as all others. Roulette traces them with a probability in proportion to their light, and divides the
-light that arrives by the probability. The mean stays exact, and the added variance is at most SHARE² / 4 of the pixel's variance
-for each shadow ray. Cycles and Arnold thin out shadow rays in the same way, by a fixed threshold.
+Many light samples are dark against the noise of their pixel, such as light on a dim wall in a bright circle of confusion. The
+shadow rays of these samples cost as much as all others. The roulette traces a shadow ray with a probability in proportion to the
+light of the sample, and divides the light that arrives by the probability. The expected value stays the same. A shadow ray adds at
+most SHARE² / 4 of the pixel's variance. Cycles and Arnold thin out shadow rays in the same way, but with a constant threshold.
 
-Thresholds are at most the mean luminance of the frame, so that a light sample that survives is never mistaken for a highlight.
-The roulette has random numbers of its own, so that the mean stays exact although thresholds depend on earlier samples.
+Thresholds are at most the mean luminance of the frame, far below the least luminance of a highlight in the record of hits.
+The roulette has random numbers of its own, so that thresholds may depend on earlier samples.
 """
 
 from __future__ import annotations
