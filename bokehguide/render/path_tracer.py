@@ -118,7 +118,7 @@ class PathTracer:
         max_depth: largest number of segments in this trace. alive: positive for rays to trace, `[N]`, None for all; all other
         rays are misses. light_sampler: light sampler at primary hits. splitting: strategy of splitting at primary hits.
         observers: the trace calls their methods. groups: light groups whose radiance the trace is to give.
-        shadow_threshold: light samples that add less to a ray play Russian roulette before their shadow ray (`shadow_roulette.py`),
+        shadow_threshold: light samples that add less to a ray play roulette before their shadow ray (`shadow_roulette.py`),
         largest channel of the radiance along the ray, `[N]`; None for no roulette.
         """
         sampler, max_depth = light_sampler or self.light_sampler, max_depth or self.max_depth

@@ -2,7 +2,7 @@
 
 Many light samples are dark against the noise of their pixel, such as light on a dim wall in a bright circle of confusion. The
 shadow rays of these samples cost as much as all others. The roulette traces a shadow ray with a probability in proportion to the
-light of the sample, and divides the light that arrives by the probability. The expected value stays the same. A shadow ray adds at
+light of the sample, and divides the light that arrives by the probability. The expected value stays the same. A ray adds at
 most SHARE² / 4 of the pixel's variance. Cycles and Arnold thin out shadow rays in the same way, but with a constant threshold.
 
 Thresholds are at most the mean luminance of the frame, far below the least luminance of a highlight in the record of hits.
