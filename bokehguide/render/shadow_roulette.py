@@ -5,8 +5,8 @@ shadow rays of these samples cost as much as all others. The roulette traces a s
 light of the sample, and divides the light that arrives by the probability. The expected value stays the same. A ray adds at
 most SHARE² / 4 of the pixel's variance. Cycles and Arnold thin out shadow rays in the same way, but with a constant threshold.
 
-Thresholds are at most the mean luminance of the frame, far below the least luminance of a highlight in the record of hits.
-The roulette has random numbers of its own, so that thresholds may depend on earlier samples.
+The roulette has random numbers of its own, so that thresholds may depend on earlier samples. With cells of one pixel, a
+threshold depends on the samples of its pixel alone, so that a crop has the bits of the frame.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ class ShadowRoulette(nn.Module):
         self.register_buffer("threshold", torch.zeros(width * height if cell else 0, device=device))
 
     @torch.no_grad()
-    def update(self, film: Film, mean_luminance: float) -> None:
-        """Compute the thresholds from the samples on the film; mean_luminance: of the frame."""
+    def update(self, film: Film) -> None:
+        """Compute the thresholds from the samples on the film."""
         if self._cell > 0:
-            deviation = (film.variance() * film.counts()).sqrt_()
-            self.threshold.copy_(self._least(SHARE * deviation).reshape(-1)).clamp_(max=max(mean_luminance, 0.0))
+            deviation = film.variance().sqrt_().mul_(film.counts().sqrt())  # finite for any radiance
+            self.threshold.copy_(self._least(SHARE * deviation).reshape(-1))
 
     def _least(self, values: Tensor) -> Tensor:
         """The least of the values `[H, W]` in the cell of each pixel."""

@@ -154,7 +154,7 @@ class RenderLoop:
             self._learn()
             self.step_number += 1
             if starts_epoch(self.step_number):
-                self.shadow_roulette.update(self.film, self._mean_so_far())
+                self.shadow_roulette.update(self.film)
             spans = self._spans()
             results = self._in_batches(self._render_batch, spans)
             resampled = self._in_batches(self._resample_batch, self.mode.reuse.second_pass(spans))
@@ -261,7 +261,8 @@ class RenderLoop:
 
     def _learn_from(self, results: Sequence[BatchResult]) -> None:
         """Pass the reports of all batches to the strategies, and end the step of the strategies."""
-        self._mean_luminance = self._mean_so_far()
+        light, count = self.ranks.totals(*self._light_so_far())
+        self._mean_luminance = light / max(count, 1.0)
         summary = StepSummary(
             self.step_number, self._mean_luminance, self._picture_so_far, self._groups_so_far if self._groups else None
         )
@@ -291,11 +292,6 @@ class RenderLoop:
         scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
         self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
         return results
-
-    def _mean_so_far(self) -> float:
-        """Mean luminance of the frame so far, 0 before the first step; collective."""
-        light, count = self.ranks.totals(*self._light_so_far())
-        return light / max(count, 1.0)
 
     def _light_so_far(self) -> tuple[float, float]:
         """Luminance of this rank's samples so far, and their number."""
