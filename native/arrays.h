@@ -60,6 +60,7 @@ template <class T> struct nanobind::detail::type_caster<bokehguide::Out<T>> {
 
     bool from_python(handle source, uint32_t flags, cleanup_list* cleanup) noexcept {
         make_caster<bokehguide::Array<T>> array;
+        if constexpr (!std::is_const_v<T>) flags &= ~uint32_t(cast_flags::convert);  // a copy would keep what the core writes
         const object capsule = bokehguide::lent(source);
         const bool found = capsule.is_valid() && array.from_python(capsule, flags, cleanup);
         if (!found && !array.from_python(source, flags, cleanup)) return false;  // may convert the type

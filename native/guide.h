@@ -68,7 +68,7 @@ inline void apparent_distances(int64_t count, const float* radiance, const float
     }
 }
 
-// `Guide.weights_and_ratios`: weights of the samples that are on the film, else 0; with a mixture, ratios L / (A q) as well, and
+// `Guide._weights_and_ratios`: weights of the samples that are on the film, else 0; with a mixture, ratios L / (A q) as well, and
 // figures: guided pixels, guided pixels whose sample transmits no light, Σ β, and the one-sample KL divergence.
 inline void weigh_samples(const GuideSamples& s, const MixtureSamples& m, float* weights, float* ratios, double* figures) {
     for (Columns at(s.count); at.first < s.count; at.first += LANES) {
@@ -109,7 +109,7 @@ inline int64_t learn_emitters(const EmitterDraws& d, int64_t count, const PixelN
     return draws;
 }
 
-// `SuccessRates.of`: slots and rates of the candidates of pixels; start: of the candidates of each pixel, `[N + 1]`.
+// `SuccessRates.of_candidates`: slots and rates of the candidates of pixels; start: of the candidates of each pixel, `[N + 1]`.
 inline void success_rates(const SuccessTiles& t, int64_t count, const PixelNumbers& pixels, const int64_t* start, const int64_t* components,
                           int32_t* slots, float* rates) {
     for (int64_t i = 0; i < count; ++i) {

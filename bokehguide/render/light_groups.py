@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -116,7 +116,8 @@ class GroupRadiance(PathObserver):
         assert self.reflected is not None
         direct, indirect = self.reflected[group].split(3)
         emits = (self.groups.of_triangles(hits.hit.triangle) == group).to(torch.float32)
-        alone = replace(hits, emission=hits.emission * emits, indirect=indirect)
+        found = hits.geometry, hits.rays, hits.hit, hits.surface, hits.emission * emits, hits.counts, hits.owner
+        alone = PrimaryHits(*found, indirect)
         alone.direct, alone.emits = direct, emits
         alone.light_direction, alone.scattered_direction = hits.light_direction, hits.scattered_direction
         return alone

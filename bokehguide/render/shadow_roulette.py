@@ -39,8 +39,8 @@ class ShadowRoulette(nn.Module):
     """The thresholds of the pixels of a film.
 
     cell: side, in pixels, of the cells in which all pixels have the least threshold of the cell, for modes whose pixels use light
-    samples of other pixels. 0 switches the roulette off.
-    threshold: light of a shadow ray over the weight of the lens point, float32 `[pixels]`, 0 before the third step.
+    samples of other pixels. Groups that share samples may cross the sides of cells. 0 switches the roulette off.
+    threshold: light of a shadow ray times the weight of the lens point, float32 `[pixels]`, 0 before the third step.
     """
 
     threshold: Tensor

@@ -72,6 +72,11 @@ class HalfLoop(RenderLoop):
         """From now on put only samples of `counted` pixels on the film, bool `[pixels]`."""
         self._counted = counted
 
+    def _update_roulette(self) -> None:
+        """Only before the first decision. From then on, the other half decides which samples are on the film."""
+        if self.step_number <= 2 * FIRST_ROUND + 1:
+            super()._update_roulette()
+
     def _light_so_far(self) -> tuple[float, float]:
         """Includes samples that are not on the film, because the other half decides which samples are on the film."""
         mine = slice(None) if self._share is None else self._share

@@ -154,7 +154,7 @@ class RenderLoop:
             self._learn()
             self.step_number += 1
             if starts_epoch(self.step_number):
-                self.shadow_roulette.update(self.film)
+                self._update_roulette()
             spans = self._spans()
             results = self._in_batches(self._render_batch, spans)
             resampled = self._in_batches(self._resample_batch, self.mode.reuse.second_pass(spans))
@@ -166,6 +166,10 @@ class RenderLoop:
             self.film.find_bad()
             seconds, components = time.perf_counter() - start, self.mode.lens.component_count
             return step_stats(self.step_number, results + resampled, seconds, components, self.ranks)
+
+    def _update_roulette(self) -> None:
+        """Compute the thresholds of shadow rays from the samples on the film."""
+        self.shadow_roulette.update(self.film)
 
     @torch.no_grad()
     def _render_batch(self, places: Pixels) -> BatchResult:

@@ -55,11 +55,11 @@ def decide(half: HalfLoop, done) -> None:
 
 
 def learned_by(half: HalfLoop) -> dict[str, torch.Tensor]:
-    """The state of all strategies, and the mean luminance."""
+    """The state of all strategies, the mean luminance, and the thresholds of shadow rays."""
     state = half.mode.strategies.items()
     learned = {f"{part} {name}": value for part, strategy in state for name, value in strategy.state_dict().items()}
     learned.pop("reuse control_variate.sums", None)  # a frozen half adds samples to the sums, and does not use them
-    return learned | {"mean": torch.tensor(half._mean_luminance)}
+    return learned | {"mean": torch.tensor(half._mean_luminance), "threshold": half.shadow_roulette.threshold}
 
 
 def alone(settings: RenderSettings, done) -> tuple[HalfLoop, list[torch.Tensor]]:
