@@ -512,7 +512,7 @@ class Tracing {
     void aim_shadow_ray(int depth, int i, const Surface& s, Vec3 throughput, const Light& light, const PathKeys& keys) {
         Block& b = block;
         Vec3 contribution = throughput * light.value;
-        if (trace.shadow_threshold != nullptr) contribution = contribution * roulette_factor(depth, i, largest(contribution), keys);
+        if (trace.shadow_threshold != nullptr) contribution = contribution * roulette_factor(depth, i, largest(contribution), light.scattered.pdf, keys);
         const Vec3 origin = leave(s, light.direction), target = light.direction - (origin - s.position) / light.distance;
         const Float stretch = length(target);
         store3(b.contribution, i, contribution), store(b.weight + i, largest(contribution));
@@ -521,11 +521,11 @@ class Tracing {
     }
 
     // `roulette_factor` of shadow_roulette.py, and `DirectLight.thinned`.
-    Float roulette_factor(int depth, int i, Float light, const PathKeys& keys) {
+    Float roulette_factor(int depth, int i, Float light, Float bsdf_pdf, const PathKeys& keys) {
         const Int slot = load<Int>(block.slot + i), active = first_lanes(paths - i);
         const Int ray = trace.split != nullptr ? gather(block.ray, active ? slot : all(0)) : slot;
         const Float threshold = gather(trace.shadow_threshold + first, active ? ray : all(0));
-        const Float chance = light > all(0.0f) ? clamp(light / divisor(threshold), MIN_CHANCE, 1.0f) : all(1.0f);
+        const Float chance = (light > all(0.0f)) & (bsdf_pdf <= all(NARROW)) ? clamp(light / divisor(threshold), MIN_CHANCE, 1.0f) : all(1.0f);
         const Float factor = one_if(uniform(trace.random, keys.own, vertex_dimension(depth) + SHADOW) < chance) / chance;
         if (depth == 1 && trace.lights != nullptr) {
             for (int lane = 0; lane < LANES && i + lane < paths; ++lane) {

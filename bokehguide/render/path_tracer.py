@@ -23,7 +23,7 @@ from bokehguide.render.observer import PathObserver, PrimaryHitAOVs
 from bokehguide.render.paths import Paths, Rays
 from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import PixelRandom
-from bokehguide.render.shadow_roulette import roulette_factor
+from bokehguide.render.shadow_roulette import MIRROR_PDF, roulette_factor
 from bokehguide.render.splitting import UNSPLIT, Splitting
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import divisor, dot, length
@@ -297,6 +297,7 @@ class _Segment:
         if paths.shadow_threshold is not None:
             number = paths.random.uniform(dimensions.vertex(self._depth) + dimensions.SHADOW, 1)[0]
             factor = roulette_factor(brightest, paths.shadow_threshold, number)
+            factor = torch.where(light.bsdf_pdf <= MIRROR_PDF, factor, 1.0)
             light, contribution, brightest = light.thinned(factor), contribution * factor, brightest * factor
         visibility, traced = self._tracer.visibility.transmittance(origin, direction, distance, brightest, self._trace.timer)
         self._trace.rays += traced

@@ -24,6 +24,10 @@ SHARE = 0.5
 MIN_CHANCE = 0.25
 """Least probability of tracing a shadow ray, so that no light is multiplied by more than 4."""
 
+MIRROR_PDF = 4.0
+"""Least density of a BSDF sample, per steradian, at which the light sample of a path does not play. Such light samples tell where
+the virtual images in mirrors are (`guiding/virtual_images.py`)."""
+
 
 def roulette_factor(light: Tensor, threshold: Tensor, uniforms: Tensor) -> Tensor:
     """Factors `[N]` of light samples: 0 for samples that end, else one over the probability of survival.
