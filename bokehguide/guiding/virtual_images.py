@@ -21,10 +21,11 @@ from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import cross, divisor, dot, length, luminance, normalize
 from bokehguide.runtime import native
+from bokehguide.render.shadow_roulette import MIRROR_PDF
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.indexing import ActiveEntries, PendingIndices, scatter_add
 
-NARROW = 4.0
+NARROW = MIRROR_PDF
 """Least density of a BSDF sample, per steradian, at which a surface shows virtual images: a GGX α below 0.14."""
 LEAST_SHARE = 0.5
 """Least distance of an image over the distance to the primary hit. Concave mirrors may form nearer images. A single such path
