@@ -18,10 +18,10 @@ from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.lights.base import DirectLight
 from bokehguide.render.observer import CoreReport, PathObserver
 from bokehguide.render.path_tracer import PathSamples
+from bokehguide.render.shadow_roulette import MIRROR_PDF
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import cross, divisor, dot, length, luminance, normalize
 from bokehguide.runtime import native
-from bokehguide.render.shadow_roulette import MIRROR_PDF
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.indexing import ActiveEntries, PendingIndices, scatter_add
 

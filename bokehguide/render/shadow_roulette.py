@@ -26,7 +26,7 @@ MIN_CHANCE = 0.25
 
 MIRROR_PDF = 4.0
 """Least density of a BSDF sample, per steradian, at which the light sample of a path does not play. Such light samples tell where
-the virtual images in mirrors are (`guiding/virtual_images.py`)."""
+the virtual images in mirrors are."""
 
 
 def roulette_factor(light: Tensor, threshold: Tensor, uniforms: Tensor) -> Tensor:
