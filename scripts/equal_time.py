@@ -4,18 +4,26 @@
     python scripts/equal_time.py --seconds 60 --out out/equal-time
     python scripts/equal_time.py daylight --size 320x180 --seconds 20
     python scripts/equal_time.py real-chess real-helmet --against uniform --size 320x180
+    python scripts/equal_time.py fairy-lights --denoise
 
 Against Mitsuba, both render the scene with materials that both have (`mitsuba_scene.comparable`). The pictures of real models
 (`real_scenes.py`) have other materials, so that their peer is a mode. Both use all cores. They take turns of about a second, so
 that other load of the machine affects both alike. The clock starts with the scene in memory: it includes the acceleration
-structure and compilation, and excludes the measurement of errors. The reference is rendered in mode `guided`, in two halves, and
-kept in `--cache`. Writes equal_time.json, equal_time.md and equal_time.png: MAPE at 1, 2, 4, … seconds, and the ratio.
+structure and compilation, and excludes the measurement of errors.
+
+With `--denoise`, errors are measured after 1, 2, 4, … seconds and at the end, and both pictures are denoised before. A mode's
+picture is that of `bokehguide render --denoise`. Mitsuba's comes from the same denoiser, with albedo and normals of Mitsuba.
+The clock excludes denoising.
+
+The reference is rendered in mode `guided`, in two halves, and kept in `--cache`. Writes equal_time.json, equal_time.md and
+equal_time.png: MAPE at 1, 2, 4, … seconds, and the ratio.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -31,8 +39,9 @@ from bokehguide.cli.report import write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import errors, made_reference, markdown, progress, regions
 from bokehguide.image import check_writable, replacing
+from bokehguide.image.oidn import Denoiser, require_denoiser
 from bokehguide.scene import Scene
-from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
+from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings, denoise_picture
 
 SCENES = ("fairy-lights", "night-street", "chrome", "daylight")
 TURN = 1.0
@@ -46,7 +55,8 @@ SEED = 5_000_000
 class Runner:
     """One renderer: `advance` renders some more SPP and returns their number, `picture` returns the mean so far.
 
-    seconds, spp: so far; history: seconds, SPP and MAPE by region after each turn.
+    With `--denoise`, `picture` returns the denoised mean.
+    seconds, spp: so far; history: seconds, SPP and MAPE by region after each measured turn.
     """
 
     name: str
@@ -56,13 +66,16 @@ class Runner:
     spp: int = 0
     history: list[dict] = field(default_factory=list)
 
-    def turn(self, reference: Tensor, masks: dict[str, Tensor]) -> None:
-        """Render for about TURN seconds, then measure."""
+    def turn(self) -> None:
+        """Render for about TURN seconds."""
         end = self.seconds + TURN
         while self.seconds < end:
             start = time.perf_counter()
             self.spp += self.advance()
             self.seconds += time.perf_counter() - start
+
+    def measure(self, reference: Tensor, masks: dict[str, Tensor]) -> None:
+        """Record the errors of the picture so far."""
         picture = self.picture()
         found = {name: errors(picture, reference, mask)["mape"] for name, mask in masks.items()}
         self.history.append({"seconds": self.seconds, "spp": self.spp, "mape": found})
@@ -79,6 +92,7 @@ def main() -> None:
     add("scenes", nargs="*", default=list(SCENES), metavar="SCENE", help=f"default: {', '.join(SCENES)}")
     add("--against", choices=(MITSUBA, *LENS_MODES), default=MITSUBA, help="the peer (default: mitsuba)")
     add("--mode", choices=LENS_MODES, default="guided", help="of bokehguide (default: guided)")
+    add("--denoise", action="store_true", help="compare denoised pictures")
     add("--size", type=size, default="640x360", metavar="WxH", help="default: 640x360")
     add("--seconds", type=duration, default=60.0, metavar="S", help="seconds of each renderer (default: 60)")
     add("--reference-spp", type=positive, default=4096, metavar="N", help="SPP of the reference (default: 4096)")
@@ -88,6 +102,8 @@ def main() -> None:
     args = parser.parse_args()
     if args.against == MITSUBA and importlib.util.find_spec("mitsuba") is None:
         sys.exit("equal_time: error: Mitsuba is not installed; pip install '.[peers]', or give --against a mode")
+    if args.denoise:
+        require_denoiser()
     check_writable(args.out / "equal_time.json")
     scenes = [load_any(name, *args.size) for name in args.scenes]
     races = {scene.name: race(scene, args) for scene in scenes}
@@ -108,35 +124,46 @@ def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
     settings = RenderSettings(spp=args.reference_spp, threads=args.threads)
     reference = made_reference(scene, settings, args.out / f"{scene.name}-reference.exr", args.cache).radiance
     masks = {name: mask for name, mask in regions(scene).items() if args.against != MITSUBA or name in ("frame", "insets")}
-    own = mode_runner(scene, args.mode, args.threads)
-    runners = [own, mitsuba_runner(scene) if args.against == MITSUBA else mode_runner(scene, args.against, args.threads)]
+    peer = mitsuba_runner(scene, args.denoise) if args.against == MITSUBA else mode_runner(scene, args.against, args)
+    runners = [mode_runner(scene, args.mode, args), peer]
     with progress(f"{scene.name}, {args.seconds:g} s of each", round(args.seconds / TURN)) as bar:
         while any(runner.seconds < args.seconds for runner in runners):
             for runner in (one for one in runners if one.seconds < args.seconds):
-                runner.turn(reference, masks)
+                before = runner.seconds
+                runner.turn()
+                if not args.denoise or reached(before, runner.seconds, args.seconds):
+                    runner.measure(reference, masks)
             bar.update()
     return runners
 
 
-def mode_runner(scene: Scene, mode: str, threads: int | None) -> Runner:
+def reached(before: float, after: float, end: float) -> bool:
+    """Whether 1, 2, 4, … seconds or the end lie after `before` and not after `after`."""
+    return after >= min(end, 2.0 ** (math.floor(math.log2(max(before, 0.5))) + 1))
+
+
+def mode_runner(scene: Scene, mode: str, args: argparse.Namespace) -> Runner:
     start = time.perf_counter()
-    loop = RenderLoop(scene, RenderSettings(mode, 1 << 20, SEED, threads=threads))
+    loop = RenderLoop(scene, RenderSettings(mode, 1 << 20, SEED, threads=args.threads, denoise=args.denoise))
     built = time.perf_counter() - start
 
     def advance() -> int:
         loop.step()
         return 1
 
-    return Runner(mode, advance, lambda: loop.film.radiance().cpu(), built)
+    def picture() -> Tensor:
+        return torch.from_numpy(denoise_picture(loop.film).radiance) if args.denoise else loop.film.radiance().cpu()
+
+    return Runner(mode, advance, picture, built)
 
 
-def mitsuba_runner(scene: Scene) -> Runner:
+def mitsuba_runner(scene: Scene, denoise: bool) -> Runner:
     from experiments.mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer
 
     start = time.perf_counter()
-    renderer = MitsubaRenderer(scene)
+    renderer = MitsubaRenderer(scene, layers=denoise)
     built = time.perf_counter() - start
-    total = torch.zeros(scene.film.height, scene.film.width, 3, dtype=torch.float64)
+    total = torch.zeros(scene.film.height, scene.film.width, 9 if denoise else 3, dtype=torch.float64)
     most = max(1, CHUNK_SAMPLES // (scene.film.width * scene.film.height))
     done = 0
 
@@ -147,7 +174,11 @@ def mitsuba_runner(scene: Scene) -> Runner:
         done += spp
         return spp
 
-    return Runner("Mitsuba", advance, lambda: (total / done).float(), built)
+    def picture() -> Tensor:
+        radiance, *layers = (total / done).float().numpy().reshape(*total.shape[:2], -1, 3).transpose(2, 0, 1, 3)
+        return torch.from_numpy(Denoiser(*layers)(radiance) if denoise else radiance)
+
+    return Runner("Mitsuba", advance, picture, built)
 
 
 def table(races: dict[str, list[Runner]], seconds: float) -> str:

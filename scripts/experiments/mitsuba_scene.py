@@ -46,6 +46,8 @@ GLASS_ROUGHNESS = (0.1, 0.2)
 SMOOTH_GLASS = 0.063
 FINE_MASK = 32
 """Texels of a cut-out's mask per texel of the texture, across and down."""
+LAYERS = "albedo:albedo,normal:sh_normal"
+"""AOVs that a denoiser takes."""
 CHUNK_SAMPLES = 1 << 22
 """Largest number of samples of one render, which Mitsuba keeps in memory."""
 
@@ -116,14 +118,14 @@ class MitsubaFilm:
 
 
 class MitsubaRenderer:
-    """A comparable scene in Mitsuba."""
+    """A comparable scene in Mitsuba. layers: whether `picture` renders the auxiliary layers of a denoiser too."""
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene: Scene, layers: bool = False):
         if scene.environment is not None:
             load_environment(scene.environment)  # raises for one that is invisible
         path = integrator(scene)
         self._scene = load(scene_tree(scene, _bsdf) | {"integrator": {"type": "moment", "path": path}})
-        self._path = mi.load_dict(path)
+        self._picture = mi.load_dict({"type": "aov", "aovs": LAYERS, "path": path} if layers else path)
 
     def look_at(self, column: int, row: int) -> None:
         """Restrict later renders to this pixel."""
@@ -133,9 +135,8 @@ class MitsubaRenderer:
         parameters.update()
 
     def picture(self, spp: int, seed: int) -> Tensor:
-        """Radiance `[H, W, 3]` of an independent render, without the moments of `render`."""
-        image = mi.render(self._scene, integrator=self._path, spp=spp, seed=seed)
-        return torch.from_numpy(np.array(image, np.float64)[..., :3].copy())
+        """Radiance `[H, W, 3]` of an independent render, without the moments of `render`; with layers `[H, W, 9]`."""
+        return torch.from_numpy(np.array(mi.render(self._scene, integrator=self._picture, spp=spp, seed=seed), np.float64))
 
     def render(self, spp: int, seed: int) -> MitsubaFilm:
         """An independent render of `spp` ≥ 2 samples per pixel."""
