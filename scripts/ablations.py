@@ -227,7 +227,7 @@ def measured(
     masks = regions(scene)
     mask = masks.get("insets", masks["frame"])
     found, tracer = [], None
-    with progress(scene.name, len(changes) * options.seeds) as bar:
+    with progress(scene.name, len(changes) * options.seeds, unit="render") as bar:
         for change in changes:
             found.append([])
             for seed in range(FIRST_SEED, FIRST_SEED + options.seeds):

@@ -126,7 +126,7 @@ def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
     masks = {name: mask for name, mask in regions(scene).items() if args.against != MITSUBA or name in ("frame", "insets")}
     peer = mitsuba_runner(scene, args.denoise) if args.against == MITSUBA else mode_runner(scene, args.against, args)
     runners = [mode_runner(scene, args.mode, args), peer]
-    with progress(f"{scene.name}, {args.seconds:g} s of each", round(args.seconds / TURN)) as bar:
+    with progress(f"{scene.name}, {args.seconds:g} s of each", round(args.seconds / TURN), unit="turn") as bar:
         while any(runner.seconds < args.seconds for runner in runners):
             for runner in (one for one in runners if one.seconds < args.seconds):
                 before = runner.seconds

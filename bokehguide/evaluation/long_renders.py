@@ -108,10 +108,10 @@ def accumulate(
     return kept
 
 
-def progress(title: str, spp: int, done: int = 0) -> tqdm:
-    """A progress bar over SPP; a terminal gets a moving bar, a log file a line every 30 seconds."""
+def progress(title: str, total: int, done: int = 0, unit: str = "SPP") -> tqdm:
+    """A progress bar; a terminal gets a moving bar, a log file a line every 30 seconds."""
     interval = 0.1 if sys.stderr.isatty() else 30.0
-    return tqdm(total=spp, initial=min(done, spp), desc=title, unit="SPP", mininterval=interval, dynamic_ncols=True)
+    return tqdm(total=total, initial=min(done, total), desc=title, unit=unit, mininterval=interval, dynamic_ncols=True)
 
 
 def warn_of_bad_samples(film: RenderedFilm, title: str) -> None:

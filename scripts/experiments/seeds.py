@@ -1,13 +1,15 @@
-"""Modes over several seeds at equal SPP: errors with confidence intervals, and block by block.
+"""Modes over several seeds at equal SPP or equal time: errors with confidence intervals, and block by block.
 
     python scripts/experiments/seeds.py
     python scripts/experiments/seeds.py night-street --modes uniform,lis-o,guided --seeds 8 --spp 64
+    python scripts/experiments/seeds.py real-chess --modes uniform,guided --equal-time
 
-Each mode is rendered with several seeds. The table has rays per sample, MAPE and relMSE over the insets (over the frame for
-a scene without insets), averaged over the seeds. It also has the errors of the last mode over the errors of each other
-mode, with 95 % intervals (Student's t of the differences of logarithms). A sentence below the table compares blocks of
-32 × 32 pixels: the worst ratio of the last mode's relMSE to the first mode's, and the number of blocks above WORSE with
-95 % confidence for all blocks at once (Bonferroni). Writes seeds.md, and for each scene SCENE-first.png: the last mode at
+Each mode is rendered with several seeds. With `--equal-time`, the last mode has the SPP of `--spp`, and the other modes have its
+seconds with each seed, from the building of the acceleration structure on. The table has SPP, rays per sample, MAPE and relMSE
+over the insets (over the frame for a scene without insets), averaged over the seeds. It also has the errors of the last mode over
+the errors of each other mode, with 95 % intervals (Student's t of the differences of logarithms). A sentence below the table
+compares blocks of 32 × 32 pixels: the worst ratio of the last mode's relMSE to the first mode's, and the number of blocks above
+WORSE with 95 % confidence for all blocks at once (Bonferroni). Writes seeds.md, and for each scene SCENE-first.png: the last mode at
 8 SPP beside the first mode at 8 and at 256 SPP.
 """
 
@@ -16,8 +18,9 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
@@ -47,6 +50,7 @@ EARLY, LATE = 8, 256
 def main() -> None:
     parser = experiment_parser(__doc__, "320x180", "uniform,lis-o,guided")
     parser.add_argument("--spp", type=positive, default=64, metavar="N", help="default: 64")
+    parser.add_argument("--equal-time", action="store_true", help="give each other mode the seconds of the last mode")
     parser.add_argument("--seeds", type=positive, default=8, metavar="N", help="renders of each mode (default: 8)")
     parser.add_argument("--cache", type=Path, metavar="DIR", help="folder of the references (default: the user's cache folder)")
     parser.add_argument(
@@ -70,32 +74,53 @@ def report(scene: Scene, args: argparse.Namespace) -> Iterator[str]:
     path = args.out / f"{scene.name}-reference.exr"
     reference = made_reference(scene, replace(settings, spp=REFERENCE_SHARE * args.spp), path, args.cache).radiance.float()
     mask = regions(scene).get("insets", regions(scene)["frame"])
-    done = {mode: renders(scene, replace(settings, mode=mode), args.seeds) for mode in args.modes}
-    pictures = {mode: images for mode, (images, _) in done.items()}
-    found = {mode: measured(images, reference, mask) for mode, images in pictures.items()}
+    done = rendered(scene, settings, args)
+    found = {mode: measured(renders.pictures, reference, mask) for mode, renders in done.items()}
     last = args.modes[-1]
-    yield f"| {scene.name} | rays per sample | MAPE | relMSE | MAPE of {last} over it | relMSE of {last} over it |"
-    yield "| --- | ---: | ---: | ---: | ---: | ---: |"
+    yield f"| {scene.name} | SPP | rays per sample | MAPE | relMSE | MAPE of {last} over it | relMSE of {last} over it |"
+    yield "| --- | ---: | ---: | ---: | ---: | ---: | ---: |"
     for mode, values in found.items():
         means = " | ".join(f"{value:.4f}" for value in values.mean(0).tolist())
         ratios = " | ".join(interval(found[last][:, column], values[:, column]) for column in range(2))
-        yield f"| {mode} | {done[mode][1]:.2f} | {means} | {ratios if mode != last else '1 | 1'} |"
+        spp, rays = done[mode].spp / args.seeds, done[mode].rays / done[mode].samples
+        yield f"| {mode} | {spp:.0f} | {rays:.2f} | {means} | {ratios if mode != last else '1 | 1'} |"
     yield ""
-    yield blocks(pictures[last], pictures[args.modes[0]], reference, args.modes)
+    yield blocks(done[last].pictures, done[args.modes[0]].pictures, reference, args.modes)
 
 
-def renders(scene: Scene, settings: RenderSettings, count: int) -> tuple[list[Tensor], float]:
-    """Radiance `[H, W, 3]` at `count` seeds from FIRST_SEED on, and rays per sample."""
-    pictures, rays, samples = [], 0, 0
-    with progress(f"{scene.name} {settings.mode}", count * settings.spp) as bar:
-        for seed in range(FIRST_SEED, FIRST_SEED + count):
-            with RenderLoop(scene, replace(settings, seed=seed)) as loop:
-                for _ in range(settings.spp):
-                    stats = whole_step(loop)
-                    rays, samples = rays + stats.rays, samples + stats.samples
-                    bar.update()
-                pictures.append(loop.film.radiance().cpu())
-    return pictures, rays / samples
+@dataclass
+class Renders:
+    """Renders of one mode with several seeds. pictures: radiance `[H, W, 3]` of each; spp, rays, samples: of all together."""
+
+    pictures: list[Tensor] = field(default_factory=list)
+    spp: int = 0
+    rays: int = 0
+    samples: int = 0
+
+    def add(self, scene: Scene, settings: RenderSettings, limit: float | None = None) -> float:
+        """Render `settings.spp` SPP or, with a limit, as many as it has seconds for. Returns the seconds of the render."""
+        start = time.perf_counter()
+        with RenderLoop(scene, settings) as loop:
+            while time.perf_counter() - start < limit if limit else loop.step_number < settings.spp:
+                stats = whole_step(loop)
+                self.rays, self.samples = self.rays + stats.rays, self.samples + stats.samples
+            seconds = time.perf_counter() - start
+            self.pictures.append(loop.film.radiance().cpu())
+            self.spp += loop.step_number
+        return seconds
+
+
+def rendered(scene: Scene, settings: RenderSettings, args: argparse.Namespace) -> dict[str, Renders]:
+    """The renders of all modes at seeds from FIRST_SEED on. For each seed, the last mode comes first."""
+    done = {mode: Renders() for mode in args.modes}
+    with progress(scene.name, args.seeds * len(done), unit="render") as bar:
+        for seed in range(FIRST_SEED, FIRST_SEED + args.seeds):
+            limit = None
+            for mode in reversed(args.modes):
+                seconds = done[mode].add(scene, replace(settings, mode=mode, seed=seed), limit)
+                limit = limit or (seconds if args.equal_time else None)
+                bar.update()
+    return done
 
 
 def measured(images: list[Tensor], reference: Tensor, mask: Tensor) -> Tensor:
@@ -140,10 +165,10 @@ def by_block(image: Tensor, reference: Tensor) -> Tensor:
 
 def early_picture(scene: Scene, args: argparse.Namespace) -> None:
     """Write the last mode at EARLY SPP beside the first mode at EARLY and at LATE SPP."""
-    parts = []
+    early = Renders()
     for mode, spp in ((args.modes[-1], EARLY), (args.modes[0], EARLY), (args.modes[0], LATE)):
-        parts += renders(scene, RenderSettings(mode, spp, threads=args.threads), 1)[0]
-    write_png(args.out / f"{scene.name}-first.png", tone_map(torch.cat(parts, dim=1)))
+        early.add(scene, RenderSettings(mode, spp, FIRST_SEED, threads=args.threads))
+    write_png(args.out / f"{scene.name}-first.png", tone_map(torch.cat(early.pictures, dim=1)))
 
 
 if __name__ == "__main__":

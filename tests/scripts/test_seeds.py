@@ -55,7 +55,18 @@ def test_the_table_and_the_picture(tmp_path):
     lines = table.splitlines()
     assert [line.split("|")[1].strip() for line in lines[:4]] == ["cutout", "---", *MODES]
     uniform, guided = ([float(number) for number in line.split("|")[2:5]] for line in lines[2:4])
-    assert guided[1] < uniform[1] and 1.0 <= uniform[0] <= guided[0]  # MAPE; rays
+    assert guided[2] < uniform[2] and 1.0 <= uniform[1] <= guided[1]  # MAPE; rays
+    assert uniform[0] == guided[0] == 2  # SPP
     assert lines[5].startswith("Of 4 blocks of 32 x 32 pixels")
     with Image.open(tmp_path / "out/cutout-first.png") as picture:
         assert picture.size == (3 * 64, 36)
+
+
+@pytest.mark.slow
+def test_at_equal_time_the_other_modes_render_for_the_seconds_of_the_last(tmp_path):
+    options = ["--size", "64x36", "--spp", "4", "--seeds", "2", "--modes", "uniform,guided", "--equal-time", "--out", "out"]
+    command = [sys.executable, str(SCRIPT), "cutout", *options, "--cache", "cache"]
+    finished = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    assert finished.returncode == 0, finished.stderr
+    uniform, guided = (float(line.split("|")[2]) for line in finished.stdout.splitlines()[2:4])
+    assert guided == 4 and uniform >= 1
