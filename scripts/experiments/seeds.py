@@ -9,8 +9,9 @@ seconds with each seed, from the building of the acceleration structure on. The 
 over the insets (over the frame for a scene without insets), averaged over the seeds. It also has the errors of the last mode over
 the errors of each other mode, with 95 % intervals (Student's t of the differences of logarithms). A sentence below the table
 compares blocks of 32 × 32 pixels: the worst ratio of the last mode's relMSE to the first mode's, and the number of blocks above
-WORSE with 95 % confidence for all blocks at once (Bonferroni). Writes seeds.md, and for each scene SCENE-first.png: the last mode at 8 SPP
-beside the first mode at 8 and at 256 SPP.
+WORSE with 95 % confidence for all blocks at once (Bonferroni).
+
+Writes seeds.md, and for each scene SCENE-first.png: the last mode at 8 SPP beside the first mode at 8 and at 256 SPP.
 """
 
 from __future__ import annotations
