@@ -39,11 +39,11 @@ def run(options: argparse.Namespace) -> int:
 
 def make_session(options: argparse.Namespace, source: Source) -> Session:
     """The session of a scene with the values of the options."""
-    halves = has_denoiser()
+    denoiser = has_denoiser()
     exposure = chosen_exposure(options.exposure, source.scene.film.exposure)
-    denoise = halves and not options.noisy
+    denoise = denoiser and not options.noisy
     state = ViewState(source.overrides, options.mode, options.spp, options.seed, exposure, options.view, denoise)
-    return Session(source, state, Path.cwd(), halves, options.threads)
+    return Session(source, state, Path.cwd(), denoiser, options.threads)
 
 
 def serve(shown: Exhibit, options: argparse.Namespace) -> int:

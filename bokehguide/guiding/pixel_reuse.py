@@ -16,7 +16,8 @@ same surface, and V is 0.
 
 Groups are tiles of the film. Their positions change with every step, so that no tile is visible in the picture. No
 group crosses the end of a band of rows or columns, so that ranks, batches and blocks of adaptive SPP contain whole groups. The
-noise of the pixels of a group is correlated.
+noise of the pixels of a group is correlated, so that a denoiser removes less of it. In a render that a denoiser completes, pixels
+therefore share no samples, unless `GuidedConfig.denoised_reuse_group` says so.
 """
 
 from __future__ import annotations
@@ -272,8 +273,8 @@ class PixelPathReuse:
         return alike
 
     def _own_transmittance(self, samples: BatchSamples, timer: PhaseTimer) -> dict[str, Tensor]:
-        """Transmittance `[N]` of the translucent surfaces between each pixel's own lens point and primary hit, if it is not 1."""
-        if not self._tracer.geometry.materials.has_translucent:
+        """Transmittance `[N]` of the translucent surfaces between each pixel's own lens point and primary hit, if it matters."""
+        if not self._tracer.geometry.materials.has_translucent or self._group == (1, 1):
             return {}
         hits = self._hits(samples)
         rays = self._lens_rays(hits.place, samples.drawn.points, samples.batch.focus, samples.paths.primary_hits)
@@ -344,8 +345,8 @@ class PixelReuse(SampleReuse):
 
     def __init__(self, context: ModeContext, config: GuidedConfig):
         super().__init__()
-        seed, group, spread = context.settings.seed, config.reuse_group, config.min_spread
-        self.paths = PixelPathReuse(context.camera, context.tracer, context.film_width, seed, group, spread)
+        seed, group = context.settings.seed, config.denoised_reuse_group if context.settings.denoise else config.reuse_group
+        self.paths = PixelPathReuse(context.camera, context.tracer, context.film_width, seed, group, config.min_spread)
         # With a vignetting lens, the mean weight is unknown.
         known = config.control_variate and not context.camera.lens.vignettes
         self.control_variate = ControlVariate(context, config.control_shrinkage) if known else NoControlVariate()

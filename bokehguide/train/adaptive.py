@@ -62,11 +62,14 @@ class HalfLoop(RenderLoop):
     """One of the two halves. A step renders all blocks that are open in either half. The film adds samples in its open blocks."""
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None, tracer: PathTracer | None = None):
-        super().__init__(scene, replace(settings, denoise=False), ranks, tracer)  # it is a half itself
+        super().__init__(scene, settings, ranks, tracer)
         pixels = self.film.width * self.film.height
         self.brightness = torch.zeros(2, pixels, dtype=torch.float64, device=settings.device)
         """Sums of the luminance of samples before this round and in this round, `[2, pixels]`."""
         self._counted: Tensor | None = None
+
+    def _film_class(self) -> type[Film]:
+        return Film  # a half itself
 
     def count_only(self, counted: Tensor) -> None:
         """From now on put only samples of `counted` pixels on the film, bool `[pixels]`."""

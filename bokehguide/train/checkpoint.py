@@ -188,8 +188,7 @@ def fingerprint(scene: Scene, settings: RenderSettings) -> dict[str, str]:
     values |= {"size": f"{film.width}x{film.height}", "max_depth": film.max_depth, "device": settings.device}
     values |= {"reuse_radius": settings.reuse_radius if settings.whole_frame else "unused"}
     values |= {"crop": settings.crop, "target_noise": settings.target_noise}
-    values |= {"denoise": settings.denoise or settings.target_noise is not None}  # an adaptive render always has halves
-    values |= {"cryptomatte": settings.cryptomatte}
+    values |= {"denoise": settings.denoise, "cryptomatte": settings.cryptomatte}
     values |= {"gaussian": settings.gaussian, "guided": settings.guided}
     values |= {f"camera.{field.name}": getattr(camera, field.name) for field in fields(camera) if field.name != "aperture"}
     groups = find_light_groups(scene) if settings.light_groups else None

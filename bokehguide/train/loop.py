@@ -104,10 +104,13 @@ class RenderLoop:
             features = RatioFeatures
         elif self.mode.weighted:
             features = ControlVariateFeatures
-        kind = SplitFilm if self.settings.denoise else Film
         objects = triangle_objects(self.scene) if self.settings.cryptomatte else None
         groups = self._groups.names if self._groups else ()
-        return kind(width, height, self.settings.seed, self.camera.position.device, features, (left, top), objects, groups)
+        device = self.camera.position.device
+        return self._film_class()(width, height, self.settings.seed, device, features, (left, top), objects, groups)
+
+    def _film_class(self) -> type[Film]:
+        return SplitFilm if self.settings.denoise else Film
 
     def render_only(self, active: Tensor) -> None:
         """From now on, render only the `active` pixels of the film, bool `[pixels]`."""

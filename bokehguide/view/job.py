@@ -48,11 +48,10 @@ def reduced_window(window: Window, width: int, film: FilmSettings) -> Window:
 class Job:
     """The steps of the pictures of one traced state: one step at each reduced size, then the full size.
 
-    scene: with the overrides of the state. tracer: of the scene. halves: whether the film keeps halves, for a denoiser.
-    pixels: of the first picture, about. window: the part of the frame that is rendered, None for all. kept: learned state with
-    which the full size begins; None: the job is exact. seed: of the full size where it begins with learned state, another one for
-    each job. loop: of the present size. curve: numbers of steps and estimated MAPE at the full size. exact: whether the samples
-    are those of the command line.
+    scene: with the overrides of the state. tracer: of the scene. pixels: of the first picture, about. window: the part of the
+    frame that is rendered, None for all. kept: learned state with which the full size begins; None: the job is exact. seed: of
+    the full size where it begins with learned state, another one for each job. loop: of the present size. curve: numbers of steps
+    and estimated MAPE at the full size. exact: whether the samples are those of the command line.
     """
 
     def __init__(
@@ -61,7 +60,6 @@ class Job:
         state: ViewState,
         tracer: PathTracer,
         workers: StoppableWorkers,
-        halves: bool = False,
         pixels: float = COARSE_PIXELS,
         window: Window | None = None,
         kept: Kept | None = None,
@@ -71,7 +69,7 @@ class Job:
         self.scene, self.tracer = scene, tracer
         self._workers = workers
         self._kept, self._seed, self.exact = kept, seed, True
-        self._settings = RenderSettings(state.mode, seed=state.seed, denoise=halves)
+        self._settings = RenderSettings(state.mode, seed=state.seed, denoise=state.denoise)
         self._window = window
         seen = 1.0 if window is None else window[2] * window[3] / (scene.film.width * scene.film.height)
         self._sizes: Sequence[FilmSettings] = reduced_sizes(scene.film, pixels / seen)

@@ -23,11 +23,11 @@ LEAST_COARSE, MOST_COARSE = 3_000, 60_000
 class Jobs:
     """Makes jobs. The tracing structure, the tables of the lights and learned state stay.
 
-    halves: whether films keep halves, for a denoiser. hand: runs the steps of the jobs at full size.
+    hand: runs the steps of the jobs at full size.
     """
 
-    def __init__(self, source: Source, halves: bool, hand: Hand):
-        self._source, self._halves, self._hand = source, halves, hand
+    def __init__(self, source: Source, hand: Hand):
+        self._source, self._hand = source, hand
         self._tracer = PathTracer(source.scene)
         self._rotation = _rotation(source.scene)
         self._count = 0
@@ -46,7 +46,7 @@ class Jobs:
         seed = hash_int(hash_int(state.seed) + self._count)
 
         def make() -> Job:
-            return Job(scene, state, self._tracer, workers, self._halves, self._coarse_pixels, kept=self.kept, seed=seed)
+            return Job(scene, state, self._tracer, workers, self._coarse_pixels, kept=self.kept, seed=seed)
 
         if len(reduced_sizes(scene.film, self._coarse_pixels)) > 1:
             return make()
@@ -56,7 +56,7 @@ class Jobs:
         """A job of the same state at full size, without kept state. Raises AbandonedError."""
         scene = self._source.scene_of(state.overrides)
         pixels = scene.film.width * scene.film.height
-        return self._hand.do(lambda: Job(scene, state, self._tracer, workers, self._halves, pixels), workers.stop)
+        return self._hand.do(lambda: Job(scene, state, self._tracer, workers, pixels), workers.stop)
 
     def adapt(self, seconds: float) -> None:
         """Set the size of the next first picture by the time that the last one took."""

@@ -148,7 +148,7 @@ class Live:
         width, height = view.size
         film = replace(self._scene.film, width=width, height=height)
         scene = replace(self._scene, camera=view.camera, film=film)
-        state = ViewState(NO_OVERRIDES, seed=view.seed)
+        state = ViewState(NO_OVERRIDES, seed=view.seed, denoise=view.denoise and self._denoiser is not None)
         window = None if view.window == (0, 0, width, height) else view.window
         return Job(scene, state, self._tracer, self._workers, pixels=self._pixels, window=window)
 

@@ -67,7 +67,7 @@ def finished(job: Job, state: ViewState, source: Source) -> Picture:
     elif loop.step_number > 1:
         error = film.relative_noise()
     display = Display(state.exposure, state.view).metered(layers.get("denoised", layers["beauty"]), layers["alpha"])
-    settings = replace(loop.settings, spp=loop.step_number, denoise=state.denoise, threads=None)
+    settings = replace(loop.settings, spp=loop.step_number, threads=None)
     facts = describe_render(loop.scene, settings, loop.step_number)
     facts |= {"command": command_line(state, source, loop.step_number)}
     return Picture(

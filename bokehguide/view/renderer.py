@@ -40,10 +40,10 @@ class Renderer:
     Learned state stays where another camera or lens can begin with it (see `Kept`). When such a picture rests, an exact job takes
     its place: it begins without learned state, as the command line does, and gives the same picture as the command line.
 
-    halves: whether a denoiser is installed. threads: None for one for each core.
+    denoiser: whether a denoiser is installed. threads: None for one for each core.
     """
 
-    def __init__(self, source: Source, state: ViewState, listener: Listener, halves: bool, threads: int | None = None):
+    def __init__(self, source: Source, state: ViewState, listener: Listener, denoiser: bool, threads: int | None = None):
         self.source = source
         self._listener = listener
         self._changed = threading.Condition()
@@ -56,12 +56,12 @@ class Renderer:
         self._questions = Questions()
         self._exact: Job | None = None
         """The exact job that takes the place of the present one when it has as many samples."""
-        self._jobs = Jobs(source, halves, self._hand)
+        self._jobs = Jobs(source, self._hand)
         self._job: Job | None = None
         self._sight: Sight | None = None
         self._shown_at = 0.0
         self._failed: ViewState | None = None
-        self._denoiser = QuickDenoiser() if halves else None
+        self._denoiser = QuickDenoiser() if denoiser else None
         self._finisher = Finisher(self._publish_exact)
         self._thread = threading.Thread(target=self._run, name="renderer", daemon=True)
 

@@ -67,11 +67,11 @@ FREE = ("hover",)
 class Session(Listener):
     """A scene whose camera, lens and display the page sets.
 
-    halves: whether a denoiser is installed. folder: of files that the page saves.
+    denoiser: whether a denoiser is installed. folder: of files that the page saves.
     """
 
-    def __init__(self, source: Source, state: ViewState, folder: Path, halves: bool, threads: int | None = None):
-        self.source, self.folder, self.halves = source, folder, halves
+    def __init__(self, source: Source, state: ViewState, folder: Path, denoiser: bool, threads: int | None = None):
+        self.source, self.folder, self.denoiser = source, folder, denoiser
         self._first = self.state = state
         self._revision = 0
         self._history, self._kind = History(), ("", "", "")
@@ -85,7 +85,7 @@ class Session(Listener):
         self._marking = ThreadPoolExecutor(1, "marker")
         self._lock = threading.Lock()
         self._layers: tuple[object, int, dict[str, np.ndarray]] | None = None
-        self.renderer = Renderer(source, state, self, halves, threads)
+        self.renderer = Renderer(source, state, self, denoiser, threads)
 
     def start(self, send: Send) -> None:
         self._send = send
@@ -109,7 +109,7 @@ class Session(Listener):
             "modes": list(MODES),
             "views": list(VIEWS),
             "layers": list(LAYERS),
-            "denoiser": self.halves,
+            "denoiser": self.denoiser,
             "environment": scene.environment is not None,
             "follows": False,
         }

@@ -54,7 +54,7 @@ class ViewState:
     @property
     def traced(self) -> tuple[object, ...]:
         """The values that need new samples when they change; the others change only how samples are shown."""
-        return self.overrides, self.mode, self.seed
+        return self.overrides, self.mode, self.seed, self.denoise
 
 
 @dataclass(frozen=True)

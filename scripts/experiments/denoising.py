@@ -3,10 +3,10 @@
     python scripts/experiments/denoising.py --out out/denoising fairy-lights cutout
     python scripts/experiments/denoising.py --out out/denoising model.glb --environment map.hdr
 
-Each scene is rendered once with `reuse` and once without; the halves and the auxiliary layers at 4, 16, 64 and 256 SPP are kept
-in the output folder, with a reference of another seed. Kept renders are not repeated. The table has the MAPE of all kept renders:
-noisy, denoised without halves, mixed by halves (`--denoise`), mixed by variance (`develop --denoise`); and the estimate of
-`--denoise`.
+Each scene is rendered without reuse, as `--denoise` does, and with the groups of a render without a denoiser. The halves and the
+auxiliary layers at 4, 16, 64 and 256 SPP are kept in the output folder, with a reference of another seed. Kept renders are not
+repeated. The table has the MAPE of all kept renders: noisy, denoised without halves, mixed by halves (`--denoise`), mixed by
+variance (`develop --denoise`); and the estimate of `--denoise`.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from bokehguide.train import RenderLoop, RenderSettings
 COUNTS = (4, 16, 64, 256)
 LAYERS = ("albedo", "normal", "emission", "alpha", "variance")
 SETTINGS = {
-    "reuse": RenderSettings(denoise=True),
-    "no reuse": RenderSettings(denoise=True, guided=GuidedConfig(reuse_group=(1, 1))),
+    "no reuse": RenderSettings(denoise=True),
+    "reuse": RenderSettings(denoise=True, guided=GuidedConfig(denoised_reuse_group=GuidedConfig.reuse_group)),
     "uniform": RenderSettings(mode="uniform", denoise=True),
 }
 REFERENCE_SEED = 770_000
@@ -45,7 +45,7 @@ def main() -> None:
     parser.add_argument("--size", type=size, default="160x90", metavar="WxH", help="default: 160x90")
     parser.add_argument("--environment", metavar="MAP", help="map for models")
     parser.add_argument("--reference-spp", type=positive, default=4096, metavar="N", help="default: 4096")
-    parser.add_argument("--variants", default="reuse,no reuse", help="of reuse, no reuse, uniform (default: reuse,no reuse)")
+    parser.add_argument("--variants", default="no reuse,reuse", help="of no reuse, reuse, uniform (default: no reuse,reuse)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the renders")
     args = parser.parse_args()
     for name in args.scenes:

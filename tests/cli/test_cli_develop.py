@@ -77,7 +77,7 @@ def test_a_denoised_render_has_both_pictures(tmp_path, monkeypatch, capsys):
     pytest.importorskip("mitsuba_oidn")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "red.toml").write_text(RED_LAMP)
-    options = ["red.toml", "--spp", "6", "--seed", "3", "--exposure", "-3"]
+    options = ["red.toml", "--mode", "lis-o", "--spp", "6", "--seed", "3", "--exposure", "-3"]
     assert main(["render", *options, "--out", "a.exr"]) == 0
     assert main(["render", *options, "--denoise", "--out", "b.exr", "--json", "b.json"]) == 0
     plain, both = read_exr("a.exr"), read_exr("b.exr")

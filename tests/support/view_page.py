@@ -28,7 +28,7 @@ def served(spec: str, folder: Path, host: str = "127.0.0.1", **state: Any) -> It
     """A server of the scene at `spec`. state: fields of `ViewState`."""
     overrides = state.pop("overrides", Overrides())
     source = Source(load_scene(spec, overrides), overrides, spec)
-    server = ViewServer(Session(source, ViewState(overrides, **state), folder, halves=True, threads=2), host)
+    server = ViewServer(Session(source, ViewState(overrides, **state), folder, denoiser=True, threads=2), host)
     server.start()
     try:
         yield server

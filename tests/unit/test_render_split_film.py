@@ -5,11 +5,23 @@ import pytest
 import torch
 
 from bokehguide.errors import BokehguideError
+from bokehguide.guiding.config import GuidedConfig
 from bokehguide.render.film import Film, FilmSamples
 from bokehguide.render.split_film import SplitFilm
-from bokehguide.train import RenderLoop, RenderSettings, denoise_picture, load_checkpoint, save_checkpoint
+from bokehguide.train import (
+    AdaptiveLoop,
+    RenderLoop,
+    RenderSettings,
+    denoise_picture,
+    load_checkpoint,
+    make_loop,
+    save_checkpoint,
+)
 from tests.support import scenes
 from tests.support.thread_ranks import job
+
+AnyLoop = RenderLoop | AdaptiveLoop
+DEFAULT = GuidedConfig()
 
 
 def samples(radiance: torch.Tensor) -> FilmSamples:
@@ -58,8 +70,9 @@ def test_a_film_without_halves_is_not_denoised():
         denoise_picture(Film(4, 3))
 
 
-def loop(denoise: bool = True, steps: int = 0, seed: int = 7) -> RenderLoop:
-    made = RenderLoop(scenes.emitters(32, 18), RenderSettings(seed=seed, threads=1, denoise=denoise))
+def loop(denoise: bool = True, steps: int = 0, guided: GuidedConfig = DEFAULT, target_noise: float | None = None) -> AnyLoop:
+    settings = RenderSettings(seed=7, threads=1, denoise=denoise, guided=guided, target_noise=target_noise)
+    made = make_loop(scenes.emitters(32, 18), settings)
     for _ in range(steps):
         made.step()
     return made
@@ -75,7 +88,17 @@ def test_a_resumed_render_has_the_same_halves(tmp_path):
             each.step()
     for half, its_half in zip(one.film.halves(), other.film.halves()):
         assert torch.equal(half, its_half)
-    assert torch.equal(one.film.radiance(), loop(denoise=False, steps=6).film.radiance())
+    assert torch.equal(one.film.radiance(), loop(steps=6).film.radiance())
+
+
+@pytest.mark.parametrize("target_noise", [None, 1e-3])
+def test_pixels_of_a_denoised_render_share_no_samples(target_noise):
+    def radiance(denoise, **groups):
+        return loop(denoise, 6, GuidedConfig(**groups), target_noise).picture().radiance()
+
+    assert torch.equal(radiance(True), radiance(False, reuse_group=(1, 1)))
+    assert torch.equal(radiance(True, denoised_reuse_group=(4, 4)), radiance(False))
+    assert not torch.equal(radiance(True), radiance(False))
 
 
 def test_a_checkpoint_without_halves_is_refused_in_a_line(tmp_path):

@@ -147,10 +147,26 @@ def test_a_pause_begins_another_change(monkeypatch):
 def test_the_display_changes_without_new_samples(page):
     page.rested()
     seconds = page.facts["picture"]["seconds"]
-    for name, value in [("exposure", 2.0), ("view", "srgb"), ("denoise", True), ("layer", "depth"), ("layer", "picture")]:
+    for name, value in [("exposure", 2.0), ("view", "srgb"), ("layer", "depth"), ("layer", "picture")]:
         revision = page.change(type="set", name=name, value=value)["revision"]
         facts = page.until("picture", lambda facts: facts["revision"] == revision)  # noqa: B023 - used at once
         assert (facts["seconds"], facts["spp"]) == (seconds, SPP), name
+
+
+def test_denoised_pictures_have_samples_of_their_own(page):
+    """Pixels of a picture for the denoiser share no samples."""
+    page.rested()
+    page.change(type="set", name="denoise", value=True)
+    page.rested()
+    page.send(type="save_picture")
+    page.until("note")
+    saved, header = read_layers("box-view.exr")
+    run(header["command"], "--out=again.exr")
+    assert "--denoise" in header["command"]
+    again, _ = read_layers("again.exr")
+    assert saved.keys() == again.keys() and "denoised" in saved
+    for name in saved:
+        np.testing.assert_array_equal(saved[name], again[name], err_msg=name)
 
 
 def test_layers_are_pictures_of_their_own(page):
