@@ -72,7 +72,7 @@ export class Controls {
   greet(facts) {
     this.fill("view", facts.views);
     this.fill("mode", facts.modes);
-    document.getElementById("denoise").disabled = !facts.denoiser;
+    this.denoiser = facts.denoiser;
     this.parts.environment_rotation.holder.hidden = !facts.environment;
     for (const id of ["lens", "aperture", "tools", "reset"]) document.getElementById(id).hidden = facts.follows;
     for (const part of [document.getElementById("mode").parentElement, this.parts.spp.holder]) part.hidden = facts.follows;
@@ -140,11 +140,12 @@ export class Controls {
     this.lock();
   }
 
-  // A render keeps its camera and lens; a browser that does not steer keeps everything.
+  // A render keeps its camera, lens and denoising; a browser that does not steer keeps everything.
   lock() {
     for (const id of ["lens", "aperture"]) document.getElementById(id).disabled = this.rendering || !this.steering;
     for (const id of ["light", "making"]) document.getElementById(id).disabled = !this.steering;
     for (const id of ["mode", "reset"]) document.getElementById(id).disabled = this.rendering;
+    document.getElementById("denoise").disabled = this.rendering || !this.denoiser;
     for (const name of ["spp", "environment_rotation"]) this.enable(name, !this.rendering);
   }
 }
