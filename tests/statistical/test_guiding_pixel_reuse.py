@@ -18,6 +18,7 @@ from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.random import hash_int
 from bokehguide.render.tracer import Hit
 from bokehguide.render.vector import luminance
+from bokehguide.runtime import native
 from bokehguide.runtime.distributed import ROWS_PER_BAND, Ranks
 from bokehguide.runtime.indexing import Pixels
 from bokehguide.runtime.timer import PhaseTimer
@@ -347,6 +348,18 @@ def test_reuse_keeps_the_mean_where_shading_normals_are_replaced():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("core", [False, True])
+def test_a_group_of_one_pixel_keeps_its_own_sample_and_traces_no_ray(core, monkeypatch):
+    if not core:
+        monkeypatch.setattr(native, "core", lambda: None)
+    elif native.core() is None:
+        pytest.skip("the native core is not installed")
+    traced = []
+    step = step_of(trained(terrace(WIDTH, HEIGHT, sheet=True)), 7, lambda paths: traced.append(paths.rays), group=(1, 1))
+    assert [step.samples.paths.rays] == traced
+    assert same(step.reused.radiance, step.own) and same(step.reused.weight, step.samples.drawn.weight)
+
+
 def test_reuse_keeps_the_mean_of_the_sky_at_the_edge_of_a_translucent_sheet():
     """The sheet is in focus: half of the columns see the sky past the sheet, and half through it."""
     across, down = 8, 256

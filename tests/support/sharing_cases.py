@@ -76,10 +76,10 @@ class Step:
 
 
 class RecordedReuse(PixelPathReuse):
-    """Keeps the samples of its steps. change: applied to the paths before reuse."""
+    """Keeps the samples of its steps. change: applied to the paths before reuse. group: as of `PixelPathReuse`."""
 
-    def __init__(self, loop: RenderLoop, seed: int, change: Callable[[PathSamples], None] | None):
-        super().__init__(loop.camera, loop.tracer, loop.film.width, seed)
+    def __init__(self, loop: RenderLoop, seed: int, change: Callable[[PathSamples], None] | None, group: tuple[int, int]):
+        super().__init__(loop.camera, loop.tracer, loop.film.width, seed, group)
         self.steps: list[Step] = []
         self._change = change
 
@@ -103,10 +103,15 @@ def trained(scene: Scene, steps: int = 2) -> RenderLoop:
     return loop
 
 
-def step_of(loop: RenderLoop, seed: int, change: Callable[[PathSamples], None] | None = None) -> Step:
-    """The next step, with random numbers and groups of its own; change: applied to the paths before reuse."""
+def step_of(
+    loop: RenderLoop,
+    seed: int,
+    change: Callable[[PathSamples], None] | None = None,
+    group: tuple[int, int] = GuidedConfig.reuse_group,
+) -> Step:
+    """The next step, with random numbers and groups of its own; change, group: see `RecordedReuse`."""
     loop.settings = replace(loop.settings, seed=seed)
-    loop.mode.reuse.paths = recorded = RecordedReuse(loop, seed, change)
+    loop.mode.reuse.paths = recorded = RecordedReuse(loop, seed, change, group)
     loop.step()
     [step] = recorded.steps
     return step

@@ -230,6 +230,11 @@ def test_blocks_at_the_right_edge_are_blocks_of_their_own():
     assert loop.open.shape == (2, 4)
 
 
+def test_a_half_of_a_denoised_render_has_no_halves():
+    loop = AdaptiveLoop(scenes.emitters(32, 18), RenderSettings(threads=1, target_noise=0.01, denoise=True))
+    assert [type(half.film) for half in loop.halves] == [Film, Film]
+
+
 def test_halves_share_nothing_random_but_all_else():
     loop = AdaptiveLoop(scenes.emitters(WIDTH, HEIGHT), RenderSettings("uniform", threads=1, target_noise=0.1))
     for _ in range(2):
