@@ -16,8 +16,12 @@ used for D(A) and D(B) because a denoiser works better on all samples than on ha
 are relative to the brightness, as MAPE is. (Squared errors from noisy pictures alone: Stein 1981; from two halves: Rousselle,
 Knaus and Zwicker 2012.)
 
+A window has few pixels, and noise with rare bright samples makes the estimate of G uncertain. Where this noise lowers w, specks
+of the noisy picture remain. The weight is therefore (G + DOUBT · its standard error) / Q. The standard error falls with the noise,
+so that the mixture still tends to the truth.
+
 The reported error is a mean absolute error, and a few bright pixels dominate squared errors. The ratio of errors therefore
-comes from V, G and Q of compressed pictures, tanh(A / brightness), with the weight w.
+comes from compressed pictures, tanh(A / brightness), with the weight w (see `error_ratio`).
 """
 
 from __future__ import annotations
@@ -35,6 +39,8 @@ LEVEL_WINDOW = 1.5
 """As WINDOW, of the brightness that errors are relative to."""
 FLOOR = 0.01
 """Added to the brightness, as in MAPE."""
+DOUBT = 2.0
+"""Standard errors of an estimate beyond which evidence against the denoiser counts."""
 PROBE = 0.5
 """Standard deviation of the noise that is added to a picture without halves, by that of the picture's noise."""
 LEAST = 1e-20
@@ -65,23 +71,51 @@ def denoise_halves(first: np.ndarray, second: np.ndarray, share: np.ndarray, alb
         return Denoised(clean, np.ones_like(share), None)
     pictures = [finite_pixels(first), finite_pixels(second), denoiser(first), denoiser(second)]
     level = brightness(clean)
-    gain, change, _ = error_terms([picture / level for picture in pictures], share)
-    weight = mixing_weight(gain, change)
-    gain, change, variance = error_terms([np.tanh(picture / level) for picture in pictures], share)
-    error = variance - 2.0 * weight * gain + weight**2 * change
-    ratio = np.sqrt((error.clip(min=0.0) / variance.clip(min=LEAST)).clip(max=1.0))
+    terms = error_terms([picture / level for picture in pictures], share)
+    weight = mixing_weight(terms.gain + DOUBT * terms.gain_error, terms.change)
+    ratio = error_ratio([np.tanh(picture / level) for picture in pictures], share, weight)
     return Denoised(mixture(noisy, clean, weight), weight.astype(np.float32), ratio.astype(np.float32))
 
 
-def error_terms(pictures: list[np.ndarray], share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Windowed estimates of G, Q and V, each `[H, W]`. pictures: A, B, D(A) and D(B), `[H, W, C]`; share: of A, `[H, W]`."""
+class ErrorTerms(NamedTuple):
+    """Windowed estimates of G, Q and V, and the standard error of the estimate of G, each `[H, W]`."""
+
+    gain: np.ndarray
+    change: np.ndarray
+    variance: np.ndarray
+    gain_error: np.ndarray
+
+
+def error_terms(pictures: list[np.ndarray], share: np.ndarray) -> ErrorTerms:
+    """The terms of pictures A, B, D(A) and D(B), `[H, W, C]`. share: of A, `[H, W]`."""
+    gain, change, variance = _terms_of_pixels(pictures, share)
+    return ErrorTerms(windowed(gain), windowed(change), windowed(variance), standard_error(gain))
+
+
+def error_ratio(pictures: list[np.ndarray], share: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Estimated error of the mixture over that of the noisy picture, 0 to 1, `[H, W]`. pictures, share: as of `error_terms`.
+
+    The mixtures of both halves differ by their noise. Their shared error, the bias of the denoiser, is in V - 2 w G + w² Q, whose
+    estimate is uncertain. The bias counts as far as this estimate exceeds the noise by more than DOUBT standard errors.
+    """
+    first, second, clean_first, clean_second = pictures
+    gain, change, variance = _terms_of_pixels(pictures, share)
+    s, w = share[..., None], weight[..., None]
+    noise = windowed(s * (1.0 - s) * (first - second + w * (clean_first - first - clean_second + second)) ** 2)
+    error = variance - 2.0 * w * gain + w**2 * change
+    bias = (windowed(error) - noise - DOUBT * standard_error(error)).clip(min=0.0)
+    return np.sqrt(((noise + bias) / windowed(variance).clip(min=LEAST)).clip(max=1.0))
+
+
+def _terms_of_pixels(pictures: list[np.ndarray], share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Estimates of G, Q and V in each pixel and channel, `[H, W, C]`."""
     first, second, clean_first, clean_second = pictures
     s = share[..., None]
     both = (s > 0.0) & (s < 1.0)
     difference = np.where(both, first - second, 0.0)
     gain = s**2 * difference * (first - clean_first) - (1.0 - s) ** 2 * difference * (second - clean_second)
     change = np.where(both, s * (clean_first - first) + (1.0 - s) * (clean_second - second), 0.0)
-    return windowed(gain), windowed(change**2), windowed(s * (1.0 - s) * difference**2)
+    return gain, change**2, s * (1.0 - s) * difference**2
 
 
 def denoise_by_variance(beauty: np.ndarray, variance: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> Denoised:
@@ -116,6 +150,12 @@ def windowed(values: np.ndarray) -> np.ndarray:
     from scipy.ndimage import gaussian_filter
 
     return gaussian_filter(values.mean(-1), WINDOW, mode="nearest")
+
+
+def standard_error(values: np.ndarray) -> np.ndarray:
+    """Standard error `[H, W]` of `windowed` values `[H, W, C]` with independent pixels. A Gaussian window has 4 π σ² pixels."""
+    spread = windowed(values.mean(-1, keepdims=True) ** 2) - windowed(values) ** 2
+    return np.sqrt(spread.clip(min=0.0) / (4.0 * np.pi * WINDOW**2))
 
 
 def mixing_weight(gain: np.ndarray, change: np.ndarray) -> np.ndarray:
