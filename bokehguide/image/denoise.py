@@ -17,8 +17,8 @@ are relative to the brightness, as MAPE is. (Squared errors from noisy pictures 
 Knaus and Zwicker 2012.)
 
 A window has few pixels, and noise with rare bright samples makes the estimate of G uncertain. Where this noise lowers w, specks
-of the noisy picture remain. The weight is therefore (G + DOUBT · its standard error) / Q. The standard error falls with the noise,
-so that the mixture still tends to the truth.
+of the noisy picture remain. The weight is therefore (G + DOUBT · its standard error) / Q. The standard error falls with the
+noise, so that the mixture still tends to the truth.
 
 The reported error is a mean absolute error, and a few bright pixels dominate squared errors. The ratio of errors therefore
 comes from compressed pictures, tanh(A / brightness), with the weight w (see `error_ratio`).
