@@ -106,13 +106,11 @@ def main() -> None:
         require_denoiser()
     check_writable(args.out / "equal_time.json")
     scenes = [load_any(name, *args.size) for name in args.scenes]
-    races = {scene.name: race(scene, args) for scene in scenes}
-    write_json(args.out / "equal_time.json", {name: {one.name: one.history for one in pair} for name, pair in races.items()})
-    text = table(races, args.seconds)
-    with replacing(args.out / "equal_time.md") as temporary:
-        temporary.write_text(text + "\n")
-    print(text)
-    draw(races, args.out / "equal_time.png")
+    races = {}
+    for scene in scenes:
+        races[scene.name] = race(scene, args)
+        write_results(races, args)
+    print(table(races, args.seconds))
 
 
 def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
@@ -179,6 +177,14 @@ def mitsuba_runner(scene: Scene, denoise: bool) -> Runner:
         return torch.from_numpy(Denoiser(*layers)(radiance) if denoise else radiance)
 
     return Runner("Mitsuba", advance, picture, built)
+
+
+def write_results(races: dict[str, list[Runner]], args: argparse.Namespace) -> None:
+    """Write the files of the races so far, so that an end between two scenes loses none."""
+    write_json(args.out / "equal_time.json", {name: {one.name: one.history for one in pair} for name, pair in races.items()})
+    with replacing(args.out / "equal_time.md") as temporary:
+        temporary.write_text(table(races, args.seconds) + "\n")
+    draw(races, args.out / "equal_time.png")
 
 
 def table(races: dict[str, list[Runner]], seconds: float) -> str:
