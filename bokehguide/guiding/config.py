@@ -71,8 +71,8 @@ class GuidedConfig:
     split_count: number of paths after the primary hit of a sample of weight 1. The number is proportional to the weight.
     max_split_count: largest number of paths of a sample.
     reuse_group: longer and shorter side, in pixels, of a group that reuses primary hits. Both are powers of two.
-    denoised_reuse_group: as `reuse_group`, of a render that a denoiser completes. A denoiser removes independent noise, and keeps
-    noise that pixels share.
+    denoised_reuse_group: as `reuse_group`, in a render with a denoiser. A denoiser removes independent noise, and keeps noise
+    that pixels share. `scripts/experiments/denoising.py` measures the effect.
     min_spread: least GGX α of a reused surface, over the angle in radians between two lens points of a group.
     control_variate: whether the weights of reused samples are a control variate for the radiance.
     control_shrinkage: factor of a coefficient's squared standard error. A coefficient whose square equals the product is halved.

@@ -16,8 +16,8 @@ same surface, and V is 0.
 
 Groups are tiles of the film. Their positions change with every step, so that no tile is visible in the picture. No
 group crosses the end of a band of rows or columns, so that ranks, batches and blocks of adaptive SPP contain whole groups. The
-noise of the pixels of a group is correlated, so that a denoiser removes less of it. In a render that a denoiser completes, pixels
-therefore share no samples, unless `GuidedConfig.denoised_reuse_group` says so.
+noise of the pixels of a group is correlated, and a denoiser removes less of correlated noise. A render with a denoiser therefore
+has groups of its own (`GuidedConfig.denoised_reuse_group`), by default of one pixel.
 """
 
 from __future__ import annotations
@@ -345,8 +345,9 @@ class PixelReuse(SampleReuse):
 
     def __init__(self, context: ModeContext, config: GuidedConfig):
         super().__init__()
-        seed, group = context.settings.seed, config.denoised_reuse_group if context.settings.denoise else config.reuse_group
-        self.paths = PixelPathReuse(context.camera, context.tracer, context.film_width, seed, group, config.min_spread)
+        settings = context.settings
+        group = config.denoised_reuse_group if settings.denoise else config.reuse_group
+        self.paths = PixelPathReuse(context.camera, context.tracer, context.film_width, settings.seed, group, config.min_spread)
         # With a vignetting lens, the mean weight is unknown.
         known = config.control_variate and not context.camera.lens.vignettes
         self.control_variate = ControlVariate(context, config.control_shrinkage) if known else NoControlVariate()

@@ -71,25 +71,21 @@ def denoise_halves(first: np.ndarray, second: np.ndarray, share: np.ndarray, alb
         return Denoised(clean, np.ones_like(share), None)
     pictures = [finite_pixels(first), finite_pixels(second), denoiser(first), denoiser(second)]
     level = brightness(clean)
-    terms = error_terms([picture / level for picture in pictures], share)
-    weight = mixing_weight(terms.gain + DOUBT * terms.gain_error, terms.change)
+    gain, change, _ = error_terms([picture / level for picture in pictures], share)
+    weight = mixing_weight(windowed(gain) + DOUBT * standard_error(gain), windowed(change))
     ratio = error_ratio([np.tanh(picture / level) for picture in pictures], share, weight)
     return Denoised(mixture(noisy, clean, weight), weight.astype(np.float32), ratio.astype(np.float32))
 
 
-class ErrorTerms(NamedTuple):
-    """Windowed estimates of G, Q and V, and the standard error of the estimate of G, each `[H, W]`."""
-
-    gain: np.ndarray
-    change: np.ndarray
-    variance: np.ndarray
-    gain_error: np.ndarray
-
-
-def error_terms(pictures: list[np.ndarray], share: np.ndarray) -> ErrorTerms:
-    """The terms of pictures A, B, D(A) and D(B), `[H, W, C]`. share: of A, `[H, W]`."""
-    gain, change, variance = _terms_of_pixels(pictures, share)
-    return ErrorTerms(windowed(gain), windowed(change), windowed(variance), standard_error(gain))
+def error_terms(pictures: list[np.ndarray], share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Estimates of G, Q and V in each pixel, `[H, W, C]`. pictures: A, B, D(A) and D(B), `[H, W, C]`; share: of A, `[H, W]`."""
+    first, second, clean_first, clean_second = pictures
+    s = share[..., None]
+    both = (s > 0.0) & (s < 1.0)
+    difference = np.where(both, first - second, 0.0)
+    gain = s**2 * difference * (first - clean_first) - (1.0 - s) ** 2 * difference * (second - clean_second)
+    change = np.where(both, s * (clean_first - first) + (1.0 - s) * (clean_second - second), 0.0)
+    return gain, change**2, s * (1.0 - s) * difference**2
 
 
 def error_ratio(pictures: list[np.ndarray], share: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -99,23 +95,12 @@ def error_ratio(pictures: list[np.ndarray], share: np.ndarray, weight: np.ndarra
     estimate is uncertain. The bias counts as far as this estimate exceeds the noise by more than DOUBT standard errors.
     """
     first, second, clean_first, clean_second = pictures
-    gain, change, variance = _terms_of_pixels(pictures, share)
+    gain, change, variance = error_terms(pictures, share)
     s, w = share[..., None], weight[..., None]
     noise = windowed(s * (1.0 - s) * (first - second + w * (clean_first - first - clean_second + second)) ** 2)
     error = variance - 2.0 * w * gain + w**2 * change
     bias = (windowed(error) - noise - DOUBT * standard_error(error)).clip(min=0.0)
     return np.sqrt(((noise + bias) / windowed(variance).clip(min=LEAST)).clip(max=1.0))
-
-
-def _terms_of_pixels(pictures: list[np.ndarray], share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Estimates of G, Q and V in each pixel and channel, `[H, W, C]`."""
-    first, second, clean_first, clean_second = pictures
-    s = share[..., None]
-    both = (s > 0.0) & (s < 1.0)
-    difference = np.where(both, first - second, 0.0)
-    gain = s**2 * difference * (first - clean_first) - (1.0 - s) ** 2 * difference * (second - clean_second)
-    change = np.where(both, s * (clean_first - first) + (1.0 - s) * (clean_second - second), 0.0)
-    return gain, change**2, s * (1.0 - s) * difference**2
 
 
 def denoise_by_variance(beauty: np.ndarray, variance: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> Denoised:

@@ -45,8 +45,8 @@ class RenderSettings:
     1920 pixels; 50 · width / 1920 covers the same part of a smaller picture.
     crop: x, y, width, height in pixels from the top left, of the part of the frame to render.
     target_noise: estimated relative error at which a block of pixels ends; None: all pixels get spp samples.
-    denoise: whether the film keeps two halves, which `bokehguide.train.denoise_picture` needs. In mode `guided`, pixels then
-    share no samples (see `GuidedConfig.denoised_reuse_group`).
+    denoise: whether the film keeps two halves, which `bokehguide.train.denoise_picture` needs. Mode `guided`
+    then reuses primary hits in the groups of `GuidedConfig.denoised_reuse_group`.
     cryptomatte: whether the film keeps the coverage of objects and materials, which `bokehguide.train.matte_layers` needs.
     light_groups: whether the film keeps the radiance of each light group of the scene.
     gaussian: settings of the paper's modes. guided: settings of the mode `guided`.

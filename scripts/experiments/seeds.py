@@ -119,7 +119,8 @@ def rendered(scene: Scene, settings: RenderSettings, args: argparse.Namespace) -
             limit = None
             for mode in reversed(args.modes):
                 seconds = done[mode].add(scene, replace(settings, mode=mode, seed=seed), limit)
-                limit = limit or (seconds if args.equal_time else None)
+                if args.equal_time and mode == args.modes[-1]:
+                    limit = seconds
                 bar.update()
     return done
 

@@ -347,7 +347,6 @@ def test_reuse_keeps_the_mean_where_shading_normals_are_replaced():
     assert z_test(columns.mean(0), columns.std(0, ddof=1) / math.sqrt(len(columns))) > SIGNIFICANCE
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("core", [False, True])
 def test_a_group_of_one_pixel_keeps_its_own_sample_and_traces_no_ray(core, monkeypatch):
     if not core:
@@ -360,6 +359,7 @@ def test_a_group_of_one_pixel_keeps_its_own_sample_and_traces_no_ray(core, monke
     assert same(step.reused.radiance, step.own) and same(step.reused.weight, step.samples.drawn.weight)
 
 
+@pytest.mark.slow
 def test_reuse_keeps_the_mean_of_the_sky_at_the_edge_of_a_translucent_sheet():
     """The sheet is in focus: half of the columns see the sky past the sheet, and half through it."""
     across, down = 8, 256

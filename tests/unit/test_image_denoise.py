@@ -66,7 +66,7 @@ def test_error_terms_are_unbiased():
             truth() * (1.0 + noise / np.sqrt(part) * random.normal(size=(HEIGHT, WIDTH, 1))) for part in (share, 1.0 - share)
         )
         terms = denoise.error_terms([first, second, filtered(first), filtered(second)], np.full((HEIGHT, WIDTH), share))
-        found.append([term.mean() for term in (terms.gain, terms.change, terms.variance)])
+        found.append([term.mean() for term in terms])
     error = np.std(found, axis=0) / np.sqrt(len(found))
     assert (error < 0.005 * np.array(expected)).all()
     assert (np.abs(np.mean(found, axis=0) - expected) < 4.0 * error).all()
@@ -78,8 +78,8 @@ def test_the_standard_error_of_the_gain_is_its_spread_over_pictures():
     gains, errors = [], []
     for _ in range(100):
         first, second = (random.exponential(size=(HEIGHT, WIDTH, 1)) for _ in "ab")
-        terms = denoise.error_terms([first, second, np.ones_like(first), np.ones_like(first)], half)
-        gains.append(terms.gain), errors.append(terms.gain_error**2)
+        gain, _, _ = denoise.error_terms([first, second, np.ones_like(first), np.ones_like(first)], half)
+        gains.append(denoise.windowed(gain)), errors.append(denoise.standard_error(gain) ** 2)
     inner = np.s_[12:-12, 12:-12]
     spread = np.var(gains, axis=0)[inner].mean()
     assert np.sqrt(np.mean(errors, axis=0)[inner].mean()) == pytest.approx(np.sqrt(spread), rel=0.03)

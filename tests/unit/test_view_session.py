@@ -154,7 +154,7 @@ def test_the_display_changes_without_new_samples(page):
 
 
 def test_denoised_pictures_have_samples_of_their_own(page):
-    """Pixels of a picture for the denoiser share no samples."""
+    """The command line makes the same picture, without reuse of samples among pixels."""
     page.rested()
     page.change(type="set", name="denoise", value=True)
     page.rested()
