@@ -12,6 +12,7 @@ namespace BOKEHGUIDE_ISA {
 using bokehguide::HitRecord;
 using bokehguide::LensCamera;
 using bokehguide::LensSamples;
+using bokehguide::MOST_MEMBERS;
 using bokehguide::OwnSamples;
 using bokehguide::PixelGroups;
 using bokehguide::ReusedGroups;
@@ -19,7 +20,6 @@ using bokehguide::ViewRows;
 
 // Groups end with bands of ROWS_PER_BAND rows and with bands of 2^COLUMN_BITS columns.
 constexpr int ROWS_PER_BAND = 8, COLUMN_BITS = 5, FRONT_ROW = 12;
-constexpr int MOST = 64;  // members of a group
 constexpr float GROUP_SPACING = 3.0f, INFINITELY_DEEP = 1e30f, SHORTENED = 1.0f - 1e-4f;
 
 inline Vec3 camera_to_world(const bokehguide::Camera& c, Vec3 v) {
@@ -104,8 +104,8 @@ class PixelHits {
 // A member of the groups of a vector of pixels (`_members`), as indices into the batch; -1 for none.
 inline Int member_of(const PixelGroups& groups, const ViewRows& v, int member, int64_t i) {
     const Int x = load<Int>(v.column + i), line = load<Int>(v.line + i);
-    const Int column = ((x + groups.right) ^ (member % groups.across)) - groups.right;
-    const Int row = ((line + groups.below) ^ (member / groups.across)) - groups.below;
+    const Int column = ((x + groups.right) ^ groups.across[member]) - groups.right;
+    const Int row = ((line + groups.below) ^ groups.down[member]) - groups.below;
     const Int there = load<Int>(v.number + i) + (row - line) * groups.width + column - x;
     const Int inside = (column < groups.width) & ((column >> COLUMN_BITS) == (x >> COLUMN_BITS)) & (row >= 0) & (row < ROWS_PER_BAND) &
                        (there >= 0) & (there < v.numbers);
@@ -137,9 +137,9 @@ class ViewFinder {
     const LensSamples& samples_;
     ViewRows& views_;
     int64_t first_ = 0;
-    unsigned inside_[MOST];
-    Int viewer_[MOST];
-    Float x_[MOST], y_[MOST], jacobian_[MOST];
+    unsigned inside_[MOST_MEMBERS];
+    Int viewer_[MOST_MEMBERS];
+    Float x_[MOST_MEMBERS], y_[MOST_MEMBERS], jacobian_[MOST_MEMBERS];
 
     // `_reconnected`.
     void reconnect(int member) {
@@ -300,7 +300,7 @@ class alignas(64) SeenRadiance {
     }
 
   private:
-    static constexpr int VECTORS = MOST / LANES;  // of views of a hit
+    static constexpr int VECTORS = MOST_MEMBERS / LANES;  // of views of a hit
     static constexpr int PATHS = 4;  // shaded together
     const Tables& t_;
     const LensSamples& samples_;

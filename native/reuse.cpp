@@ -141,8 +141,13 @@ class Views {
         lens_.passing = float(number(numbers, "passing")), lens_.focus_distance = float(number(numbers, "focus_distance"));
         lens_.pixel_slope = float(number(numbers, "pixel_slope")), min_spread_ = number(numbers, "min_spread");
         const auto whole = [&](const char* name) { return int32_t(number(numbers, name)); };
-        groups_.width = whole("width"), groups_.across = whole("across"), groups_.down = whole("down");
-        groups_.right = whole("right"), groups_.below = whole("below");
+        groups_.width = whole("width"), groups_.right = whole("right"), groups_.below = whole("below");
+        const Ints offsets = nb::cast<Ints>(arrays_["offsets"], false);
+        groups_.members = int32_t(offsets.size() / 2);
+        if (offsets.size() < 2 || offsets.size() > 2 * MOST_MEMBERS) throw std::invalid_argument("groups of at most 64 pixels");
+        for (int member = 0; member < groups_.members; ++member) {
+            groups_.across[member] = offsets.data()[2 * member], groups_.down[member] = offsets.data()[2 * member + 1];
+        }
     }
     void set_record(const nb::dict& record, int64_t hits, int64_t paths) {
         record_.light = path_light(scene_.t, record, paths);
@@ -170,8 +175,7 @@ class Views {
     // span: of the numbers of pixels from the first to the last.
     void make_rows(int64_t span) {
         ViewRows& v = views_;
-        v.members = groups_.across * groups_.down;
-        if (v.members < 1 || v.members > 64) throw std::invalid_argument("groups of at most 64 pixels");
+        v.members = groups_.members;
         v.pixels = whole_vectors(samples_.count), v.columns = samples_.count * (v.members - 1) + MOST_LANES;
         v.numbers = int32_t(span);
         const size_t needed = 10 * size_t(v.columns) + 11 * size_t(v.pixels) + (groups_.pixels ? size_t(span) : 0);

@@ -244,12 +244,13 @@ struct SuccessTiles {
     const float* rates;
 };
 
-// Groups of pixels of a film that reuse each other's primary hits (guiding/pixel_reuse.py): the number of the first pixel of a
-// batch and of all pixels, null for consecutive ones; the width of the film, and the size and shift of groups.
+constexpr int MOST_MEMBERS = 64;
+// Groups of pixels of a film that reuse each other's primary hits (`PixelGroups` of guiding/native_reuse.py): the number of the first
+// pixel of a batch and of all pixels, null for consecutive ones; the width of the film, the shift of tiles, and `PixelGroups.offsets`.
 struct PixelGroups {
     int64_t first;
     const int64_t* pixels;
-    int32_t width, across, down, right, below;
+    int32_t width, right, below, members, across[MOST_MEMBERS], down[MOST_MEMBERS];
 };
 
 // One sample for each of some pixels; rows as in `Tables`.

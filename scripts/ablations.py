@@ -83,7 +83,7 @@ PARTS: dict[str, dict[str, object]] = {
     "pooled β": {"blend_pool": 1},
     "stratified lens points": {"stratify": False},
     "split paths": {"split_count": 1, "max_split_count": 1},
-    "reused primary hits": {"reuse_group": (1, 1)},
+    "reused primary hits": {"reuse_group": 1},
     "control variate": {"control_variate": False},
     "resampled lights": {"light_candidates": 1, "bsdf_candidates": 0},
     "learned visibility": {"learn_visibility": False},
@@ -122,9 +122,9 @@ def alone(part: str) -> Change:
     return guided_with(f"with {part} alone" if not needed else f"with {part} on {' and '.join(needed)}", (part, *needed))
 
 
-def group(long: int, short: int) -> Change:
+def group(pixels: int) -> Change:
     """The size of the groups that reuse primary hits."""
-    return Change("pixels of a group", f"{long} x {short}", "guided", {"reuse_group": (long, short)})
+    return Change("pixels of a group", f"{pixels}", "guided", {"reuse_group": pixels})
 
 
 def split(count: int) -> Change:
@@ -147,7 +147,7 @@ CHANGES = {
     "candidates": [Change("light candidates", str(count), "guided", {"light_candidates": count}) for count in (1, 2, 7)],
     "bsdf": [Change("BSDF candidates", str(count), "guided", {"bsdf_candidates": count}) for count in (0, 2)],
     "parts": [split(count) for count in (1, 4, 8)],
-    "group": [group(1, 1), group(2, 2), group(4, 2), group(8, 4)],
+    "group": [group(1), group(4), group(8), group(32)],
     "spread": values_of("α of reused surfaces by the views' angle", "min_spread", [0.05, 0.5, 1.0], "guided"),
     "shrinkage": values_of("shrinkage of the control variate", "control_shrinkage", [16.0, 256.0, 1e30], "guided"),
     "axes": values_of("half axes of found highlights, standard deviations", "highlight_axes", [1.7, 3.2], "guided"),

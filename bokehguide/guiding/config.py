@@ -70,7 +70,7 @@ class GuidedConfig:
     Paths:
     split_count: number of paths after the primary hit of a sample of weight 1. The number is proportional to the weight.
     max_split_count: largest number of paths of a sample.
-    reuse_group: longer and shorter side, in pixels, of a group that reuses primary hits. Both are powers of two.
+    reuse_group: number of pixels of a group that reuses primary hits, a power of two up to 64 (see `PixelGroups`).
     denoised_reuse_group: as `reuse_group`, in a render with a denoiser. A denoiser removes independent noise, and keeps noise
     that pixels share. `scripts/experiments/denoising.py` measures the effect.
     min_spread: least GGX α of a reused surface, over the angle in radians between two lens points of a group.
@@ -107,8 +107,8 @@ class GuidedConfig:
 
     split_count: int = 2
     max_split_count: int = 16
-    reuse_group: tuple[int, int] = (4, 4)
-    denoised_reuse_group: tuple[int, int] = (1, 1)
+    reuse_group: int = 16
+    denoised_reuse_group: int = 1
     min_spread: float = 0.2
     control_variate: bool = True
     control_shrinkage: float = 64.0

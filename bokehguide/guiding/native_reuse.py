@@ -17,6 +17,7 @@ from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.light_groups import GroupRadiance
 from bokehguide.render.native import NativeTracer
 from bokehguide.render.primary_hits import CoreRecord
+from bokehguide.runtime.distributed import ROWS_PER_BAND
 from bokehguide.runtime.indexing import Pixels, scatter
 from bokehguide.runtime.timer import PhaseTimer
 
@@ -25,20 +26,41 @@ NOWHERE = 1e15
 
 
 class PixelGroups(NamedTuple):
-    """Groups of neighbouring pixels on a film. The groups of a step are tiles of `across` x `down` pixels, shifted by `right` and
-    `below`; `width` of the film. All lengths are in pixels."""
+    """Groups of neighbouring pixels on a film of this `width`: the pixels of a tile form two groups.
+
+    A tile has `across` x `down` pixels, both powers of two. Tiles are shifted by `right` and `below`. All lengths are in pixels.
+    `mask` selects bits of a pixel's number in its tile. The parity of the selected bits is the group. With the highest bit of the
+    longer side alone, the groups are the two halves of the tile. With the lowest bits of both sides and random others, most
+    adjacent pixels are in different groups, in a pattern like a chessboard.
+    """
 
     width: int
     across: int
     down: int
     right: int
     below: int
+    mask: int
 
     @staticmethod
-    def of(width: int, size: tuple[int, int], key: int) -> PixelGroups:
-        """Groups of a step. size: longer and shorter side, powers of two. key: random bits that turn and shift the tiles."""
-        across, down = size if key & 1 else size[::-1]
-        return PixelGroups(width, across, down, (key >> 8) % across, (key >> 16) % down)
+    def of(width: int, size: int, key: int, scattered: bool) -> PixelGroups:
+        """Groups of a step. size: number of pixels of a group, a power of two. key: random bits that turn and shift the tiles,
+        and choose the pattern of `scattered` groups; other groups are halves of tiles."""
+        bits = size.bit_length()
+        sides = 1 << -(-bits // 2), 1 << bits // 2  # of 2 size pixels
+        across, down = sides if key & 1 else sides[::-1]
+        if scattered:
+            below = (key >> 16) % down if down < ROWS_PER_BAND else 0  # a band contains whole tiles
+            mask = (key >> 24) % (2 * size) | (across > 1) | across * (down > 1)
+        else:
+            below = (key >> 16) % min(sides)
+            mask = across // 2 if key & 1 else size
+        return PixelGroups(width, across, down, (key >> 8) % across, below, mask)
+
+    def offsets(self) -> list[tuple[int, int]]:
+        """Members of a group, as (x, y) to combine with the place of a pixel in its tile by exclusive or. The first member is
+        the pixel itself."""
+        places = range(self.across * self.down)
+        return [(at % self.across, at // self.across) for at in places if (at & self.mask).bit_count() % 2 == 0]
 
 
 class Reused(NamedTuple):
@@ -93,7 +115,9 @@ def native_reuse(
     record = native.record(samples.paths.primary_hits)
     if record is None:
         return None
-    views = native.views(_arrays(camera, samples), _numbers(camera, groups, min_spread), record, *_pixels(samples.batch.places))
+    offsets = torch.tensor(groups.offsets(), dtype=torch.int32)
+    arrays = _arrays(camera, samples) | {"offsets": offsets}
+    views = native.views(arrays, _numbers(camera, groups, min_spread), record, *_pixels(samples.batch.places))
     if not camera.lens.is_disc and len(views) > 0:
         points, viewer, _ = _points(views)
         views.set_passing(camera.lens.passing(points, samples.batch.focus.index_select(1, viewer)))
@@ -101,7 +125,7 @@ def native_reuse(
     samples.paths.rays += rays
     timer.add("tracing rays", seconds)
     count = samples.drawn.weight.shape[0]
-    density = _densities(views, samples.query, groups.across * groups.down, count)
+    density = _densities(views, samples.query, len(offsets), count)
     by_group = _light_group_arrays(samples.paths.groups, record)
     if not camera.lens.is_disc:
         own = own | {"passing": camera.lens.passing(samples.drawn.points, samples.batch.focus)}
@@ -146,7 +170,9 @@ def _numbers(camera: ThinLensCamera, groups: PixelGroups, min_spread: float) -> 
         "focus_distance": lens.focus_distance,
         "pixel_slope": camera.pixel_slope,
         "min_spread": min_spread,
-        **groups._asdict(),
+        "width": groups.width,
+        "right": groups.right,
+        "below": groups.below,
     }
     return {name: float(value) for name, value in numbers.items()}
 

@@ -14,7 +14,9 @@ Only one pixel sees a point in focus, and the weight of this point is W / (A q).
 the shading normal of x may face one pixel, and another normal may replace it for a second pixel. The pixels then do not see the
 same surface, and V is 0.
 
-Groups are tiles of the film. Their positions change with every step, so that no tile is visible in the picture. No
+The pixels of a tile of the film form two groups (`PixelGroups`). The positions of tiles change with every step. In a picture of
+few samples, compact groups would show as blocks. The groups of the first SCATTERED_STEPS steps are therefore scattered, in a
+pattern like a chessboard. The groups of later steps are compact, because near pixels see more of each other's hits. No
 group crosses the end of a band of rows or columns, so that ranks, batches and blocks of adaptive SPP contain whole groups. The
 noise of the pixels of a group is correlated, and a denoiser removes less of correlated noise. A render with a denoiser therefore
 has groups of its own (`GuidedConfig.denoised_reuse_group`), by default of one pixel.
@@ -49,8 +51,10 @@ from bokehguide.runtime.timer import PhaseTimer
 
 COLUMNS = 32
 """Number of columns in a band. Groups end at the end of a band."""
+SCATTERED_STEPS = 8
+"""Number of steps with scattered groups."""
 GROUP_SPACING = 3.0
-"""Mean distance between two pixels of a group, in pixels."""
+"""Approximate mean distance between two pixels of a group, in pixels."""
 PAIRS_AT_ONCE = 65536
 """Approximate number of pixel pairs in one operation on a CPU. More pairs exceed the cache; fewer have more Python overhead."""
 INFINITE = 1e30
@@ -174,8 +178,8 @@ class _LensRays(NamedTuple):
 class PixelPathReuse:
     """Reuses primary hits among the pixels of a film. Threads may call `reuse` concurrently, with batches of whole groups.
 
-    width: of the film, pixels. seed: of the positions of groups. group: longer and shorter side of a group, pixels. min_spread:
-    see `GuidedConfig`.
+    width: of the film, pixels. seed: of the positions of groups. group: number of pixels of a group. min_spread: see
+    `GuidedConfig`.
     """
 
     def __init__(
@@ -184,7 +188,7 @@ class PixelPathReuse:
         tracer: PathTracer,
         width: int,
         seed: int,
-        group: tuple[int, int] = GuidedConfig.reuse_group,
+        group: int = GuidedConfig.reuse_group,
         min_spread: float = GuidedConfig.min_spread,
     ):
         self._camera, self._tracer, self._width, self._seed = camera, tracer, width, seed
@@ -204,7 +208,8 @@ class PixelPathReuse:
         return self._reuse(groups, samples, own, timer) if found is None else found
 
     def _groups(self, step: int) -> PixelGroups:
-        return PixelGroups.of(self._width, self._group, hash_int(hash_int(self._seed ^ 0x68E31DA4) + step))
+        key = hash_int(hash_int(self._seed ^ 0x68E31DA4) + step)
+        return PixelGroups.of(self._width, self._group, key, step <= SCATTERED_STEPS)
 
     def _reuse(self, groups: PixelGroups, samples: BatchSamples, own: dict[str, Tensor], timer: PhaseTimer) -> Reused:
         paths, hits, rows = samples.paths, self._hits(samples), []
@@ -274,7 +279,7 @@ class PixelPathReuse:
 
     def _own_transmittance(self, samples: BatchSamples, timer: PhaseTimer) -> dict[str, Tensor]:
         """Transmittance `[N]` of the translucent surfaces between each pixel's own lens point and primary hit, if it matters."""
-        if not self._tracer.geometry.materials.has_translucent or self._group == (1, 1):
+        if not self._tracer.geometry.materials.has_translucent or self._group == 1:
             return {}
         hits = self._hits(samples)
         rays = self._lens_rays(hits.place, samples.drawn.points, samples.batch.focus, samples.paths.primary_hits)
@@ -419,11 +424,10 @@ def _members(places: Pixels, groups: PixelGroups, device: torch.device) -> Tenso
 def _offsets(groups: PixelGroups, device: torch.device) -> Tensor:
     """Offsets in pixel numbers from each pixel of a band to the other pixels of its group, int64
     `[members - 1, ROWS_PER_BAND * width]`. If the other pixel is outside the band, the offset leads outside any film."""
-    width, across, down, right, below = groups
-    sizes = (across * down, ROWS_PER_BAND, width)
-    member, row, x = torch.meshgrid(*(torch.arange(size, device=device) for size in sizes), indexing="ij")
-    column = ((x + right) ^ (member % across)) - right
-    line = ((row + below) ^ (member // across)) - below
+    width, offsets = groups.width, torch.tensor(groups.offsets(), device=device)
+    row, x = torch.meshgrid(*(torch.arange(size, device=device) for size in (ROWS_PER_BAND, width)), indexing="ij")
+    column = ((x + groups.right) ^ offsets[:, 0, None, None]) - groups.right
+    line = ((row + groups.below) ^ offsets[:, 1, None, None]) - groups.below
     inside = (column < width) & (column // COLUMNS == x // COLUMNS) & (line >= 0) & (line < ROWS_PER_BAND)
     return torch.where(inside, (line - row) * width + column - x, -(1 << 40))[1:].flatten(1)
 

@@ -12,7 +12,7 @@ import torch
 from bokehguide.color import LUMINANCE_WEIGHTS
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.native_reuse import NOWHERE, PixelGroups
-from bokehguide.guiding.pixel_reuse import COLUMNS, _members
+from bokehguide.guiding.pixel_reuse import COLUMNS, GROUP_SPACING, SCATTERED_STEPS, _members
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.random import hash_int
@@ -49,14 +49,19 @@ GROUP = GuidedConfig.reuse_group
 COATED = replace(FLOOR, clearcoat=1.0, clearcoat_roughness=0.6)
 
 
-def members_of(places, width: int, key: int, size: tuple[int, int] = GROUP) -> torch.Tensor:
+def members_of(places, width: int, key: int, size: int = GROUP, scattered: bool = True) -> torch.Tensor:
     """For each other place in a group, the pixel there for each of N pixels, `[.., N]`, or -1."""
-    return _members(places, PixelGroups.of(width, size, key), torch.device("cpu"))
+    return _members(places, PixelGroups.of(width, size, key, scattered), torch.device("cpu"))
 
 
 def key_of(step: Step, seed: int) -> int:
     """The key of the origin of the groups of a step."""
     return hash_int(hash_int(seed ^ 0x68E31DA4) + step.samples.batch.step)
+
+
+def members_in(step: Step, seed: int, places, width: int) -> torch.Tensor:
+    """`members_of` in a step."""
+    return members_of(places, width, key_of(step, seed), scattered=step.samples.batch.step <= SCATTERED_STEPS)
 
 
 LUMINANCE = np.array(LUMINANCE_WEIGHTS)
@@ -66,7 +71,7 @@ class Reference:
     """`PixelPathReuse.reuse`, pair by pair in double precision."""
 
     def __init__(self, loop: RenderLoop, step: Step):
-        self.loop, self.samples, self.key = loop, step.samples, key_of(step, loop.settings.seed)
+        self.loop, self.step, self.samples = loop, step, step.samples
         self.paths = step.samples.paths
         camera, scene = loop.camera, loop.scene
         self.axes, self.position = camera.axes.double().numpy(), camera.position[:, 0].double().numpy()
@@ -167,7 +172,7 @@ class Reference:
         """Radiance `[3, N]` and weights `[N]`, and the number of views by other pixels."""
         places = self.samples.batch.places
         numbers = torch.arange(self.count) if isinstance(places, slice) else places
-        members = members_of(numbers, self.loop.film.width, self.key).numpy()
+        members = members_in(self.step, self.loop.settings.seed, numbers, self.loop.film.width).numpy()
         radiance, weights, seen = np.zeros((3, self.count)), np.zeros(self.count), 0
         for source in range(self.count):
             if not self.samples.drawn.weight[source] > 0.0:
@@ -202,11 +207,11 @@ def unlike(loop: RenderLoop, step: Step) -> tuple[int, int]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("steps", [0, 2])
+@pytest.mark.parametrize("steps", [0, 2, SCATTERED_STEPS])
 @pytest.mark.parametrize("sheet, sky", [(False, True), (True, False), (True, True)])
 def test_reused_samples_are_those_of_plain_loops(sheet, sky, steps):
-    """In two bands, one of two rows, in the first step and after some epochs."""
-    loop = trained(terrace(12, 10, sheet, sky), steps)
+    """In two bands, one of two rows, in the first step and after some epochs, with scattered and with compact groups."""
+    loop = trained(terrace(16, 10, sheet, sky), steps)
     step = step_of(loop, seed=5)
     assert bool((step.samples.paths.triangle < 0).any()) and step.samples.query.varies
     different, seen = unlike(loop, step)
@@ -222,16 +227,16 @@ LAYERED = replace(COATED, sheen_color=(1.0, 0.6, 0.3), sheen_roughness=0.5, anis
 )
 def test_plain_loops_agree_where_shading_normals_are_replaced(material):
     """They are for half of the lens points, which then see another surface."""
-    loop = loop_of(leaning(12, 10, material))
+    loop = loop_of(leaning(24, 16, material))
     step = step_of(loop, seed=5)
     assert 0.2 < float(step.samples.paths.primary_hits.surface.facing.mean()) < 0.8
     different, seen = unlike(loop, step)
-    assert different == 0 and 30 < seen < 0.8 * sum(step.reused.weight > 0.0) * (math.prod(GROUP) - 1)
+    assert different == 0 and 30 < seen < 0.8 * sum(step.reused.weight > 0.0) * (GROUP - 1)
 
 
 @pytest.mark.slow
 def test_plain_loops_agree_through_an_aperture_of_any_shape():
-    scene = terrace(12, 10)
+    scene = terrace(16, 10)
     aperture = Aperture(blades=5, rotation=10.0, edge=0.6, cat_eye=0.8)
     loop = trained(replace(scene, camera=replace(scene.camera, aperture=aperture)))
     assert loop.camera.lens.vignettes
@@ -248,16 +253,19 @@ def lists_of_pixels(width: int, height: int, seed: int = 0) -> dict[str, torch.T
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["whole", "bands", "sparse"])
-@pytest.mark.parametrize("long, short", [GROUP, (4, 2)])
+@pytest.mark.parametrize("scattered", [False, True], ids=["compact", "scattered"])
+@pytest.mark.parametrize("size, long, short", [(GROUP, 8, 4), (8, 4, 4), (4, 4, 2), (1, 2, 1)])
 @pytest.mark.parametrize("width, height", [(21, 19), (3, 25), (1, 9), (2, 17), (16, 24), (70, 25)])
-def test_groups_are_tiles_within_bands(width, height, long, short, kind):
-    """Each group has all listed pixels of a tile, which is wide or high, and each member lists the others."""
+def test_groups_are_tiles_within_bands(width, height, size, long, short, scattered, kind):
+    """Each group has half of the listed pixels of a tile, which is wide or high, and each member lists the others."""
     places = lists_of_pixels(width, height)[kind]
     numbers = torch.arange(places.start, places.stop) if isinstance(places, slice) else places
-    number_of = {pixel: i for i, pixel in enumerate(numbers.tolist())}
-    shapes = set()
+    tiles = []
     for step in range(12):
-        members = members_of(places, width, hash_int(step), (long, short))
+        members = members_of(places, width, hash_int(step), size, scattered)
+        tiles.append(PixelGroups.of(width, size, hash_int(step), scattered))
+        half_of = [half_tile(tiles[-1], int(number)) for number in numbers]
+        same_half = {half: {i for i, other in enumerate(half_of) if other == half} for half in set(half_of)}
         groups = [{i} for i in range(len(numbers))]
         for member in members.unbind():
             for i, other in enumerate(member.tolist()):
@@ -269,29 +277,62 @@ def test_groups_are_tiles_within_bands(width, height, long, short, kind):
             assert all(groups[other] == group for other in group)
             x, y = (np.array([part(int(numbers[j])) for j in group]) for part in (lambda n: n % width, lambda n: n // width))
             assert len(set(y // ROWS_PER_BAND)) == len(set(x // COLUMNS)) == 1
-            wide, high = (np.ptp(x) < one and np.ptp(y) < other for one, other in ((long, short), (short, long)))
-            assert wide or high
-            shapes.add((wide, high))
-            box = [(a, b) for a in range(x.min(), x.max() + 1) for b in range(y.min(), y.max() + 1)]
-            assert all(number_of[b * width + a] in group for a, b in box if b * width + a in number_of)
-    assert long == short or {(True, False), (False, True)} <= shapes or min(width, height) < long
+            assert all(same_half[half_of[j]] == group for j in group)
+            assert scattered or (np.ptp(x) + 1) * (np.ptp(y) + 1) <= size
+    assert {(tile.across, tile.down) for tile in tiles} == {(long, short), (short, long)}
+    assert len({tile.mask for tile in tiles}) >= min(size, 3 if scattered else 2) and all(len(tile.offsets()) == size for tile in tiles)
 
 
-@pytest.mark.parametrize("long, short", [GROUP, (4, 2)])
-@pytest.mark.parametrize("width, height", [(13, 19), (3, 9)])
-def test_adjacent_pixels_of_a_band_are_in_one_group_in_some_steps(width, height, long, short):
-    """In the share of tiles with both: three of four along a side of four pixels; never across bands."""
-    together, steps = np.zeros((2, height, width)), 400
+def half_tile(tile: PixelGroups, pixel: int) -> tuple[int, ...]:
+    """Band, tile and half of the tile to which a pixel belongs."""
+    (y, x), bits = divmod(pixel, tile.width), (tile.across * tile.down).bit_length() - 1
+    row, line = divmod(y % ROWS_PER_BAND + tile.below, tile.down)
+    column, place = divmod(x + tile.right, tile.across)
+    number = line * tile.across + place
+    half = sum(number >> bit & tile.mask >> bit & 1 for bit in range(bits)) % 2
+    return y // ROWS_PER_BAND, x // COLUMNS, row, column, half
+
+
+def share_together(width: int, height: int, size: int, scattered: bool, steps: int = 400) -> tuple[np.ndarray, np.ndarray]:
+    """The share of steps in which pixels are in the group of the next pixel, to the right and below, `[2, H, W]`; and which rows of
+    the second have both pixels in one band, bool `[H - 1]`."""
+    together = np.zeros((2, height, width))
     for step in range(steps):
-        seen = members_of(slice(0, width * height), width, hash_int(step), (long, short)).numpy()
+        seen = members_of(slice(0, width * height), width, hash_int(step), size, scattered).numpy()
         place = np.arange(width * height)
         for axis, offset in enumerate((1, width)):
             together[axis] += (seen == place + offset).any(0).reshape(height, width) / steps
-    inside = np.arange(height - 1) % ROWS_PER_BAND != ROWS_PER_BAND - 1
+    return together, np.arange(height - 1) % ROWS_PER_BAND != ROWS_PER_BAND - 1
+
+
+@pytest.mark.parametrize("size, long, short", [(GROUP, 4, 4), (8, 4, 2)])
+@pytest.mark.parametrize("width, height", [(13, 19), (3, 9)])
+def test_adjacent_pixels_of_a_band_are_in_one_compact_group_in_some_steps(width, height, size, long, short):
+    """In the share of groups with both: three of four along a side of four pixels; never across bands."""
+    together, inside = share_together(width, height, size, scattered=False)
     for frequency in (together[0, :, :-1], together[1, :-1][inside]):
         expected = 0.5 * ((1.0 - 1.0 / long) + (1.0 - 1.0 / short))
-        error = math.sqrt(expected * (1.0 - expected) / steps)
-        assert float(np.abs(frequency - expected).max()) < 4.5 * error  # all pixels have one of a few places in tiles
+        error = math.sqrt(expected * (1.0 - expected) / 400)
+        assert float(np.abs(frequency - expected).max()) < 4.5 * error  # all pixels have one of a few places in groups
+    assert not together[1, :-1][~inside].any()
+
+
+@pytest.mark.parametrize("size, long, short", [(GROUP, 8, 4), (8, 4, 4), (4, 4, 2)])
+@pytest.mark.parametrize("width, height", [(13, 19), (3, 9)])
+def test_adjacent_pixels_of_a_band_are_in_one_scattered_group_in_few_steps(width, height, size, long, short):
+    """Half of the pairs in a tile differ in the lowest bit alone, and never meet. The other pairs meet in every second step. No
+    pair meets across bands."""
+    together, inside = share_together(width, height, size, scattered=True)
+    shares = [(side - 2) / (4 * side) for side in (long, short)]
+    expected = 0.5 * sum(shares)
+    error = math.sqrt(expected * (1.0 - expected) / 400)
+    assert float(np.abs(together[0, :, :-1] - expected).max()) < 4.5 * error  # all pixels have one of a few places in tiles
+    down = together[1, :-1][inside]
+    if long == ROWS_PER_BAND:  # tiles as high as a band stay in their band
+        expected = 0.5 * (shares[0] * long / (long - 1) + shares[1])
+        assert abs(down[: ROWS_PER_BAND - 1].mean() - expected) < 4.5 * error
+    else:
+        assert float(np.abs(down - expected).max()) < 4.5 * error
     assert not together[1, :-1][~inside].any()
 
 
@@ -354,7 +395,7 @@ def test_a_group_of_one_pixel_keeps_its_own_sample_and_traces_no_ray(core, monke
     elif native.core() is None:
         pytest.skip("the native core is not installed")
     traced = []
-    step = step_of(trained(terrace(WIDTH, HEIGHT, sheet=True)), 7, lambda paths: traced.append(paths.rays), group=(1, 1))
+    step = step_of(trained(terrace(WIDTH, HEIGHT, sheet=True)), 7, lambda paths: traced.append(paths.rays), group=1)
     assert [step.samples.paths.rays] == traced
     assert same(step.reused.radiance, step.own) and same(step.reused.weight, step.samples.drawn.weight)
 
@@ -383,7 +424,7 @@ def test_reuse_reduces_the_variance():
 
 def groups(step: Step, seed: int, width: int) -> np.ndarray:
     """The least pixel of each pixel's group, `[N]`."""
-    members = members_of(step.samples.batch.places, width, key_of(step, seed))
+    members = members_in(step, seed, step.samples.batch.places, width)
     every = torch.arange(members.shape[1])
     return torch.minimum(every, torch.where(members >= 0, members, every).amin(0)).numpy()
 
@@ -416,12 +457,12 @@ def filled(material: Material, depth: float = 3.5, turn: float = 0.0) -> Scene:
     """A wall that fills the frame, and an emitter beside the camera."""
     emitter = Material("bulb", (0.0, 0.0, 0.0), specular=0.0, emission=(9.0, 9.0, 9.0))
     wall = rectangle(0, (0.1, 0.2, 0.3 - depth), (0.0, turn, 0.0), 9.0)
-    return scene_of([wall, rectangle(1, (1.0, 1.0, 0.5), (0.0, 180.0, 0.0), 0.3)], (material, emitter), 12, 10)
+    return scene_of([wall, rectangle(1, (1.0, 1.0, 0.5), (0.0, 180.0, 0.0), 0.3)], (material, emitter), 24, 16)
 
 
 ABSORBING = replace(WALL, transmission=1.0, attenuation_color=(0.5, 0.2, 0.1), attenuation_distance=1.0)
-LIMIT = GuidedConfig.min_spread * 2.0 * 0.25 / 3.5
-"""Least GGX α of reused surfaces 3.5 m away: a part of the angle of the lens."""
+LIMIT = GuidedConfig.min_spread * 2.0 * 0.25 / 3.5 * GROUP_SPACING / 4.9
+"""Least GGX α of reused surfaces 3.5 m away: a part of the angle of the lens, which is seen from a CoC of 4.9 pixels."""
 
 
 @pytest.mark.parametrize(
@@ -457,7 +498,7 @@ def test_points_in_focus_belong_to_one_pixel():
 
 
 def test_a_hidden_environment_is_not_reused():
-    scene = terrace(12, 10)
+    scene = terrace(16, 10)
     hidden = replace(scene, environment=replace(scene.environment, visible=False))
     step = step_of(loop_of(hidden), 2)
     missed = step.samples.paths.triangle < 0
@@ -469,7 +510,7 @@ def test_a_hidden_environment_is_not_reused():
 
 def test_the_film_takes_reused_samples_as_they_are():
     """Their weights are included: the film weights them by 1."""
-    loop = loop_of(terrace(12, 10))
+    loop = loop_of(terrace(16, 10))
     step, shown = step_of(loop, 5), []
     assert float((step.samples.drawn.weight - 1.0).abs().max()) > 0.1
 
@@ -483,7 +524,7 @@ def test_the_film_takes_reused_samples_as_they_are():
 
 
 def test_a_sample_that_is_not_finite_stays_in_its_own_pixel():
-    scene = terrace(12, 10)
+    scene = terrace(16, 10)
     loop = loop_of(scene)
     usual = step_of(loop, 4)
     group = groups(usual, 4, loop.film.width)

@@ -9,6 +9,7 @@ from scipy.ndimage import maximum_filter
 
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.control_variate import CELL
+from bokehguide.guiding.native_reuse import PixelGroups
 from bokehguide.image import read_exr, write_exr
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectangle
 from bokehguide.scene.types import Environment, FilmSettings, Material, Scene
@@ -17,7 +18,7 @@ from tests.support import scenes
 from tests.support.statistical import SIGNIFICANCE, block_means, z_test
 
 BLOCK, RENDERS, SPP = 8, 12, 24
-REACH = (max(GuidedConfig.reuse_group) - 1) + (CELL - 1)
+REACH = (PixelGroups.of(1, GuidedConfig.reuse_group, key=1, scattered=True).across - 1) + (CELL - 1)
 """Greatest distance in pixels from which samples, or coefficients of the control variate, reach a pixel in `guided`."""
 NAMES = ("A", "depth.Z", *(f"normal.{c}" for c in "XYZ"), *(f"{n}.{c}" for n in ("albedo", "emission") for c in "RGB"))
 

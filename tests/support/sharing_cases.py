@@ -78,7 +78,7 @@ class Step:
 class RecordedReuse(PixelPathReuse):
     """Keeps the samples of its steps. change: applied to the paths before reuse. group: as of `PixelPathReuse`."""
 
-    def __init__(self, loop: RenderLoop, seed: int, change: Callable[[PathSamples], None] | None, group: tuple[int, int]):
+    def __init__(self, loop: RenderLoop, seed: int, change: Callable[[PathSamples], None] | None, group: int):
         super().__init__(loop.camera, loop.tracer, loop.film.width, seed, group)
         self.steps: list[Step] = []
         self._change = change
@@ -107,7 +107,7 @@ def step_of(
     loop: RenderLoop,
     seed: int,
     change: Callable[[PathSamples], None] | None = None,
-    group: tuple[int, int] = GuidedConfig.reuse_group,
+    group: int = GuidedConfig.reuse_group,
 ) -> Step:
     """The next step, with random numbers and groups of its own; change, group: see `RecordedReuse`."""
     loop.settings = replace(loop.settings, seed=seed)

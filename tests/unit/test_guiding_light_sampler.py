@@ -271,7 +271,7 @@ def test_broad_light_moves_to_bsdf_samples_where_shadow_rays_are_blocked():
     for learns in (True, False):
         loops = []
         for seed in range(24):
-            with loop_of(scene, seed, GuidedConfig(reuse_group=(1, 1), learn_mis=learns)) as loop:
+            with loop_of(scene, seed, GuidedConfig(reuse_group=1, learn_mis=learns)) as loop:
                 for _ in range(8):
                     loop.step()
             loops.append(loop)
