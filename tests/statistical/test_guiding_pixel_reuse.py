@@ -280,7 +280,8 @@ def test_groups_are_tiles_within_bands(width, height, size, long, short, scatter
             assert all(same_half[half_of[j]] == group for j in group)
             assert scattered or (np.ptp(x) + 1) * (np.ptp(y) + 1) <= size
     assert {(tile.across, tile.down) for tile in tiles} == {(long, short), (short, long)}
-    assert len({tile.mask for tile in tiles}) >= min(size, 3 if scattered else 2) and all(len(tile.offsets()) == size for tile in tiles)
+    assert len({tile.mask for tile in tiles}) >= min(size, 3 if scattered else 2)
+    assert all(len(tile.offsets()) == size for tile in tiles)
 
 
 def half_tile(tile: PixelGroups, pixel: int) -> tuple[int, ...]:
@@ -294,8 +295,8 @@ def half_tile(tile: PixelGroups, pixel: int) -> tuple[int, ...]:
 
 
 def share_together(width: int, height: int, size: int, scattered: bool, steps: int = 400) -> tuple[np.ndarray, np.ndarray]:
-    """The share of steps in which pixels are in the group of the next pixel, to the right and below, `[2, H, W]`; and which rows of
-    the second have both pixels in one band, bool `[H - 1]`."""
+    """The share of steps in which pixels are in the group of the next pixel, to the right and below, `[2, H, W]`. The second
+    result is which rows have the pixels below in their band, bool `[H - 1]`."""
     together = np.zeros((2, height, width))
     for step in range(steps):
         seen = members_of(slice(0, width * height), width, hash_int(step), size, scattered).numpy()
