@@ -424,10 +424,10 @@ def _members(places: Pixels, groups: PixelGroups, device: torch.device) -> Tenso
 def _offsets(groups: PixelGroups, device: torch.device) -> Tensor:
     """Offsets in pixel numbers from each pixel of a band to the other pixels of its group, int64
     `[members - 1, ROWS_PER_BAND * width]`. If the other pixel is outside the band, the offset leads outside any film."""
-    width, offsets = groups.width, torch.tensor(groups.offsets(), device=device)
+    width, (dx, dy) = groups.width, to_device(list(zip(*groups.offsets())), device, torch.int64)[:, :, None, None]
     row, x = torch.meshgrid(*(torch.arange(size, device=device) for size in (ROWS_PER_BAND, width)), indexing="ij")
-    column = ((x + groups.right) ^ offsets[:, 0, None, None]) - groups.right
-    line = ((row + groups.below) ^ offsets[:, 1, None, None]) - groups.below
+    column = ((x + groups.right) ^ dx) - groups.right
+    line = ((row + groups.below) ^ dy) - groups.below
     inside = (column < width) & (column // COLUMNS == x // COLUMNS) & (line >= 0) & (line < ROWS_PER_BAND)
     return torch.where(inside, (line - row) * width + column - x, -(1 << 40))[1:].flatten(1)
 
