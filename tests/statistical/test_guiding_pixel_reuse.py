@@ -321,8 +321,8 @@ def test_adjacent_pixels_of_a_band_are_in_one_compact_group_in_some_steps(width,
 @pytest.mark.parametrize("size, long, short", [(GROUP, 8, 4), (8, 4, 4), (4, 4, 2)])
 @pytest.mark.parametrize("width, height", [(13, 19), (3, 9)])
 def test_adjacent_pixels_of_a_band_are_in_one_scattered_group_in_few_steps(width, height, size, long, short):
-    """Half of the pairs in a tile differ in the lowest bit alone, and never meet. The other pairs meet in every second step. No
-    pair meets across bands."""
+    """Adjacent pixels whose places in a tile differ in the lowest bit alone are never in one group. Others in a tile are in one
+    group in every second step. No group crosses bands."""
     together, inside = share_together(width, height, size, scattered=True)
     shares = [(side - 2) / (4 * side) for side in (long, short)]
     expected = 0.5 * sum(shares)
@@ -463,7 +463,8 @@ def filled(material: Material, depth: float = 3.5, turn: float = 0.0) -> Scene:
 
 ABSORBING = replace(WALL, transmission=1.0, attenuation_color=(0.5, 0.2, 0.1), attenuation_distance=1.0)
 LIMIT = GuidedConfig.min_spread * 2.0 * 0.25 / 3.5 * GROUP_SPACING / 4.9
-"""Least GGX α of reused surfaces 3.5 m away: a part of the angle of the lens, which is seen from a CoC of 4.9 pixels."""
+"""Least GGX α of reused surfaces 3.5 m away, where the CoC is 4.9 pixels: a part of the angle of the lens, times the share of the
+CoC between two pixels of a group."""
 
 
 @pytest.mark.parametrize(
