@@ -20,12 +20,19 @@ A window has few pixels, and noise with rare bright samples makes the estimate o
 of the noisy picture remain. The weight is therefore (G + DOUBT · its standard error) / Q. The standard error falls with the
 noise, so that the mixture still tends to the truth.
 
+D(N) is the mean of two denoisers: with auxiliary layers, and without them on the mirrored picture. Their errors differ, so that
+the mean has less error (an ensemble, as of Zheng et al. 2021). The second denoiser also denoises the halves.
+
+Light that the lens sees directly from emitters is denoised apart from reflected light. Mode `guided` samples this emission with
+little noise, and the noise of reflected light would blur the edges of its circles of confusion.
+
 The reported error is a mean absolute error, and a few bright pixels dominate squared errors. The ratio of errors therefore
-comes from compressed pictures, tanh(A / brightness), with the weight w (see `error_ratio`).
+comes from compressed pictures, tanh(A / brightness) (see `error_ratio`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,39 +52,86 @@ PROBE = 0.5
 """Standard deviation of the noise that is added to a picture without halves, by that of the picture's noise."""
 LEAST = 1e-20
 
+Filter = Callable[[np.ndarray], np.ndarray]
+"""A denoiser of pictures `[H, W, 3]`."""
+
 
 class Denoised(NamedTuple):
     """A denoised picture.
 
-    radiance: float32 `[H, W, 3]`; weight: of the denoiser in it, 0 to 1, float32 `[H, W]`; error_ratio: estimated error by that
-    of the noisy picture, 0 to 1, float32 `[H, W]`, None for a picture without two halves.
+    radiance: float32 `[H, W, 3]`; weights: of the denoiser in each of P parts of the picture, 0 to 1, float32 `[P, H, W]`;
+    error_ratio: estimated error by that of the noisy picture, 0 to 1, float32 `[H, W]`, None for a picture without two halves.
     """
 
     radiance: np.ndarray
-    weight: np.ndarray
+    weights: np.ndarray
     error_ratio: np.ndarray | None
 
 
-def denoise_halves(first: np.ndarray, second: np.ndarray, share: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> Denoised:
+class _Part(NamedTuple):
+    """A part of the light of a picture, in two halves.
+
+    halves: `[H, W, 3]` each. noisy: their mean by their shares, `[H, W, 3]`. clean: the denoised mean, `[H, W, 3]`.
+    """
+
+    halves: Sequence[np.ndarray]
+    noisy: np.ndarray
+    clean: np.ndarray
+
+
+def denoise_halves(
+    first: np.ndarray,
+    second: np.ndarray,
+    share: np.ndarray,
+    albedo: np.ndarray,
+    normal: np.ndarray,
+    emission: Sequence[np.ndarray] = (),
+) -> Denoised:
     """The mixture for two halves `[H, W, 3]`, of which the first has the weight `share` `[H, W]` in the picture.
 
-    albedo, normal: layers of the picture, `[H, W, 3]`. A picture without a second half, as after one sample, is the denoised one
-    alone. Raises BokehguideError where Open Image Denoise is not installed.
+    albedo, normal: layers of the picture, `[H, W, 3]`. emission: the part of both halves that the lens sees directly from
+    emitters, `[H, W, 3]` each; none counts as black. A picture without a second half, as after one sample, is the denoised one
+    alone, by the denoiser with layers. Raises BokehguideError where Open Image Denoise is not installed.
     """
-    noisy = share[..., None] * finite_pixels(first) + (1.0 - share[..., None]) * finite_pixels(second)
-    denoiser = Denoiser(albedo, normal)
-    clean = denoiser(noisy)
-    if not ((share > 0.0) & (share < 1.0)).any():
-        return Denoised(clean, np.ones_like(share), None)
-    pictures = [finite_pixels(first), finite_pixels(second), denoiser(first), denoiser(second)]
-    level = brightness(clean)
-    gain, change, _ = error_terms([picture / level for picture in pictures], share)
-    weight = mixing_weight(windowed(gain) + DOUBT * standard_error(gain), windowed(change))
-    ratio = error_ratio([np.tanh(picture / level) for picture in pictures], share, weight)
-    return Denoised(mixture(noisy, clean, weight), weight.astype(np.float32), ratio.astype(np.float32))
+    both = bool(((share > 0.0) & (share < 1.0)).any())
+    with_layers, plain = Denoiser(albedo, normal), mirrored(Denoiser())
+    halves = finite_pixels(first), finite_pixels(second)
+
+    def part(halves: Sequence[np.ndarray]) -> _Part:
+        noisy = share[..., None] * halves[0] + (1.0 - share[..., None]) * halves[1]
+        clean = np.mean([with_layers(noisy), plain(noisy)], 0) if both else with_layers(noisy)
+        return _Part(halves, noisy, clean)
+
+    seen = [finite_pixels(half) for half in emission]
+    if any(half.any() for half in seen):
+        parts = [part([half - its for half, its in zip(halves, seen)]), part(seen)]
+    else:
+        parts = [part(halves)]
+    if not both:
+        return Denoised(np.sum([part.clean for part in parts], 0), np.ones((len(parts), *share.shape), np.float32), None)
+    return _mixed(parts, halves, share, plain)
 
 
-def error_terms(pictures: list[np.ndarray], share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _mixed(parts: Sequence[_Part], halves: Sequence[np.ndarray], share: np.ndarray, denoiser: Filter) -> Denoised:
+    """The sum of the mixtures of all parts of a picture. The denoiser denoises the halves."""
+    level = brightness(np.sum([part.clean for part in parts], 0))
+    weights, mixed_halves = [], np.zeros((2, *level.shape[:2], 3))
+    for part in parts:
+        clean = [denoiser(half) for half in part.halves]
+        gain, change, _ = error_terms([picture / level for picture in (*part.halves, *clean)], share)
+        weights.append(mixing_weight(windowed(gain) + DOUBT * standard_error(gain), windowed(change)))
+        mixed_halves += [mixture(*pair, weights[-1]) for pair in zip(part.halves, clean)]
+    ratio = error_ratio([np.tanh(picture / level) for picture in (*halves, *mixed_halves)], share)
+    mixed = np.sum([mixture(part.noisy, part.clean, weight) for part, weight in zip(parts, weights)], 0)
+    return Denoised(mixed, np.array(weights, np.float32), ratio.astype(np.float32))
+
+
+def mirrored(denoiser: Filter) -> Filter:
+    """A denoiser of pictures that are turned upside down before and after."""
+    return lambda picture: denoiser(picture[::-1])[::-1]
+
+
+def error_terms(pictures: Sequence[np.ndarray], share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Estimates of G, Q and V in each pixel, `[H, W, C]`. pictures: A, B, D(A) and D(B), `[H, W, C]`; share: of A, `[H, W]`."""
     first, second, clean_first, clean_second = pictures
     s = share[..., None]
@@ -88,17 +142,17 @@ def error_terms(pictures: list[np.ndarray], share: np.ndarray) -> tuple[np.ndarr
     return gain, change**2, s * (1.0 - s) * difference**2
 
 
-def error_ratio(pictures: list[np.ndarray], share: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Estimated error of the mixture over that of the noisy picture, 0 to 1, `[H, W]`. pictures, share: as of `error_terms`.
+def error_ratio(pictures: Sequence[np.ndarray], share: np.ndarray) -> np.ndarray:
+    """Estimated error of the delivered picture over that of the noisy one, 0 to 1, `[H, W]`.
 
-    The mixtures of both halves differ by their noise. Their shared error, the bias of the denoiser, is in V - 2 w G + w² Q, whose
-    estimate is uncertain. The bias counts as far as this estimate exceeds the noise by more than DOUBT standard errors.
+    pictures: A, B and their mixtures, `[H, W, C]`; share: of A, `[H, W]`. The mixtures of both halves differ by their noise.
+    Their shared error, the bias of the denoiser, is in V - 2 G + Q with the mixtures in place of D(A) and D(B). The estimate of
+    this sum is uncertain. The bias counts as far as the sum exceeds the noise by more than DOUBT standard errors.
     """
-    first, second, clean_first, clean_second = pictures
     gain, change, variance = error_terms(pictures, share)
-    s, w = share[..., None], weight[..., None]
-    noise = windowed(s * (1.0 - s) * (first - second + w * (clean_first - first - clean_second + second)) ** 2)
-    error = variance - 2.0 * w * gain + w**2 * change
+    s = share[..., None]
+    noise = windowed(s * (1.0 - s) * (pictures[2] - pictures[3]) ** 2)
+    error = variance - 2.0 * gain + change
     bias = (windowed(error) - noise - DOUBT * standard_error(error)).clip(min=0.0)
     return np.sqrt(((noise + bias) / windowed(variance).clip(min=LEAST)).clip(max=1.0))
 
@@ -112,15 +166,16 @@ def denoise_by_variance(beauty: np.ndarray, variance: np.ndarray, albedo: np.nda
     the added noise.
     """
     noisy, deviation = finite_pixels(beauty), np.sqrt(finite_pixels(variance).clip(min=0.0))[..., None]
-    denoiser = Denoiser(albedo, normal)
-    clean = denoiser(noisy)
+    plain = mirrored(Denoiser())
+    other = plain(noisy)
+    clean = np.mean([Denoiser(albedo, normal)(noisy), other], 0)
     probe = deviation * np.random.default_rng(0).normal(size=deviation.shape)
-    kept = (denoiser(noisy + PROBE * probe) - clean) / PROBE
+    kept = (plain(noisy + PROBE * probe) - other) / PROBE
     level = brightness(clean)
     power, covariance = windowed((deviation / level) ** 2), windowed(probe * kept @ LUMINANCE[:, None] / level**2)
     change = windowed(((clean - noisy) @ LUMINANCE[:, None] / level) ** 2)
     weight = mixing_weight(power - 2.0 * covariance.clip(min=0.0), change)
-    return Denoised(mixture(noisy, clean, weight), weight.astype(np.float32), None)
+    return Denoised(mixture(noisy, clean, weight), weight.astype(np.float32)[None], None)
 
 
 def brightness(picture: np.ndarray) -> np.ndarray:

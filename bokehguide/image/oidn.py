@@ -30,22 +30,22 @@ def has_denoiser() -> bool:
 class Denoiser:
     """Denoises pictures of one view with the same auxiliary layers, which are denoised first (prefiltered).
 
-    albedo, normal: as `Film.layers` has them, seen through the lens and premultiplied, float32 `[H, W, 3]`. Layers as noisy as
-    these of a defocused picture harm when they are used as they come.
+    albedo, normal: as `Film.layers` has them, seen through the lens and premultiplied, float32 `[H, W, 3]`; None for no layers.
+    Layers as noisy as these of a defocused picture harm when they are used as they come.
     """
 
-    def __init__(self, albedo: np.ndarray, normal: np.ndarray):
+    def __init__(self, albedo: np.ndarray | None = None, normal: np.ndarray | None = None):
         self._oidn = require_denoiser()
         self._device = self._oidn.Device(self._oidn.DeviceType.CPU)
+        given = {"albedo": (albedo, 0.0), "normal": (normal, -1.0)}
         self._layers = {
-            "albedo": self._filtered({"albedo": finite(albedo, 0.0, 1.0)}),
-            "normal": self._filtered({"normal": finite(normal, -1.0, 1.0)}),
+            name: self._filtered({name: finite(layer, low, 1.0)}) for name, (layer, low) in given.items() if layer is not None
         }
 
     def __call__(self, radiance: np.ndarray) -> np.ndarray:
         """Radiance `[H, W, 3]` without noise, float32 and not negative. NaN and infinities count as black."""
         color = finite(radiance, 0.0, float(np.finfo(np.float32).max))
-        return self._filtered({"color": color, **self._layers}, hdr=True, clean_aux=True)
+        return self._filtered({"color": color, **self._layers}, hdr=True, clean_aux=len(self._layers) > 0)
 
     def _filtered(self, images: dict[str, np.ndarray], **flags: bool) -> np.ndarray:
         output = np.empty_like(next(iter(images.values())))

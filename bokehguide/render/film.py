@@ -234,9 +234,17 @@ class Film:
 
     def radiance(self) -> Tensor:
         """Mean radiance, float32 `[H, W, 3]`."""
-        mean = torch.empty(self._radiance.shape, device=self._radiance.device)
+        return self._picture(self._radiance)
+
+    def emission(self) -> Tensor:
+        """Mean emission of the primary hits, float32 `[H, W, 3]`."""
+        return self._picture(self._emission)
+
+    def _picture(self, sums: Tensor) -> Tensor:
+        """Means, float32 `[H, W, 3]`, of sums `[3, pixels]`."""
+        mean = torch.empty(sums.shape, device=sums.device)
         for band in self._bands():
-            mean[:, band] = self._radiance[:, band] / self._count[band].clamp(min=1.0)
+            mean[:, band] = sums[:, band] / self._count[band].clamp(min=1.0)
         return mean.T.reshape(self.height, self.width, 3)
 
     def _bands(self) -> Iterator[slice]:

@@ -32,16 +32,19 @@ class Halves(NamedTuple):
     """Two pictures with independent noise, whose mean is the picture.
 
     first, second: radiance, float32 `[H, W, 3]`; share: weight of the first in the mean, from 0 to 1, float32 `[H, W]`. Where
-    `share` is 0 or 1, one of the halves has no sample and is black.
+    `share` is 0 or 1, one of the halves has no sample and is black. first_emission, second_emission: the part of the radiance
+    that is emission of primary hits, as in `Film.layers`, float32 `[H, W, 3]`.
     """
 
     first: Tensor
     second: Tensor
     share: Tensor
+    first_emission: Tensor
+    second_emission: Tensor
 
 
 class SplitFilm(Film):
-    """As `Film`, and the radiance of the even steps once more.
+    """As `Film`, and the radiance and emission of the even steps once more.
 
     A step learns from earlier steps, so that the noise of two steps is not independent, but uncorrelated: each step is unbiased
     whatever the earlier steps were. Estimates of squared errors need no more.
@@ -50,10 +53,12 @@ class SplitFilm(Film):
     def __init__(self, width: int, height: int, *args: Any, **keywords: Any):
         super().__init__(width, height, *args, **keywords)
         self._even = torch.zeros_like(self._radiance)
+        self._even_emission = torch.zeros_like(self._emission)
         self._even_count = torch.zeros_like(self._count)
 
     def _sums(self) -> dict[str, Tensor]:
-        return super()._sums() | {"even": self._even, "even_count": self._even_count}
+        even = {"even": self._even, "even_emission": self._even_emission, "even_count": self._even_count}
+        return super()._sums() | even
 
     def add(
         self, pixels: Pixels, samples: FilmSamples, step: int, recenter: bool = True, counted: Tensor | None = None
@@ -63,15 +68,21 @@ class SplitFilm(Film):
         if step % 2 == 0:
             kept = good if counted is None else good & counted
             scatter_add(self._even, pixels, torch.where(kept, samples.value(), 0.0))
+            scatter_add(self._even_emission, pixels, torch.where(kept, samples.emission * samples.weight, 0.0))
             scatter_add(self._even_count, pixels, kept.to(torch.float32))
         return good
 
     def halves(self) -> Halves:
-        """The mean radiance of odd and of even steps."""
+        """The means of odd and of even steps."""
         odd_count = self._count - self._even_count
-        odd, even = (
-            (total / count.clamp(min=1.0)).float().T.reshape(self.height, self.width, 3)
-            for total, count in ((self._radiance - self._even, odd_count), (self._even, self._even_count))
-        )
         share = odd_count / self._count.clamp(min=1.0)
-        return Halves(odd, even, share.reshape(self.height, self.width))
+
+        def means(sums: Tensor, even: Tensor) -> tuple[Tensor, Tensor]:
+            first, second = (
+                (total / count.clamp(min=1.0)).float().T.reshape(self.height, self.width, 3)
+                for total, count in ((sums - even, odd_count), (even, self._even_count))
+            )
+            return first, second
+
+        emission = means(self._emission, self._even_emission)
+        return Halves(*means(self._radiance, self._even), share.reshape(self.height, self.width), *emission)

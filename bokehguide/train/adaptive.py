@@ -265,7 +265,8 @@ class HalvesFilm:
     def halves(self) -> Halves:
         """The mean radiance of each half."""
         first, second = (film.radiance() for film in self._films)
-        return Halves(first, second, torch.full(first.shape[:2], 0.5, device=first.device))
+        share = torch.full(first.shape[:2], 0.5, device=first.device)
+        return Halves(first, second, share, *(film.emission() for film in self._films))
 
     def samples(self) -> float:
         """Number of all samples."""

@@ -30,9 +30,9 @@ def denoise_picture(picture: Film | HalvesFilm, layers: Mapping[str, np.ndarray]
     if not isinstance(picture, SplitFilm | HalvesFilm):
         raise BokehguideError("denoise: the film has no halves; render with RenderSettings(denoise=True)")
     layers = picture.layers() if layers is None else layers
-    first, second, share = picture.halves()
-    first, second, share = first.cpu(), second.cpu(), share.cpu()
-    denoised = denoise_halves(first.numpy(), second.numpy(), share.numpy(), layers["albedo"], layers["normal"])
+    first, second, share, *emission = (values.cpu() for values in picture.halves())
+    seen = [half.numpy() for half in emission]
+    denoised = denoise_halves(first.numpy(), second.numpy(), share.numpy(), layers["albedo"], layers["normal"], seen)
     if denoised.error_ratio is None:
         return DenoisedPicture(denoised.radiance, None)
     noise = relative_error(first.permute(2, 0, 1), second.permute(2, 0, 1)).permute(1, 2, 0).numpy()

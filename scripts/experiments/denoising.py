@@ -2,6 +2,7 @@
 
     python scripts/experiments/denoising.py --out out/denoising fairy-lights cutout
     python scripts/experiments/denoising.py --out out/denoising model.glb --environment map.hdr
+    python scripts/experiments/denoising.py --out out/denoising real-chess real-helmet
 
 Each scene is rendered without reuse, as `--denoise` does, and with the groups of a render without a denoiser. The halves and the
 auxiliary layers at 4, 16, 64 and 256 SPP are kept in the output folder, with a reference of another seed. Kept renders are not
@@ -12,12 +13,17 @@ variance (`develop --denoise`); and the estimate of `--denoise`.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from real_scenes import REAL_SCENES, load_any
 
 from bokehguide.cli.arguments import Parser, positive, size
 from bokehguide.cli.scripts import run
@@ -41,7 +47,7 @@ REFERENCE_SEED = 770_000
 
 def main() -> None:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", nargs="*", help="built-in scenes, scene files or models to render")
+    parser.add_argument("scenes", nargs="*", help="built-in scenes, real pictures, scene files or models to render")
     parser.add_argument("--size", type=size, default="160x90", metavar="WxH", help="default: 160x90")
     parser.add_argument("--environment", metavar="MAP", help="map for models")
     parser.add_argument("--reference-spp", type=positive, default=4096, metavar="N", help="default: 4096")
@@ -49,7 +55,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the renders")
     args = parser.parse_args()
     for name in args.scenes:
-        scene = load_scene(name, Overrides(*args.size, environment=args.environment))
+        given = Overrides(*args.size, environment=args.environment)
+        scene = load_any(name, *args.size) if name in REAL_SCENES else load_scene(name, given)
         folder = args.out / f"{scene.name}-{args.size[0]}x{args.size[1]}"
         render_all(scene, folder, args.variants.split(","), args.reference_spp)
     print_table(args.out)
@@ -79,7 +86,7 @@ def measured(kept: Mapping[str, np.ndarray], reference: np.ndarray) -> list[floa
     """MAPE of the noisy picture, of the denoised one alone, of both mixtures, and the estimate for the mixture of halves."""
     first, second, share, albedo, normal = (kept[name] for name in ("first", "second", "share", "albedo", "normal"))
     noisy = picture_of(kept)
-    mixed = denoise_halves(first, second, share, albedo, normal)
+    mixed = denoise_halves(first, second, share, albedo, normal, (kept["first_emission"], kept["second_emission"]))
     other = denoise_by_variance(noisy, kept["variance"], albedo, normal)
     pictures = (noisy, Denoiser(albedo, normal)(noisy), mixed.radiance, other.radiance)
     halves = (torch.from_numpy(half).permute(2, 0, 1) for half in (first, second))

@@ -46,7 +46,7 @@ def test_the_picture_tends_to_the_truth_where_the_denoiser_does_not():
     detail = np.s_[4:-4, WIDTH // 2 + 12 : -4]
     clean = denoise.Denoiser(FLAT, FLAT)(0.5 * (first + second))
     assert np.abs(clean - truth())[detail].mean() > 10.0 * np.abs(mixed.radiance - truth())[detail].mean()
-    assert mixed.weight[detail].mean() < 0.1
+    assert mixed.weights[0][detail].mean() < 0.1
 
 
 def test_error_terms_are_unbiased():
@@ -182,10 +182,101 @@ def test_by_variance_noise_that_the_denoiser_keeps_lowers_the_weight(monkeypatch
     monkeypatch.setattr(denoise, "Denoiser", lambda *_: lambda picture: 0.2 * picture + 0.8 * np.roll(picture, 10, 1))
     noisy = 0.5 + 0.1 * np.random.default_rng(2).normal(size=(HEIGHT, WIDTH, 1)) * np.ones(3)
     mixed = denoise.denoise_by_variance(noisy, np.full((HEIGHT, WIDTH), 0.01), FLAT, FLAT)
-    assert mixed.weight.mean() == pytest.approx(0.6 / 1.28, abs=0.03)
+    assert mixed.weights.mean() == pytest.approx(0.6 / 1.28, abs=0.03)
 
 
 def test_without_the_package_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
     with pytest.raises(BokehguideError, match=r"pip install 'bokehguide\[denoise\]'"):
         denoise.Denoiser(FLAT, FLAT)
+
+
+class TwoDenoisers:
+    """In place of `Denoiser`: a picture of 0.4 with layers, and a picture of 0.6 without."""
+
+    def __init__(self, *layers):
+        self._value = 0.4 if layers else 0.6
+
+    def __call__(self, picture: np.ndarray) -> np.ndarray:
+        return np.full(picture.shape, self._value, np.float32)
+
+
+def test_the_denoised_picture_is_the_mean_of_two_denoisers(monkeypatch):
+    monkeypatch.setattr(denoise, "Denoiser", TwoDenoisers)
+    monkeypatch.setattr(denoise, "mixing_weight", lambda gain, change: np.ones_like(gain))
+    first, second = halves(0.2)
+    by_halves = denoise.denoise_halves(first, second, SHARE, FLAT, FLAT)
+    by_variance = denoise.denoise_by_variance(first, np.full((HEIGHT, WIDTH), 0.04), FLAT, FLAT)
+    for mixed in (by_halves, by_variance):
+        np.testing.assert_allclose(mixed.radiance, 0.5, rtol=1e-6)
+
+
+def test_the_denoiser_without_layers_gets_the_mirrored_picture(monkeypatch):
+    """A denoiser that moves pictures one row down: mirrored, it moves them up."""
+    monkeypatch.setattr(denoise, "Denoiser", lambda *layers: lambda x: x if layers else np.roll(x, 1, 0))
+    x = np.random.default_rng(4).uniform(size=(HEIGHT, WIDTH, 3))
+    np.testing.assert_array_equal(denoise.mirrored(denoise.Denoiser())(x), np.roll(x, -1, 0))
+    assert denoise.denoise_halves(x, x, SHARE, FLAT, FLAT).weights.max() == 0.0
+
+
+def disc() -> np.ndarray:
+    """A bright disc, as an emitter out of focus."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    return np.where((x - 30) ** 2 + (y - 30) ** 2 < 18**2, 2.0, 0.0)[..., None] * np.ones(3)
+
+
+def lit(seed: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Halves of a picture of an emitter with little noise and of reflected light with much noise; halves of the emitter."""
+    random = np.random.default_rng(seed)
+    seen = [disc() * (1.0 + 0.02 * random.normal(size=(HEIGHT, WIDTH, 1))) for _ in "ab"]
+    reflected = [0.5 * random.exponential(size=(HEIGHT, WIDTH, 1)) ** 2 * np.ones(3) for _ in "ab"]
+    return [(x + y).astype(np.float32) for x, y in zip(seen, reflected)], [half.astype(np.float32) for half in seen]
+
+
+def test_emission_is_denoised_apart_from_reflected_light():
+    """The error of the picture around the edge of the emitter, with the emitter's own halves and without."""
+    errors = []
+    for seed in range(3):
+        halves_, seen = lit(seed)
+        apart = denoise.denoise_halves(*halves_, SHARE, FLAT, FLAT, seen)
+        joint = denoise.denoise_halves(*halves_, SHARE, FLAT, FLAT)
+        assert apart.weights.shape == (2, HEIGHT, WIDTH) and joint.weights.shape == (1, HEIGHT, WIDTH)
+        errors.append([np.abs(mixed.radiance - 1.0 - disc()).mean() for mixed in (apart, joint)])
+    apart, joint = np.mean(errors, 0)
+    assert apart < 0.9 * joint
+
+
+@pytest.mark.parametrize("without", [(), (np.zeros_like(FLAT), np.zeros_like(FLAT))])
+def test_a_picture_without_emission_has_one_part(without):
+    first, second = halves(0.2)
+    expected = denoise.denoise_halves(first, second, SHARE, FLAT, FLAT)
+    found = denoise.denoise_halves(first, second, SHARE, FLAT, FLAT, without)
+    np.testing.assert_array_equal(found.radiance, expected.radiance)
+    assert len(found.weights) == 1
+
+
+def test_the_error_ratio_counts_both_parts(monkeypatch):
+    """Denoisers that remove all noise of each part: the sum of both parts has almost no error."""
+    monkeypatch.setattr(denoise, "Denoiser", lambda *_: lambda x: np.full(x.shape, x.mean(), np.float32))
+    random = np.random.default_rng(14)
+    seen, reflected = ([mean * (1.0 + 0.3 * random.normal(size=FLAT.shape)) for _ in "ab"] for mean in (0.4, 0.6))
+    halves_ = [x + y for x, y in zip(seen, reflected)]
+    mixed = denoise.denoise_halves(*halves_, SHARE, FLAT, FLAT, seen)
+    assert np.abs(mixed.radiance - 1.0).mean() < 0.05 * np.abs(np.mean(halves_, 0) - 1.0).mean()
+    assert mixed.error_ratio.mean() < 0.15
+
+
+def test_one_half_alone_is_denoised_in_its_parts():
+    (first, _), (seen, _) = lit(0)
+    none = np.zeros_like(first)
+    mixed = denoise.denoise_halves(first, none, np.ones_like(SHARE), FLAT, FLAT, (seen, none))
+    alone = denoise.Denoiser(FLAT, FLAT)
+    expected = alone(first.astype(np.float64) - seen.astype(np.float64)) + alone(seen)
+    np.testing.assert_allclose(mixed.radiance, expected, rtol=1e-5)
+
+
+def test_emission_that_is_not_finite_spoils_no_others():
+    halves_, seen = lit(1)
+    seen[0][3, 4] = np.nan
+    mixed = denoise.denoise_halves(*halves_, SHARE, FLAT, FLAT, seen)
+    assert np.isfinite(mixed.radiance).all() and np.isfinite(mixed.error_ratio).all()

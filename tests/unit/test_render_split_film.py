@@ -6,6 +6,7 @@ import torch
 
 from bokehguide.errors import BokehguideError
 from bokehguide.guiding.config import GuidedConfig
+from bokehguide.image.denoise import denoise_halves
 from bokehguide.render.film import Film, FilmSamples
 from bokehguide.render.split_film import SplitFilm
 from bokehguide.train import (
@@ -25,8 +26,9 @@ DEFAULT = GuidedConfig()
 
 
 def samples(radiance: torch.Tensor) -> FilmSamples:
+    """Samples of which a quarter is emission."""
     ones, colors = torch.ones(radiance.shape[1]), torch.ones_like(radiance)
-    return FilmSamples(ones, radiance, ones, ones, colors, colors, colors)
+    return FilmSamples(2.0 * ones, radiance, ones, ones, colors, colors, radiance / 8, radiance_weight=ones)
 
 
 def filled(steps: int, bad: bool = False) -> tuple[Film, SplitFilm, torch.Tensor]:
@@ -42,7 +44,9 @@ def filled(steps: int, bad: bool = False) -> tuple[Film, SplitFilm, torch.Tensor
 
 def test_halves_are_the_means_of_odd_and_of_even_steps():
     plain, film, history = filled(5)
-    first, second, share = film.halves()
+    first, second, share, *emission = film.halves()
+    for half, its in zip((first, second), emission):
+        torch.testing.assert_close(its, half / 4)
     torch.testing.assert_close(first, history[::2].mean(0).T.reshape(3, 4, 3))
     torch.testing.assert_close(second, history[1::2].mean(0).T.reshape(3, 4, 3))
     assert torch.equal(share, torch.full((3, 4), 3 / 5))
@@ -53,15 +57,15 @@ def test_halves_are_the_means_of_odd_and_of_even_steps():
 
 def test_bad_samples_are_in_neither_half():
     _, film, history = filled(4, bad=True)
-    first, second, share = film.halves()
-    assert torch.isfinite(first).all() and torch.isfinite(second).all()
+    first, second, share, *emission = film.halves()
+    assert all(torch.isfinite(half).all() for half in (first, second, *emission))
     torch.testing.assert_close(second.reshape(-1, 3)[5], history[3, :, 5])
     assert float(share.flatten()[5]) == pytest.approx(2 / 3)
 
 
 def test_one_step_has_one_half():
     _, film, _ = filled(1)
-    first, second, share = film.halves()
+    first, second, share, *_ = film.halves()
     assert bool((share == 1.0).all()) and not second.any() and torch.equal(first, film.radiance())
 
 
@@ -89,6 +93,21 @@ def test_a_resumed_render_has_the_same_halves(tmp_path):
     for half, its_half in zip(one.film.halves(), other.film.halves()):
         assert torch.equal(half, its_half)
     assert torch.equal(one.film.radiance(), loop(steps=6).film.radiance())
+
+
+@pytest.mark.parametrize("target_noise", [None, 1e-3])
+def test_emission_is_a_part_of_the_halves_and_is_denoised_apart(target_noise):
+    pytest.importorskip("mitsuba_oidn")
+    film = loop(steps=6, target_noise=target_noise).picture()
+    first, second, share, *emission = film.halves()
+    seen = share[..., None] * emission[0] + (1.0 - share[..., None]) * emission[1]
+    layers = film.layers()
+    torch.testing.assert_close(seen, torch.from_numpy(layers["emission"]))
+    halves = [half.numpy() for half in (first, second, share)]
+    arguments = *halves, layers["albedo"], layers["normal"]
+    apart, joint = denoise_halves(*arguments, [half.numpy() for half in emission]), denoise_halves(*arguments)
+    np.testing.assert_array_equal(denoise_picture(film).radiance, apart.radiance)
+    assert not np.array_equal(apart.radiance, joint.radiance)
 
 
 @pytest.mark.parametrize("target_noise", [None, 1e-3])
