@@ -24,7 +24,8 @@ D(N) is the mean of two denoisers: with auxiliary layers, and without them on th
 the mean has less error (an ensemble, as of Zheng et al. 2021). The second denoiser also denoises the halves.
 
 Light that the lens sees directly from emitters is denoised apart from reflected light. Mode `guided` samples this emission with
-little noise, and the noise of reflected light would blur the edges of its circles of confusion.
+little noise, and the noise of reflected light would blur the edges of its circles of confusion. Albedo and normal tell nothing
+about emission, so that the denoiser without layers denoises it.
 
 The reported error is a mean absolute error, and a few bright pixels dominate squared errors. The ratio of errors therefore
 comes from compressed pictures, tanh(A / brightness) (see `error_ratio`).
@@ -91,22 +92,22 @@ def denoise_halves(
 
     albedo, normal: layers of the picture, `[H, W, 3]`. emission: the part of both halves that the lens sees directly from
     emitters, `[H, W, 3]` each; none counts as black. A picture without a second half, as after one sample, is the denoised one
-    alone, by the denoiser with layers. Raises BokehguideError where Open Image Denoise is not installed.
+    alone, by one denoiser for each part. Raises BokehguideError where Open Image Denoise is not installed.
     """
     both = bool(((share > 0.0) & (share < 1.0)).any())
     with_layers, plain = Denoiser(albedo, normal), mirrored(Denoiser())
     halves = finite_pixels(first), finite_pixels(second)
 
-    def part(halves: Sequence[np.ndarray]) -> _Part:
+    def part(halves: Sequence[np.ndarray], *denoisers: Filter) -> _Part:
         noisy = share[..., None] * halves[0] + (1.0 - share[..., None]) * halves[1]
-        clean = np.mean([with_layers(noisy), plain(noisy)], 0) if both else with_layers(noisy)
+        clean = np.mean([denoiser(noisy) for denoiser in denoisers[: None if both else 1]], 0)
         return _Part(halves, noisy, clean)
 
     seen = [finite_pixels(half) for half in emission]
     if any(half.any() for half in seen):
-        parts = [part([half - its for half, its in zip(halves, seen)]), part(seen)]
+        parts = [part([half - its for half, its in zip(halves, seen)], with_layers, plain), part(seen, plain)]
     else:
-        parts = [part(halves)]
+        parts = [part(halves, with_layers, plain)]
     if not both:
         return Denoised(np.sum([part.clean for part in parts], 0), np.ones((len(parts), *share.shape), np.float32), None)
     return _mixed(parts, halves, share, plain)

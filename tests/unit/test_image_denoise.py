@@ -246,6 +246,13 @@ def test_emission_is_denoised_apart_from_reflected_light():
     assert apart < 0.9 * joint
 
 
+def test_emission_is_denoised_without_layers(monkeypatch):
+    monkeypatch.setattr(denoise, "Denoiser", TwoDenoisers)
+    monkeypatch.setattr(denoise, "mixing_weight", lambda gain, change: np.ones_like(gain))
+    halves_, seen = lit(2)
+    np.testing.assert_allclose(denoise.denoise_halves(*halves_, SHARE, FLAT, FLAT, seen).radiance, 0.5 + 0.6, rtol=1e-6)
+
+
 @pytest.mark.parametrize("without", [(), (np.zeros_like(FLAT), np.zeros_like(FLAT))])
 def test_a_picture_without_emission_has_one_part(without):
     first, second = halves(0.2)
@@ -270,8 +277,8 @@ def test_one_half_alone_is_denoised_in_its_parts():
     (first, _), (seen, _) = lit(0)
     none = np.zeros_like(first)
     mixed = denoise.denoise_halves(first, none, np.ones_like(SHARE), FLAT, FLAT, (seen, none))
-    alone = denoise.Denoiser(FLAT, FLAT)
-    expected = alone(first.astype(np.float64) - seen.astype(np.float64)) + alone(seen)
+    reflected = first.astype(np.float64) - seen.astype(np.float64)
+    expected = denoise.Denoiser(FLAT, FLAT)(reflected) + denoise.mirrored(denoise.Denoiser())(seen)
     np.testing.assert_allclose(mixed.radiance, expected, rtol=1e-5)
 
 
