@@ -234,7 +234,7 @@ def lit(seed: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def test_emission_is_denoised_apart_from_reflected_light():
-    """The error of the picture around the edge of the emitter, with the emitter's own halves and without."""
+    """The error of the picture with the halves of the emission is less than without them."""
     errors = []
     for seed in range(3):
         halves_, seen = lit(seed)
