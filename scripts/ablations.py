@@ -37,7 +37,8 @@ from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.digest import digest
 from bokehguide.train import RenderLoop, RenderSettings
 
-SOURCES = (*sorted(Path(bokehguide.__file__).parent.rglob("*.py")), Path(__file__))
+NATIVE = Path(__file__).parents[1] / "native"
+SOURCES = (*sorted([*Path(bokehguide.__file__).parent.rglob("*.py"), *NATIVE.glob("*.h"), *NATIVE.glob("*.cpp")]), Path(__file__))
 CODE = digest(tuple(path.read_text() for path in SOURCES))
 """Renders of other code are not kept."""
 FIRST_SEED = 5_000_000

@@ -15,8 +15,8 @@ With `--denoise`, errors are measured after 1, 2, 4, … seconds and at the end,
 picture is that of `bokehguide render --denoise`. Mitsuba's comes from the same denoiser, with albedo and normals of Mitsuba.
 The clock excludes denoising.
 
-The reference is rendered in mode `guided`, in two halves, and kept in `--cache`. Writes equal_time.json, equal_time.md and
-equal_time.png: MAPE at 1, 2, 4, … seconds, and the ratio.
+The reference is rendered in mode `guided`, in two halves, and kept in `--cache`. Its own error is part of both errors, and the
+table shows its estimate. Writes equal_time.json, equal_time.md and equal_time.png: MAPE at 1, 2, 4, … seconds, and the ratio.
 """
 
 from __future__ import annotations
@@ -86,6 +86,19 @@ class Runner:
         return (ended[-1]["mape"][region], ended[-1]["spp"]) if ended else None
 
 
+@dataclass(frozen=True)
+class Race:
+    """Both renderers after their race. reference_error: estimated MAPE of the reference by region."""
+
+    own: Runner
+    peer: Runner
+    reference_error: dict[str, float]
+
+    def facts(self) -> dict[str, object]:
+        """The content of equal_time.json."""
+        return {one.name: one.history for one in (self.own, self.peer)} | {"reference_error": self.reference_error}
+
+
 def main() -> None:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
@@ -106,21 +119,21 @@ def main() -> None:
         require_denoiser()
     check_writable(args.out / "equal_time.json")
     scenes = [load_any(name, *args.size) for name in args.scenes]
-    races = {}
+    races: dict[str, Race] = {}
     for scene in scenes:
         races[scene.name] = race(scene, args)
         write_results(races, args)
     print(table(races, args.seconds))
 
 
-def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
+def race(scene: Scene, args: argparse.Namespace) -> Race:
     """Both runners with their histories. Each inset has its own row if the peer is a mode."""
     if args.against == MITSUBA:
         from experiments.mitsuba_scene import comparable
 
         scene = comparable(scene)
     settings = RenderSettings(spp=args.reference_spp, threads=args.threads)
-    reference = made_reference(scene, settings, args.out / f"{scene.name}-reference.exr", args.cache).radiance
+    reference = made_reference(scene, settings, args.out / f"{scene.name}-reference.exr", args.cache)
     masks = {name: mask for name, mask in regions(scene).items() if args.against != MITSUBA or name in ("frame", "insets")}
     peer = mitsuba_runner(scene, args.denoise) if args.against == MITSUBA else mode_runner(scene, args.against, args)
     runners = [mode_runner(scene, args.mode, args), peer]
@@ -130,9 +143,9 @@ def race(scene: Scene, args: argparse.Namespace) -> list[Runner]:
                 before = runner.seconds
                 runner.turn()
                 if not args.denoise or reached(before, runner.seconds, args.seconds):
-                    runner.measure(reference, masks)
+                    runner.measure(reference.radiance, masks)
             bar.update()
-    return runners
+    return Race(*runners, {region: reference.halves[region]["mape"] / 2 for region in masks})
 
 
 def reached(before: float, after: float, end: float) -> bool:
@@ -179,30 +192,30 @@ def mitsuba_runner(scene: Scene, denoise: bool) -> Runner:
     return Runner("Mitsuba", advance, picture, built)
 
 
-def write_results(races: dict[str, list[Runner]], args: argparse.Namespace) -> None:
+def write_results(races: dict[str, Race], args: argparse.Namespace) -> None:
     """Write the files of the races so far, so that an end between two scenes loses none."""
-    write_json(args.out / "equal_time.json", {name: {one.name: one.history for one in pair} for name, pair in races.items()})
+    write_json(args.out / "equal_time.json", {name: each.facts() for name, each in races.items()})
     with replacing(args.out / "equal_time.md") as temporary:
         temporary.write_text(table(races, args.seconds) + "\n")
     draw(races, args.out / "equal_time.png")
 
 
-def table(races: dict[str, list[Runner]], seconds: float) -> str:
+def table(races: dict[str, Race], seconds: float) -> str:
     """MAPE of both at 1, 2, 4, … seconds and at the end, in Markdown."""
     times = [2.0**power for power in range(20) if 2.0**power < seconds] + [seconds + 2.0 * TURN]
-    peer = next(iter(races.values()))[1].name
-    rows = [["scene", "region", "seconds", "MAPE", "SPP", f"MAPE of {peer}", "SPP", "ratio"]]
-    for name, (own, peer) in races.items():
-        for region in own.history[-1]["mape"]:
+    peer = next(iter(races.values())).peer.name
+    rows = [["scene", "region", "seconds", "MAPE", "SPP", f"MAPE of {peer}", "SPP", "ratio", "error of the reference"]]
+    for name, each in races.items():
+        for region, error in each.reference_error.items():
             for limit in times:
-                one, other = own.at(limit, region), peer.at(limit, region)
+                one, other = each.own.at(limit, region), each.peer.at(limit, region)
                 if one and other:
-                    values = (f"{one[0]:.4f}", str(one[1]), f"{other[0]:.4f}", str(other[1]), f"{one[0] / other[0]:.3f}")
-                    rows.append([name, region, f"{min(limit, seconds):g}", *values])
+                    found = [text for mape, spp in (one, other) for text in (f"{mape:.4f}", str(spp))]
+                    rows.append([name, region, f"{min(limit, seconds):g}", *found, f"{one[0] / other[0]:.3f}", f"{error:.4f}"])
     return markdown(rows)
 
 
-def draw(races: dict[str, list[Runner]], path: Path) -> None:
+def draw(races: dict[str, Race], path: Path) -> None:
     """MAPE over seconds on log axes, a column for each scene and a row for each region."""
     from matplotlib.figure import Figure
 
@@ -211,9 +224,9 @@ def draw(races: dict[str, list[Runner]], path: Path) -> None:
 
     figure = Figure(figsize=(WIDTH, 0.55 * WIDTH), layout="constrained")
     axes = figure.subplots(2, len(races), squeeze=False)
-    for column, (name, runners) in enumerate(races.items()):
+    for column, (name, each) in enumerate(races.items()):
         for axis, region in zip(axes[:, column], ("insets", "frame")):
-            for runner in runners:
+            for runner in (each.own, each.peer):
                 line = [(turn["seconds"], turn["mape"][region]) for turn in runner.history if region in turn["mape"]]
                 if line:
                     axis.loglog(*zip(*line), label=runner.name)

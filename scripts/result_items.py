@@ -5,7 +5,10 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 
+from bokehguide.scene import BUILTIN
+
 SETTINGS = ("full", "reduced", "smoke")
+BUILTIN_SCENES = " ".join(BUILTIN)
 
 
 @dataclass(frozen=True)
@@ -128,8 +131,8 @@ ITEMS = (
         "Error over time, beside Mitsuba 3",
         "Both renderers have the same cores and the same seconds, in turns, and materials that both have.",
         "equal_time.py",
-        full="--size 640x360 --seconds 60",
-        reduced="fairy-lights chrome --size 160x90 --seconds 8 --reference-spp 256",
+        full=f"{BUILTIN_SCENES} --size 640x360 --seconds 60",
+        reduced=f"{BUILTIN_SCENES} --size 320x180 --seconds 15 --reference-spp 1024",
         smoke="daylight --size 32x18 --seconds 2 --reference-spp 16",
         pictures="equal_time.png",
         peer=True,
@@ -226,7 +229,7 @@ ITEMS = (
         "Statistical tests of pixels, blocks, insets and frame against a long uniform render.",
         "experiments/ztest.py",
         full="--modes guided --spp 64 --runs 16 --uniform-spp 65536",
-        reduced="fairy-lights daylight --modes guided --spp 16 --runs 4 --uniform-spp 1024 --size 96x54",
+        reduced="--modes guided --spp 32 --runs 16 --uniform-spp 16384 --size 96x54",
         output=False,
         verdict=True,
     ),
@@ -235,8 +238,8 @@ ITEMS = (
         "Means of bokehguide and of Mitsuba 3",
         "Scenes of one material or light each, and the built-in scenes, in both renderers.",
         "compare_mitsuba.py",
-        full="materials fairy-lights occluded chrome night-street glitter cutout daylight",
-        reduced="materials --spp 256 --runs 4 --mitsuba-spp 4096",
+        full=f"materials {BUILTIN_SCENES} --modes uniform,lis-o,guided",
+        reduced=f"materials {BUILTIN_SCENES} --modes uniform,lis-o,guided --spp 512 --runs 8 --mitsuba-spp 16384",
         output=False,
         peer=True,
         verdict=True,

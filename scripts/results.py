@@ -4,7 +4,7 @@
     python scripts/results.py --setting reduced --only fig6,seeds
 
 Each item of `result_items.py` is one script with its options. The settings differ in sizes and SPP: on two cores `full`
-takes days, `reduced` about twenty minutes, `smoke` under two minutes. An item writes one page into docs/results:
+takes days, `reduced` about an hour, `smoke` under two minutes. An item writes one page into docs/results:
 `figures-NAME.md` or `tables-NAME.md`, with its pictures as NAME-*.webp and a stamp of commit, machine, command and time.
 
 Work files go into a folder for each setting and each state of the sources, in `--out`, references too. An item that is
@@ -33,7 +33,8 @@ from bokehguide.image import check_writable, replacing
 from bokehguide.scene.digest import digest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-SOURCES = ("bokehguide", "scripts/experiments", "scripts/figures", *sorted({f"scripts/{item.script}" for item in ITEMS}))
+SCRIPTS = ("scripts/experiments", "scripts/figures", *sorted({f"scripts/{item.script}" for item in ITEMS}))
+SOURCES = ("bokehguide", "native", *SCRIPTS)
 """Folders and files that the results depend on."""
 PICTURE_WIDTH, QUALITY = 1440, 85
 """Most pixels across a WebP picture, and its quality of 100."""
@@ -124,7 +125,8 @@ def read_stamp(folder: Path) -> dict:
 def sources_digest() -> str:
     """Identifies the sources that the results depend on."""
     roots = [REPOSITORY / source for source in SOURCES]
-    files = sorted(path for root in roots for path in ([root] if root.is_file() else root.rglob("*.py")))
+    python = [path for root in roots for path in ([root] if root.is_file() else root.rglob("*.py"))]
+    files = sorted([*python, *REPOSITORY.glob("native/*.h"), *REPOSITORY.glob("native/*.cpp")])
     return digest(tuple(f"{path.relative_to(REPOSITORY)}\n{path.read_text()}" for path in files))[:12]
 
 

@@ -39,6 +39,17 @@ def test_an_item_is_rendered_stamped_and_then_kept(tmp_path):
     assert (tmp_path / "docs/figures-fig7.md").read_text() == text
 
 
+@pytest.mark.parametrize("path", ["bokehguide/one.py", "native/one.h", "native/one.cpp"])
+def test_results_of_other_sources_are_not_kept(tmp_path, monkeypatch, path):
+    monkeypatch.setattr(results, "REPOSITORY", tmp_path)
+    monkeypatch.setattr(results, "SOURCES", ("bokehguide", "native"))
+    (tmp_path / path).parent.mkdir()
+    (tmp_path / path).write_text("first")
+    before = results.sources_digest()
+    (tmp_path / path).write_text("second")
+    assert results.sources_digest() != before
+
+
 @pytest.mark.slow
 def test_a_failure_leaves_no_stamp(tmp_path, capfd):
     broken = result_items.Item("broken", "Broken", "", "bench.py", smoke="--size 0x0", output=False, cache=False)

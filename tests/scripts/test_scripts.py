@@ -146,6 +146,7 @@ def test_equal_time_gives_both_their_seconds(script, tmp_path, denoise):
     finished = script("equal_time.py", "daylight", *options, *denoise)
     assert finished.returncode == 0, finished.stderr
     histories = json.loads((tmp_path / "out/equal_time.json").read_text())["daylight"]
+    assert 0.0 < histories.pop("reference_error")["frame"] < 0.5
     assert histories.keys() == {"guided", "Mitsuba"}
     for history in histories.values():
         assert history[-1]["seconds"] >= 2.0 and history[-1]["spp"] >= 1
@@ -160,6 +161,7 @@ def test_equal_time_measures_real_models_against_a_mode(script, tmp_path):
     finished = script("equal_time.py", "real-truck", "--against", "uniform", *options)
     assert finished.returncode == 0, finished.stderr
     histories = json.loads((tmp_path / "out/equal_time.json").read_text())["real-truck"]
+    assert histories.pop("reference_error").keys() == {"frame", "insets", "inset-1", "inset-2", "inset-3"}
     assert histories.keys() == {"guided", "uniform"}
     for history in histories.values():
         assert history[-1]["mape"].keys() == {"frame", "insets", "inset-1", "inset-2", "inset-3"}
