@@ -67,9 +67,9 @@ class ClusterSampler {
         : t(tables), c(lights), query(tables, point), row(tile_of(lights, point)), active(active),
           factor(lights.factor == nullptr ? all(1.0f) : gather(lights.factor, row)) {}
 
-    // `ResampledLights.sample`; light, bsdf: first dimensions of the light samples and of the BSDF samples.
+    // `ResampledLights.sample`; light, scatter: first dimensions of the light samples and of the BSDF samples.
     DirectLight sample(const Scattering& scattering, const Float (&u)[6], const Random& random, const PathKeys& keys, uint32_t light,
-                       uint32_t bsdf) const {
+                       uint32_t scatter) const {
         Candidate kept = light_candidate(scattering, u, 0);
         Float total = kept.target;
         const auto consider = [&](const Candidate& other, int number) {
@@ -84,8 +84,8 @@ class ClusterSampler {
             consider(light_candidate(scattering, numbers, number), number);
         }
         for (int number = 1; number <= c.bsdf_candidates; ++number) {
-            const Stratified sequence(random, bsdf, 3, uint32_t(c.first_step), uint32_t(number));
-            consider(bsdf_candidate(scattering, {sequence(keys, 0), sequence(keys, 1), sequence(keys, 2)}), c.light_candidates - 1 + number);
+            const Stratified sequence(random, scatter, 4, uint32_t(c.first_step), uint32_t(number));
+            consider(bsdf_candidate(scattering, {sequence(keys, 3), sequence(keys, 1), sequence(keys, 2)}), c.light_candidates - 1 + number);
         }
         const Float scale = total / (float(c.light_candidates) * divisor(kept.target));
         const Float contribution_rms = luminance(kept.value) * sqrt(kept.share * scale);

@@ -22,7 +22,7 @@ constexpr int NORMAL_ROW = 9, ALBEDO_ROW = 15;
 constexpr int ROULETTE_DEPTH = 4;
 constexpr float MAX_SURVIVAL = 0.95f, SHADOW_END = 1.0f - 1e-4f, MIN_CHANCE = 0.25f;
 // Random dimensions (render/dimensions.py).
-constexpr uint32_t PART = 0, BSDF = 1, ROULETTE = 4, LIGHT = 5, LIGHT_COUNT = 6, SHADOW = 11;
+constexpr uint32_t PART = 0, SCATTER = 1, LIGHT = 5, LIGHT_COUNT = 6, SHADOW = 11;
 inline uint32_t vertex_dimension(int depth) { return 32 + 16 * uint32_t(depth - 1); }
 inline uint32_t crossing_dimension(int depth) { return (1u << 20) + MAX_CROSSINGS * uint32_t(depth); }
 
@@ -465,10 +465,10 @@ class Tracing {
             if (depth == 1 && trace.split != nullptr) record(trace.split->bsdf, i, light.scattered.value);
             aim_shadow_ray(depth, i, s, throughput, light, keys);
         }
-        Float of_bsdf[3], pdf;
-        numbers(depth, BSDF, keys, of_bsdf);
+        Float scatter[4], pdf;  // roulette; angle, radius and lobe of the BSDF sample
+        numbers(depth, SCATTER, keys, scatter);
         Vec3 weight, value;
-        const Vec3 direction = scattering.sample(of_bsdf[0], of_bsdf[1], of_bsdf[2], weight, pdf, value);
+        const Vec3 direction = scattering.sample(scatter[3], scatter[1], scatter[2], weight, pdf, value);
         if (depth == 1 && trace.split != nullptr) {
             record(trace.split->bsdf + 3 * trace.split->path_columns, i, value);
             record_directions(i, direction, pdf, active);
@@ -478,7 +478,7 @@ class Tracing {
         Float survival = largest(throughput);
         if (depth >= ROULETTE_DEPTH) {
             const Float chance = at_most(survival, MAX_SURVIVAL);
-            survival = chance * one_if(uniform(trace.random, keys.own, vertex_dimension(depth) + ROULETTE) < chance);
+            survival = chance * one_if(scatter[0] < chance);
             throughput = throughput / divisor(chance, 1e-20f);
         }
         store3(b.throughput, i, throughput);
@@ -499,7 +499,7 @@ class Tracing {
                        Int active) {
         if (depth == 1 && trace.lights != nullptr) {
             const ClusterSampler sampler(t, *trace.lights, s.position, active);
-            const DirectLight found = sampler.sample(scattering, u, trace.random, keys, vertex_dimension(1) + LIGHT, vertex_dimension(1) + BSDF);
+            const DirectLight found = sampler.sample(scattering, u, trace.random, keys, vertex_dimension(1) + LIGHT, vertex_dimension(1) + SCATTER);
             record_light(i, found);
             return {found.direction, found.distance, found.value, found.scattered, found.triangle};
         }

@@ -127,7 +127,8 @@ class ResampledLights:
                 light = random.stratified(first + dimensions.LIGHT, dimensions.LIGHT_COUNT, self.first_step, number)
                 other = self._light_candidate(query, scattering, light, number)
             else:
-                bsdf = random.stratified(first + dimensions.BSDF, 3, self.first_step, number - self._light_count + 1)
+                scatter, further = (first + dimensions.SCATTER, dimensions.SCATTER_COUNT), number - self._light_count + 1
+                bsdf = dimensions.bsdf_numbers(random.stratified(*scatter, self.first_step, further))
                 other = self._bsdf_candidate(surface.position, scattering, bsdf)
             total = total + other.target
             changes = random.uniform(dimensions.choice(number), 1)[0] * total < other.target

@@ -12,11 +12,16 @@ dimension.
 | 2^30                       | neighbours of a pixel                                |
 | 2^30 + 1 …                 | choices among the samples of neighbours              |
 
-At a vertex: 0 opaque or transmissive part, 1 … 3 BSDF sample, 4 Russian roulette, 5 … 10 light sample, 11 roulette of the
+At a vertex: 0 opaque or transmissive part, 1 Russian roulette, 2 … 4 BSDF sample, 5 … 10 light sample, 11 roulette of the
 shadow ray.
+
+The roulette and the BSDF sample share a sequence (`SCATTER`). The two paths of a pair at a primary hit have nearly equal numbers
+in the first coordinate of a sequence (`PixelRandom.copies`), so that the BSDF sample has the other three.
 """
 
 from __future__ import annotations
+
+from torch import Tensor
 
 FILM = 0
 LENS = 2
@@ -25,9 +30,9 @@ INITIAL_LENS = 7
 NEIGHBOURS = 1 << 30
 NEIGHBOUR_CHOICE = NEIGHBOURS + 1
 
-PART, BSDF, ROULETTE, LIGHT, SHADOW = 0, 1, 4, 5, 11
+PART, SCATTER, LIGHT, SHADOW = 0, 1, 5, 11
 """Offsets from `vertex`."""
-LIGHT_COUNT = 6
+SCATTER_COUNT, LIGHT_COUNT = 4, 6
 MAX_CROSSINGS = 256
 """Largest number of translucent surfaces that a ray passes. The ray stops at the next translucent surface."""
 _FIRST_VERTEX, _PER_VERTEX = 32, 16
@@ -38,6 +43,11 @@ _FIRST_CROSSING = 1 << 20
 def vertex(depth: int) -> int:
     """First dimension of the vertex at the end of segment `depth`. The primary hit is vertex 1."""
     return _FIRST_VERTEX + _PER_VERTEX * (depth - 1)
+
+
+def bsdf_numbers(numbers: Tensor) -> Tensor:
+    """The numbers `[3, N]` of a BSDF sample, lobe, angle and radius, among the numbers of SCATTER `[4, N]`."""
+    return numbers[1:].roll(1, 0)
 
 
 def choice(number: int) -> int:

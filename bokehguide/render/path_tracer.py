@@ -277,11 +277,11 @@ class _Segment:
         scattering = Scattering(surface, part, paths.throughput)
         if not self._tracer.lights.empty:
             self._sample_light(paths, surface, scattering, draw(first + dimensions.LIGHT, dimensions.LIGHT_COUNT))
-        uniforms = draw(first + dimensions.BSDF, 4 if self._depth >= ROULETTE_DEPTH else 3)
-        direction, weight, pdf = scattering.sample(uniforms[0:3])
+        uniforms = draw(first + dimensions.SCATTER, dimensions.SCATTER_COUNT)
+        direction, weight, pdf = scattering.sample(dimensions.bsdf_numbers(uniforms))
         for observer in self._observers:
             observer.scattered(direction, pdf)
-        roulette = uniforms[3] if len(uniforms) > 3 else None
+        roulette = uniforms[0] if self._depth >= ROULETTE_DEPTH else None
         origin, paths.throughput, survival = _next_segment(surface, paths.throughput, direction, weight, roulette)
         return Rays(surface.position, origin, direction, pdf, survival)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from bokehguide.render import dimensions
 from bokehguide.render.random import PixelRandom, shuffle_index, sobol_point
 from tests.support.statistical import SIGNIFICANCE, chi_square, independence, sidak, uniformity, z_test
 
@@ -192,6 +193,16 @@ def test_all_samples_of_a_pair_of_copies_are_stratified_together(first, numbers)
         assert (np.sort(cell, axis=0) == np.arange(count)[:, None]).all()
     four = together(first, 4, numbers)[0]
     assert not (np.sort((four * 2 * count).astype(int), axis=0) == np.arange(2 * count)[:, None]).all()
+
+
+@pytest.mark.parametrize("step, first", [(9, 9), (20, 17), (40, 33), (100, 65)])
+def test_bsdf_samples_of_a_pair_of_copies_avoid_the_coordinate_in_which_they_are_nearly_equal(step, first):
+    """The other coordinates are in different quarters."""
+    random = PixelRandom(3, step, torch.arange(1000))
+    scatter = [random.copies(torch.full((1000,), copy)).stratified(33, 4, first) for copy in range(2)]
+    assert ((scatter[0][0] * (first - 1)).int() == (scatter[1][0] * (first - 1)).int()).all()
+    for one, other in zip(*map(dimensions.bsdf_numbers, scatter)):
+        assert ((4.0 * one).int() != (4.0 * other).int()).all()
 
 
 @pytest.mark.parametrize("step, first", [(7, 1), (13, 5), (6, 6)])

@@ -71,7 +71,7 @@ def ranges(depth: int) -> list[range]:
     """Random dimensions of a path of some depth, with five candidates and 64 neighbours."""
     single = {dimensions.FILM: 2, dimensions.LENS: dimensions.LENS_COUNT, dimensions.INITIAL_LENS: 2, dimensions.NEIGHBOURS: 1}
     single[dimensions.NEIGHBOUR_CHOICE] = 65
-    offsets = {dimensions.PART: 1, dimensions.BSDF: 3, dimensions.ROULETTE: 1, dimensions.LIGHT: dimensions.LIGHT_COUNT}
+    offsets = {dimensions.PART: 1, dimensions.SCATTER: dimensions.SCATTER_COUNT, dimensions.LIGHT: dimensions.LIGHT_COUNT}
     vertices = ((dimensions.vertex(d) + first, count) for d in range(1, depth + 1) for first, count in offsets.items())
     candidates = ((dimensions.choice(number), 1) for number in range(1, 5))
     crossings = ((dimensions.crossing(d), dimensions.MAX_CROSSINGS) for d in range(1, depth + 1))

@@ -9,8 +9,8 @@ DEPTHS, CANDIDATES = range(1, 65), range(1, 17)
 
 def test_no_two_numbers_of_a_path_share_a_dimension():
     ranges = [(dimensions.FILM, 2), (dimensions.LENS, dimensions.LENS_COUNT), (dimensions.INITIAL_LENS, 2)]
-    parts = ((dimensions.PART, 1), (dimensions.BSDF, 3), (dimensions.ROULETTE, 1), (dimensions.LIGHT, dimensions.LIGHT_COUNT))
-    parts += ((dimensions.SHADOW, 1),)
+    counts = {dimensions.PART: 1, dimensions.SCATTER: dimensions.SCATTER_COUNT, dimensions.LIGHT: dimensions.LIGHT_COUNT}
+    parts = (*counts.items(), (dimensions.SHADOW, 1))
     ranges += [(dimensions.vertex(depth) + first, count) for depth in DEPTHS for first, count in parts]
     ranges += [(dimensions.choice(number), 1) for number in CANDIDATES]
     ranges += [(dimensions.crossing(depth), dimensions.MAX_CROSSINGS) for depth in DEPTHS]

@@ -70,7 +70,8 @@ class Spot:
             drawn = self.lights.draw(query, torch.cat((stratum, light[1:])))
             found.append((*self.light_value(drawn), drawn.direction, drawn.cluster))
         for number in range(1, self.bsdf_count + 1):
-            *values, direction = self.bsdf_value(self.random.stratified(first + dimensions.BSDF, 3, 1, number))
+            scatter = self.random.stratified(first + dimensions.SCATTER, dimensions.SCATTER_COUNT, 1, number)
+            *values, direction = self.bsdf_value(dimensions.bsdf_numbers(scatter))
             texel = self.power.lights.sampled_environment.texels(direction)
             found.append((*values, direction, self.power.lights.clusters.cluster(texel)))
         value, whole, densities, directions, cluster = (torch.stack(each) for each in zip(*found))
