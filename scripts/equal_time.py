@@ -239,7 +239,7 @@ def draw(races: dict[str, Race], path: Path) -> None:
         axis.set_xlabel("seconds", fontsize=NORMAL)
     for axis in axes[:, 0]:
         axis.set_ylabel("MAPE", fontsize=NORMAL)
-    axes[0, 0].legend(fontsize=SMALL)
+    figure.legend(*axes[-1, 0].get_legend_handles_labels(), fontsize=SMALL, loc="outside upper center", ncols=2)
     save(figure, path)
 
 
