@@ -135,8 +135,8 @@ def test_highlights_stay_at_their_places_in_the_world(change):
 
 
 def world(camera, voxels: torch.Tensor) -> torch.Tensor:
-    """World positions of voxels, `[K, 3]`."""
-    _, _, light, x, y, inverse_depth = voxels.T
+    """World positions of the voxels with light, `[K, 3]`."""
+    _, _, light, x, y, inverse_depth = voxels[voxels[:, 2] > 0.0].T
     points = (torch.stack((x, y, light)) / inverse_depth).float()
     return (camera.axes @ points + camera.position).T
 
