@@ -4,7 +4,7 @@
     python scripts/results.py --setting reduced --only fig6,seeds
 
 Each item of `result_items.py` is one script with its options. The settings differ in sizes and SPP: on two cores `full`
-takes days, `reduced` about an hour, `smoke` under two minutes. An item writes one page into docs/results:
+takes days, `reduced` one to two hours, `smoke` under two minutes. An item writes one page into docs/results:
 `figures-NAME.md` or `tables-NAME.md`, with its pictures as NAME-*.webp and a stamp of commit, machine, command and time.
 
 Work files go into a folder for each setting and each state of the sources, in `--out`, references too. An item that is

@@ -154,8 +154,8 @@ def blocks(ours: list[Tensor], others: list[Tensor], reference: Tensor, modes: l
     worse = int((ratio * torch.exp(-quantile * log_error(one, other).double()) > WORSE).sum())
     return (
         f"Of {len(ratio)} blocks of {BLOCK} x {BLOCK} pixels, the relMSE of {modes[-1]} over that of {modes[0]} is "
-        f"{ratio.max():.2f} in the worst and {ratio.median():.3f} in the median; {int((ratio > WORSE).sum())} are above {WORSE}, "
-        f"{worse} of them with 95 % confidence."
+        f"{ratio.max():.2f} in the worst and {ratio.median():.3f} in the median. "
+        f"Of these ratios, {int((ratio > WORSE).sum())} are above {WORSE}, {worse} of them with 95 % confidence."
     )
 
 
