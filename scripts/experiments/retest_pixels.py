@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
+from experiments.mean_tests import FINE
 from experiments.mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
@@ -23,10 +24,8 @@ from bokehguide.train import RenderLoop, RenderSettings
 
 SAMPLES_FACTOR = 16
 """Samples of either renderer per sample of the first test."""
-FINE = 16
-"""Rendered pixels per tested pixel, across and down: few pixels then make large batches."""
 LEARNING_STEPS = 16
-"""Steps in which guides learn from the whole frame, as in the first test."""
+"""Steps in which guides learn from the whole frame, which has the size of the first test's. Most time of a retest goes here."""
 FIRST_RUN, FIRST_CHUNK = 1_000, 1_000_000
 """First seeds of the two renderers; the first test uses none of them."""
 
