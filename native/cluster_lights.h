@@ -2,6 +2,7 @@
 
 #pragma once
 
+#include "hit_sequences.h"
 #include "lights.h"
 
 namespace BOKEHGUIDE_ISA {
@@ -67,25 +68,38 @@ class ClusterSampler {
         : t(tables), c(lights), query(tables, point), row(tile_of(lights, point)), active(active),
           factor(lights.factor == nullptr ? all(1.0f) : gather(lights.factor, row)) {}
 
-    // `ResampledLights.sample`; light, scatter: first dimensions of the light samples and of the BSDF samples.
-    DirectLight sample(const Scattering& scattering, const Float (&u)[6], const Random& random, const PathKeys& keys, uint32_t light,
-                       uint32_t scatter) const {
-        Candidate kept = light_candidate(scattering, u, 0);
+    // Choose the light of candidate `number`, and ask for its memory.
+    LightChoice choose_light(const Stratified& sequence, const PathKeys& keys, int number) const {
+        Float u[LIGHT_COUNT];
+        for (int i = 0; i < int(LIGHT_COUNT); ++i) u[i] = sequence(keys, i);
+        u[0] = at_most((u[0] + float(number)) / float(c.light_candidates), MAX_UNIFORM);
+        const LightChoice choice = choice_by(u);
+        choice.fetch(t);
+        return choice;
+    }
+
+    // `ResampledLights.sample`; first: the choice of the first candidate.
+    DirectLight sample(const Scattering& scattering, const LightChoice& first, const HitSequences& sequences, const Random& random,
+                       const PathKeys& keys) const {
+        LightChoice next = first;
+        BsdfSample next_sample = c.bsdf_candidates > 0 ? sample_bsdf(scattering, sequences.bsdf(1), keys) : BsdfSample();
+        const auto light_of = [&](int number) {
+            const LightChoice choice = next;
+            if (number + 1 < c.light_candidates) next = choose_light(sequences.light(number + 1), keys, number + 1);
+            return light_candidate(scattering, choice);
+        };
+        Candidate kept = light_of(0);
         Float total = kept.target;
         const auto consider = [&](const Candidate& other, int number) {
             total = total + other.target;
             const Int changes = uniform(random, keys.own, CANDIDATE_CHOICE + uint32_t(number)) * total < other.target;
             kept = choose_candidate(changes, other, kept);
         };
-        for (int number = 1; number < c.light_candidates; ++number) {
-            const Stratified sequence(random, light, 6, uint32_t(c.first_step), uint32_t(number));
-            Float numbers[6];
-            for (int i = 0; i < 6; ++i) numbers[i] = sequence(keys, i);
-            consider(light_candidate(scattering, numbers, number), number);
-        }
+        for (int number = 1; number < c.light_candidates; ++number) consider(light_of(number), number);
         for (int number = 1; number <= c.bsdf_candidates; ++number) {
-            const Stratified sequence(random, scatter, 4, uint32_t(c.first_step), uint32_t(number));
-            consider(bsdf_candidate(scattering, {sequence(keys, 3), sequence(keys, 1), sequence(keys, 2)}), c.light_candidates - 1 + number);
+            const BsdfSample sample = next_sample;
+            if (number < c.bsdf_candidates) next_sample = sample_bsdf(scattering, sequences.bsdf(number + 1), keys);
+            consider(bsdf_candidate(sample), c.light_candidates - 1 + number);
         }
         const Float scale = total / (float(c.light_candidates) * divisor(kept.target));
         const Float contribution_rms = luminance(kept.value) * sqrt(kept.share * scale);
@@ -137,9 +151,8 @@ class ClusterSampler {
                 first ? one.cluster : other.cluster, first ? one.triangle : other.triangle,
                 first ? one.share : other.share, first ? one.target : other.target, first ? one.broad : other.broad};
     }
-    Candidate light_candidate(const Scattering& scattering, const Float (&u)[6], int number) const {
-        const Float numbers[6] = {at_most((u[0] + float(number)) / float(c.light_candidates), MAX_UNIFORM), u[1], u[2], u[3], u[4], u[5]};
-        const ClusterSample drawn = draw(numbers);
+    Candidate light_candidate(const Scattering& scattering, const LightChoice& choice) const {
+        const ClusterSample drawn = draw(choice);
         const LightSample& light = drawn.light;
         const Scattered found = scattering.evaluate(light.direction);
         const Float pdf = light.distance >= all(MISS_DISTANCE) ? together(light.pdf, found.pdf) : float(c.light_candidates) * light.pdf;
@@ -154,14 +167,26 @@ class ClusterSampler {
         candidate.broad = broad / kept;
         return candidate;
     }
-    Candidate bsdf_candidate(const Scattering& scattering, const Float (&u)[3]) const {
-        Vec3 weight, of_opaque;
+    // A direction of a BSDF candidate, and its texel.
+    struct BsdfSample {
+        Vec3 direction, weight;
         Float pdf;
-        const Vec3 direction = scattering.sample(u[0], u[1], u[2], weight, pdf, of_opaque);
-        const Int texel = texel_at(t, direction), cluster = c.first_texels + bytes_at(c.texel_cluster, texel);
-        const Float of_all = together(density(direction, texel), pdf);
-        const Candidate empty{direction, all(MISS_DISTANCE), {}, {weight * pdf, pdf}, all(-1), all(-1), all(0.0f), {}, {}};
-        return weighed(empty, weight * environment_radiance(t, direction) * (pdf / divisor(of_all)), of_all, cluster);
+        Int texel;
+    };
+    // Sample a BSDF candidate, and ask for the memory of its texel.
+    BsdfSample sample_bsdf(const Scattering& scattering, const Stratified& sequence, const PathKeys& keys) const {
+        BsdfSample sample;
+        Vec3 of_opaque;
+        sample.direction = scattering.sample(sequence(keys, 3), sequence(keys, 1), sequence(keys, 2), sample.weight, sample.pdf, of_opaque);
+        sample.texel = texel_at(t, sample.direction);
+        for (int lane = 0; lane < LANES; ++lane) fetch_texel(t, sample.texel[lane]);
+        return sample;
+    }
+    Candidate bsdf_candidate(const BsdfSample& sample) const {
+        const Int cluster = c.first_texels + bytes_at(c.texel_cluster, sample.texel);
+        const Float pdf = sample.pdf, of_all = together(density(sample.direction, sample.texel), pdf);
+        const Candidate empty{sample.direction, all(MISS_DISTANCE), {}, {sample.weight * pdf, pdf}, all(-1), all(-1), all(0.0f), {}, {}};
+        return weighed(empty, sample.weight * environment_radiance(t, sample.direction) * (pdf / divisor(of_all)), of_all, cluster);
     }
     Float visibility(Int cluster) const {
         return c.cumulative == nullptr ? all(1.0f) : gather(c.visibility, row * c.clusters + cluster);
@@ -189,36 +214,45 @@ class ClusterSampler {
         return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * table_density(direction, texel, of_map);
     }
 
-    ClusterSample draw(const Float (&u)[6]) const {
+    // The choice of `LearnedLightSampler.draw`.
+    LightChoice choice_by(const Float (&u)[6]) const {
         Int cluster = all(0), by_voxel = all(-1), far = u[0] < query.environment_share;
         if (c.cumulative != nullptr) {
             by_voxel = u[0] < all(VOXEL_SHARE);
             cluster = table_cluster((u[0] - VOXEL_SHARE) / (1.0f - VOXEL_SHARE));
             far = by_voxel ? u[0] < VOXEL_SHARE * query.environment_share : cluster >= c.first_texels;
         }
-        const Float rest[5] = {u[1], u[2], u[3], u[4], u[5]};
-        if (!t.has_far_power) return draw_triangle(cluster, by_voxel, rest, active);
-        if (t.emitters == 0) return draw_environment(cluster, by_voxel, rest);
-        if (!any(far & active)) return draw_triangle(cluster, by_voxel, rest, active);
-        const ClusterSample sky = draw_environment(cluster, by_voxel, rest);
+        if (!t.has_far_power) far = all(0);
+        if (t.emitters == 0) far = all(-1);
+        LightChoice choice = {far, all(0), all(0), all(0.0f), {u[3], u[4]}};
+        if (any(far & active)) choice.element = environment_element(cluster, by_voxel, {u[1], u[2], u[3], u[4], u[5]});
+        if (!any(~far & active)) return choice;
+        cluster = cluster < c.first_texels ? cluster : all(c.first_texels - 1);
+        if (any(by_voxel)) cluster = by_voxel ? sample_cluster(t, query.cell, u[1]) : cluster;
+        choice.set_triangle(t, cluster, share(cluster), u);
+        return choice;
+    }
+
+    ClusterSample draw(const LightChoice& choice) const {
+        const Int far = choice.far;
+        if (!any(far & active)) return draw_triangle(choice, active);
+        const ClusterSample sky = draw_environment(choice);
         if (!any(~far & active)) return sky;
-        const ClusterSample near = draw_triangle(cluster, by_voxel, rest, active & ~far);
+        const ClusterSample near = draw_triangle(choice, active & ~far);
         const LightSample light = {choose(far, sky.light.direction, near.light.direction), far ? sky.light.distance : near.light.distance,
                                    choose(far, sky.light.radiance, near.light.radiance), far ? sky.light.pdf : near.light.pdf,
                                    far ? sky.light.triangle : near.light.triangle};
         return {light, far ? sky.cluster : near.cluster, far ? sky.share : near.share};
     }
 
-    ClusterSample draw_triangle(Int cluster, Int by_voxel, const Float (&u)[5], Int drawn) const {
-        cluster = cluster < c.first_texels ? cluster : all(c.first_texels - 1);
-        if (any(by_voxel)) cluster = by_voxel ? sample_cluster(t, query.cell, u[0]) : cluster;
-        const Float chosen = share(cluster);
-        return {sample_triangle(t, query.point, cluster, chosen, u, drawn), cluster, chosen};
+    ClusterSample draw_triangle(const LightChoice& choice, Int drawn) const {
+        const Int emitter = choice.far ? all(0) : choice.element;
+        return {sample_triangle(t, query.point, emitter, choice.share, choice.place, drawn), choice.cluster, choice.share};
     }
 
-    ClusterSample draw_environment(Int cluster, Int by_voxel, const Float (&u)[5]) const {
-        const Int element = environment_element(cluster, by_voxel, u);
-        const Vec3 direction = environment_direction(t, element, u[2], u[3]);
+    ClusterSample draw_environment(const LightChoice& choice) const {
+        const Int element = choice.far ? choice.element : all(0);
+        const Vec3 direction = environment_direction(t, element, choice.place[0], choice.place[1]);
         const Int texel = element_texel(t, element, direction);
         const Float pdf = density(direction, texel);
         const LightSample light = {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf, all(-1)};

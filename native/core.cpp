@@ -69,7 +69,8 @@ void lights(const Tables& t, int64_t count, const float* points, const float* un
     for (Columns at(count); at.first < count; at.first += LANES) {
         Float u[6];
         for (int i = 0; i < 6; ++i) u[i] = at(uniforms, i);
-        const LightSample light = sample_light(t, PointQuery(t, at.vector(points, 0)), u, at.active());
+        const Vec3 point = at.vector(points, 0);
+        const LightSample light = sample_light(t, point, choose_light(t, PointQuery(t, point), u, at.active()), at.active());
         at.put(out, 0, light.direction), at.put(out, 3, light.distance), at.put(out, 4, light.radiance), at.put(out, 7, light.pdf);
     }
 }

@@ -214,10 +214,10 @@ inline Int element_texel(const Tables& t, Int element, Vec3 direction) {
     return t.distant_count > 0 ? (element < 0 ? texel_at(t, direction) : element) : element;
 }
 
-inline LightSample sample_environment(const Tables& t, const PointQuery& query, const Float (&u)[5]) {
-    const Int element = environment_element(t, u);
-    const Vec3 direction = environment_direction(t, element, u[2], u[3]);
-    const Float pdf = query.environment_share * environment_density(t, direction, map_density(t, element_texel(t, element, direction)));
+// Samples of elements of the environment, which is chosen with the probability `share`.
+inline LightSample sample_environment(const Tables& t, Int element, Float share, const Float (&u)[2]) {
+    const Vec3 direction = environment_direction(t, element, u[0], u[1]);
+    const Float pdf = share * environment_density(t, direction, map_density(t, element_texel(t, element, direction)));
     return {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf, all(-1)};
 }
 
@@ -227,13 +227,17 @@ inline Float emitter_field(const Tables& t, Int emitter, int field) {
     return gather(reinterpret_cast<const float*>(t.emitter_rows) + field, emitter * 16);
 }
 
-// `Lights.triangle_sample`: points on triangles of clusters, chosen with the probability `share`.
-inline LightSample sample_triangle(const Tables& t, Vec3 point, Int cluster, Float share, const Float (&u)[5], Int active) {
+// Emissive triangles of clusters.
+inline Int sample_emitter(const Tables& t, Int cluster, Float u0, Float u1) {
     const Int start = gather(t.within_start, cluster), count = gather(t.within_start, cluster + 1) - start;
-    const Int emitter = alias_sample(t.within_table, start, count, u[1], u[2]);
+    return alias_sample(t.within_table, start, count, u0, u1);
+}
+
+// `Lights.triangle_sample`: points on emissive triangles, whose clusters are chosen with the probability `share`.
+inline LightSample sample_triangle(const Tables& t, Vec3 point, Int emitter, Float share, const Float (&u)[2], Int active) {
     const RowFields<4> field([&](int lane) { return reinterpret_cast<const float*>(t.emitter_rows + emitter[lane]); });
     const auto vector = [&](int number) { return Vec3{field(number), field(number + 1), field(number + 2)}; };
-    const Float root = sqrt(u[3]), a = root * (1.0f - u[4]), b = root * u[4];
+    const Float root = sqrt(u[0]), a = root * (1.0f - u[1]), b = root * u[1];
     const Vec3 first = vector(3), second = vector(6);
     const Vec3 offset = vector(0) + a * first + b * second - point;
     const Float squared = divisor(dot(offset, offset)), distance = sqrt(squared);
@@ -252,20 +256,54 @@ inline LightSample sample_triangle(const Tables& t, Vec3 point, Int cluster, Flo
     return {direction, distance, radiance, pdf, triangle};
 }
 
-inline LightSample sample_triangle(const Tables& t, const PointQuery& query, const Float (&u)[5], Int active) {
-    const Int cluster = sample_cluster(t, query.cell, u[0]);
-    return sample_triangle(t, query.point, cluster, query.share(t, cluster), u, active);
+// Ask for the memory of a texel of the map, and of its neighbours.
+inline void fetch_texel(const Tables& t, int32_t texel) {
+    __builtin_prefetch(t.map_density + texel);
+    for (int row = -1; row <= 1; ++row) __builtin_prefetch(t.map_texels + 3 * (int64_t(texel) + row * t.map_width));
 }
 
-// `PowerLightSampler.draw`. active: lanes that count.
-inline LightSample sample_light(const Tables& t, const PointQuery& query, const Float (&u)[6], Int active) {
+// Lights that samples will come from: whether each is an element of the environment or an emissive triangle, which one it is, the
+// probability of the environment or of the triangle's cluster, and uniform numbers for its place on the light.
+struct LightChoice {
+    Int far, element, cluster;
+    Float share, place[2];
+
+    // Choose triangles of clusters where lights are not far.
+    void set_triangle(const Tables& t, Int of, Float probability, const Float (&u)[6]) {
+        cluster = far ? cluster : of, share = far ? share : probability;
+        element = far ? element : sample_emitter(t, of, u[2], u[3]);
+        place[0] = far ? u[3] : u[4], place[1] = far ? u[4] : u[5];
+    }
+    // Ask for the memory that the samples will read.
+    void fetch(const Tables& t) const {
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (!far[lane]) {
+                __builtin_prefetch(t.emitter_rows + element[lane]);
+            } else if (t.map_density != nullptr && element[lane] >= 0) {
+                fetch_texel(t, element[lane]);
+            }
+        }
+    }
+};
+
+// The choice of `PowerLightSampler.draw`. active: lanes that count.
+inline LightChoice choose_light(const Tables& t, const PointQuery& query, const Float (&u)[6], Int active) {
     const Int far = u[0] < query.environment_share;
-    const Float rest[5] = {u[1], u[2], u[3], u[4], u[5]};
-    if (t.emitters == 0) return sample_environment(t, query, rest);
-    if (!any(far & active)) return sample_triangle(t, query, rest, active);
-    const LightSample sky = sample_environment(t, query, rest);
+    LightChoice choice = {far, all(0), all(0), query.environment_share, {u[3], u[4]}};
+    if (any(far & active)) choice.element = environment_element(t, {u[1], u[2], u[3], u[4], u[5]});
+    if (!any(~far & active)) return choice;
+    const Int cluster = sample_cluster(t, query.cell, u[1]);
+    choice.set_triangle(t, cluster, query.share(t, cluster), u);
+    return choice;
+}
+
+// `PowerLightSampler.draw`.
+inline LightSample sample_light(const Tables& t, Vec3 point, const LightChoice& choice, Int active) {
+    const Int far = choice.far;
+    if (!any(far & active)) return sample_triangle(t, point, far ? all(0) : choice.element, choice.share, choice.place, active);
+    const LightSample sky = sample_environment(t, far ? choice.element : all(0), choice.share, choice.place);
     if (!any(~far & active)) return sky;
-    const LightSample near = sample_triangle(t, query, rest, active & ~far);
+    const LightSample near = sample_triangle(t, point, far ? all(0) : choice.element, choice.share, choice.place, active & ~far);
     return {choose(far, sky.direction, near.direction), far ? sky.distance : near.distance, choose(far, sky.radiance, near.radiance),
             far ? sky.pdf : near.pdf, far ? sky.triangle : near.triangle};
 }

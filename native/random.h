@@ -53,14 +53,16 @@ inline bool in_epoch(const Random& random, uint32_t first) {
 // A point of `PixelRandom.stratified`, before it is scrambled for each pixel; `change` is what odd copies have besides.
 struct Stratified {
     bool together;
-    uint32_t key, point[8], change[8];
+    uint32_t key[8], point[8], change[8];
 
-    Stratified(const Random& random, uint32_t dimension, int count, uint32_t first = 1, uint32_t number = 0)
-        : together(in_epoch(random, first)), key(hash(random.seed_key + 0x3C6EF372u * dimension + hash(first - 1))) {
+    Stratified() = default;
+    Stratified(const Random& random, uint32_t dimension, int count, uint32_t first = 1, uint32_t number = 0) : together(in_epoch(random, first)) {
+        uint32_t of_all = hash(random.seed_key + 0x3C6EF372u * dimension + hash(first - 1));
         const uint32_t steps = first > 1 ? first - 1 : 1;
-        if (number > 0 && !together) key = hash(key ^ hash(number));
-        const uint32_t index = shuffled(random.index - (first - 1), key) + (together ? 2 * steps * number : 0);
+        if (number > 0 && !together) of_all = hash(of_all ^ hash(number));
+        const uint32_t index = shuffled(random.index - (first - 1), of_all) + (together ? 2 * steps * number : 0);
         for (int i = 0; i < count; ++i) {
+            key[i] = hash(of_all + uint32_t(i));
             point[i] = sobol_point(random, index, i);
             change[i] = together ? sobol_point(random, steps, i) : 0;
         }
@@ -68,7 +70,7 @@ struct Stratified {
 
     // Number `i` of some paths.
     Float operator()(const PathKeys& keys, int i) const {
-        Bits values = hash((together ? keys.pair : keys.own) ^ hash(key + uint32_t(i)));
+        Bits values = hash((together ? keys.pair : keys.own) ^ key[i]);
         const Bits columns = (values * 0x9E3779B1u | 0x40000000u) & 0x7FFFFFFFu;
         values ^= product(columns, point[i]);
         if (together) values ^= product(columns, change[i]) & keys.odd;

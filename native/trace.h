@@ -19,11 +19,8 @@ using bokehguide::Trace;
 
 // Rows of a `Surface`.
 constexpr int NORMAL_ROW = 9, ALBEDO_ROW = 15;
-constexpr int ROULETTE_DEPTH = 4;
+constexpr int ROULETTE_DEPTH = 4, FETCHED_AHEAD = 2 * LANES;
 constexpr float MAX_SURVIVAL = 0.95f, SHADOW_END = 1.0f - 1e-4f, MIN_CHANCE = 0.25f;
-// Random dimensions (render/dimensions.py).
-constexpr uint32_t PART = 0, SCATTER = 1, LIGHT = 5, LIGHT_COUNT = 6, SHADOW = 11;
-inline uint32_t vertex_dimension(int depth) { return 32 + 16 * uint32_t(depth - 1); }
 inline uint32_t crossing_dimension(int depth) { return (1u << 20) + MAX_CROSSINGS * uint32_t(depth); }
 
 struct alignas(64) Block {
@@ -56,7 +53,10 @@ struct alignas(64) Block {
 
 class Tracing {
   public:
-    Tracing(const Tables& tables, Trace& arguments) : t(tables), trace(arguments), block(*new (std::align_val_t(64)) Block()) {}
+    Tracing(const Tables& tables, Trace& arguments)
+        : t(tables), trace(arguments), block(*new (std::align_val_t(64)) Block()),
+          sequences(trace.random, uint32_t(trace.first_step), trace.lights ? trace.lights->light_candidates : 1,
+                    trace.lights ? trace.lights->bsdf_candidates : 0) {}
     ~Tracing() { operator delete(&block, std::align_val_t(64)); }
     Tracing(const Tracing&) = delete;
 
@@ -80,6 +80,7 @@ class Tracing {
     const Tables& t;
     Trace& trace;
     Block& block;
+    const HitSequences sequences;
     int64_t first = 0;
     int paths = 0;
     // Where paths add their radiance: rows `[3, columns]`, and rows of light groups, from the path with slot 0 on.
@@ -123,14 +124,19 @@ class Tracing {
         find_nearest(depth);
         leave_scene(depth);
         if (paths == 0) return false;
-        for (int i = 0; i < paths; i += LANES) meet(depth, i);
+        for (int i = 0; i < paths; i += LANES) fetch_triangles(i + FETCHED_AHEAD), meet(depth, i);
         if (depth == 1) report_primary_hits();
         if (depth == trace.max_depth) finish(paths);
         return depth < trace.max_depth;
     }
     // Scatter paths at the ends of their segments.
     void leave_surfaces(int depth) {
-        for (int i = 0; i < paths; i += LANES) scatter(depth, i);
+        LightChoice next = choose_lights(depth, 0);
+        for (int i = 0; i < paths; i += LANES) {
+            const LightChoice light = next;
+            next = choose_lights(depth, i + LANES);
+            scatter(depth, i, light);
+        }
         if (lit()) add_direct_light(depth);
     }
     // From the primary hits to the ends of the paths.
@@ -381,6 +387,10 @@ class Tracing {
         }
     }
 
+    // Ask for the rows of the triangles that a vector of paths met.
+    void fetch_triangles(int i) const {
+        for (int lane = i; lane < i + LANES && lane < paths; ++lane) __builtin_prefetch(t.triangles + block.triangle[lane]);
+    }
     // Surfaces, absorption on the way there, and emission from there.
     void meet(int depth, int i) {
         Block& b = block;
@@ -431,14 +441,10 @@ class Tracing {
         for (int i = 0; i < paths; ++i) row[block.slot[i]] = values[i];
     }
 
-    // Uniform numbers of `count` dimensions; those of primary hits are stratified.
-    template <int N> void numbers(int depth, uint32_t offset, const PathKeys& keys, Float (&out)[N]) const {
-        const uint32_t dimension = vertex_dimension(depth) + offset;
-        if (depth == 1) {
-            const Stratified sequence(trace.random, dimension, N, uint32_t(trace.first_step));
-            for (int i = 0; i < N; ++i) out[i] = sequence(keys, i);
-        } else {
-            for (int i = 0; i < N; ++i) out[i] = uniform(trace.random, keys.own, dimension + uint32_t(i));
+    // Uniform numbers of N dimensions; those of primary hits are of a sequence.
+    template <int N> void numbers(int depth, uint32_t offset, const Stratified& sequence, const PathKeys& keys, Float (&out)[N]) const {
+        for (int i = 0; i < N; ++i) {
+            out[i] = depth == 1 ? sequence(keys, i) : uniform(trace.random, keys.own, vertex_dimension(depth) + offset + uint32_t(i));
         }
     }
     PathKeys path_keys(int depth, int i) const {
@@ -447,26 +453,38 @@ class Tracing {
         return {own, bits<Bits>(load<Int>(block.pair_key + i)), bits<Bits>(load<Int>(block.odd + i))};
     }
 
-    // Sample lights and the BSDF; from ROULETTE_DEPTH on, play Russian roulette.
-    void scatter(int depth, int i) {
+    // Choose lights for a vector of paths, and ask for their memory.
+    LightChoice choose_lights(int depth, int i) const {
+        if (!lit() || i >= paths) return LightChoice();
+        const Int active = first_lanes(paths - i);
+        const PathKeys keys = path_keys(depth, i);
+        const Vec3 point = load3(block.surface, i);
+        if (depth == 1 && trace.lights != nullptr) return ClusterSampler(t, *trace.lights, point, active).choose_light(sequences.light(0), keys, 0);
+        Float u[LIGHT_COUNT];
+        numbers(depth, LIGHT, sequences.light(0), keys, u);
+        const LightChoice choice = choose_light(t, PointQuery(t, point), u, active);
+        choice.fetch(t);
+        return choice;
+    }
+
+    // Sample lights and the BSDF; from ROULETTE_DEPTH on, play Russian roulette. choice: of lights.
+    void scatter(int depth, int i, const LightChoice& choice) {
         Block& b = block;
         const Int active = first_lanes(paths - i);
         const PathKeys keys = path_keys(depth, i);
         const Surface s = load_surface(b.surface[0] + i, ROW, t.surface_rows);
         Vec3 throughput = load3(b.throughput, i);
         Float part[1] = {all(0.0f)};
-        if (t.has_transmission) numbers(depth, PART, keys, part);
+        if (t.has_transmission) numbers(depth, PART, sequences.part, keys, part);
         const Scattering scattering(t, s, part[0], throughput);
         if (lit()) {
-            Float of_light[6];
-            numbers(depth, LIGHT, keys, of_light);
-            const Light light = direct_light(depth, i, s, scattering, of_light, keys, active);
+            const Light light = direct_light(depth, i, s, scattering, choice, keys, active);
             if (trace.images != nullptr) prepare_image(i, s, light, active);
             if (depth == 1 && trace.split != nullptr) record(trace.split->bsdf, i, light.scattered.value);
             aim_shadow_ray(depth, i, s, throughput, light, keys);
         }
-        Float scatter[4], pdf;  // roulette; angle, radius and lobe of the BSDF sample
-        numbers(depth, SCATTER, keys, scatter);
+        Float scatter[SCATTER_COUNT], pdf;  // roulette; angle, radius and lobe of the BSDF sample
+        numbers(depth, SCATTER, sequences.bsdf(0), keys, scatter);
         Vec3 weight, value;
         const Vec3 direction = scattering.sample(scatter[3], scatter[1], scatter[2], weight, pdf, value);
         if (depth == 1 && trace.split != nullptr) {
@@ -495,15 +513,15 @@ class Tracing {
         Int triangle;
     };
 
-    Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const Float (&u)[6], const PathKeys& keys,
+    Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const LightChoice& choice, const PathKeys& keys,
                        Int active) {
         if (depth == 1 && trace.lights != nullptr) {
             const ClusterSampler sampler(t, *trace.lights, s.position, active);
-            const DirectLight found = sampler.sample(scattering, u, trace.random, keys, vertex_dimension(1) + LIGHT, vertex_dimension(1) + SCATTER);
+            const DirectLight found = sampler.sample(scattering, choice, sequences, trace.random, keys);
             record_light(i, found);
             return {found.direction, found.distance, found.value, found.scattered, found.triangle};
         }
-        const LightSample light = sample_light(t, PointQuery(t, s.position), u, active);
+        const LightSample light = sample_light(t, s.position, choice, active);
         const Scattered found = scattering.evaluate(light.direction);
         const Float weight = power_heuristic(light.pdf, found.pdf) / divisor(light.pdf);
         return {light.direction, light.distance, found.value * light.radiance * weight, found, light.triangle};
