@@ -16,13 +16,16 @@ from bokehguide.models.emitters.environment import EnvironmentEmitters
 from bokehguide.models.emitters.parallelogram import ParallelogramEmitters
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.scene.emitter_parts import emptiness
 from bokehguide.scene.emitters import Emitters
 from bokehguide.scene.types import Scene
 
 INFINITY = 1e5
 """Distance of emitters at infinity, in focus distances."""
 MAX_EMPTINESS = 16.0
-"""Largest ratio of outline area to visible area. A tangled emitter with a larger ratio is no proposal; the record may find it."""
+"""Largest ratio of outline area to visible area. An emitter with a larger ratio is no proposal; the record may find it."""
+FILLED, MAX_OUTLINE = 1.75, 0.5
+"""Ratio of areas up to which an emitter fills its outline. Outlines of other emitters cover at most this part of the lens."""
 MAX_DISC = 3.0
 """Largest radius of an emitter's projection on the lens, in lens radii. With a larger radius, most draws would miss the lens."""
 
@@ -58,8 +61,8 @@ def emitter_proposals(scene: Scene, emitters: Emitters, camera: ThinLensCamera, 
     if not config.known_emitters:
         return no_proposals(scene, device)
     size_scale = config.emitter_scale
-    arrays = (emitters.centres.T, emitters.bounding_radii, emitters.radii, emitters.luminance, emitters.ellipsoids)
-    centre, reach, size, bright, outline = (torch.from_numpy(x).float() for x in arrays)
+    arrays = (emitters.centres.T, emitters.bounding_radii, emitters.luminance, emitters.ellipsoids)
+    centre, reach, bright, outline = (torch.from_numpy(x).float() for x in arrays)
     infinite, axes = torch.from_numpy(emitters.infinite), camera.axes.cpu()
     scale = torch.where(infinite, INFINITY * camera.lens.focus_distance, 1.0)
     world = centre - torch.where(infinite, 0.0, camera.position.cpu())
@@ -68,14 +71,15 @@ def emitter_proposals(scene: Scene, emitters: Emitters, camera: ThinLensCamera, 
     cones = balls(radius / (1.0 + reach.square()).sqrt())
     outline = torch.where(infinite, cones, _ellipsoids(axes.T @ outline @ axes, config.ellipsoids) * size_scale**2)
     energy = bright * radius.square()
-    # Rings and other tangles fill little of their outlines.
-    area = torch.linalg.eigvalsh(torch.from_numpy(emitters.ellipsoids))[:, 1:].prod(1).sqrt().float()
-    compact = area <= MAX_EMPTINESS * size.square()
+    empty = torch.from_numpy(emptiness(emitters.ellipsoids, emitters.radii))
     visible = scene.environment is None or scene.environment.visible
-    proposed = (mean[2] > radius) & (~infinite | visible) & compact & (energy > 0.0) & energy.isfinite()
+    proposed = (mean[2] > radius) & (~infinite | visible) & (empty <= MAX_EMPTINESS) & (energy > 0.0) & energy.isfinite()
     # Near the focal plane, or with a tiny lens, the projection of an emitter is far larger than the lens, and guiding has no use.
     away, lens = (mean[2] - camera.lens.focus_distance).abs(), camera.lens
     proposed &= (away > radius) & (MAX_DISC * away * lens.radius > radius * lens.focus_distance)
+    # An outline as large as the lens guides only where the emitter fills its outline.
+    area = empty * torch.from_numpy(emitters.radii).square() * (lens.focus_distance / away).square()
+    proposed &= (empty <= FILLED) | (area <= MAX_OUTLINE * lens.radius**2)
     field = GaussianField()
     field.assign(mean[:, proposed], radius[proposed], radius[proposed], energy[proposed])
     known = torch.from_numpy(np.append(proposed.numpy(), True)[emitters.triangle_emitters])  # -1 is the last

@@ -10,7 +10,8 @@ import numpy as np
 
 from bokehguide.color import LUMINANCE
 from bokehguide.limits import FARTHEST_FOCUS
-from bokehguide.scene.types import Camera, Mesh, Scene, Sun
+from bokehguide.scene.emitter_parts import MOST_PARTS, compact_parts, shapes
+from bokehguide.scene.types import Camera, Scene, Sun
 
 PEAK = 10.0
 """Texels of a peak: their luminance exceeds this multiple of the map's mean luminance."""
@@ -18,7 +19,7 @@ PEAK = 10.0
 
 @dataclass(frozen=True)
 class Emitters:
-    """N emitters: connected components of emissive triangles, peaks of the environment map, and suns.
+    """N emitters: compact parts of connected emissive triangles, peaks of the environment map, and suns.
 
     An emitter at infinity has a unit direction as its centre; its radii are tangents of angular radii.
 
@@ -43,14 +44,14 @@ class Emitters:
 
 
 def find_emitters(scene: Scene) -> Emitters:
-    """The connected components of emissive triangles, then the peaks of the environment map, then the suns."""
+    """The parts of emissive triangles (`compact_parts`), then the peaks of the environment map, then the suns."""
     columns: list[tuple[np.ndarray, ...]] = []
     of_triangles, near = [np.zeros(0, np.int32)], 0
     for mesh in scene.meshes:
         labels, material = np.full(len(mesh.triangles), -1, np.int32), scene.materials[mesh.material]
         if material.emits:
-            labels = _components(mesh)
-            columns.append(_shapes(mesh, labels, float(LUMINANCE @ material.emission)))
+            labels = compact_parts(mesh, MOST_PARTS - near)
+            columns.append(shapes(mesh, labels, float(LUMINANCE @ material.emission)))
             labels = labels + np.int32(near)
             near += len(columns[-1][0])
         of_triangles.append(labels)
@@ -120,85 +121,6 @@ def _at_infinity(radii: np.ndarray, bounding: np.ndarray, centres: np.ndarray, l
     """The columns of `Emitters` up to `half_edges` of emitters at infinity."""
     count = len(radii)
     return centres, radii, bounding, np.zeros((count, 3, 3)), luminance, np.zeros((count, 2, 3))
-
-
-def _components(mesh: Mesh) -> np.ndarray:
-    """The connected component of each triangle, int32 `[T]`. Triangles connect at equal vertex positions."""
-    from scipy import sparse  # takes half a second to import
-
-    points, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    corners = index.reshape(-1)[mesh.triangles]
-    edges = sparse.coo_matrix(
-        (np.ones(2 * len(corners)), (np.tile(corners[:, 0], 2), corners[:, 1:].T.ravel())), shape=(len(points), len(points))
-    )
-    labels = sparse.csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
-    return np.unique(labels, return_inverse=True)[1].astype(np.int32)
-
-
-def _shapes(mesh: Mesh, labels: np.ndarray, luminance: float) -> tuple[np.ndarray, ...]:
-    """The columns of `Emitters` up to `half_edges` of the components of `mesh`. labels: of its triangles, `[T]`.
-
-    The mean projected area of a closed convex surface is a quarter of its area (Cauchy). An open
-    component counts with the length of its vector area.
-    """
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles].astype(np.float64), 1, 0)
-    vectors = 0.5 * np.cross(b - a, c - a)
-    areas = np.linalg.norm(vectors, axis=1)
-    total = np.bincount(labels, areas)
-    middles = (a + b + c) / 3.0 * areas[:, None]
-    centres = np.stack([np.bincount(labels, column) for column in middles.T], axis=1)
-    facing = np.linalg.norm([np.bincount(labels, column) for column in vectors.T], axis=0)
-    projected = np.where(facing < 0.1 * total, total / 4.0, facing)
-    centres /= total[:, None]
-    corners = np.stack((a, b, c)) - centres[labels]
-    bounding = np.zeros(len(total))
-    for corner in corners:
-        np.maximum.at(bounding, labels, np.linalg.norm(corner, axis=1))
-    ellipsoids = _ellipsoids(corners, areas, labels)
-    half_edges = _half_edges(np.moveaxis(corners, 0, 1), labels)
-    return centres, np.sqrt(projected / np.pi), bounding, ellipsoids, np.full(len(total), luminance), half_edges
-
-
-def _half_edges(corners: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Half edges `[K, 2, 3]` of the components that are parallelograms of two triangles, 0 for others.
-
-    corners: of triangles, relative to the centres of their components, `[T, 3, 3]`. labels: `[T]`.
-    """
-    counts = np.bincount(labels)
-    edges = np.zeros((len(counts), 2, 3))
-    order = np.argsort(labels, kind="stable")
-    pairs = order[np.repeat(counts == 2, counts)].reshape(-1, 2)
-    one, other = corners[pairs[:, 0]], corners[pairs[:, 1]]
-    shared = (one[:, :, None] == other[:, None]).all(3)  # exact positions, as for the components
-    adjacent = shared.any(2).sum(1) == 2
-    opposite = np.argmin(shared.any(2), axis=1)
-    components, one, opposite = labels[pairs[:, 0]][adjacent], one[adjacent], opposite[adjacent]
-    across = np.argmin(shared[adjacent].any(1), axis=1)
-    rows = np.arange(len(one))
-    first, last = one[rows, opposite], other[adjacent][rows, across]
-    left, right = one[rows, (opposite + 1) % 3], one[rows, (opposite + 2) % 3]
-    closes = np.linalg.norm(first + last - left - right, axis=1) < 1e-4 * np.linalg.norm(right - left, axis=1)
-    edges[components[closes]] = 0.5 * np.stack((left - first, right - first), axis=1)[closes]
-    return edges
-
-
-def _ellipsoids(corners: np.ndarray, areas: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """The smallest ellipsoids `[K, 3, 3]` with the components' covariances that contain their corners.
-
-    corners: of triangles, relative to the centres of their components, `[3, T, 3]`. areas, labels: `[T]`.
-    """
-    whole = corners.sum(0)
-    products = (np.einsum("cti,ctj->tij", corners, corners) + whole[:, :, None] * whole[:, None]) * areas[:, None, None] / 12.0
-    total = np.bincount(labels, areas)
-    spread = np.stack([np.bincount(labels, column) for column in products.reshape(-1, 9).T], axis=1) / total[:, None]
-    spread = spread.reshape(-1, 3, 3)
-    widest = np.trace(spread, axis1=1, axis2=2)
-    spread += (1e-6 * widest + 1e-30)[:, None, None] * np.eye(3)  # flat components stay invertible
-    inverse = np.linalg.inv(spread)[labels]
-    reach = np.zeros(len(total))
-    for corner in corners:
-        np.maximum.at(reach, labels, np.einsum("ti,tij,tj->t", corner, inverse, corner))
-    return spread * reach[:, None, None]
 
 
 def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
