@@ -119,6 +119,22 @@ def test_mistakes_show(mistake, reference, tmp_path):
     assert not agrees(found), found
 
 
+@pytest.mark.parametrize(
+    "ratio, error, verdict",
+    [
+        (1.004, 0.001, "passes"),
+        (1.006, 0.001, "FAILS"),
+        (0.994, 0.0015, "FAILS"),
+        (1.012, 0.004, "too few samples"),
+        (0.98, 0.004, "FAILS"),
+        (1.0, 0.002, "too few samples"),
+    ],
+)
+def test_an_imprecise_mean_is_no_failure_and_no_agreement(ratio, error, verdict):
+    found = Comparison("scene", "uniform", ratio, error, 1, 1, [])
+    assert found.verdict == verdict and found.means_agree == (verdict == "passes")
+
+
 def test_retest_separates_disagreement_from_rare_light():
     """Retested pixels agree, unless the scenes of the renderers differ by a fiftieth."""
     scene = small(MATERIAL_SCENES["metal"]())
