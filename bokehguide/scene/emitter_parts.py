@@ -20,22 +20,23 @@ MOST_PARTS = 2048
 """Emitters of a scene at which no part is divided any more."""
 
 
-def compact_parts(mesh: Mesh, most: int) -> np.ndarray:
+def compact_parts(mesh: Mesh, most: int, groups: np.ndarray | int = 0) -> np.ndarray:
     """The part of each triangle, int32 `[T]`: connected components, of which long and empty ones are divided.
 
     The plane through the centre of a part, across its longest axis, divides the part. Triangles of a part connect at equal vertex
-    positions. most: number of parts beyond which none is divided.
+    positions. most: number of parts beyond which none is divided. groups: of triangles, `[T]`; groups do not connect.
     """
     points, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     corners = index.reshape(-1)[mesh.triangles].astype(np.int64)
     middles = mesh.vertices[mesh.triangles].mean(axis=1, dtype=np.float64)
-    labels = _components(corners, np.zeros(len(corners), np.int64), len(points))
+    labels = _components(corners, np.broadcast_to(groups, len(corners)).astype(np.int64), len(points))
     while True:
         centres, radii, _, ellipsoids, *_ = shapes(mesh, labels, 1.0)
         squares, axes = np.linalg.eigh(ellipsoids)
         divided = (squares[:, 2] > MOST_ELONGATED**2 * squares[:, 1]) | (emptiness(ellipsoids, radii) > MOST_EMPTY)
         divided &= np.bincount(labels) >= FEWEST_TRIANGLES
-        if not divided.any() or len(radii) + divided.sum() > most:
+        divided &= np.cumsum(divided) <= most - len(radii)
+        if not divided.any():
             return labels
         beyond = ((middles - centres[labels]) * axes[labels, :, 2]).sum(1) > 0.0
         found = _components(corners, 2 * labels.astype(np.int64) + (divided[labels] & beyond), len(points))
@@ -66,8 +67,8 @@ def _components(corners: np.ndarray, labels: np.ndarray, points: int) -> np.ndar
     return np.unique(found, return_inverse=True)[1].astype(np.int32)
 
 
-def shapes(mesh: Mesh, labels: np.ndarray, luminance: float) -> tuple[np.ndarray, ...]:
-    """The columns of `Emitters` up to `half_edges` of the parts of `mesh`. labels: of its triangles, `[T]`.
+def shapes(mesh: Mesh, labels: np.ndarray, luminance: np.ndarray | float) -> tuple[np.ndarray, ...]:
+    """The columns of `Emitters` up to `half_edges` of the parts of `mesh`. labels: of its triangles, `[T]`. luminance: of parts.
 
     The mean projected area of a closed convex surface is a quarter of its area (Cauchy). An open part counts with the length of
     its vector area, if this is larger.

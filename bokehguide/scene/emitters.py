@@ -11,6 +11,7 @@ import numpy as np
 from bokehguide.color import LUMINANCE
 from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.scene.emitter_parts import MOST_PARTS, compact_parts, shapes
+from bokehguide.scene.shapes import joined
 from bokehguide.scene.types import Camera, Scene, Sun
 
 PEAK = 10.0
@@ -45,17 +46,8 @@ class Emitters:
 
 def find_emitters(scene: Scene) -> Emitters:
     """The parts of emissive triangles (`compact_parts`), then the peaks of the environment map, then the suns."""
-    columns: list[tuple[np.ndarray, ...]] = []
-    of_triangles, near = [np.zeros(0, np.int32)], 0
-    for mesh in scene.meshes:
-        labels, material = np.full(len(mesh.triangles), -1, np.int32), scene.materials[mesh.material]
-        if material.emits:
-            labels = compact_parts(mesh, MOST_PARTS - near)
-            columns.append(shapes(mesh, labels, float(LUMINANCE @ material.emission)))
-            labels = labels + np.int32(near)
-            near += len(columns[-1][0])
-        of_triangles.append(labels)
-    of_texels = None
+    of_triangles, columns = _parts(scene)
+    near, of_texels = sum(len(column[0]) for column in columns), None
     if scene.environment is not None:
         of_texels, peaks = _peaks(scene.environment.radiance, scene.environment.rotation)
         of_texels = np.where(of_texels >= 0, of_texels + near, -1)
@@ -63,8 +55,22 @@ def find_emitters(scene: Scene) -> Emitters:
     columns += [_disc(sun) for sun in scene.suns]
     columns.append(_at_infinity(np.zeros(0), np.zeros(0), np.zeros((0, 3)), np.zeros(0)))
     centres, radii, bounding, ellipsoids, luminance, half_edges = (np.concatenate(arrays) for arrays in zip(*columns))
-    infinite, triangle_emitters = np.arange(len(centres)) >= near, np.concatenate(of_triangles)
-    return Emitters(centres, radii, bounding, ellipsoids, luminance, half_edges, infinite, triangle_emitters, of_texels)
+    infinite = np.arange(len(centres)) >= near
+    return Emitters(centres, radii, bounding, ellipsoids, luminance, half_edges, infinite, of_triangles, of_texels)
+
+
+def _parts(scene: Scene) -> tuple[np.ndarray, list[tuple[np.ndarray, ...]]]:
+    """The part of each triangle, -1 for none, int32 `[T]`, and the columns of `Emitters` up to `half_edges` of the parts."""
+    meshes = [mesh for mesh in scene.meshes if scene.materials[mesh.material].emits]
+    emissive = [np.full(len(mesh.triangles), scene.materials[mesh.material].emits) for mesh in scene.meshes]
+    of_triangles = np.full(sum(map(len, emissive)), -1, np.int32)
+    if not meshes:
+        return of_triangles, []
+    mesh, groups = joined(meshes), np.repeat(np.arange(len(meshes)), [len(mesh.triangles) for mesh in meshes])
+    labels = compact_parts(mesh, MOST_PARTS, groups)
+    luminance = np.array([LUMINANCE @ scene.materials[mesh.material].emission for mesh in meshes])
+    of_triangles[np.concatenate(emissive)] = labels
+    return of_triangles, [shapes(mesh, labels, luminance[groups[np.unique(labels, return_index=True)[1]]])]
 
 
 def lens_coverage(scene: Scene, emitters: Emitters | None = None) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -118,3 +119,13 @@ def test_separate_texels_are_two_emitters(pair):
     """The map's top does not touch its bottom."""
     first, second = texels_of(*pair)
     assert {first, second} == {1, 2}
+
+
+def test_meshes_that_touch_are_apart():
+    """Each emissive mesh has its own emitters and luminance, also beside one that does not emit."""
+    square = flat((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+    meshes = [replace(square, material=number) for number in (0, 1, 2)] + [replace(square, material=0)]
+    materials = tuple(Material(name, emission=(value,) * 3) for name, value in (("red", 5.0), ("grey", 0.0), ("blue", 7.0)))
+    emitters = find_emitters(Scene("test", Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), meshes, materials))
+    assert emitters.triangle_emitters.tolist() == [0, 0, -1, -1, 1, 1, 2, 2]
+    assert emitters.luminance.tolist() == pytest.approx([5.0, 7.0, 5.0])
