@@ -114,15 +114,18 @@ def browser(driver, tmp_path, monkeypatch) -> Iterator[Browser]:
     (tmp_path / "box.toml").write_text(BOX_AND_EMITTER.replace("width = 32\nheight = 20", "width = 96\nheight = 60"))
     command = [sys.executable, "-m", "bokehguide", "view", "box.toml", "--port=0", "--no-browser", "--spp=4"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        line = process.stdout.readline()
-        assert "serves this machine alone; Ctrl-C ends" in line
-        one = Browser(driver, line.split()[0], tmp_path)
-        one.open()
-        yield one
-        errors = one.errors()
-        driver.get("about:blank")
-        process.send_signal(signal.SIGINT)
-        _, stderr = process.communicate(timeout=60)
+        try:
+            line = process.stdout.readline()
+            assert "serves this machine alone; Ctrl-C ends" in line
+            one = Browser(driver, line.split()[0], tmp_path)
+            one.open()
+            yield one
+            errors = one.errors()
+            driver.get("about:blank")
+            process.send_signal(signal.SIGINT)
+            _, stderr = process.communicate(timeout=60)
+        finally:
+            process.kill()  # a server outlives a failed test otherwise, and the exit of `with` waits for its end
         assert process.returncode == 0 and "Traceback" not in stderr and stderr.endswith("bokehguide: ended\n"), stderr
         assert not errors, errors
 
