@@ -57,12 +57,15 @@ def test_the_missing_extra_is_told_before_the_scene_is_loaded(folder, capsys, mo
 def test_a_signal_ends_it_in_the_middle_of_its_work(number, folder):
     command = [sys.executable, "-m", "bokehguide", "view", "box.toml", "--port=0", "--no-browser", "--size=640x400"]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        line = process.stdout.readline()
-        assert line.endswith("serves this machine alone; Ctrl-C ends\n")
-        with connect(line.split()[0].replace("http:", "ws:") + "socket", max_size=None) as page:
-            for _ in range(4):
-                page.recv(timeout=60)
-            process.send_signal(number)
-            _, stderr = process.communicate(timeout=60)
+        try:
+            line = process.stdout.readline()
+            assert line.endswith("serves this machine alone; Ctrl-C ends\n")
+            with connect(line.split()[0].replace("http:", "ws:") + "socket", max_size=None) as page:
+                for _ in range(4):
+                    page.recv(timeout=60)
+                process.send_signal(number)
+                _, stderr = process.communicate(timeout=60)
+        finally:
+            process.kill()  # the exit of `with` waits for its end
         assert process.returncode == 0
         assert "Traceback" not in stderr and stderr.endswith("bokehguide: ended\n"), stderr
