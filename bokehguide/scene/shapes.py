@@ -197,7 +197,7 @@ def unit_normals(normals: np.ndarray, vertices: np.ndarray, triangles: np.ndarra
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Meshes of one material as one mesh. Normals, uvs, tangents and colours stay if every mesh has them."""
+    """Meshes as one mesh of the material of the first. Normals, uvs, tangents and colours stay if every mesh has them."""
     counts = [len(mesh.vertices) for mesh in meshes]
     offsets = np.concatenate([[0], np.cumsum(counts)[:-1]])
     optional = {

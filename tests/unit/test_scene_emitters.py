@@ -125,7 +125,7 @@ def test_meshes_that_touch_are_apart():
     """Each emissive mesh has its own emitters and luminance, also beside one that does not emit."""
     square = flat((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
     meshes = [replace(square, material=number) for number in (0, 1, 2)] + [replace(square, material=0)]
-    materials = tuple(Material(name, emission=(value,) * 3) for name, value in (("red", 5.0), ("grey", 0.0), ("blue", 7.0)))
+    materials = tuple(Material(name, emission=(value,) * 3) for name, value in (("dim", 5.0), ("dark", 0.0), ("bright", 7.0)))
     emitters = find_emitters(Scene("test", Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), meshes, materials))
     assert emitters.triangle_emitters.tolist() == [0, 0, -1, -1, 1, 1, 2, 2]
     assert emitters.luminance.tolist() == pytest.approx([5.0, 7.0, 5.0])
