@@ -76,6 +76,7 @@ class GuidedConfig:
     min_spread: least GGX α of a reused surface, over the angle in radians between two lens points of a group.
     control_variate: whether the weights of reused samples are a control variate for the radiance.
     control_shrinkage: factor of a coefficient's squared standard error. A coefficient whose square equals the product is halved.
+    unshared_control_shrinkage: as `control_shrinkage`, in groups of one pixel. A small factor increases the error there.
 
     Light samples at primary hits:
     learn_lights: whether learned second moments determine the probabilities of clusters of lights.
@@ -109,9 +110,10 @@ class GuidedConfig:
     max_split_count: int = 16
     reuse_group: int = 16
     denoised_reuse_group: int = 1
-    min_spread: float = 0.2
+    min_spread: float = 0.05
     control_variate: bool = True
-    control_shrinkage: float = 64.0
+    control_shrinkage: float = 1.0
+    unshared_control_shrinkage: float = 64.0
 
     learn_lights: bool = True
     light_candidates: int = 3

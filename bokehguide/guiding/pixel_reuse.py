@@ -355,7 +355,8 @@ class PixelReuse(SampleReuse):
         self.paths = PixelPathReuse(context.camera, context.tracer, context.film_width, settings.seed, group, config.min_spread)
         # With a vignetting lens, the mean weight is unknown.
         known = config.control_variate and not context.camera.lens.vignettes
-        self.control_variate = ControlVariate(context, config.control_shrinkage) if known else NoControlVariate()
+        shrinkage = config.control_shrinkage if group > 1 else config.unshared_control_shrinkage
+        self.control_variate = ControlVariate(context, shrinkage) if known else NoControlVariate()
 
     def cuts(self, width: int, height: int) -> np.ndarray:
         return np.append(np.arange(0, width * height, ROWS_PER_BAND * width), width * height)

@@ -309,3 +309,17 @@ def test_coefficients_change_at_the_ends_of_epochs_only():
             seen.append(loop.mode.reuse.control_variate.coefficients.clone())
     changed = [not torch.equal(one, other) for one, other in pairwise([torch.zeros_like(seen[0]), *seen])]
     assert [step for step, new in enumerate(changed, 1) if new] == [1, 2, 4, 8]
+
+
+@pytest.mark.parametrize("group, used", [(16, "control_shrinkage"), (1, "unshared_control_shrinkage")])
+def test_groups_of_one_pixel_have_a_shrinkage_of_their_own(group, used):
+    """A picture of several epochs depends on the shrinkage of its groups alone."""
+
+    def picture(**fields) -> Tensor:
+        with loop_of(terrace(12, 10), config=GuidedConfig(reuse_group=group, **fields)) as loop:
+            for _ in range(6):
+                loop.step()
+            return loop.film.radiance()
+
+    for name in ("control_shrinkage", "unshared_control_shrinkage"):
+        assert torch.equal(picture(), picture(**{name: 1e30})) == (name != used)

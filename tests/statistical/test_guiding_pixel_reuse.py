@@ -476,7 +476,7 @@ CoC between two pixels of a group."""
         pytest.param(replace(WALL, roughness=(1.1 * LIMIT) ** 0.5), 0.0, True, id="smoother metal"),
         pytest.param(replace(WALL, roughness=(0.9 * LIMIT) ** 0.5), 0.0, False, id="too smooth a metal"),
         pytest.param(COATED, 0.0, True, id="rough coat"),
-        pytest.param(replace(FLOOR, clearcoat=1.0, clearcoat_roughness=0.1), 0.0, False, id="smooth coat"),
+        pytest.param(replace(FLOOR, clearcoat=1.0, clearcoat_roughness=(0.9 * LIMIT) ** 0.5), 0.0, False, id="smooth coat"),
         pytest.param(replace(FLOOR, transmission=0.5, thin=True), 0.0, False, id="partly transmissive"),
         pytest.param(replace(WALL, transmission=0.5, thin=True), 0.0, True, id="metal that cannot transmit"),
         pytest.param(ABSORBING, 0.0, True, id="absorbing"),
