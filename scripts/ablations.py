@@ -149,7 +149,7 @@ CHANGES = {
     "bsdf": [Change("BSDF candidates", str(count), "guided", {"bsdf_candidates": count}) for count in (0, 2)],
     "parts": [split(count) for count in (1, 4, 8)],
     "group": [group(1), group(4), group(8), group(32)],
-    "spread": values_of("α of reused surfaces by the views' angle", "min_spread", [0.01, 0.2, 1.0], "guided"),
+    "spread": values_of("α of reused surfaces by the views' angle", "min_spread", [0.05, 0.5, 1.0], "guided"),
     "shrinkage": values_of("shrinkage of the control variate", "control_shrinkage", [0.1, 64.0, 1e30], "guided"),
     "axes": values_of("half axes of found highlights, standard deviations", "highlight_axes", [1.7, 3.2], "guided"),
     "depth": [guided_without("voxels by depth")],

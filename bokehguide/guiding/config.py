@@ -110,7 +110,7 @@ class GuidedConfig:
     max_split_count: int = 16
     reuse_group: int = 16
     denoised_reuse_group: int = 1
-    min_spread: float = 0.05
+    min_spread: float = 0.2
     control_variate: bool = True
     control_shrinkage: float = 1.0
     unshared_control_shrinkage: float = 64.0
