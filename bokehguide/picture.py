@@ -199,16 +199,21 @@ def render(
 
 
 def _picture(loop: RenderLoop | AdaptiveLoop) -> Picture:
-    """The picture of a loop, denoised where its settings ask for it."""
+    """The picture of a loop, as its scene and settings ask for it."""
+    return picture_of(loop, loop.settings, Display(loop.scene.film.exposure), loop.settings.denoise)
+
+
+def picture_of(loop: RenderLoop | AdaptiveLoop, settings: RenderSettings, display: Display, denoise: bool) -> Picture:
+    """The picture of a loop. settings: those that the metadata describe. denoise: only for a loop with a denoiser."""
     film = loop.picture()
     layers, error = film.layers(), None
-    if loop.settings.denoise:
+    if denoise:
         layers["denoised"], error = denoise_picture(film, layers)
     elif loop.step_number > 1:
         error = film.relative_noise()
-    display = Display(loop.scene.film.exposure).metered(layers.get("denoised", layers["beauty"]), layers["alpha"])
-    facts, mattes = describe_render(loop.scene, loop.settings, loop.step_number), {}
-    if loop.settings.cryptomatte:
+    display = display.metered(layers.get("denoised", layers["beauty"]), layers["alpha"])
+    facts, mattes = describe_render(loop.scene, settings, loop.step_number), {}
+    if settings.cryptomatte:
         facts |= matte_attributes(loop.scene)
         mattes = matte_layers(loop.scene, film)
     return Picture(

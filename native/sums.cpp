@@ -104,6 +104,7 @@ struct CoverageSums {
         }
         return -1;
     }
+    bool full(size_t pixel) const { return numbers[(slots - 1) * pixels + pixel] > 0; }
     // `Coverage._least`, and the new object in this slot.
     int insert(int32_t number, size_t pixel) const {
         size_t least = 0;
@@ -171,7 +172,7 @@ void cover(const nb::dict& arrays, const Ints& objects, const std::optional<Out<
         if (hit >= 0) {
             const int32_t number = objects.data()[hit];
             slot = sums.find(number, size_t(pixel));
-            if (slot < 0) slot = sums.insert(number, size_t(pixel));
+            if (slot < 0 && (kept.data()[i] > 0.0f || !sums.full(size_t(pixel)))) slot = sums.insert(number, size_t(pixel));
         }
         sums.add(slot, size_t(pixel), weight.data()[i], kept.data()[i], recenter);
     }

@@ -177,7 +177,7 @@ ITEMS = (
         "bench.py",
         full="--size 1280x720 --spp 8",
         reduced="--size 320x180 --spp 4",
-        smoke="--size 32x18 --spp 1 --warm-up 1",
+        smoke="--size 32x18 --spp 4 --warm-up 1",
         output=False,
         cache=False,
     ),

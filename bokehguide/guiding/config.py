@@ -1,4 +1,4 @@
-"""Settings of the learning lens samplers. `scripts/ablations.py` measures the effect of each field."""
+"""Settings of the learning lens samplers. `scripts/ablations.py` measures the effect of most fields."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class GaussianConfig:
 
     blend: initial β (section 6.1). In `lis`, β keeps this value.
     blend_rate, offset_rate: learning rates of the logit of β and of the polynomial coefficients (section 6.1).
-    offset_degree: degree of the polynomials (Eq. 28).
+    offset_degree: degree of the polynomials (Eq. 29).
     fits: number of fits before `lis-o` freezes the Gaussians. Without a Gaussian, `lis-o` waits until the end of a later epoch.
     sigma_scale: α of σ = α R_b (section 4.2.4).
     offset_slack: enlargement, in σ, of the disc of pixels that have a frozen Gaussian as a candidate. Offsets may move its mean.

@@ -17,7 +17,6 @@ from torch import Tensor
 from bokehguide.render.geometry import Geometry, Surface
 from bokehguide.render.lights.base import DirectLight
 from bokehguide.render.observer import CoreReport, PathObserver
-from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.shadow_roulette import MIRROR_PDF
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import cross, divisor, dot, length, luminance, normalize
@@ -139,10 +138,6 @@ class ImageRecorder(PathObserver):
     def rays(self, paths: Tensor) -> Tensor:
         """Ray of each path, int64 `[K]`."""
         return paths if self._rays is None else self._rays.index_select(0, paths)
-
-    def distances_of(self, samples: PathSamples, bright: float) -> ImageDistances:
-        """Distances at which the light of the samples appears to originate; bright: least luminance of a highlight."""
-        return ImageDistances(self, samples.radiance, samples.distance, bright)
 
 
 class HighlightImages(ImageRecorder):

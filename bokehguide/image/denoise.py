@@ -1,16 +1,17 @@
 """Denoising that is not worse than the noisy picture: a mixture of both, by errors that two halves estimate.
 
-A picture N = s A + (1 - s) B has halves A and B with uncorrelated noise. The delivered picture is N + w (D(N) - N), where D(N) is
-the denoised picture and w the weight of the denoiser. The denoised halves, D = s D(A) + (1 - s) D(B), tell the weight, because
-the other half is an unbiased witness for each of them. The squared error of N + w (D - N) is V - 2 w G + w² Q with
+A picture N = s A + (1 - s) B has halves A and B. The delivered picture is N + w (D(N) - N), where D(N) is the denoised picture
+and w the weight of the denoiser. The denoised halves, D = s D(A) + (1 - s) D(B), tell the weight, because the other half is an
+unbiased witness for each of them. The squared error of N + w (D - N) is V - 2 w G + w² Q with
 
     V = E (N - T)²,  G = E (T - N)(D - N),  Q = E (D - N)²,
 
-where T is the truth. As A has the mean T and does not depend on the noise of B, sums over pixels estimate without bias
+where T is the truth. The halves have the mean T. For uncorrelated noise of A and B, sums over pixels estimate without bias
 
     V by s (1 - s) (A - B)²,  G by s² (A - B)(A - D(A)) + (1 - s)² (B - A)(B - D(B)),  Q by (D - N)².
 
-V's estimate takes the variance of a half to be inversely proportional to its samples. w = G / Q has the least error. With more
+V's estimate takes the variance of a half to be inversely proportional to its samples. Stratified samples make the noise of the
+halves negatively correlated, so that the estimates of V and G are too large. w = G / Q has the least error. With more
 samples G falls as 1 / samples and Q tends to the squared bias of the denoiser, so that the mixture tends to the truth. D(N) is
 used for D(A) and D(B) because a denoiser works better on all samples than on half of the samples. Sums have Gaussian windows and
 are relative to the brightness, as MAPE is. (Squared errors from noisy pictures alone: Stein 1981; from two halves: Rousselle,

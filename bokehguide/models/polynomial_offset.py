@@ -10,7 +10,7 @@ from bokehguide.render.camera import ThinLensCamera
 
 
 def exponents(degree: int) -> list[tuple[int, int]]:
-    """(i, j) of the monomials x^i y^j with i + j ≤ degree; 6 of them for degree 2 (Eq. 28)."""
+    """(i, j) of the monomials x^i y^j with i + j ≤ degree; 6 of them for degree 2 (Eq. 29)."""
     return [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
 
 

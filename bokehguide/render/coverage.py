@@ -85,25 +85,29 @@ class Coverage:
             samples = triangle.contiguous(), weight.contiguous(), kept.contiguous()
             core.cover(self.sums(), self._objects, places, first, *samples, recenter)
             return
-        seen = self._seen(pixels, triangle)
+        seen = self._seen(pixels, triangle, kept)
         if recenter:
             self._features.recenter(pixels)
         self._features.add(pixels, seen, weight, kept)
 
     def initialise(self, pixels: Pixels, triangle: Tensor) -> None:
         """Initialise the estimator with samples of weight 1 that are not in the picture."""
-        self._features.initialise(pixels, self._seen(pixels, triangle))
+        self._features.initialise(pixels, self._seen(pixels, triangle, torch.ones_like(triangle)))
 
     def covered(self, count: Tensor) -> Covered:
         """The objects of each pixel in any order; count: number of samples in the picture, at least 1, `[pixels]`."""
         return Covered(self._numbers, self._features.means(count) * (self._numbers > 0))
 
-    def _seen(self, pixels: Pixels, triangle: Tensor) -> Tensor:
-        """1 in the slot of the object that each sample sees, else 0, float32 `[SLOTS, N]`. New objects get a slot."""
+    def _seen(self, pixels: Pixels, triangle: Tensor, kept: Tensor) -> Tensor:
+        """1 in the slot of the object that each sample sees, else 0, float32 `[SLOTS, N]`.
+
+        New objects get a slot. Only `kept` samples take the slot of another object, which may be in the picture.
+        """
         found = self._objects.index_select(0, triangle.clamp(min=0))
         found = torch.where(triangle >= 0, found, -1)
         same = gather_pixels(self._numbers, pixels) == found
-        new = indices((found > 0) & ~same.any(0))
+        space = gather_pixels(self._numbers[-1], pixels) == 0  # a pixel fills its slots in order
+        new = indices((found > 0) & (space | (kept > 0)) & ~same.any(0))
         if len(new) > 0:
             places = pixel_numbers(pixels, found.device).index_select(0, new)
             slot = self._least(places)

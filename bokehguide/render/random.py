@@ -208,7 +208,8 @@ class PixelRandom:
 
         number: of a further sample of each path. In an epoch (`_in_epoch`) of n steps, the sequence goes on: copy c of a pair has
         the points n (c + 2 number) … for its steps. All samples of both copies together are then stratified. Outside an epoch,
-        copies and further samples have scrambles of their own.
+        copies and further samples have scrambles of their own. After the last epoch (`RenderLoop.freeze`), copy 0 repeats the
+        points of copy 1.
         """
         together, odd = self._in_epoch(first), None
         pixel_keys = self._pair_keys if together else self.pixel_keys

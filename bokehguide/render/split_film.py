@@ -1,4 +1,4 @@
-"""A film in two halves: the samples of even steps and those of odd steps make two independent pictures."""
+"""A film in two halves: the samples of even steps and those of odd steps make two pictures."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ POOLED = 5
 
 
 def relative_error(first: Tensor, second: Tensor) -> Tensor:
-    """Estimated error of the mean of two independent pictures `[C, H, W]`, relative to the truth (plus 0.01), `[C, H, W]`.
+    """Estimated error of the mean of two pictures `[C, H, W]`, relative to the truth (plus 0.01), `[C, H, W]`.
 
-    Half of the difference of two pictures has the magnitude of the error of their mean. The denominator uses the mean of both
+    Half of the difference of two pictures with uncorrelated noise has the magnitude of the error of their mean. The noise of
+    halves is negatively correlated (see `SplitFilm`), so that the estimate is too large. The denominator uses the mean of both
     pictures in the pixel or around the pixel, whichever is less. A rare highlight makes a single pixel too bright, but not its
     neighbours. Features that both pictures missed go undetected.
     """
@@ -29,7 +30,7 @@ def relative_error(first: Tensor, second: Tensor) -> Tensor:
 
 
 class Halves(NamedTuple):
-    """Two pictures with independent noise, whose mean is the picture.
+    """Two pictures whose mean is the picture.
 
     first, second: radiance, float32 `[H, W, 3]`; share: weight of the first in the mean, from 0 to 1, float32 `[H, W]`. Where
     `share` is 0 or 1, one of the halves has no sample and is black. first_emission, second_emission: the part of the radiance
@@ -46,8 +47,9 @@ class Halves(NamedTuple):
 class SplitFilm(Film):
     """As `Film`, and the radiance and emission of the even steps once more.
 
-    A step learns from earlier steps, so that the noise of two steps is not independent, but uncorrelated: each step is unbiased
-    whatever the earlier steps were. Estimates of squared errors need no more.
+    Each step is unbiased, whatever the earlier steps were. With independent random numbers, the noise of two steps would
+    therefore be uncorrelated. Steps of an epoch share a Sobol' sequence, which makes their correlation slightly negative. The
+    mean of the halves then has less error than their difference shows.
     """
 
     def __init__(self, width: int, height: int, *args: Any, **keywords: Any):

@@ -173,8 +173,11 @@ def _require_numbers(state: Mapping[str, dict]) -> None:
     """Raise ValueError unless the times and bad samples of a loop's state are numbers."""
     for seconds in state["phases"].values():
         require_kind(seconds, 0.0)
-    for number in sum(map(tuple, state["film"]["bad_samples"]), ()):
-        require_kind(number, 0)
+    for *place, seed in state["film"]["bad_samples"]:
+        for number in place:
+            require_kind(number, 0)
+        if type(seed) is not int:  # a seed may be negative or large
+            raise ValueError(f"{seed!r} is no seed")
 
 
 def _damaged(path: str | Path) -> BokehguideError:

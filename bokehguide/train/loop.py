@@ -84,6 +84,8 @@ class RenderLoop:
         self._learns = any(strategy.learns for strategy in self.mode.strategies.values())
         self._phases: Counter[str] = Counter()
         self._mean_luminance = 1.0
+        self._has_stepped = False
+        """Whether a step has ended; an abandoned step leaves nothing to hand on."""
         self._unlearned: Sequence[BatchResult] | None = None
         """Reports of the last step, empty on a rank without pixels; None once the strategies have learned from the step."""
 
@@ -117,9 +119,12 @@ class RenderLoop:
         self._places = indices(active & self._mine_of_film().to(active.device))
 
     def learned(self) -> Learned | None:
-        """What the strategies have learned, for `inherit`; None if they cannot hand it on. Its tensors are those of the loop."""
+        """What the strategies have learned, for `inherit`; None if they cannot hand it on, and before the end of the first step.
+
+        The tensors are those of the loop.
+        """
         strategies = self.mode.strategies
-        if self.step_number == 0 or not any(strategy.inherits for strategy in strategies.values()):
+        if not self._has_stepped or not any(strategy.inherits for strategy in strategies.values()):
             return None
         with self.workers.serial():
             self._learn()
@@ -167,6 +172,7 @@ class RenderLoop:
                 if not last:
                     self._learn()
             self.film.find_bad()
+            self._has_stepped = True
             seconds, components = time.perf_counter() - start, self.mode.lens.component_count
             return step_stats(self.step_number, results + resampled, seconds, components, self.ranks)
 
@@ -380,6 +386,7 @@ class RenderLoop:
             for strategy in self.mode.strategies.values():
                 strategy.check(state["step"])
             self.step_number, self._mean_luminance = state["step"], state["mean_luminance"]
+            self._has_stepped = self.step_number > 0
             self._phases = Counter(state["phases"])
 
     def guide_images(self) -> dict[str, Tensor]:

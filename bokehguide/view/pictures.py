@@ -10,17 +10,16 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from bokehguide.color import LUMINANCE
 from bokehguide.image import Display, to_8_bit
 from bokehguide.models.candidates import MAX_CANDIDATES
-from bokehguide.picture import Picture
+from bokehguide.picture import Picture, picture_of
 from bokehguide.render.film import NO_DEPTH
-from bokehguide.train import RenderLoop, denoise_picture, describe_render
+from bokehguide.train import RenderLoop, denoise_picture
 from bokehguide.view.job import Job
 from bokehguide.view.preview import QuickDenoiser, quick_display
 from bokehguide.view.state import Source, ViewState, command_line
 
-LAYERS_OF_DATA = ("depth", "normal", "albedo", "variance")
-"""Layers that a film or a file has, whatever the mode has learned."""
 FARTHEST = 0.1
 """Brightness of the farthest surface in the picture of the depth."""
 
@@ -60,26 +59,10 @@ def _alpha(loop: RenderLoop) -> np.ndarray | None:
 def finished(job: Job, state: ViewState, source: Source) -> Picture:
     """The picture as `bokehguide render` writes it with the options of `command_line`."""
     loop = job.loop
-    film, error = loop.film, None
-    layers = film.layers()
-    if state.denoise:
-        layers["denoised"], error = denoise_picture(film, layers)
-    elif loop.step_number > 1:
-        error = film.relative_noise()
-    display = Display(state.exposure, state.view).metered(layers.get("denoised", layers["beauty"]), layers["alpha"])
     settings = replace(loop.settings, spp=loop.step_number, threads=None)
-    facts = describe_render(loop.scene, settings, loop.step_number)
-    facts |= {"command": command_line(state, source, loop.step_number)}
-    return Picture(
-        **layers,
-        metadata=facts | display.attributes,
-        estimated_mape=error,
-        display=display,
-        corner=film.corner,
-        frame=(loop.camera.width, loop.camera.height),
-        mattes={},
-        light_groups={},
-    )
+    picture = picture_of(loop, settings, Display(state.exposure, state.view), state.denoise)
+    command = {"command": command_line(state, source, loop.step_number)}
+    return replace(picture, metadata=picture.metadata | command)
 
 
 def layer_image(loop: RenderLoop, name: str) -> np.ndarray:
@@ -119,7 +102,7 @@ def data_image(name: str, layers: dict[str, np.ndarray]) -> np.ndarray:
     elif name == "normal":
         image = 0.5 * layers["normal"] + 0.5
     elif name == "variance":
-        brightness = layers["beauty"].mean(-1).clip(min=0.0) + 0.01
+        brightness = (layers["beauty"] @ LUMINANCE).clip(min=0.0) + 0.01
         image = 1.0 - 1.0 / (1.0 + np.sqrt(layers["variance"].clip(min=0.0)) / brightness)
     else:
         image = layers[name].clip(0.0, 1.0) ** (1.0 / 2.2)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from bokehguide.color import LUMINANCE
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, read_layers, to_8_bit
 from bokehguide.image.views import VIEW_ATTRIBUTE
@@ -206,7 +207,7 @@ class WatchedFile:
         """Estimated relative error of the file's picture, as `Film.relative_noise`; None for a single sample."""
         if "variance" not in self._layers or self._spp() < 2:
             return None
-        mean = self._layers["beauty"].mean(-1).clip(min=0.0)
+        mean = (self._layers["beauty"] @ LUMINANCE).clip(min=0.0)
         return float((np.sqrt(self._layers["variance"].clip(min=0.0)) / (mean + 0.01)).mean())
 
     def _pixel(self, request: Mapping[str, Any]) -> Message | None:

@@ -39,6 +39,12 @@ def test_an_item_is_rendered_stamped_and_then_kept(tmp_path):
     assert (tmp_path / "docs/figures-fig7.md").read_text() == text
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["speed", "profile"])
+def test_the_smallest_setting_of_measurements_succeeds(name, tmp_path):
+    assert results.finish(ITEMS[name], "smoke", tmp_path, tmp_path / "docs")
+
+
 @pytest.mark.parametrize("path", ["bokehguide/one.py", "native/one.h", "native/one.cpp"])
 def test_results_of_other_sources_are_not_kept(tmp_path, monkeypatch, path):
     monkeypatch.setattr(results, "REPOSITORY", tmp_path)

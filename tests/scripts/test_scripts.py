@@ -4,6 +4,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+import tomllib
 
 import numpy as np
 import pytest
@@ -17,6 +18,13 @@ from bokehguide.train import MODES
 from tests.support.paths import ASSETS, REPOSITORY
 
 SCRIPTS = REPOSITORY / "scripts"
+
+
+def test_every_mutation_of_the_list_is_possible():
+    """`mutate.py` replaces a text that occurs once."""
+    listed = tomllib.loads((SCRIPTS / "mutations.toml").read_text())["mutation"]
+    wrong = [each["name"] for each in listed if (REPOSITORY / each["file"]).read_text().count(each["old"]) != 1]
+    assert len(listed) > 300 and wrong == []
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from bokehguide.guiding.light_sampler import LightSampleRecorder
-from bokehguide.guiding.virtual_images import ImageRecorder
+from bokehguide.guiding.virtual_images import ImageDistances, ImageRecorder
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.splitting import UNSPLIT, SplitPaths
@@ -27,7 +27,7 @@ class Traced:
 
     def __init__(self, samples: PathSamples, lights: LightSampleRecorder, images: ImageRecorder):
         self.samples, self.lights = samples, lights.samples[0] if lights.samples else None
-        self.image = images.distances_of(samples, 0.0).distances()
+        self.image = ImageDistances(images, samples.radiance, samples.distance, 0.0).distances()
 
 
 def traced(lit: Scene, parts, ray=ROOM_RAY, choice_of=None, count: int = COUNT, seed: int = 0) -> Traced:

@@ -15,6 +15,7 @@ from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.types import Scene
 from bokehguide.train import RenderLoop, RenderSettings
 from bokehguide.view.kept import Kept
+from bokehguide.view.workers import AbandonedError, StoppableWorkers
 
 SIZE = 64, 40
 STEPS = 8
@@ -65,6 +66,17 @@ def narrower(learned) -> RenderLoop:
     loop = loop_of(with_camera(aperture_radius=0.7 * scene().camera.aperture_radius))
     loop.inherit(learned)
     return loop
+
+
+def test_an_abandoned_first_step_has_nothing_to_hand_on(learned):
+    """The page keeps the state of the picture before."""
+    loop = loop_of(scene())
+    loop.inherit(learned)
+    loop.workers = StoppableWorkers(1)
+    loop.workers.stop.set()
+    with loop.workers, pytest.raises(AbandonedError):
+        loop.step()
+    assert loop.learned() is None
 
 
 def test_estimates_of_radiance_and_samples_are_not_taken_over(earlier, narrower):

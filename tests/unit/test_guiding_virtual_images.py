@@ -10,7 +10,7 @@ import pytest
 import torch
 import trimesh
 
-from bokehguide.guiding.virtual_images import ImageRecorder, mirror_power
+from bokehguide.guiding.virtual_images import ImageDistances, ImageRecorder, mirror_power
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.tracer import MISS_DISTANCE
@@ -258,7 +258,7 @@ def traced(scene: Scene, directions, count: int = COUNT, alive: torch.Tensor | N
         rays = torch.zeros_like(directions), directions, random
         samples = tracer.trace(*rays, PhaseTimer(), alive=alive, observers=(images,))
         seen = Seen(**vars(samples))
-        seen.image = images.distances_of(samples, bright).distances()
+        seen.image = ImageDistances(images, samples.radiance, samples.distance, bright).distances()
         return seen
 
 

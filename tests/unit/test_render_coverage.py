@@ -124,6 +124,17 @@ def test_more_objects_than_slots_keep_the_largest():
     assert {1, 3} == set(found.ranked(2).numbers.unique().tolist())
 
 
+def test_samples_outside_the_picture_take_no_slot():
+    """Each object of the full slots has one sample in the picture. A ninth object, outside the picture, replaces none of them."""
+    coverage, ones = Coverage(OBJECTS, PIXELS, MeanFeatures), torch.ones(PIXELS)
+    for triangle in (0, 2, 3, 6, 7, 8, 9, 10):
+        coverage.add(slice(0, PIXELS), (triangle * ones).int(), ones, ones, True)
+    coverage.add(slice(0, PIXELS), (11.0 * ones).int(), ones, 0.0 * ones, True)
+    found = coverage.covered(8.0 * ones)
+    assert set(found.numbers.unique().tolist()) == set(range(1, 9))
+    assert bool((found.share == 0.125).all())
+
+
 def test_ranks_are_sorted_clipped_and_sum_to_one_at_most():
     numbers = torch.tensor([[4, 1, 7], [2, 5, 0], [3, 3, 0], [9, 2, 0]], dtype=torch.int32)
     share = torch.tensor([[0.25, -0.5, 0.0], [0.5, 1.5, 0.0], [0.25, 0.5, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)

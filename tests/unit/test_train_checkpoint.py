@@ -18,6 +18,7 @@ from bokehguide.scene.types import Aperture, Scene
 from bokehguide.train import MODES, RenderLoop, RenderSettings, load_checkpoint, save_checkpoint
 from tests.support import restir_cases, scenes
 from tests.support.same_bits import assert_same_bits
+from tests.support.sharing_cases import spoil
 
 GUIDED = [mode for mode in MODES if not mode.startswith("area")]
 
@@ -153,6 +154,15 @@ def test_a_loop_goes_back_to_before_its_offsets():
     late.load_state_dict(early.state_dict())
     assert late.mode.lens.offsets is None
     assert_same_state(rendered("lis-o", GaussianConfig.fits + 3), onwards(late, GaussianConfig.fits + 3))
+
+
+@pytest.mark.parametrize("seed", [-1, 2**62])
+def test_bad_samples_of_any_seed_are_kept(seed, tmp_path):
+    loops = [RenderLoop(scene(), replace(settings("uniform"), seed=seed)) for _ in range(2)]
+    spoil(loops[0])
+    save_checkpoint(tmp_path / "a.ckpt", loops[0], 1.0)
+    load_checkpoint(tmp_path / "a.ckpt", loops[1])
+    assert loops[1].film.bad_samples == loops[0].film.bad_samples and loops[1].film.bad_samples[0].seed == seed
 
 
 def test_vignettes_pinholes_and_bad_samples_are_kept(tmp_path):

@@ -21,6 +21,7 @@ from bokehguide.train.checkpoint import load_checkpoint, save_checkpoint
 from tests.support.group_cases import NAMES, grouped, rendered
 from tests.support.sharing_cases import spoil
 from tests.support.thread_ranks import job
+from tests.support.tracing import rectangle
 
 MODES = ("uniform", "lis-b", "lis-o", "guided")
 
@@ -198,3 +199,18 @@ def test_samples_that_are_not_finite_do_not_count():
             spoil(loop) if step == 1 else loop.step()
     assert loop.film.bad_count > 0
     check_sum(loop)
+
+
+@pytest.mark.usefixtures("_core")
+def test_a_group_that_is_dark_stays_exactly_dark():
+    """The control variate of each pixel is shared out by the light of the groups. The light of one group reaches no pixel."""
+    scene = grouped()
+    hidden = Material("hidden", emission=(5.0, 5.0, 5.0), light_group="hidden")
+    away = rectangle(len(scene.materials), (0.0, 50.0, 50.0), (-90.0, 0.0, 0.0))  # it faces up, above the scene
+    scene = replace(scene, materials=(*scene.materials, hidden), meshes=(*scene.meshes, away))
+    loop = rendered(scene, 10, settings_of("guided"))
+    assert loop.mode.strategies["reuse"].control_variate.coefficients.any()
+    groups = groups_of(loop)
+    assert not groups.pop("hidden").any()
+    assert all(layer.any() for layer in groups.values())
+    np.testing.assert_allclose(sum(groups.values()), loop.picture().radiance().numpy(), rtol=1e-4, atol=1e-5)

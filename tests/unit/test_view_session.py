@@ -22,7 +22,7 @@ from bokehguide.scene import FilmSettings, Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
 from bokehguide.view.history import LONGEST, History
 from bokehguide.view.job import Job, reduced_sizes
-from bokehguide.view.pictures import FARTHEST, LAYERS_OF_DATA, data_image, depth_image
+from bokehguide.view.pictures import FARTHEST, data_image, depth_image
 from bokehguide.view.pixel import BRIGHTEST, DIMMEST, lens_disc
 from bokehguide.view.preview import QuickDenoiser, quick_display
 from bokehguide.view.session import Session
@@ -178,7 +178,7 @@ def test_layers_are_pictures_of_their_own(page):
         images[layer] = page.image
     run(page.facts["state"]["command"], "--out=again.exr")
     layers, _ = read_layers("again.exr")
-    for layer in LAYERS_OF_DATA:
+    for layer in ("depth", "normal", "albedo", "variance"):  # whatever the mode has learned
         np.testing.assert_array_equal(images[layer], data_image(layer, layers))
     assert len({image.tobytes() for image in images.values()}) == len(images)
 

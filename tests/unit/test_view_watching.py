@@ -11,6 +11,8 @@ from PIL import Image
 
 from bokehguide.cli import main
 from bokehguide.image import read_layers, write_exr
+from bokehguide.scene import load_scene
+from bokehguide.train import RenderLoop, RenderSettings
 from bokehguide.view.server import ViewServer
 from bokehguide.view.watching import WatchedFile
 from tests.support.scene_text import BOX_AND_EMITTER
@@ -107,6 +109,10 @@ def test_the_figures_are_those_of_the_render(rendered, page, tmp_path):
         errors[spp] = facts["error"]
         assert facts["limit"] == spp and 0.0 <= facts["age"] < 60.0
     assert errors[1] is None and facts["curve"] == [[2, errors[2]], [4, errors[4]]]
+    with RenderLoop(load_scene("box.toml"), RenderSettings(spp=4, denoise=True)) as loop:
+        for _ in range(4):
+            loop.step()
+    assert errors[4] == pytest.approx(loop.film.relative_noise(), rel=1e-5)
     layers, _ = read_layers("out.exr")
     write_exr("next.exr", {"beauty": layers["beauty"]}, metadata={"settings": '{"spp": 100}', "spp": 5})
     Path("next.exr").replace("out.exr")
