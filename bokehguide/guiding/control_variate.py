@@ -6,7 +6,8 @@ radiance - c (weight - 1) is free of noise. Near guided highlights, the correlat
 The coefficient c is the slope of a linear regression of radiance on weight, for a cell of pixels and over earlier epochs. A
 coefficient from the same epoch would bias the picture. Where an edge crosses a cell, the coefficient does not fit all pixels of
 the cell. Therefore |c| is at most the pixel's mean radiance of earlier epochs. A dark pixel stays exactly dark, and a mean is
-never negative where the mean weight is below 2.
+never negative where the mean weight is below 2. The first step has no earlier epoch, and coefficients of its own
+(`cross_fitting.py`).
 
 A light group has a share of the coefficient: its share of the pixel's mean radiance of earlier epochs. The shares add up to 1, so
 that the groups add up to the radiance. A group that is dark in a pixel stays exactly dark.
@@ -32,6 +33,33 @@ CELL = 4
 """Side of a cell in pixels. Each cell has one coefficient, and a band of rows contains whole cells."""
 MIN_WEIGHT_VARIANCE = 1e-3
 """Least variance of weights as a divisor, so that the slopes of almost constant weights are small."""
+
+
+def summands(radiance: Tensor, weight: Tensor) -> Tensor:
+    """What samples `[3, N]` with weights `[N]` add to `ControlVariate.sums`, float64 `[8, N]`; 0 for samples that are not finite."""
+    radiance, weight = radiance.double(), weight.double()  # squares of large float32 numbers overflow
+    light = luminance(radiance)
+    rows = torch.stack((torch.ones_like(light), weight, weight * weight, weight * light, light * light, *radiance))
+    rows *= (weight + light).isfinite()
+    return rows.nan_to_num(0.0, 0.0, 0.0)
+
+
+def trusted_slopes(sums: Tensor, shrinkage: float) -> tuple[Tensor, Tensor]:
+    """Slopes `[cells]` of luminance on weight, times the trust in them, and mean radiance `[3, cells]`.
+
+    sums, shrinkage: as of `ControlVariate`, `[8, cells]`.
+    """
+    count, weight, squares, product, light_squares = sums[:5]
+    count = count.clamp(min=1.0)
+    color = sums[5:] / count
+    light = luminance(color)
+    variance = squares / count - (weight / count).square()
+    covariance = product / count - light * weight / count
+    slope = covariance / variance.clamp(min=MIN_WEIGHT_VARIANCE)
+    residual = (light_squares / count - light * light - covariance * slope).clamp(min=0.0)
+    error = residual / (variance.clamp(min=MIN_WEIGHT_VARIANCE) * count)
+    trust = slope * slope / (slope * slope + shrinkage * error).clamp(min=1e-300)
+    return slope * trust, color
 
 
 class NoControlVariate(nn.Module):
@@ -101,11 +129,7 @@ class ControlVariate(RankSums):
 
     def add(self, places: Pixels, radiance: Tensor, weight: Tensor) -> None:
         """Add samples `[3, N]` with their weights `[N]`. Samples that are not finite are ignored."""
-        radiance, weight = radiance.double(), weight.double()  # squares of large float32 numbers overflow
-        light = luminance(radiance)
-        rows = torch.stack((torch.ones_like(light), weight, weight * weight, weight * light, light * light, *radiance))
-        rows *= (weight + light).isfinite()
-        self.mine.index_add_(1, self._cells(places), rows.nan_to_num(0.0, 0.0, 0.0))
+        self.mine.index_add_(1, self._cells(places), summands(radiance, weight))
 
     def shares(self, places: Pixels) -> Tensor:
         """Shares of the light groups in the coefficients of some pixels of the film, `[G, 3, N]`."""
@@ -119,17 +143,8 @@ class ControlVariate(RankSums):
             light = self.ranks.total(groups()).clamp(min=0.0)
             total = light.sum(0)
             self.group_shares.copy_(torch.where(total > 0.0, light / total.clamp(min=1e-30), 1.0 / len(light)))
-        count, weight, squares, product, light_squares = self.sums[:5]
-        count = count.clamp(min=1.0)
-        color = self.sums[5:] / count
-        light = luminance(color)
-        variance = squares / count - (weight / count).square()
-        covariance = product / count - light * weight / count
-        slope = covariance / variance.clamp(min=MIN_WEIGHT_VARIANCE)
-        residual = (light_squares / count - light * light - covariance * slope).clamp(min=0.0)
-        error = residual / (variance.clamp(min=MIN_WEIGHT_VARIANCE) * count)
-        trust = slope * slope / (slope * slope + self._shrinkage * error).clamp(min=1e-300)
-        self.coefficients.copy_(self._median(slope * trust) * color / light.clamp(min=1e-300))
+        slope, color = trusted_slopes(self.sums, self._shrinkage)
+        self.coefficients.copy_(self._median(slope) * color / luminance(color).clamp(min=1e-300))
 
     def _median(self, values: Tensor) -> Tensor:
         """The median over each cell and the cells around it, `[cells]`."""

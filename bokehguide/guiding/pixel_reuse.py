@@ -34,6 +34,7 @@ from torch import Tensor
 
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.control_variate import CELL, ControlVariate, NoControlVariate
+from bokehguide.guiding.cross_fitting import cross_fitted
 from bokehguide.guiding.native_reuse import PixelGroups, Reused, ViewPoints, native_reuse
 from bokehguide.guiding.protocols import BatchSamples, ModeContext, SampleReuse, StepSummary
 from bokehguide.models.reconnection import reconnect, reconnection_jacobian
@@ -201,13 +202,14 @@ class PixelPathReuse:
         """
         drawn, batch = samples.drawn, samples.batch
         own = {"density": samples.query.own_pdf(drawn)} | self._own_transmittance(samples, timer)
-        groups, native = self._groups(batch.step), self._tracer.native
+        groups, native = self.groups(batch.step), self._tracer.native
         found = None
         if native is not None:
             found = native_reuse(native, self._camera, groups, self._min_spread, samples, own, timer)
         return self._reuse(groups, samples, own, timer) if found is None else found
 
-    def _groups(self, step: int) -> PixelGroups:
+    def groups(self, step: int) -> PixelGroups:
+        """Groups of a step."""
         key = hash_int(hash_int(self._seed ^ 0x68E31DA4) + step)
         return PixelGroups.of(self._width, self._group, key, step <= SCATTERED_STEPS)
 
@@ -357,17 +359,26 @@ class PixelReuse(SampleReuse):
         known = config.control_variate and not context.camera.lens.vignettes
         shrinkage = config.control_shrinkage if group > 1 else config.unshared_control_shrinkage
         self.control_variate = ControlVariate(context, shrinkage) if known else NoControlVariate()
+        self._cross_fits, self._shrinkage = known and group > 1, shrinkage
 
     def cuts(self, width: int, height: int) -> np.ndarray:
         return np.append(np.arange(0, width * height, ROWS_PER_BAND * width), width * height)
 
     def expose(self, samples: BatchSamples, film: Callable[[Pixels, FilmSamples], Tensor], timer: PhaseTimer) -> Tensor:
-        places, reused = samples.batch.places, self.paths.reuse(samples, timer)
-        radiance, groups = self.control_variate.corrected(places, reused.radiance, reused.weight), reused.light_groups
-        if groups is not None:
-            groups = groups - self.control_variate.shares(places) * (reused.radiance - radiance)
+        batch, reused = samples.batch, self.paths.reuse(samples, timer)
+        radiance, groups = self._corrected(batch.step, batch.places, reused)
         ones = torch.ones_like(reused.weight)
-        return film(places, replace(samples.film, radiance=radiance, radiance_weight=ones, groups=groups))
+        return film(batch.places, replace(samples.film, radiance=radiance, radiance_weight=ones, groups=groups))
+
+    def _corrected(self, step: int, places: Pixels, reused: Reused) -> tuple[Tensor, Tensor | None]:
+        """Radiance `[3, N]` after the control variate, and that of the light groups, `[G, 3, N]`, None without groups."""
+        radiance, groups = self.control_variate.corrected(places, reused.radiance, reused.weight), reused.light_groups
+        shares = self.control_variate.shares(places)
+        if step == 1 and self._cross_fits:  # no epoch has ended, and all other coefficients are 0
+            of_step = self.paths.groups(step)
+            coefficient, shares = cross_fitted(places, of_step, reused.radiance, reused.weight, self._shrinkage, groups)
+            radiance = radiance - coefficient * (reused.weight - 1.0)
+        return radiance, None if groups is None else groups - shares * (reused.radiance - radiance)
 
     def update(self, summary: StepSummary) -> None:
         if summary.ends_epoch:
