@@ -11,6 +11,7 @@ import torch
 
 from bokehguide.color import LUMINANCE_WEIGHTS
 from bokehguide.guiding.config import GuidedConfig
+from bokehguide.guiding.cross_fitting import cross_fitted
 from bokehguide.guiding.native_reuse import NOWHERE, PixelGroups
 from bokehguide.guiding.pixel_reuse import COLUMNS, GROUP_SPACING, SCATTERED_STEPS, _members
 from bokehguide.render.film import FilmSamples
@@ -521,7 +522,11 @@ def test_the_film_takes_reused_samples_as_they_are():
         return torch.ones(len(samples.weight), dtype=torch.bool)
 
     loop.mode.reuse.expose(step.samples, film, PhaseTimer())
-    coefficient = loop.mode.reuse.control_variate.coefficient(step.samples.batch.places)
+    batch, reuse = step.samples.batch, loop.mode.reuse
+    coefficient = reuse.control_variate.coefficient(batch.places)
+    # The samples are those of a first step.
+    of_step = (reuse.paths.groups(batch.step), step.reused.radiance, step.reused.weight)
+    coefficient = coefficient + cross_fitted(batch.places, *of_step, GuidedConfig.control_shrinkage, None)[0]
     assert same(shown[0], step.reused.radiance - coefficient * (step.reused.weight - 1.0))
 
 
