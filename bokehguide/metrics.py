@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -32,32 +33,32 @@ class Metrics:
     psnr: float
 
 
-def mape(image: Tensor, reference: Tensor) -> float:
+def mape(image: Tensor | np.ndarray, reference: Tensor | np.ndarray) -> float:
     """Mean over pixels and channels of |I - R| / (R + 0.01); radiance `[H, W, 3]`.
 
-    Raises BokehguideError as `check` does.
+    Raises BokehguideError as `checked` does.
     """
-    check(image, reference)
+    image, reference = checked(image, reference)
     return ((image - reference).abs() / (reference + EPSILON)).mean().item()
 
 
-def relmse(image: Tensor, reference: Tensor) -> float:
+def relmse(image: Tensor | np.ndarray, reference: Tensor | np.ndarray) -> float:
     """Mean over pixels and channels of ((I - R) / (R + 0.01))²; radiance `[H, W, 3]`.
 
-    Raises BokehguideError as `check` does.
+    Raises BokehguideError as `checked` does.
     """
-    check(image, reference)
+    image, reference = checked(image, reference)
     return ((image - reference) / (reference + EPSILON)).square().mean().item()
 
 
-def compare(image: Tensor, reference: Tensor, exposure: float = 0.0) -> Metrics:
+def compare(image: Tensor | np.ndarray, reference: Tensor | np.ndarray, exposure: float = 0.0) -> Metrics:
     """All four measures of radiance `[H, W, 3]`; SSIM and PSNR tone-map it at `exposure` EV.
 
-    Raises BokehguideError as `check` does.
+    Raises BokehguideError as `checked` does.
     """
     from kornia.metrics import psnr  # the import takes over a second, and renders do not need it
 
-    check(image, reference)
+    image, reference = checked(image, reference)
     shown, expected = (tone_map(x, exposure).movedim(-1, 0)[None] for x in (image, reference))
     return Metrics(
         mape=mape(image, reference),
@@ -83,8 +84,9 @@ def _mean_ssim(shown: Tensor, expected: Tensor) -> float:
     return total / shown.numel()
 
 
-def check(image: Tensor, reference: Tensor) -> None:
-    """Raise BokehguideError for unequal shapes, NaN or infinity, or a negative reference."""
+def checked(image: Tensor | np.ndarray, reference: Tensor | np.ndarray) -> tuple[Tensor, Tensor]:
+    """The images as tensors. Raises BokehguideError for other shapes, unequal ones, NaN or infinity, or a negative reference."""
+    image, reference = _tensor("image", image), _tensor("reference", reference)
     if image.shape != reference.shape:
         raise BokehguideError(
             f"the image is {_size(image)} and the reference {_size(reference)} pixels; give two images of one size"
@@ -95,16 +97,27 @@ def check(image: Tensor, reference: Tensor) -> None:
             raise BokehguideError(f"the {name} has {bad} NaN or infinite values; their mean is undefined; render it again")
     if reference.min() < 0.0:
         raise BokehguideError(f"the reference has a negative value, {reference.min():g}; give an image of radiance")
+    return image, reference
+
+
+def _tensor(name: str, pixels: Tensor | np.ndarray) -> Tensor:
+    """The pixels of an image `[H, W, 3]`; those of an array in single precision."""
+    if isinstance(pixels, np.ndarray) and pixels.dtype.kind in "iuf":
+        pixels = torch.from_numpy(np.require(pixels, np.float32, ("C", "W")))
+    if not (isinstance(pixels, Tensor) and pixels.ndim == 3 and pixels.numel()):
+        found = f"shape {tuple(pixels.shape)}" if hasattr(pixels, "shape") else f"type {type(pixels).__name__}"
+        raise BokehguideError(f"the {name} has {found}; give an array or a tensor of numbers, height × width × 3")
+    return pixels
 
 
 def read_reference(path: str | Path, width: int, height: int) -> Tensor:
     """Radiance `[H, W, 3]` of a reference EXR for renders of this size.
 
-    Raises BokehguideError with the name of the file if it cannot be read, has another size, or fails `check`.
+    Raises BokehguideError with the name of the file if it cannot be read, has another size, or fails `checked`.
     """
     reference = torch.from_numpy(read_rgb(path))
     try:
-        check(torch.zeros(height, width, 3), reference)
+        checked(torch.zeros(height, width, 3), reference)
     except BokehguideError as error:
         raise BokehguideError(f"{path}: {error}") from error
     return reference

@@ -23,11 +23,13 @@ from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, group_layers, to_8_bit, write_exr, write_png
 from bokehguide.image.cryptomatte import LAYERS, manifest, mask, require_hash
 from bokehguide.image.oidn import require_denoiser
+from bokehguide.limits import MAX_EXPOSURE, VIEWS
 from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.scene import Overrides, Scene, load_scene
+from bokehguide.scene.checks import plain
 from bokehguide.scene.overrides import OVERRIDES
-from bokehguide.scene.tables import did_you_mean, shown
+from bokehguide.scene.tables import EXPOSURE, Table, did_you_mean, is_number, shown
 from bokehguide.train import (
     AdaptiveLoop,
     RenderLoop,
@@ -43,6 +45,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SETTINGS = tuple(field.name for field in fields(RenderSettings) if field.name not in ("mode", "spp", "denoise"))
+EV = replace(EXPOSURE, remedy=f"EV from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}")
+"""Exposures of a developed picture."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,9 +90,18 @@ class Picture:
         }
 
     def developed(self, exposure: float | None = None, view: str | None = None) -> Picture:
-        """The same picture, shown with another exposure in EV or another view ("photo", "aces" or "srgb")."""
-        given = {"exposure": exposure, "view": view}
-        display = replace(self.display, **{name: value for name, value in given.items() if value is not None})
+        """The same picture, shown with another exposure in EV or another view ("photo", "aces" or "srgb").
+
+        Raises BokehguideError for an exposure out of range and for an unknown view.
+        """
+        display = self.display
+        if exposure is not None:
+            table = Table({"exposure": plain(exposure)}, "Picture.developed", "", ("exposure",))
+            display = replace(display, exposure=table.number("exposure", None, EV))
+        if view is not None:
+            if view not in VIEWS:
+                raise BokehguideError(f"Picture.developed: view: {shown(view)} is unknown; choose one of {', '.join(VIEWS)}")
+            display = replace(display, view=view)
         return replace(self, display=display, metadata=self.metadata | display.attributes)
 
     def image(self) -> np.ndarray:
@@ -235,13 +248,12 @@ def _of(options: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
 
 def _pair(size: tuple[int, int] | None) -> tuple[int | None, int | None]:
     """Width and height, None for those of the scene."""
-    if size is None:
-        return None, None
-    if not (isinstance(size, (tuple, list)) and len(size) == 2):
+    pair = (None, None) if size is None else plain(size)
+    if not (isinstance(pair, (tuple, list)) and len(pair) == 2):
         raise BokehguideError(
             f"render: size: {shown(size)} is no pair of whole numbers; give a width and a height, as in (640, 360)"
         )
-    width, height = size
+    width, height = pair
     return width, height
 
 
@@ -249,10 +261,10 @@ def _deadline(time_limit: float | None) -> float:
     """The reading of `time.monotonic` after which no step begins."""
     if time_limit is None:
         return math.inf
-    number = isinstance(time_limit, (int, float)) and not isinstance(time_limit, bool)
-    if not (number and 0.0 < time_limit < math.inf):
+    seconds: Any = plain(time_limit)
+    if not (is_number(seconds) and 0.0 < seconds < math.inf):
         raise BokehguideError(f"render: time_limit: {shown(time_limit)} is no number above 0; give seconds")
-    return time.monotonic() + time_limit
+    return time.monotonic() + seconds
 
 
 def _take_steps(

@@ -21,6 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     pipe.
     """
     if arguments is None:
+        _replace_closed_streams()  # before a file or a pipe takes the number of one
         stop_at_signals()  # before any import that takes time
     try:
         try:
@@ -28,13 +29,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        # Python flushes stdout again at exit; that flush must not fail.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_lost_output()
         return PIPE_CLOSED
     except OSError as error:  # from stdout alone: all other files have their own messages
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_lost_output()
         print(f"bokehguide: error: the output cannot be written ({error.strerror})", file=sys.stderr)
         return USER_ERROR
+
+
+def _replace_closed_streams() -> None:
+    """Let stdout and stderr lead nowhere where the caller has closed them."""
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        if getattr(sys, name) is None:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+            setattr(sys, name, open(number, "w"))  # noqa: PTH123, SIM115, as it stays open to the end
+
+
+def _discard_lost_output() -> None:
+    """Let stdout and stderr lead nowhere where they cannot be written: Python flushes them at exit, which must not fail."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _run(arguments: Sequence[str], own_process: bool) -> int:

@@ -68,7 +68,7 @@ def make_parser() -> Parser:
 def _add_render(commands: argparse._SubParsersAction) -> None:
     render = commands.add_parser("render", help="render a scene to an EXR and a PNG")
     _add_render_options(render)
-    render.add_argument("--json", type=Path, metavar="PATH", help="write speed, memory, errors and times as a JSON object")
+    render.add_argument("--json", type=json, metavar="PATH", help="write speed, memory, errors and times as a JSON object")
     live = f"show the picture during the render in the image viewer tev (default port: {TEV_PORT})"
     render.add_argument("--tev", type=address, metavar="HOST[:PORT]", help=live)
 
@@ -97,7 +97,7 @@ def _add_view(commands: argparse._SubParsersAction) -> None:
 def _add_info(commands: argparse._SubParsersAction) -> None:
     info = commands.add_parser("info", help="print a scene as `render` with the same options sees it, and likely mistakes")
     _add_render_options(info)
-    info.add_argument("--json", type=Path, metavar="PATH", help="write the facts as a JSON object")
+    info.add_argument("--json", type=json, metavar="PATH", help="write the facts as a JSON object")
     view = "write a quick pinhole view in which the plane of focus is marked"
     info.add_argument("--picture", type=png, metavar="PATH.png", help=view)
 
@@ -121,7 +121,7 @@ def _add_render_options(render: argparse.ArgumentParser) -> None:
     add("--cryptomatte", action="store_true", help=mattes)
     groups = "also write the light of each light group of the scene into the EXR, as layers whose sum is the picture"
     add("--light-groups", action="store_true", help=groups)
-    box = "render only this box: in pixels from the top left, or in fractions of the frame if W and H are at most 1"
+    box = "render only this box: in pixels from the top left, or in fractions of the frame if all are from 0 to 1"
     add("--crop", type=crop, metavar="X,Y,W,H", help=box)
     limit = "stop before a step that would exceed this time, loading included; at least one step is taken"
     add("--time-limit", type=duration, metavar="SECONDS", help=limit)
@@ -212,7 +212,7 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     add("--camera-position", type=vector, metavar="X,Y,Z", help="metres")
     add("--camera-target", type=vector, metavar="X,Y,Z", help="metres")
     add("--fov", type=float, metavar="DEG", help="horizontal field of view in degrees")
-    add("--max-depth", type=positive, metavar="N", help="longest path in segments; glass needs more (default: the scene's, or 6)")
+    add("--max-depth", type=depth, metavar="N", help="longest path in segments; glass needs more (default: the scene's, or 6)")
     add("--aperture-blades", type=natural, metavar="N", help="blades of the iris; 0: round")
     add("--aperture-rotation", type=float, metavar="DEG", help="rotation of the blades or of the mask, anticlockwise")
     add("--aperture-curvature", type=float, metavar="X", help="curvature of the blades: 0 straight, 1 a circle")
@@ -248,6 +248,10 @@ def positive(text: str) -> int:
 
 def natural(text: str) -> int:
     return _whole(text, 0)
+
+
+def depth(text: str) -> int:
+    return _whole(text, 1, MAX_SIDE)
 
 
 def threads(text: str) -> int:
@@ -300,12 +304,17 @@ def duration(text: str) -> float:
 def crop(text: str) -> tuple[float, float, float, float]:
     """X,Y,W,H in pixels or fractions; RenderSettings checks that a box in pixels lies within the frame."""
     box = _numbers(text, "X,Y,W,H")
-    if max(box[2:]) > 1.0 and any(value != int(value) for value in box):
-        raise argparse.ArgumentTypeError(f"{text!r} is in pixels and not whole; give whole pixels, or fractions of the frame")
-    if max(box[2:]) <= 1.0:
+    if in_fractions(box):
         return inset(text)
+    if any(value != int(value) for value in box):
+        raise argparse.ArgumentTypeError(f"{text!r} is in pixels and not whole; give whole pixels, or fractions of the frame")
     x, y, width, height = (int(value) for value in box)
     return x, y, width, height
+
+
+def in_fractions(box: Sequence[float]) -> bool:
+    """Whether a crop is in fractions of the frame, not in pixels."""
+    return all(0.0 <= value <= 1.0 for value in box)
 
 
 def size(text: str) -> tuple[int, int]:
@@ -330,6 +339,13 @@ def png(text: str) -> Path:
     path = Path(text)
     if path.suffix.lower() != ".png":
         raise argparse.ArgumentTypeError(f"{text!r} is no PNG; end it in .png")
+    return path
+
+
+def json(text: str) -> Path:
+    path = Path(text)
+    if path.suffix.lower() in (".exr", ".png", ".ckpt"):
+        raise argparse.ArgumentTypeError(f"{text!r} is the name of a picture or a checkpoint; give another path, such as a.json")
     return path
 
 

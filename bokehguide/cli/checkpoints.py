@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 
 from bokehguide.cli.terminal import say
@@ -28,11 +29,14 @@ class Checkpoints:
         """Whether the file stays when the render ends by itself: the user has asked for it, now or when it was written."""
         self._last = time.monotonic()
         self._saved_step = 0
+        self._of_another = False
+        """Whether the file is of another render."""
 
     def begin(self, loop: RenderLoop | AdaptiveLoop, resume: bool) -> float:
         """Load the file into the loop if `resume` is set and the file exists; returns the seconds of earlier sessions.
 
-        Without `resume`, a file of the same render stays until the loop has more SPP than the file.
+        Without `resume`, a file of the same render stays until the loop has more SPP than the file. A file of another render gets
+        another name before the first save.
         Raises BokehguideError if `resume` finds another render, a damaged file, or more SPP than the settings ask for.
         """
         if resume and self.path.exists():
@@ -47,7 +51,7 @@ class Checkpoints:
             advice = "a finished render keeps one with --checkpoint-every SECONDS"
             self._note(f"no {self.path} to resume; starting from the first step ({advice})")
         elif self.every > 0.0:
-            step, kept = saved_state(self.path, loop)
+            step, kept, self._of_another = saved_state(self.path, loop)
             self._saved_step, self._kept = step, self._kept or kept
             if step > 0:
                 self._note(f"{self.path} has {step} SPP of this render and stays until this run has more; see --resume")
@@ -59,6 +63,7 @@ class Checkpoints:
     def save(self, loop: RenderLoop | AdaptiveLoop, seconds: float) -> None:
         """Write the state; collective. Warns if the file cannot be written, as the render can still succeed."""
         if self.every > 0.0 and loop.step_number > self._saved_step:
+            self._set_aside(loop)
             try:
                 save_checkpoint(self.path, loop, seconds, self._kept)
                 self._saved_step = loop.step_number
@@ -86,6 +91,22 @@ class Checkpoints:
         """Whether the file has the current state of the loop."""
         return 0 < self._saved_step == loop.step_number
 
+    def _set_aside(self, loop: RenderLoop | AdaptiveLoop) -> None:
+        """Rename a file of another render to the first free name, and tell it."""
+        if self._of_another and loop.ranks.first:
+            new = _free_name(self.path)
+            with suppress(OSError):  # the save fails too then, and warns
+                self.path.rename(new)
+                resume = f"--out {new.with_suffix('.exr')} --resume"
+                self._note(f"{self.path} was of another render and is {new} now; that render's options with {resume} continue it")
+        self._of_another = False
+
     def _note(self, text: str) -> None:
         if not self._silent:
             say(text)
+
+
+def _free_name(path: Path) -> Path:
+    """The first of PATH-2.ckpt, PATH-3.ckpt, … that neither a checkpoint nor a picture has."""
+    names = (path.with_name(f"{path.stem}-{number}.ckpt") for number in count(2))
+    return next(name for name in names if not any(name.with_suffix(kind).exists() for kind in (".ckpt", ".exr", ".png")))

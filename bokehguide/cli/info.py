@@ -26,12 +26,13 @@ def run(options: argparse.Namespace) -> int:
     for path in outputs:
         check_writable(path)
     facts = inspect(scene, find_emitters(scene))
-    print(summarize(scene, facts))
     if options.json:
         write_json(options.json, as_json(scene, facts))
     if options.picture:
         from bokehguide.cli.focus_view import write_focus_view  # imports the renderer, which the facts do not need
 
         write_focus_view(options.picture, scene, facts)
+    print(summarize(scene, facts))  # after the files, as the reader may close the pipe
+    if options.picture:
         print(f"wrote {options.picture}")
     return 0

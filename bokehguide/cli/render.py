@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from bokehguide.cli.arguments import in_fractions
 from bokehguide.cli.checkpoints import Checkpoints
 from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.memory import check_memory, describe, explained
@@ -66,24 +68,31 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
     display = Display(chosen_exposure(options.exposure, loop.scene.film.exposure), options.view)
     viewer = make_viewer(loop, options) if first and options.tev else None
     pictures = Pictures(out, options, display, viewer)
-    with Interrupt() as interrupt:  # a signal ends the render in order until its files are written
+    with Interrupt(tell_interruption if first else None) as interrupt:  # a signal ends the render in order
         end, report = take_steps(loop, options, reference, checkpoints, pictures, earlier, interrupt)
-        picture = loop.picture()
-        write_pictures(loop, pictures, picture, checkpoints, report.seconds)
-        if viewer:
-            viewer.finish()
-        if first:
-            summary = report.finish(loop, picture, final_errors(pictures, options, reference))
-            if not isinstance(end, int):
-                checkpoints.remove(loop)
-            if options.json:
-                write_summary(options.json, summary)
-            print_summary(summary, picture, end)
-            print(f"exposure {pictures.exposure:+g} EV{' (metered)' * (display.exposure is None)}, view {display.view}")
-            print_files(loop, pictures, checkpoints)
-            print_problems(loop, picture, checkpoints, end)
+        with interrupt.saving():
+            picture = loop.picture()
+            write_pictures(loop, pictures, picture, checkpoints, report.seconds)
+            if viewer:
+                viewer.finish()
+            if first:
+                summary = report.finish(loop, picture, final_errors(pictures, options, reference))
+                if not isinstance(end, int):
+                    checkpoints.remove(loop)
+                if options.json:
+                    write_summary(options.json, summary)
+                print_summary(summary, picture, end)
+                print(f"exposure {pictures.exposure:+g} EV{' (metered)' * (display.exposure is None)}, view {display.view}")
+                print_files(loop, pictures, checkpoints)
+                print_problems(loop, picture, checkpoints, end)
     number = end if isinstance(end, int) else interrupt.signal
     return 0 if number is None else 128 + number
+
+
+def tell_interruption() -> None:
+    """Tell on stderr what follows a first signal. A thread does, as the main thread may be using stderr at the signal."""
+    text = "finishing the step and saving; a second interruption during the step discards the samples since the last save"
+    threading.Thread(target=say, args=(text,)).start()
 
 
 def make_viewer(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace) -> TevViewer:
@@ -142,8 +151,8 @@ def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
 
 
 def crop_pixels(box: tuple[float, ...], film: FilmSettings) -> tuple[int, int, int, int]:
-    """The box in pixels; one at most 1 wide and high is in fractions of the frame."""
-    if max(box[2:]) <= 1.0:
+    """The box in pixels."""
+    if in_fractions(box):
         rows, columns = Inset(*box).pixels(film.width, film.height)
         return columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start
     x, y, width, height = (int(value) for value in box)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import resource
 import sys
@@ -21,6 +22,8 @@ from bokehguide.train.adaptive import HalvesFilm
 
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{left}, {rate_fmt}{postfix}]"
 """The format of the bar, that of tqdm with another time left."""
+COLUMNS, ROWS = 80, 24
+"""Size of a terminal that reports none."""
 
 
 class Bar(tqdm):
@@ -68,8 +71,8 @@ class Report:
             unit="SPP",
             initial=done,
             mininterval=interval,
-            dynamic_ncols=True,
             bar_format=BAR,
+            **terminal_size(),
         )
 
     def add(self, stats: StepStats, errors: Mapping[str, float]) -> None:
@@ -108,6 +111,12 @@ class Report:
             **errors,
             "phases": phases,
         }
+
+
+def terminal_size() -> dict[str, Any]:
+    """The arguments of tqdm for the size of the terminal, which tqdm asks for itself unless the terminal reports 0."""
+    unknown = sys.stderr.isatty() and 0 in os.get_terminal_size(sys.stderr.fileno())
+    return {"ncols": COLUMNS, "nrows": ROWS} if unknown else {"dynamic_ncols": True}
 
 
 def write_json(path: Path, facts: Mapping[str, object]) -> None:

@@ -50,22 +50,36 @@ def take_steps(
         late = time.monotonic() + stats.seconds > deadline
         interrupted, late, due, shown = ranks.any(interrupt.requested, late, checkpoints.due(), pictures.due())
         if due:
-            if logger:
-                logger.flush()  # the log must not end before the saved state
-            checkpoints.save(loop, report.seconds)
+            save(loop, report, logger, checkpoints, interrupt)
         if interrupted:
             end = interrupt.signal or signal.SIGTERM
         elif loop.step_number < settings.spp:
             if late:
                 end = time_is_up(options, stats, loop.step_number == done + 1)
             elif (due or loop.step_number == done + 1) and not checkpoints.ahead(loop):
-                pictures.refresh(loop)
+                with interrupt.saving():
+                    pictures.refresh(loop)
             elif shown:
                 pictures.show(loop)
-    checkpoints.end(loop, report.seconds, isinstance(end, int))
-    if logger:
-        logger.finish(loop, loop.step_number, loop.picture())
+    with interrupt.saving():
+        checkpoints.end(loop, report.seconds, isinstance(end, int))
+        if logger:
+            logger.finish(loop, loop.step_number, loop.picture())
     return end, report
+
+
+def save(
+    loop: RenderLoop | AdaptiveLoop,
+    report: Report,
+    logger: RenderLogger | None,
+    checkpoints: Checkpoints,
+    interrupt: Interrupt,
+) -> None:
+    """Write the log so far and the state; collective."""
+    with interrupt.saving():
+        if logger:
+            logger.flush()  # the log must not end before the saved state
+        checkpoints.save(loop, report.seconds)
 
 
 def time_is_up(options: argparse.Namespace, stats: StepStats, first: bool) -> str:

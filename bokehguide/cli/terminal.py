@@ -88,6 +88,8 @@ def clear_stage() -> None:
 
 
 def say(text: str) -> None:
-    """Print a line on stderr."""
+    """Print a line on stderr, above a progress bar."""
+    from tqdm import tqdm  # here, as --help does not need it
+
     clear_stage()
-    print(f"bokehguide: {text}", file=sys.stderr)
+    tqdm.write(f"bokehguide: {text}", sys.stderr)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import ModuleType
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -44,22 +45,30 @@ def summands(radiance: Tensor, weight: Tensor) -> Tensor:
     return rows.nan_to_num(0.0, 0.0, 0.0)
 
 
-def trusted_slopes(sums: Tensor, shrinkage: float) -> tuple[Tensor, Tensor]:
-    """Slopes `[cells]` of luminance on weight, times the trust in them, and mean radiance `[3, cells]`.
+class Regressions(NamedTuple):
+    """Linear regressions of luminance on weight, one for each of some cells.
 
-    sums, shrinkage: as of `ControlVariate`, `[8, cells]`.
+    slope: `[cells]`. squared_error: square of the slope's standard error, if the samples are independent. explained: share of the
+    variance of the luminance that the weights explain. color: mean radiance, `[3, cells]`.
     """
-    count, weight, squares, product, light_squares = sums[:5]
-    count = count.clamp(min=1.0)
-    color = sums[5:] / count
-    light = luminance(color)
-    variance = squares / count - (weight / count).square()
-    covariance = product / count - light * weight / count
-    slope = covariance / variance.clamp(min=MIN_WEIGHT_VARIANCE)
-    residual = (light_squares / count - light * light - covariance * slope).clamp(min=0.0)
-    error = residual / (variance.clamp(min=MIN_WEIGHT_VARIANCE) * count)
-    trust = slope * slope / (slope * slope + shrinkage * error).clamp(min=1e-300)
-    return slope * trust, color
+
+    slope: Tensor
+    squared_error: Tensor
+    explained: Tensor
+    color: Tensor
+
+    @classmethod
+    def of(cls, sums: Tensor) -> Regressions:
+        """sums: as of `ControlVariate`, `[8, cells]`."""
+        count, weight, squares, product, light_squares = sums[:5]
+        count = count.clamp(min=1.0)
+        color = sums[5:] / count
+        light = luminance(color)
+        variance = (squares / count - (weight / count).square()).clamp(min=MIN_WEIGHT_VARIANCE)
+        covariance = product / count - light * weight / count
+        slope, spread = covariance / variance, light_squares / count - light * light
+        residual = (spread - covariance * slope).clamp(min=0.0)
+        return cls(slope, residual / (variance * count), 1.0 - residual / spread.clamp(min=1e-300), color)
 
 
 class NoControlVariate(nn.Module):
@@ -143,8 +152,9 @@ class ControlVariate(RankSums):
             light = self.ranks.total(groups()).clamp(min=0.0)
             total = light.sum(0)
             self.group_shares.copy_(torch.where(total > 0.0, light / total.clamp(min=1e-30), 1.0 / len(light)))
-        slope, color = trusted_slopes(self.sums, self._shrinkage)
-        self.coefficients.copy_(self._median(slope) * color / luminance(color).clamp(min=1e-300))
+        slope, error, _, color = Regressions.of(self.sums)
+        trust = slope * slope / (slope * slope + self._shrinkage * error).clamp(min=1e-300)
+        self.coefficients.copy_(self._median(slope * trust) * color / luminance(color).clamp(min=1e-300))
 
     def _median(self, values: Tensor) -> Tensor:
         """The median over each cell and the cells around it, `[cells]`."""

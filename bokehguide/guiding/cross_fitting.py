@@ -4,19 +4,21 @@ A coefficient from a pixel's own sample would bias the picture. In the first ste
 different groups of pixels are independent (see `PixelGroups`). The coefficient of a group therefore comes from the samples of
 the other groups around it (cross-fitting, as of Chernozhukov et al. 2018).
 
-The slope of radiance on weight is that of the near tiles in the same band of rows, without the group itself. Where the other
-group of the tile is darker than these tiles, the coefficient is smaller in proportion. Pixels more than a tile away from any
-light therefore stay exactly dark. The light groups have their shares of the correction from the same samples.
+The slope of radiance on weight is that of the near tiles in the same band of rows, without the group itself. The coefficient is
+0 unless the weights explain much of the noise there. The coefficient is at most the lower quartile of radiance / weight in the
+other group of the tile. Few pixels are therefore negative, and pixels more than a tile away from any light stay exactly dark. The
+light groups have their shares of the correction from the near tiles as well.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from bokehguide.guiding.control_variate import summands, trusted_slopes
+from bokehguide.guiding.control_variate import Regressions, summands
 from bokehguide.guiding.native_reuse import PixelGroups
 from bokehguide.render.vector import luminance
 from bokehguide.runtime.distributed import ROWS_PER_BAND
@@ -24,8 +26,8 @@ from bokehguide.runtime.indexing import Pixels, pixel_numbers
 
 REACH = 8
 """Distance, in pixels along the band, up to which tiles count."""
-DEPENDENCE = 4.0
-"""Factor of the squared standard error of a slope: the samples of a group are correlated, and tell less than independent ones."""
+LEAST_EXPLAINED = 0.4
+"""Least share of the variance of the luminance that the weights explain, where the coefficient is not 0."""
 
 
 class _Places(NamedTuple):
@@ -57,32 +59,38 @@ class _Places(NamedTuple):
         """Values `[R, *shape]` of groups at the pixels, `[R, N]`."""
         return values.flatten(1).index_select(1, self.group)
 
+    def lower_quartiles(self, values: Tensor) -> Tensor:
+        """Lower quartiles `[*shape]` of the values `[N]` of each group; 0 for groups without a pixel."""
+        order = values.argsort()
+        order = order.index_select(0, self.group.index_select(0, order).argsort(stable=True))
+        count = torch.bincount(self.group, minlength=math.prod(self.shape))
+        place = (count.cumsum(0) - count + count // 4).clamp(max=len(values) - 1)
+        found = values.index_select(0, order.index_select(0, place))
+        return torch.where(count > 0, found, 0.0).reshape(self.shape)
+
 
 def cross_fitted(
-    places: Pixels, groups: PixelGroups, radiance: Tensor, weight: Tensor, shrinkage: float, by_light: Tensor | None
+    places: Pixels, groups: PixelGroups, radiance: Tensor, weight: Tensor, by_light: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """Coefficients `[3, N]` of the control variate in the first step, and shares of L light groups in them, `[L, 3, N]`.
 
     places: pixels of whole bands of rows. groups: of the step. radiance, weight: of the samples after reuse, `[3, N]` and `[N]`.
-    shrinkage: as of `ControlVariate`. by_light: radiance of the light groups, `[L, 3, N]`, None for no light groups.
+    by_light: radiance of the light groups, `[L, 3, N]`, None for no light groups.
     """
-    at = _Places.of(places, groups, weight.device)
-    sums = at.sums(summands(radiance, weight))
-    others = _without_own(sums, REACH // groups.across)
-    slope, color = trusted_slopes(others, DEPENDENCE * shrinkage)
-    light = luminance(color).clamp(min=0.0)
-    coefficient = slope.clamp(-light, light) * color / light.clamp(min=1e-300)
-    beside = sums.flip(-1)  # of the other group of the tile
-    share = beside[5:] / beside[0].clamp(min=1.0) / color.clamp(min=1e-300)
-    coefficient = coefficient * share.clamp(0.0, 1.0)
+    at, reach = _Places.of(places, groups, weight.device), REACH // groups.across
+    rows = summands(radiance, weight)
+    slope, _, explained, color = Regressions.of(_without_own(at.sums(rows), reach))
+    level = luminance(rows[5:]) / rows[1].clamp(min=1.0)
+    most = at.lower_quartiles(level).flip(-1)  # of the other group of the tile
+    slope = torch.minimum(slope, most).clamp(min=0.0) * (explained > LEAST_EXPLAINED)
+    coefficient = at.at(slope * color / luminance(color).clamp(min=1e-300)).to(radiance.dtype)
     if by_light is None:
-        return at.at(coefficient).to(radiance.dtype), radiance.new_zeros(0, *radiance.shape)
-    finite = (weight + luminance(radiance)).isfinite()
-    parts = at.sums(torch.where(finite, by_light, 0.0).double().nan_to_num(0.0, 0.0, 0.0).clamp(min=0.0).flatten(0, 1))
-    parts = at.at(_without_own(parts, REACH // groups.across)).reshape(by_light.shape)
+        return coefficient, radiance.new_zeros(0, *radiance.shape)
+    light = torch.where(rows[0] > 0.0, by_light, 0.0).double().clamp(min=0.0).flatten(0, 1)
+    parts = at.at(_without_own(at.sums(light), reach)).reshape(by_light.shape)
     total = parts.sum(0)
     shares = torch.where(total > 0.0, parts / total.clamp(min=1e-300), 1.0 / len(parts))
-    return at.at(coefficient).to(radiance.dtype), shares.to(radiance.dtype)
+    return coefficient, shares.to(radiance.dtype)
 
 
 def _without_own(sums: Tensor, reach: int) -> Tensor:

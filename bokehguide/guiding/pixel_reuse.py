@@ -359,7 +359,7 @@ class PixelReuse(SampleReuse):
         known = config.control_variate and not context.camera.lens.vignettes
         shrinkage = config.control_shrinkage if group > 1 else config.unshared_control_shrinkage
         self.control_variate = ControlVariate(context, shrinkage) if known else NoControlVariate()
-        self._cross_fits, self._shrinkage = known and group > 1, shrinkage
+        self._cross_fits = known and group > 1
 
     def cuts(self, width: int, height: int) -> np.ndarray:
         return np.append(np.arange(0, width * height, ROWS_PER_BAND * width), width * height)
@@ -376,7 +376,7 @@ class PixelReuse(SampleReuse):
         shares = self.control_variate.shares(places)
         if step == 1 and self._cross_fits:  # no epoch has ended, and all other coefficients are 0
             of_step = self.paths.groups(step)
-            coefficient, shares = cross_fitted(places, of_step, reused.radiance, reused.weight, self._shrinkage, groups)
+            coefficient, shares = cross_fitted(places, of_step, reused.radiance, reused.weight, groups)
             radiance = radiance - coefficient * (reused.weight - 1.0)
         return radiance, None if groups is None else groups - shares * (reused.radiance - radiance)
 

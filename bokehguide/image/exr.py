@@ -51,13 +51,16 @@ def write_exr(
     `version`, `type` and `view`; corner, frame: position (column, row) of the layers in a larger frame and its (width, height),
     which become data window and display window.
 
-    Raises BokehguideError if the folder cannot be written, or if a value exceeds the range of `half`.
+    Raises BokehguideError if the folder cannot be written, for an unknown layer and for none, or if a value exceeds the range of
+    `half`.
     """
     channels = {}
     for layer, pixels in layers.items() if isinstance(layers, Mapping) else layers:
-        for index, name in enumerate(_channels(layer)):
+        for index, name in enumerate(_channels(path, layer)):
             plane = pixels if pixels.ndim == 2 else pixels[..., index]
             channels[name] = _plane(path, name, plane, np.float16 if half else np.float32)
+    if not channels:
+        raise BokehguideError(f"{path}: there are no layers to write; give at least one, such as beauty")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     header |= {"chromaticities": REC709, "colorInteropID": "lin_rec709_scene"}
     height, width = next(iter(channels.values())).shape
@@ -81,8 +84,14 @@ def group_layers(groups: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {GROUP_LAYER + name: radiance for name, radiance in groups.items()}
 
 
-def _channels(layer: str) -> tuple[str, ...]:
-    return tuple(f"{layer}.{channel}" for channel in "RGB") if layer.startswith(GROUP_LAYER) else CHANNELS[layer]
+def _channels(path: str | Path, layer: str) -> tuple[str, ...]:
+    """The names of the channels of a layer. Raises BokehguideError, naming `path`, for an unknown layer."""
+    if layer in CHANNELS:
+        return CHANNELS[layer]
+    if not str(layer).startswith(GROUP_LAYER):
+        known = ", ".join(name for name in CHANNELS if name not in cryptomatte.CHANNELS)
+        raise BokehguideError(f"{path}: {printable(str(layer))} is no layer; give {known}, a matte or {GROUP_LAYER}NAME")
+    return tuple(f"{layer}.{channel}" for channel in "RGB")
 
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:
@@ -103,7 +112,7 @@ def read_layers(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]
     planes = {name: read.pixels[..., index] for index, name in enumerate(read.names)}
     layers = {}
     groups = (name.removesuffix(".R") for name in planes if name.startswith(GROUP_LAYER) and name.endswith(".R"))
-    for layer, names in (CHANNELS | {group: _channels(group) for group in groups}).items():
+    for layer, names in (CHANNELS | {group: _channels(path, group) for group in groups}).items():
         if all(name in planes for name in names):
             layers[layer] = planes[names[0]] if len(names) == 1 else np.stack([planes[name] for name in names], axis=-1)
     return layers, read.header

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Self
 
 from bokehguide.stopping import NUMBERS, leave_signals_to_handlers
@@ -11,18 +13,31 @@ from bokehguide.stopping import NUMBERS, leave_signals_to_handlers
 
 class Interrupt:
     """A context in which the first SIGINT and the first SIGTERM only set `signal`. A second signal of a kind has its usual
-    effect.
+    effect, unless it arrives within `saving`.
 
-    torchrun sends SIGTERM after the SIGINT of a Ctrl-C. Both signals are one request.
+    torchrun sends SIGTERM after the SIGINT of a Ctrl-C. Both signals are one request. tell: called once, by the handler of the
+    first signal.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tell: Callable[[], object] | None = None) -> None:
         self.signal: int | None = None
+        self._tell = tell
+        self._received: set[int] = set()
+        self._saving = False
 
     @property
     def requested(self) -> bool:
         """Whether a signal has arrived."""
         return self.signal is not None
+
+    @contextmanager
+    def saving(self) -> Iterator[None]:
+        """A context in which a second signal has no effect, so that files are written whole."""
+        self._saving = True
+        try:
+            yield
+        finally:
+            self._saving = False
 
     def wait(self) -> None:
         """Wait for a signal."""
@@ -39,5 +54,11 @@ class Interrupt:
             signal.signal(number, handler)
 
     def _request(self, number: int, _: object) -> None:
-        self.signal = self.signal or number
-        signal.signal(number, self._previous[signal.Signals(number)])
+        if number in self._received and not self._saving:
+            signal.signal(number, self._previous[signal.Signals(number)])
+            signal.raise_signal(number)
+            return
+        self._received.add(number)
+        first, self.signal = self.signal is None, self.signal or number
+        if first and self._tell is not None:
+            self._tell()

@@ -11,7 +11,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.limits import LARGEST, SMALLEST
-from bokehguide.scene.tables import ANY, Limits, Table, did_you_mean, is_number, shown
+from bokehguide.scene.tables import ANY, EXPOSURE, Limits, Table, did_you_mean, is_number, shown
 from bokehguide.scene.vectors import Vector
 
 MAX_BLADES = 64
@@ -40,7 +40,7 @@ class Fields(Table):
     """
 
     def __init__(self, owner: object):
-        values = {name: _plain(value) for name, value in vars(owner).items()}
+        values = {name: plain(value) for name, value in vars(owner).items()}
         super().__init__(values, "", type(owner).__name__, values)
         self._owner = owner
 
@@ -158,13 +158,13 @@ class Fields(Table):
         return array.astype(np.float32) if array.dtype == np.float16 else array  # float16 ends below LARGEST
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """NumPy numbers as Python numbers, alone and in short sequences, and short vectors as lists."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, (list, tuple)) and any(isinstance(each, np.generic) for each in value[:6]):
-        return type(value)(map(_plain, value))
-    return value.tolist() if isinstance(value, np.ndarray) and value.ndim == 1 and value.size <= 6 else value
+        return type(value)(map(plain, value))
+    return value.tolist() if isinstance(value, np.ndarray) and value.ndim < 2 and value.size <= 6 else value
 
 
 def _fits(length: int, wanted: int | str) -> bool:
@@ -199,6 +199,11 @@ def iris_blades(table: Table, default: int = 0) -> int:
     if type(blades) is not int or (blades != 0 and not 3 <= blades <= MAX_BLADES):
         table.fail("blades", f"is out of range; give a whole number from 3 to {MAX_BLADES}, or 0 for a round aperture")
     return blades
+
+
+def read_exposure(table: Table) -> float | None:
+    """The exposure in EV, None for "auto"."""
+    return None if table.values.get("exposure", "auto") == "auto" else table.number("exposure", None, EXPOSURE)
 
 
 def check_light_group(table: Table, key: str = "light_group") -> str:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF", "BMP", "TGA", "TIFF")
 """File formats of textures that Pillow decodes, beside KTX 2. Pillow knows more, some of them with external programs."""
+REMEDY = "give a PNG, a JPEG or a WebP; BMP, TGA, and TIFF of 8 or 16 bits are read too"
 
 
 def load_texture(path: Path, files: SceneFiles, srgb: bool, alpha: bool = False) -> np.ndarray:
@@ -35,8 +36,8 @@ def load_texture(path: Path, files: SceneFiles, srgb: bool, alpha: bool = False)
 def decode_texture(data: bytes, place: str, files: SceneFiles, srgb: bool, alpha: bool = False) -> np.ndarray:
     """The pixels of an image file, linear float32 `[H, W, 3]`, or `[H, W, 4]` if `alpha` and the image has it.
 
-    files: the scene's decoded images, with their budget. srgb: decodes the colours from sRGB. PNGs keep
-    16 bits. Raises BokehguideError, naming `place`, for an unreadable or too large image.
+    files: the scene's decoded images, with their budget. srgb: decodes the colours from sRGB. PNGs and
+    grey TIFFs keep 16 bits. Raises BokehguideError, naming `place`, for an unreadable or too large image.
     """
     return files.image(data, srgb, alpha, lambda: _decode(data, place, files, srgb, alpha))
 
@@ -53,20 +54,22 @@ def _decode(data: bytes, place: str, files: SceneFiles, srgb: bool, alpha: bool)
             return _linear(packed.pixels(alpha), srgb, alpha)
     with _decoding(place):
         image = Image.open(BytesIO(data), formats=FORMATS)
+    _check_mode(image, place)
     files.reserve(4 * image.width * image.height, len(data), place)
     with _decoding(place):
         deep = image.format == "PNG" and data[24:25] == b"\x10"
-        texels = _sixteen_bits(data) if deep else _eight_bits(image, alpha)
+        texels = _deep_png(data) if deep else _texels(image, alpha)
     return _linear(texels, srgb, alpha)
 
 
 def texture_from_image(image: Image.Image, place: str, files: SceneFiles) -> np.ndarray:
     """The colours of an open sRGB image, linear float32 `[H, W, 3]`. Raises as `decode_texture` does."""
     if image.format not in FORMATS:
-        raise BokehguideError(f"{place}: a texture in the format {image.format}; give a PNG, a JPEG or a WebP")
+        raise BokehguideError(f"{place}: a texture in the format {image.format}; {REMEDY}")
+    _check_mode(image, place)
     files.reserve(4 * image.width * image.height, 0, place)
     with _decoding(place):
-        texels = _eight_bits(image, alpha=False)
+        texels = _texels(image, alpha=False)
     return _linear(texels, srgb=True, alpha=False)
 
 
@@ -88,7 +91,7 @@ def _decoding(place: str) -> Iterator[None]:
             warnings.simplefilter("ignore")  # SceneFiles bounds the size
             yield
     except UnidentifiedImageError:
-        raise BokehguideError(f"{place}: unreadable texture; give a PNG, a JPEG or a WebP") from None
+        raise BokehguideError(f"{place}: unreadable texture; {REMEDY}") from None
     except Exception as error:  # the decoders do not document their exceptions for damaged data
         raise BokehguideError(f"{place}: unreadable texture ({reason(error)})") from None
 
@@ -107,12 +110,20 @@ def _silent() -> Iterator[None]:
         os.close(null)
 
 
-def _eight_bits(image: Image.Image, alpha: bool) -> np.ndarray:
-    """The pixels of an open image, uint8 `[H, W, 3 or 4]`."""
+def _check_mode(image: Image.Image, place: str) -> None:
+    """Raise BokehguideError for pixels that Pillow would clip to 0 … 255 without their scale."""
+    if image.mode in ("F", "I"):
+        raise BokehguideError(f"{place}: a texture of floats, or of signed or 32-bit whole numbers; {REMEDY}")
+
+
+def _texels(image: Image.Image, alpha: bool) -> np.ndarray:
+    """The pixels of an open image, uint8 `[H, W, 3 or 4]`, or uint16 for 16-bit greys."""
+    if image.mode.startswith("I;16"):
+        return np.repeat(np.asarray(image).astype(np.uint16)[..., None], 3, axis=2)
     return np.asarray(image.convert("RGBA" if alpha and image.has_transparency_data else "RGB"))
 
 
-def _sixteen_bits(data: bytes) -> np.ndarray:
+def _deep_png(data: bytes) -> np.ndarray:
     """The pixels of a 16-bit PNG, uint16 `[H, W, 3 or 4]`. Pillow would reduce them to 8 bits."""
     import OpenImageIO as oiio
 

@@ -25,6 +25,7 @@ from bokehguide.scene.overrides import (
     override_environment,
     override_film,
 )
+from bokehguide.scene.tables import shown
 from bokehguide.scene.toml.derived import read_derived
 from bokehguide.scene.types import Scene
 from bokehguide.scene.validation import checked
@@ -47,6 +48,10 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
 
     Raises BokehguideError for input that is missing, malformed or out of range.
     """
+    if not isinstance(spec, (Scene, str, os.PathLike)):
+        raise BokehguideError(
+            f"scene: {shown(spec)} is no scene; give a Scene, the name of a built-in scene, or the path of a file"
+        )
     name = spec.name if isinstance(spec, Scene) else os.fspath(spec)
     suffix = "" if isinstance(spec, Scene) else Path(spec).suffix.lower()
     _check_model(name, suffix, overrides)
@@ -138,6 +143,5 @@ def _read_toml(path: Path, overrides: Overrides, files: SceneFiles, depth: int) 
         raise BokehguideError(f"{path}: base: more than {MAX_BASES} files lead to each other; give the first one's base")
     merged = overrides.over(derived.overrides)
     scene, chosen = _read(str(derived.base), merged, files, depth + 1)
-    film = override_film(scene.film, merged)
-    film = film if derived.exposure is None else replace(film, exposure=derived.exposure)
+    film = replace(override_film(scene.film, merged), **derived.film)
     return replace(scene, name=path.stem, film=film), chosen

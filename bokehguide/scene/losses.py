@@ -9,6 +9,13 @@ from bokehguide.errors import printable
 
 SHOWN = 4
 """Names in a warning."""
+UNKNOWN_NAMES = "parameters of an unknown name: ignored"
+"""The loss of parameters that `unknown_name` describes."""
+
+
+def unknown_name(place: str, key: str, near: str) -> str:
+    """The parameter `key` at `place`, which may stand for the known name `near`, empty for none."""
+    return f"{place}: {printable(key)}" + (f"; did you mean {near}?" if near else "")
 
 
 def loss_lines(losses: Mapping[str, Collection[str]], file: str = "") -> list[str]:

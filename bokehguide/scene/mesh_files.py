@@ -75,7 +75,7 @@ def load_mesh_file(path: Path, files: SceneFiles) -> Model:
         geometry = scene.geometry[name]
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
             continue
-        with located(f"{path}: {printable(name)}"):
+        with located(str(path) if name == path.name else f"{path}: {printable(name)}"):
             mesh = _mesh(geometry, index[name])
             if mesh.normals is not None:
                 mesh = replace(mesh, normals=unit_normals(mesh.normals, mesh.vertices, mesh.triangles))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.apertures import KEYS as APERTURE_KEYS
 from bokehguide.scene.cameras import FOCUS_KEYS, Focus, read_camera, read_focus
+from bokehguide.scene.checks import plain
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.tables import ANGLE_OF_VIEW, ANY, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
@@ -49,6 +51,7 @@ class Overrides:
     the model. variant: name of a material variant of a glTF model. time: of the animations of a glTF or USD model, in seconds.
     aperture_blades, aperture_rotation, aperture_curvature, aperture_ratio, aperture_cat_eye,
     aperture_edge, aperture_image: single fields of `Aperture`; the image is a path.
+    NumPy numbers and arrays, lists and paths become numbers, tuples and texts.
 
     Raises BokehguideError, naming the command-line option, for a value out of range.
     """
@@ -78,6 +81,8 @@ class Overrides:
     aperture_image: str | None = None
 
     def __post_init__(self) -> None:
+        for key, value in self.given.items():
+            object.__setattr__(self, key, _as_option(value))  # the dataclass is frozen
         options = self._options()
         for names in RIVALS:
             options.exclusive(*names)
@@ -131,6 +136,12 @@ class _Options(Table):
         """The command-line option for `key`."""
         name = key.replace("_", "-")
         return f"--size ({name})" if key in ("width", "height") else f"--{name}"
+
+
+def _as_option(value: Any) -> Any:
+    """NumPy numbers and arrays, lists and paths as numbers, tuples and texts."""
+    value = plain(os.fspath(value) if isinstance(value, os.PathLike) else value)
+    return tuple(value) if isinstance(value, list) else value
 
 
 def option_text(value: Any) -> str:

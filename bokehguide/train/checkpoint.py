@@ -59,7 +59,12 @@ def load_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> float:
     Raises BokehguideError for a file that is missing or damaged, and for a file with another version, scene or setting than the
     loop. The number of samples per pixel and the number of threads may differ.
     """
-    whole = _read(path, loop)
+    whole = _read(path)
+    found = differences(whole["fingerprint"], fingerprint(loop.scene, loop.settings))
+    if found:
+        more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
+        named = ", ".join(found[:NAMED])
+        raise BokehguideError(f"{path}: is of another render: {named}{more}; render without --resume to start again")
     try:
         require_kind(whole["seconds"], 0.0)
         require_kind(whole["loop"], loop.state_dict())
@@ -71,21 +76,24 @@ def load_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> float:
     return float(whole["seconds"])
 
 
-def saved_state(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> tuple[int, bool]:
-    """The number of steps of the loop's render in a file, and whether the file is to stay when the render has ended.
+def saved_state(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> tuple[int, bool, bool]:
+    """The number of steps of the loop's render in a file, whether the file is to stay when the render has ended, and whether
+    the file is a checkpoint of another render.
 
-    0 and False if the file is missing, damaged or of another render.
+    0, False and False if the file is missing or damaged; 0, False and True if it is of another render.
     """
     try:
-        whole = _read(path, loop)
+        whole = _read(path)
+        if differences(whole["fingerprint"], fingerprint(loop.scene, loop.settings)):
+            return 0, False, True
         step, kept = whole["loop"]["step"], whole.get("kept") is True
     except (BokehguideError, KeyError, TypeError):
-        return 0, False
-    return (step, kept) if type(step) is int and step > 0 else (0, False)
+        return 0, False, False
+    return (step, kept, False) if type(step) is int and step > 0 else (0, False, False)
 
 
-def _read(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> dict[str, Any]:
-    """The content of a checkpoint of the loop's render. Raises BokehguideError as `load_checkpoint`."""
+def _read(path: str | Path) -> dict[str, Any]:
+    """The content of a checkpoint of any render. Raises BokehguideError for a file that is missing or damaged."""
     try:
         if not stat.S_ISREG(Path(path).stat().st_mode):  # opening a pipe could block for ever
             raise OSError(errno.EINVAL, "no regular file")
@@ -109,11 +117,6 @@ def _read(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> dict[str, Any]:
         or not all(isinstance(text, str) and text.isprintable() for text in then.values())
     ):
         raise _damaged(path)
-    found = differences(then, fingerprint(loop.scene, loop.settings))
-    if found:
-        more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
-        named = ", ".join(found[:NAMED])
-        raise BokehguideError(f"{path}: is of another render: {named}{more}; render without --resume to start again")
     return whole
 
 

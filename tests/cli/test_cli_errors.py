@@ -12,6 +12,8 @@ MISTAKES = {
     "--spp -4": ["--spp", "'-4'"],
     "--spp many": ["--spp", "'many'"],
     "--threads 0": ["--threads", "'0'", "from 1 to"],
+    "--max-depth 0": ["--max-depth", "'0'", "from 1 to 65536"],
+    "--max-depth 65537": ["--max-depth", "'65537'", "from 1 to 65536"],
     "--seed -1": ["--seed", "'-1'", "from 0 to 2147483647"],
     "--seed 2147483648": ["--seed", "'2147483648'", "from 0 to 2147483647"],
     "--seed 1.5": ["--seed", "'1.5'"],
@@ -56,6 +58,9 @@ MISTAKES = {
     "--out good.exr --reference ./folder.exr/../good.exr": ["--reference", "another path"],
     "--out a.exr --json ./a.png": ["--json", "a.png", "another path"],
     "--reference good.exr --json good.exr": ["--json", "good.exr", "another path"],
+    "--json good.exr": ["--json", "'good.exr'", "picture or a checkpoint", "another path"],
+    "--json good.PNG": ["--json", "'good.PNG'", "another path"],
+    "--json a.ckpt": ["--json", "'a.ckpt'", "another path"],
     "--json emitters.toml/a.json": ["emitters.toml/a.json", "cannot be written", "another folder"],
     "--logdir emitters.toml": ["emitters.toml", "cannot be written", "another folder"],
     "--reference none.exr": ["none.exr", "cannot be read"],
@@ -99,6 +104,7 @@ def test_render_refuses(options, lamps_file, tmp_path, monkeypatch, capfd):
         (["render", "none.glb"], "none.glb"),
         (["render", "nowhere"], "nowhere"),
         (["info", "none.toml"], "none.toml"),
+        (["info", "cutout", "--json", "a.png"], "argument --json: 'a.png' is the name of a picture or a checkpoint"),
     ],
 )
 def test_other_mistakes(arguments, words, tmp_path, monkeypatch, capfd):

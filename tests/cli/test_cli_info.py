@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import pytest
 from PIL import Image
@@ -51,3 +53,11 @@ def test_a_folder_is_created_in_an_existing_one_alone(bokehguide, lamps_file, tm
     assert refused.returncode == 2 and "the folder new does not exist" in refused.stderr and not (tmp_path / "new").exists()
     made = bokehguide("info", lamps_file, "--json", "new/facts.json")
     assert made.returncode == 0 and "created the folder new" in made.stderr and (tmp_path / "new/facts.json").exists()
+
+
+def test_files_are_written_where_nobody_reads_the_text(lamps_file, tmp_path):
+    command = [sys.executable, "-m", "bokehguide", "info", str(lamps_file), "--json", "facts.json", "--picture", "view.png"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.wait(timeout=60) == 141
+    assert json.loads((tmp_path / "facts.json").read_text())["film"]["width"] == 32 and (tmp_path / "view.png").exists()

@@ -8,16 +8,36 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from bokehguide.cli.arguments import parse
+from bokehguide.cli.render import crop_pixels
 from bokehguide.image import read_exr, read_metadata, write_exr
 from bokehguide.render.vector import luminance
-from bokehguide.scene import load_scene
+from bokehguide.scene import FilmSettings, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
 from tests.support import scenes
 from tests.support.statistical import SIGNIFICANCE, z_test
 
 
+@pytest.mark.parametrize(
+    "crop, box",
+    [
+        ("5,5,1,1", (5, 5, 1, 1)),
+        ("0,2,1,1", (0, 2, 1, 1)),
+        ("-1,0,1,1", (-1, 0, 1, 1)),
+        ("0,0,1,1", (0, 0, 32, 20)),
+        ("0,0,1,0.5", (0, 0, 32, 10)),
+    ],
+)
+def test_a_crop_is_in_fractions_if_all_values_are(crop, box):
+    options = parse(["render", "cutout", "--crop", crop])
+    assert crop_pixels(options.crop, FilmSettings(width=32, height=20)) == box
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("crop, box", [("5,3,21,13", (5, 3, 21, 13)), ("0.25,0.5,0.5,0.25", (8, 10, 16, 5)), ("31,19,2,1", None)])
+@pytest.mark.parametrize(
+    "crop, box",
+    [("5,3,21,13", (5, 3, 21, 13)), ("0.25,0.5,0.5,0.25", (8, 10, 16, 5)), ("5,5,1,1", (5, 5, 1, 1)), ("31,19,2,1", None)],
+)
 def test_a_crop_has_the_bits_of_the_frame(crop, box, bokehguide, lamps_file, tmp_path):
     options = ("render", lamps_file, "--mode", "uniform", "--spp", 5)
     finished = bokehguide(*options, "--crop", crop, "--out", "part.exr")

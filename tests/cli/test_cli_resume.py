@@ -1,6 +1,7 @@
 """`bokehguide render --resume`: after its end, after signals, after being killed."""
 
 import json
+import pkgutil
 import random
 import resource
 import shutil
@@ -101,7 +102,7 @@ def test_without_a_checkpoint_it_starts_anew_and_says_so(render, capsys):
 
 @pytest.mark.slow
 def test_starting_anew_by_mistake_loses_nothing(render, capsys):
-    """Of the same render; the checkpoint of another one is replaced."""
+    """Of the same render; the checkpoint of another one gets another name."""
     assert render("--spp", 5, "--mode", "uniform", *KEEP) == 0
     capsys.readouterr()
     assert render("--spp", 3, "--mode", "uniform") == 0
@@ -113,6 +114,24 @@ def test_starting_anew_by_mistake_loses_nothing(render, capsys):
     assert render("--spp", 2, "--mode", "lis", *KEEP) == 0
     assert "a.ckpt has" not in capsys.readouterr().err
     assert kept_spp("a.ckpt", "lis") == 2
+    assert kept_spp("a-2.ckpt", "uniform") == 6
+
+
+def test_the_checkpoint_of_another_render_gets_another_name(render, tmp_path, capsys):
+    """Before the first save; a render that saves nothing leaves the file."""
+    assert render("--spp", 3, "--mode", "uniform", *KEEP) == 0
+    whole = (tmp_path / "a.ckpt").read_bytes()
+    assert render("--spp", 2, "--mode", "lis") == 0
+    assert (tmp_path / "a.ckpt").read_bytes() == whole
+    (tmp_path / "a-2.exr").touch()
+    capsys.readouterr()
+    assert render("--spp", 2, "--mode", "lis", "--checkpoint-every", "1e-6") == 0
+    told = "a.ckpt was of another render and is a-3.ckpt now; that render's options with --out a-3.exr --resume continue it\n"
+    assert capsys.readouterr().err.count(told) == 1
+    assert (tmp_path / "a-3.ckpt").read_bytes() == whole and kept_spp("a.ckpt", "lis") == 2
+    assert sorted(path.name for path in tmp_path.glob("*.ckpt")) == ["a-3.ckpt", "a.ckpt"]
+    assert render("--spp", 4, "--mode", "uniform", "--resume", out="a-3.exr") == 0
+    assert read_metadata("a-3.exr")["spp"] == 4
 
 
 def test_a_finished_render_leaves_no_checkpoint(render, tmp_path, capsys, monkeypatch):
@@ -212,10 +231,28 @@ def test_a_signal_finishes_the_step_and_saves(number, code, mode, render, tmp_pa
     spp = read_metadata("a.exr")["spp"]
     said = f"bokehguide: interrupted at {spp} of 1000000 SPP; saved, --resume continues from a.ckpt"
     assert said in stderr and "Traceback" not in stderr
+    told = "finishing the step and saving; a second interruption during the step discards the samples since the last save\n"
+    assert stderr.count(told) == 1
     assert kept_spp("a.ckpt", mode) == spp
     assert render("--mode", mode, "--spp", spp + 3, "--resume") == 0
     assert render("--mode", mode, "--spp", spp + 3, out="b.exr") == 0
     assert_same_pictures("a.exr", "b.exr")
+
+
+@pytest.mark.parametrize("writer", ["checkpoints.save_checkpoint", "pictures.write_exr", "render.write_json"])
+def test_further_signals_while_files_are_written_lose_nothing(writer, render, tmp_path, monkeypatch):
+    place = f"bokehguide.cli.{writer}"
+    write = pkgutil.resolve_name(place)
+
+    def interrupted(*arguments, **keywords):
+        for _ in range(3):
+            signal.raise_signal(signal.SIGINT)
+        write(*arguments, **keywords)
+
+    monkeypatch.setattr(place, interrupted)
+    assert render("--spp", 2, "--json", "a.json", *KEEP) == 130
+    spp = read_metadata("a.exr")["spp"]
+    assert kept_spp("a.ckpt", "guided") == json.loads((tmp_path / "a.json").read_text())["spp"] == spp
 
 
 @pytest.mark.slow

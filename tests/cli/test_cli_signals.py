@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bokehguide import stopping
+from bokehguide.runtime.interrupt import Interrupt
 
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
 LONGEST = 5.0
@@ -120,6 +121,19 @@ def test_temporary_files_go(tmp_path):
     code, _, stderr = stopped([sys.executable, "-c", program], tmp_path, signal.SIGTERM, ready)
     assert (code, stderr) == (143, "bokehguide: all is kept\nbokehguide: interrupted\n")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_second_signal_outside_of_saving_has_its_usual_effect():
+    told = []
+    with Interrupt(lambda: told.append("told")) as interrupt:
+        with interrupt.saving():
+            for _ in range(3):
+                signal.raise_signal(signal.SIGINT)
+        assert interrupt.signal == signal.SIGINT and told == ["told"]
+        signal.raise_signal(signal.SIGTERM)  # as torchrun sends it after a Ctrl-C
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert interrupt.signal == signal.SIGINT and told == ["told"]
 
 
 def test_a_process_that_is_no_command_keeps_its_handlers():

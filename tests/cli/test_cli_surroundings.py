@@ -1,9 +1,13 @@
 """Full disks, odd names, pipes and locales: one line, and never a lost picture."""
 
+import fcntl
 import os
+import pty
 import re
+import struct
 import subprocess
 import sys
+import termios
 import time
 from pathlib import Path
 
@@ -51,7 +55,8 @@ def test_a_summary_that_cannot_be_written_is_a_warning(lamps_file, tmp_path, mon
 @pytest.mark.parametrize("option", ["--out", "--json", "--reference", "--logdir", "--environment"])
 def test_names_that_are_too_long(option, lamps_file, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
-    assert main(["render", "emitters.toml", "--spp", "1", option, "x" * 300 + ".exr"]) == 2
+    name = "x" * 300 + (".json" if option == "--json" else ".exr")
+    assert main(["render", "emitters.toml", "--spp", "1", option, name]) == 2
     error = capfd.readouterr().err
     assert error.startswith("bokehguide: error: ") and "xxx" in error and error.count("\n") == 1 and "File name too long" in error
 
@@ -117,7 +122,7 @@ def test_pipes_in_the_place_of_files_are_not_opened(lamps_file, tmp_path, monkey
 def test_folders_are_created_in_existing_ones_alone(option, folder, lamps_file, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     Path("a").mkdir()
-    path = folder if option == "--logdir" else f"{folder}/a.exr"
+    path = {"--logdir": folder, "--json": f"{folder}/a.json", "--out": f"{folder}/a.exr"}[option]
     code = main(["render", "emitters.toml", "--spp", "1", option, path])
     error = capfd.readouterr().err
     if folder == "a/b":
@@ -160,3 +165,40 @@ def test_the_time_limit_counts_loading(lamps_file, tmp_path, capsys, monkeypatch
     assert render.run(options) == 0
     assert re.search(r"stopped: --time-limit 99 passed within 10\d\.\d s of loading and the first step", capsys.readouterr().out)
     assert read_metadata("a.exr")["spp"] == 1
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams(closed, lamps_file, tmp_path):
+    finished = run(tmp_path, "render", "emitters.toml", "--spp", "2", "--out", "a.exr", shell=closed)
+    assert finished.returncode == 0 and b"Traceback" not in finished.stderr
+    assert (b"wrote a.exr" in finished.stdout, b"2/2" in finished.stderr) == (">&-" not in closed.split(), "2>&-" not in closed)
+    assert read_metadata(tmp_path / "a.exr")["spp"] == 2 and (tmp_path / "a.png").exists()
+
+
+def test_the_list_of_scenes_on_closed_streams(tmp_path):
+    finished = run(tmp_path, "scenes", shell=">&-")
+    assert (finished.returncode, finished.stderr) == (0, b"")
+
+
+def test_a_pipe_that_its_reader_closes(lamps_file, tmp_path):
+    """stdout and stderr go to the same pipe."""
+    command = [*COMMAND, "render", "emitters.toml", "--spp", "8", "--out", "a.exr"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
+        assert process.stdout.readline() == b"bokehguide: starting\n"
+        process.stdout.close()
+        assert process.wait(timeout=60) == 141
+
+
+def test_the_bar_in_a_terminal_without_a_size(lamps_file, tmp_path):
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 0, 0, 0, 0))
+    command = [*COMMAND, "render", "emitters.toml", "--spp", "2", "--out", "a.exr"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=theirs) as process:
+        os.close(theirs)
+        told = b""
+        try:
+            while part := os.read(ours, 4096):
+                told += part
+        except OSError:  # the end of a terminal
+            os.close(ours)
+    assert process.returncode == 0 and b"emitters guided: 100%" in told and b" 2/2 " in told

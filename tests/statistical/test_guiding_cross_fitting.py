@@ -13,7 +13,7 @@ from torch import Tensor
 
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.control_variate import MIN_WEIGHT_VARIANCE
-from bokehguide.guiding.cross_fitting import DEPENDENCE, REACH, cross_fitted
+from bokehguide.guiding.cross_fitting import LEAST_EXPLAINED, REACH, cross_fitted
 from bokehguide.guiding.native_reuse import PixelGroups
 from bokehguide.guiding.pixel_reuse import _members
 from bokehguide.runtime.distributed import ROWS_PER_BAND
@@ -27,7 +27,6 @@ PIXELS = WIDTH * HEIGHT
 ALL = slice(0, PIXELS)
 COLOR = np.array([0.2126, 0.7152, 0.0722])
 KEYS = (0x5A3C71B2, 0x10F4D8E5, 0x7B0163AA, 0x2C9900FF)
-SHRINKAGE = GuidedConfig.control_shrinkage
 
 
 def samples(seed: int = 0) -> tuple[Tensor, Tensor]:
@@ -52,14 +51,13 @@ def group_of(groups: PixelGroups, pixel: int) -> tuple[int, int, int, int]:
     return row // ROWS_PER_BAND, y // groups.down, x // groups.across, (place & groups.mask).bit_count() % 2
 
 
-def regression(radiance: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray]:
-    """Slope of the luminance on the weight, times the trust in the slope, and mean radiance."""
-    color, light = radiance.mean(1), COLOR @ radiance
+def regression(radiance: np.ndarray, weight: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Slope of the luminance on the weight, share of the variance that the weight explains, and mean radiance."""
+    light = COLOR @ radiance
     variance, covariance = weight.var(), np.mean((weight - weight.mean()) * (light - light.mean()))
     slope = covariance / max(variance, MIN_WEIGHT_VARIANCE)
-    error = max(light.var() - covariance * slope, 0.0) / (max(variance, MIN_WEIGHT_VARIANCE) * len(weight))
-    whole = slope**2 + DEPENDENCE * SHRINKAGE * error
-    return slope * (slope**2 / whole if whole > 0.0 else 0.0), color
+    explained = covariance * slope / light.var() if light.var() > 0.0 else 0.0
+    return slope, explained, radiance.mean(1)
 
 
 def expected(groups: PixelGroups, radiance: np.ndarray, weight: np.ndarray, by_light: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -72,11 +70,12 @@ def expected(groups: PixelGroups, radiance: np.ndarray, weight: np.ndarray, by_l
         near = [each[0] == band and abs(each[2] - tile) <= REACH // groups.across and each != group for each in numbers]
         beside = [each[:3] == group[:3] and each[3] != parity for each in numbers]
         mine, near, beside = (np.array(which) for which in ([each == group for each in numbers], near, beside))
-        slope, color = regression(radiance[:, near & finite], weight[near & finite])
+        slope, explained, color = regression(radiance[:, near & finite], weight[near & finite])
         light = COLOR @ color
-        other = radiance[:, beside & finite].mean(1) if (beside & finite).any() else np.zeros(3)
-        share = np.divide(other, color, out=np.zeros(3), where=color > 0.0).clip(0.0, 1.0)
-        own = np.clip(slope, -light, light) * (color / light if light > 0.0 else 0.0) * share
+        level = np.where(finite, COLOR @ radiance / np.maximum(weight, 1.0), 0.0)[beside]
+        most = np.sort(level)[len(level) // 4] if len(level) else 0.0
+        kept = max(min(slope, most), 0.0) if explained > LEAST_EXPLAINED else 0.0
+        own = kept * color / light if light > 0.0 else np.zeros(3)
         parts = by_light[:, :, near & finite].sum(2)
         total = parts.sum(0)
         coefficients[:, mine] = own[:, None]
@@ -91,7 +90,7 @@ def test_coefficients_and_shares_are_those_of_loops(key, scattered):
     radiance, weight = samples()
     split = torch.rand(2, 3, PIXELS, generator=torch.Generator().manual_seed(1)) * radiance.nan_to_num()
     split[0, :, (torch.arange(PIXELS) % WIDTH) > 20] = 0.0
-    found = cross_fitted(ALL, groups, radiance, weight, SHRINKAGE, split)
+    found = cross_fitted(ALL, groups, radiance, weight, split)
     for values, loops in zip(found, expected(groups, *(given.double().numpy() for given in (radiance, weight, split)))):
         np.testing.assert_allclose(values.double().numpy(), loops, rtol=1e-4, atol=1e-6)
     assert float(found[0][0].max()) > 0.5 and bool((found[0] == 0.0).any())
@@ -102,7 +101,7 @@ def test_the_own_group_changes_nothing(key):
     """The samples of a pixel and of the pixels whose hits the pixel may reuse."""
     groups = PixelGroups.of(WIDTH, 16, key, True)
     radiance, weight = samples()
-    before, _ = cross_fitted(ALL, groups, radiance, weight, SHRINKAGE, None)
+    before, _ = cross_fitted(ALL, groups, radiance, weight, None)
     members = _members(ALL, groups, torch.device("cpu"))
     for pixel in (0, 20, 300, PIXELS - 1):
         own = torch.cat((torch.tensor([pixel]), members[:, pixel]))
@@ -110,7 +109,7 @@ def test_the_own_group_changes_nothing(key):
         assert len(own) > 1
         changed = radiance.clone(), weight.clone()
         changed[0][:, own], changed[1][own] = 100.0, 3.0
-        after, _ = cross_fitted(ALL, groups, *changed, SHRINKAGE, None)
+        after, _ = cross_fitted(ALL, groups, *changed, None)
         torch.testing.assert_close(after[:, own], before[:, own], rtol=1e-6, atol=1e-9)
         assert not torch.allclose(after, before, rtol=1e-2)
 
@@ -119,17 +118,17 @@ def test_bands_of_rows_know_nothing_of_each_other():
     """So that batches, ranks and threads change no bit."""
     groups = PixelGroups.of(WIDTH, 16, KEYS[0], True)
     radiance, weight = samples()
-    whole, _ = cross_fitted(ALL, groups, radiance, weight, SHRINKAGE, None)
+    whole, _ = cross_fitted(ALL, groups, radiance, weight, None)
     for first in range(0, PIXELS, ROWS_PER_BAND * WIDTH):
         band = slice(first, min(first + ROWS_PER_BAND * WIDTH, PIXELS))
         for places in (band, torch.arange(band.start, band.stop)):
-            part, _ = cross_fitted(places, groups, radiance[:, band], weight[band], SHRINKAGE, None)
+            part, _ = cross_fitted(places, groups, radiance[:, band], weight[band], None)
             assert torch.equal(part, whole[:, band])
 
 
 def test_dark_surroundings_have_no_coefficient():
     """Columns 0 to 15 of the first band are dark. A tile beside the light may have a coefficient."""
-    coefficient, _ = cross_fitted(ALL, PixelGroups.of(WIDTH, 16, KEYS[0], True), *samples(), SHRINKAGE, None)
+    coefficient, _ = cross_fitted(ALL, PixelGroups.of(WIDTH, 16, KEYS[0], True), *samples(), None)
     assert not coefficient.reshape(3, HEIGHT, WIDTH)[:, :8, :8].any()
 
 

@@ -526,7 +526,7 @@ def test_the_film_takes_reused_samples_as_they_are():
     coefficient = reuse.control_variate.coefficient(batch.places)
     # The samples are those of a first step.
     of_step = (reuse.paths.groups(batch.step), step.reused.radiance, step.reused.weight)
-    coefficient = coefficient + cross_fitted(batch.places, *of_step, GuidedConfig.control_shrinkage, None)[0]
+    coefficient = coefficient + cross_fitted(batch.places, *of_step, None)[0]
     assert same(shown[0], step.reused.radiance - coefficient * (step.reused.weight - 1.0))
 
 

@@ -105,6 +105,14 @@ def test_half_floats_refuse_what_they_cannot_hold(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_unknown_layers_and_none_are_refused(tmp_path):
+    with pytest.raises(BokehguideError, match=r"w\.exr: there are no layers to write; give at least one"):
+        write_exr(tmp_path / "w.exr", {})
+    with pytest.raises(BokehguideError, match=r"w\.exr: R is no layer; give beauty, alpha, "):
+        write_exr(tmp_path / "w.exr", {"R": np.ones((2, 2), np.float32)})
+    assert not list(tmp_path.iterdir())
+
+
 def test_no_trace_of_a_write_that_fails(tmp_path, layers):
     write_exr(tmp_path / "a.exr", layers)
     before = (tmp_path / "a.exr").read_bytes()

@@ -65,6 +65,29 @@ def test_what_cannot_be_compared_is_refused(measure):
         measure(good, good - 1.5)
 
 
+@pytest.mark.parametrize("measure", [mape, relmse, compare])
+def test_arrays_are_measured_as_tensors(measure):
+    image, reference = (np.random.default_rng(seed).random((12, 13, 3), np.float32) for seed in (0, 1))
+    expected = measure(torch.from_numpy(image), torch.from_numpy(reference))
+    image.setflags(write=False)
+    assert measure(image, reference[:, ::-1].copy()[:, ::-1]) == measure(image, torch.from_numpy(reference)) == expected
+
+
+@pytest.mark.parametrize("measure", [mape, relmse, compare])
+@pytest.mark.parametrize(
+    ("bad", "found"),
+    [
+        (np.ones((12, 13)), r"shape \(12, 13\)"),
+        (torch.ones(0, 13, 3), r"shape \(0, 13, 3\)"),
+        ([[1.0]], "type list"),
+        (np.array("x"), r"shape \(\)"),
+    ],
+)
+def test_what_is_no_image_is_refused(measure, bad, found):
+    with pytest.raises(BokehguideError, match=f"the reference has {found}; give an array or a tensor"):
+        measure(np.ones((12, 13, 3)), bad)
+
+
 def test_too_small_for_ssim():
     ones = torch.ones(10, 40, 3)
     metrics = compare(ones, ones)

@@ -18,7 +18,7 @@ from PIL import Image
 import bokehguide
 from bokehguide.cli import main
 from bokehguide.errors import BokehguideError
-from bokehguide.image import read_exr, read_metadata
+from bokehguide.image import read_exr, read_metadata, write_exr
 from bokehguide.scene import Aperture, Camera, Environment, Material, Mesh, Scene, load_scene
 from bokehguide.train import RenderLoop
 from tests.support import scenes
@@ -182,6 +182,42 @@ def test_a_wrong_option_is_named(options, named):
     with pytest.raises(BokehguideError) as caught:
         bokehguide.render(scenes.emitters(16, 10), **{**SMALL, **options})
     assert named in str(caught.value) and len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("scene", [None, 3, b"daylight"])
+def test_what_is_no_scene_is_named(scene):
+    with pytest.raises(BokehguideError, match=r"scene: .* is no scene; give a Scene, the name of a built-in scene, or the path"):
+        bokehguide.render(scene, **SMALL)
+
+
+def test_numbers_of_numpy_and_paths_are_options(tmp_path):
+    sky = tmp_path / "sky.exr"
+    write_exr(sky, {"beauty": np.ones((2, 4, 3), np.float32)})
+    Image.new("L", (4, 4), 255).save(tmp_path / "mask.png")
+    lens = {"focus_distance": np.float32(3), "camera_position": np.array([0.0, 0.0, 4.0]), "time_limit": np.float32(60)}
+    wanted = {"focus_distance": 3.0, "camera_position": (0.0, 0.0, 4.0), "time_limit": 60.0}
+    lens |= {"size": np.array([16, 9]), "environment": sky, "aperture_blades": np.int64(5), "aperture_radius": np.array(0.1)}
+    wanted |= {"size": (16, 9), "environment": str(sky), "aperture_blades": 5, "aperture_radius": 0.1}
+    found, expected = (bokehguide.render(triangle(), **SMALL, **options) for options in (lens, wanted))
+    np.testing.assert_array_equal(found.beauty, expected.beauty)
+    assert found.beauty.shape == (9, 16, 3)
+    bokehguide.render(triangle(), size=(np.int64(16), 9), aperture_image=tmp_path / "mask.png", **SMALL)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"exposure": "foo"}, "exposure: 'foo' is not a number; give EV from -100 to 100"),
+        ({"exposure": 1e9}, "exposure: 1000000000.0 is out of range; give EV"),
+        ({"exposure": float("nan")}, "exposure: nan is out of range"),
+        ({"view": "sepia"}, "view: 'sepia' is unknown; choose one of photo, aces, srgb"),
+    ],
+)
+def test_a_picture_cannot_be_developed_otherwise(options, named):
+    picture = bokehguide.render(triangle(), size=(8, 4), **SMALL)
+    with pytest.raises(BokehguideError, match=rf"Picture\.developed: {named}"):
+        picture.developed(**options)
+    assert picture.developed(exposure=np.float32(1.5)).metadata["exposure"] == 1.5
 
 
 def test_a_device_that_is_absent_is_named(monkeypatch):

@@ -31,6 +31,16 @@ def test_overrides_replace_values_of_the_base(derive):
     assert (scene.camera.focus_distance, len(scene.meshes), scene.film.max_depth) == (3.0, 2, 3)
 
 
+def test_an_override_may_meter_the_exposure(derive, tmp_path):
+    (tmp_path / "box.toml").write_text(BOX_AND_EMITTER.replace("[film]", "[film]\nexposure = 2.0"))
+    assert derive('base = "box.toml"\n').film.exposure == 2.0
+    assert derive('base = "box.toml"\n[overrides]\nexposure = "auto"\n').film.exposure is None
+    with pytest.raises(
+        BokehguideError, match=r"derived.toml: overrides.exposure: 'bright' is not a number; give EV .* or \"auto\""
+    ):
+        derive('base = "box.toml"\n[overrides]\nexposure = "bright"\n')
+
+
 def test_a_base_may_be_built_in_and_overrides_may_be_absent(derive):
     assert len(derive('base = "daylight"\n').meshes) == len(load_scene("daylight").meshes)
 
@@ -58,6 +68,7 @@ def test_a_base_may_have_a_base(derive, tmp_path):
     [
         ('base = "derived.toml"', "derived.toml: base: more than 8 files"),
         ('base = "gone.toml"', "derived.toml: base: .*gone.toml"),
+        ('base = "fairy-light"', "derived.toml: base: 'fairy-light' is no built-in scene .*; did you mean 'fairy-lights'"),
         ('base = "/etc/hostname"', "outside the scene's folder"),
         ('base = ""', "derived.toml: base: .* is not a text"),
         ("base = 3", "derived.toml: base: 3 is not a text"),

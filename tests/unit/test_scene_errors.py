@@ -213,6 +213,7 @@ def test_a_wrong_value_in_a_scene_file(tmp_path, old, new, named):
         ("junk.glb", b"junk", ["not a readable .glb"]),
         ("junk.gltf", b"{", ["not a readable .gltf"]),
         ("empty.gltf", b"{}", ["no triangles"]),
+        ("list.gltf", b"[]", ["list.gltf: [] is not a JSON object"]),
         ("junk.ply", b"junk", ["not a readable .ply"]),
         ("junk.stl", b"junk", ["no triangles"]),
         ("empty.obj", b"", ["no triangles"]),
@@ -230,6 +231,7 @@ def test_a_file_that_is_no_scene(tmp_path, name, content, named):
         path.write_bytes(content)
     text = message(path)
     assert text.startswith(str(path))
+    assert f"{name}: {name}" not in text, "the file is named once"
     for part in named:
         assert part in text, f"{part!r} is not in {text!r}"
 

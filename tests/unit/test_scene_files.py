@@ -8,6 +8,7 @@ import zlib
 
 import numpy as np
 import OpenEXR
+import OpenImageIO as oiio
 import pytest
 from PIL import Image
 
@@ -233,6 +234,26 @@ def test_an_image_that_many_textures_name_is_decoded_once(tmp_path):
     for _ in range(200):
         assert load_texture(tmp_path / "b.png", files, srgb=True) is first
     assert load_texture(tmp_path / "a.png", files, srgb=False) is not first
+
+
+@pytest.mark.parametrize("order", ["<u2", ">u2"])
+def test_grey_tiffs_of_16_bits_are_scaled(tmp_path, order):
+    greys = np.array([[0, 16384], [32768, 65535]], order)
+    Image.fromarray(greys).save(tmp_path / "grey.tiff")
+    image = load_texture(tmp_path / "grey.tiff", SceneFiles(tmp_path), srgb=False, alpha=True)
+    np.testing.assert_allclose(image, np.repeat(greys[..., None] / 65535, 3, axis=2), rtol=1e-5)
+
+
+@pytest.mark.parametrize("change", [TEXTURE, MASK])
+@pytest.mark.parametrize(("kind", "channels"), [("float", 1), ("float", 3), ("int", 1)])
+def test_tiffs_of_other_numbers_are_refused_in_a_line(folder, change, kind, channels):
+    out = oiio.ImageOutput.create("bad.tif")
+    assert out.open(str(folder / "bad.tif"), oiio.ImageSpec(2, 2, channels, kind))
+    assert out.write_image(np.ones((2, 2, channels), np.float32))
+    out.close()
+    with pytest.raises(BokehguideError, match=r"bad\.tif: .*texture.*; give a PNG.* TIFF of 8 or 16 bits") as caught:
+        load_scene(str(scene_file(folder, change, "bad.tif")))
+    assert "\n" not in str(caught.value)
 
 
 def test_a_photograph_may_be_as_large_as_its_file(tmp_path):

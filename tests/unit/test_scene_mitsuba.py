@@ -17,6 +17,8 @@ from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.anisotropy import to_alphas
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
+from bokehguide.scene.mitsuba_xml.properties import PROPERTIES, unknown_properties
+from bokehguide.scene.mitsuba_xml.tree import read_tree
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_sphere
 from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Scene, Texture
 
@@ -253,6 +255,87 @@ def test_textures_stay_in_the_folder_and_are_srgb(tmp_path):
     np.testing.assert_allclose(scene.materials[0].base_color_texture.image, 0.5029, atol=1e-3)
     with pytest.raises(BokehguideError, match="lies outside the scene's folder"):
         read(tmp_path, f'<shape type="sphere"><bsdf type="diffuse">{texture.replace("grey", "../grey")}</bsdf></shape>')
+
+
+@pytest.mark.parametrize(
+    ("body", "named"),
+    [
+        ('<shape type="sphere"><emitter type="area"><rgb name="radiance" value="-200,120,50"/></emitter></shape>', "radiance"),
+        ('<shape type="sphere"/><emitter type="point"><rgb name="intensity" value="-200,120,50"/></emitter>', "intensity"),
+        (
+            '<shape type="sphere"/><emitter type="directional"><rgb name="irradiance" value="-200,120,50"/></emitter>',
+            "irradiance",
+        ),
+        ('<shape type="sphere"/><emitter type="constant"><rgb name="radiance" value="-200,120,50"/></emitter>', "radiance"),
+    ],
+)
+def test_negative_light_is_refused(tmp_path, body, named):
+    with pytest.raises(
+        BokehguideError, match=rf"scene\.xml: \w+ \d+\.{named}: \(-200\.0, 120\.0, 50\.0\) has a negative channel"
+    ):
+        read(tmp_path, body)
+
+
+@pytest.mark.parametrize("name", ["no.png", "no.exr"])
+def test_a_missing_texture_is_named_with_its_scene(tmp_path, name):
+    texture = f'<texture type="bitmap" name="reflectance"><string name="filename" value="{name}"/></texture>'
+    with pytest.raises(BokehguideError, match=rf"scene\.xml: bitmap \d+\.filename: .*{name}: no such file \(texture\)"):
+        read(tmp_path, f'<shape type="sphere"><bsdf type="diffuse">{texture}</bsdf></shape>')
+
+
+def test_properties_of_an_unknown_name_are_told(tmp_path):
+    texture = '<texture type="checkerboard" name="reflectanc"/>'
+    body = (
+        '<shape type="sphere" id="ball"><float name="radus" value="1"/><float name="halo" value="1"/>'
+        f'<bsdf type="diffuse">{texture}</bsdf></shape>'
+        '<shape type="cube"><bsdf type="roughconductor"><float name="alfa" value="0.2"/></bsdf></shape>'
+    )
+    sensor = SENSOR.replace('name="fov"', 'name="fovv"').replace('name="width"', 'name="widht"')
+    lines = [line for line in read(tmp_path, body, sensor).warnings if "unknown name" in line]
+    (line,) = lines
+    assert line.startswith("scene.xml: parameters of an unknown name: ignored (")
+    found = {
+        (plugin.type, key, near)
+        for plugin, key, near in unknown_properties(read_tree(tmp_path / "scene.xml", SceneFiles(tmp_path)))
+    }
+    assert found == {
+        *(("thinlens", "fovv", "fov"), ("hdrfilm", "widht", "width"), ("sphere", "radus", "radius"), ("sphere", "halo", "")),
+        *(("diffuse", "reflectanc", "reflectance"), ("roughconductor", "alfa", "alpha")),
+    }
+
+
+def test_nested_plugins_may_have_any_name(tmp_path):
+    """Names of nested plugins count where they are textures of a BSDF alone."""
+    Image.new("RGB", (2, 2), (128, 128, 255)).save(tmp_path / "n.png")
+    texture = '<texture type="bitmap" name="ripples"><string name="filename" value="n.png"/></texture>'
+    inner = f'<bsdf name="coat" type="bumpmap"><bsdf name="base" type="diffuse"/>{texture}</bsdf>'
+    other = '<bsdf type="hair" id="h"><float name="x" value="1"/></bsdf>'
+    scene = read(tmp_path, f'<shape type="sphere">{inner}<emitter name="glow" type="area"/></shape>{other}')
+    assert not any("unknown name" in line for line in scene.warnings)
+
+
+REQUIRED = {
+    "thinlens": {"aperture_radius": 0.1, "fov": 40.0},
+    "perspective": {"fov": 40.0},
+    **{kind: {"inner": {"type": "diffuse"}} for kind in ("twosided", "mask")},
+}
+
+
+UNCHECKED = {"obj", "ply", "serialized", "bitmap", "envmap", "normalmap", "bumpmap", "roughdiffuse"}
+"""Plugins that need files or textures, and one that Mitsuba 3.9 does not have."""
+OURS = {("sphere", "face_normals"), ("disk", "face_normals")}
+"""Properties that Mitsuba reads of other shapes only, and bokehguide of all."""
+
+
+@pytest.mark.parametrize("kind", sorted(PROPERTIES.keys() - UNCHECKED))
+def test_properties_are_mitsubas(kind):
+    """Mitsuba refuses properties that a plugin does not ask for."""
+    for key in (key for key in PROPERTIES[kind] if (kind, key) not in OURS):
+        given = {key: 0.5} | REQUIRED.get(kind, {})
+        try:
+            mi.load_dict({"type": kind} | given)
+        except RuntimeError as error:
+            assert "unreferenced" not in str(error), (kind, key)
 
 
 def test_the_command(tmp_path, capsys):

@@ -223,6 +223,20 @@ def test_cameras_without_a_counterpart(tmp_path):
     assert "singular" in message(tmp_path, SQUARE, "Scale 0 1 1\n" + HEAD)
 
 
+@pytest.mark.parametrize(
+    ("lens", "named"),
+    [
+        ('"float lensradius" 0.1 "float focaldistance" -4', "focaldistance: -4.0 is out of range; give a number above 0"),
+        ('"float lensradius" 0.1 "float focaldistance" 0', "focaldistance: 0.0 is out of range"),
+        ('"float focaldistance" -4', "focaldistance: -4.0 is out of range"),
+        ('"float lensradius" -0.1 "float focaldistance" 4', "lensradius: -0.1 is out of range; give 0 or more"),
+    ],
+)
+def test_lenses_out_of_range_are_refused(tmp_path, lens, named):
+    text = message(tmp_path, SQUARE, f'Camera "perspective"\n{lens}\nWorldBegin\n')
+    assert f"scene.pbrt:2: {named}" in text and "\n" not in text
+
+
 def test_the_command_line_renders_a_scene(tmp_path, capsys):
     read(tmp_path, 'AreaLightSource "diffuse" "rgb L" [1 2 3]\nReverseOrientation\n' + SQUARE)
     arguments = ["render", str(tmp_path / "scene.pbrt"), "--spp", "2", "--out", str(tmp_path / "a.exr"), "--mode", "uniform"]

@@ -40,7 +40,8 @@ class Part(Table):
 
     def __init__(self, values: Any, file: str, path: str):
         if not isinstance(values, dict):
-            raise BokehguideError(f"{file}: {path}: {shown(values)} is not a JSON object; repair the file")
+            place = f"{file}: {path}" if path else file
+            raise BokehguideError(f"{place}: {shown(values)} is not a JSON object; repair the file")
         present = {key: value for key, value in values.items() if value is not None}
         super().__init__(present, file, path, present)
 

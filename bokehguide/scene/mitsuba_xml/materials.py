@@ -202,6 +202,7 @@ class Materials:
             self.lose(f"texture {texture.type}: left out", texture.name or texture.type)
             return None
         path = self._files.find(self._file.parent, texture.text("filename"), f"{texture.place}.filename")
+        require_file(path, "texture", f"{texture.place}.filename")
         raw = not srgb or texture.flag("raw")
         image = self._floats(path) if path.suffix.lower() in (".exr", ".hdr") else load_texture(path, self._files, not raw)
         wrap, matrix = WRAPS.get(texture.text("wrap_mode", "repeat"), "repeat"), texture.matrix("to_uv")
@@ -209,7 +210,6 @@ class Materials:
 
     def _floats(self, path: Path) -> np.ndarray:
         """An image of linear floats, `[H, W, 3]`."""
-        require_file(path, "texture")
         read = read_channels(path, path.suffix.upper().removeprefix("."))
         names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3
         image = np.stack([read.pixels[..., read.names.index(name)] for name in names], axis=-1)

@@ -13,14 +13,15 @@ from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.checks import located
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_map
-from bokehguide.scene.losses import loss_lines
+from bokehguide.scene.losses import UNKNOWN_NAMES, loss_lines, unknown_name
 from bokehguide.scene.mitsuba_xml.materials import Materials, color_of
+from bokehguide.scene.mitsuba_xml.properties import unknown_properties
 from bokehguide.scene.mitsuba_xml.shapes import read_shape
 from bokehguide.scene.mitsuba_xml.sunsky import read_sunsky
 from bokehguide.scene.mitsuba_xml.tree import Plugin, read_tree
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
 from bokehguide.scene.shapes import spheres
-from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Scene, Sun, Texture, as_vector
+from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Scene, Sun, Texture, Vector, as_vector
 from bokehguide.scene.validation import check_meshes, check_triangles
 
 POINT_RADIUS = 0.01
@@ -43,6 +44,8 @@ def read_mitsuba(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[S
     environment, suns = _lights(root, path, files, materials, meshes)
     if not meshes:
         raise BokehguideError(f"{path}: holds no shapes that can be drawn; give a scene with some")
+    for plugin, key, near in unknown_properties(root):
+        materials.lose(UNKNOWN_NAMES, unknown_name(plugin.place.removeprefix(f"{path}: "), key, near))
     film = _film(sensors[0], root)
     chosen = override_camera(_camera(sensors[0], film, materials), overrides, str(path), files, written=True)
     scene = Scene(
@@ -81,11 +84,19 @@ def _meshes(root: Plugin, path: Path, files: SceneFiles, materials: Materials) -
 
 def _emission(emitter: Plugin, materials: Materials) -> dict[str, Any]:
     """The fields of `Material` of an area emitter."""
-    radiance = emitter.values.get("radiance", 1.0)
+    radiance = emitter.values.get("radiance")
     if isinstance(radiance, Plugin):
         texture: Texture | None = materials.texture(radiance)
         return {"emission": (1.0, 1.0, 1.0), "emission_texture": texture}
-    return {"emission": as_vector(max(channel, 0.0) for channel in color_of(radiance))}
+    return {"emission": _light(emitter, "radiance")}
+
+
+def _light(emitter: Plugin, key: str) -> Vector:
+    """The colour of the light of an emitter. Raises BokehguideError for a negative channel."""
+    color = color_of(emitter.values.get(key, 1.0))
+    if min(color) < 0.0:
+        emitter.fail(key, "has a negative channel; give numbers of 0 or more")
+    return color
 
 
 def _lights(
@@ -96,7 +107,7 @@ def _lights(
     for emitter in root.inner("emitter"):
         name = emitter.name or emitter.type
         if emitter.type == "constant":
-            environment = Environment(constant_radiance(color_of(emitter.values.get("radiance", 1.0))))
+            environment = Environment(constant_radiance(_light(emitter, "radiance")))
         elif emitter.type == "envmap":
             environment = _map(emitter, path, files, materials)
         elif emitter.type == "sunsky":
@@ -136,8 +147,7 @@ def _sun(emitter: Plugin) -> Sun:
     if not isinstance(direction, tuple) or len(direction) != 3 or not any(direction):
         emitter.fail("direction", "is no direction; give x, y and z")
     unit = -np.array(direction) / np.linalg.norm(direction)
-    irradiance = as_vector(max(channel, 0.0) for channel in color_of(emitter.values.get("irradiance", 1.0)))
-    return Sun(as_vector(unit), LightSizes.sun_angle, irradiance)
+    return Sun(as_vector(unit), LightSizes.sun_angle, _light(emitter, "irradiance"))
 
 
 def _point(emitter: Plugin, materials: Materials) -> Mesh:
@@ -145,8 +155,7 @@ def _point(emitter: Plugin, materials: Materials) -> Mesh:
     position = emitter.values.get("position", tuple(emitter.matrix()[:3, 3]))
     if not isinstance(position, tuple) or len(position) != 3:
         emitter.fail("position", "is no point; give x, y and z")
-    intensity = color_of(emitter.values.get("intensity", 1.0))
-    emission = as_vector(max(channel, 0.0) / (math.pi * POINT_RADIUS**2) for channel in intensity)
+    emission = as_vector(channel / (math.pi * POINT_RADIUS**2) for channel in _light(emitter, "intensity"))
     name = emitter.name or "point light"
     materials.all.append(Material(name, (0.0, 0.0, 0.0), specular=0.0, emission=emission))
     sphere = spheres(np.array([position]), np.array([POINT_RADIUS]), len(materials.all) - 1)

@@ -76,7 +76,7 @@ def read_camera(contents: Contents, film: FilmSettings, folder: Path, files: Sce
         lens = _realistic(contents, camera, film, folder, files)
     else:
         fov = _horizontal_fov(contents, camera, film, sizes[2] / sizes[0])
-        lens = ThinLens(fov, max(camera.number("lensradius", 0.0), 0.0), camera.number("focaldistance", 1e6))
+        lens = ThinLens(fov, *_radius_and_focus(camera))
     return {
         "position": position.tolist(),
         "target": (position + axes[:, 2] * max(1.0, 1e-3 * float(np.abs(position).max()))).tolist(),
@@ -85,6 +85,16 @@ def read_camera(contents: Contents, film: FilmSettings, folder: Path, files: Sce
         "aperture_radius": lens.radius * float(sizes[0]),
         "focus_distance": min(max(lens.focus * float(sizes[2]), NEAREST_FOCUS), FARTHEST_FOCUS),
     }
+
+
+def _radius_and_focus(camera: Parameters) -> tuple[float, float]:
+    """The radius of the lens and the distance in focus of a perspective camera."""
+    radius, focus = camera.number("lensradius", 0.0), camera.number("focaldistance", 1e6)
+    if radius < 0.0:
+        camera.fail("lensradius", "is out of range; give 0 or more")
+    if focus < 0.0 or (focus == 0.0 and radius > 0.0):
+        camera.fail("focaldistance", "is out of range; give a number above 0, as the focal plane is never behind the lens")
+    return radius, focus
 
 
 def _realistic(contents: Contents, camera: Parameters, film: FilmSettings, folder: Path, files: SceneFiles) -> ThinLens:

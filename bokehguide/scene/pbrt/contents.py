@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bokehguide.errors import printable
+from bokehguide.scene.losses import UNKNOWN_NAMES, unknown_name
 from bokehguide.scene.pbrt.parameters import Parameter, Parameters
 from bokehguide.scene.pbrt.tokens import Place
 
@@ -85,8 +85,7 @@ class Contents:
         read += [light.parameters for light in self.lights] + [texture.parameters for texture in self.textures.values()]
         for parameters in {id(each): each for each in read if isinstance(each, Parameters)}.values():
             for key, near in parameters.misspelt():
-                place = parameters.values[key].place
-                self.lose("parameters of an unknown name: ignored", f"{place}: {printable(key)}; did you mean {near}?")
+                self.lose(UNKNOWN_NAMES, unknown_name(str(parameters.values[key].place), key, near))
 
     def lose(self, what: str, name: str) -> None:
         """Note a loss of an object."""

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.builtin import BUILTIN
+from bokehguide.scene.checks import read_exposure
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.overrides import Overrides
-from bokehguide.scene.tables import EXPOSURE, Table
+from bokehguide.scene.tables import Table
 
 KEYS = tuple(field.name for field in fields(Overrides))
 
 
 @dataclass(frozen=True)
 class DerivedScene:
-    """A scene with overrides. base: a built-in name, or the path of a scene file or of a model. exposure: EV, None for the
-    base's."""
+    """A scene with overrides. base: a built-in name, or the path of a scene file or of a model. film: fields of
+    `FilmSettings` that replace the base's, beside those of `overrides`."""
 
     base: str
     overrides: Overrides
-    exposure: float | None
+    film: dict[str, float | None]
 
 
 def read_derived(path: Path, tables: dict[str, Any], files: SceneFiles) -> DerivedScene:
@@ -31,23 +33,32 @@ def read_derived(path: Path, tables: dict[str, Any], files: SceneFiles) -> Deriv
     files: the files that the scene may name. Raises BokehguideError naming file, field, value and remedy for invalid input.
     """
     root = Table(tables, str(path), "", ("base", "overrides"))
-    base = root.text("base")
-    if not base:
-        root.fail("base", "names no scene; give a built-in scene, a scene file or a model")
-    if base not in BUILTIN:
-        base = str(files.named(root, "base"))
+    base = _base(root, files)
     table = Table(root.values.get("overrides", {}), str(path), "overrides", (*KEYS, "exposure"))
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in table.values.items()}
-    exposure = table.number("exposure", 0.0, EXPOSURE) if "exposure" in table else None
+    film = {"exposure": read_exposure(table)} if "exposure" in table else {}
     values.pop("exposure", None)
     maps = ["environment"] if table.text("environment").endswith((".hdr", ".exr")) else []
     for key in ("aperture_image", *maps):
         if key in table:
             values[key] = str(files.named(table, key))
     try:
-        return DerivedScene(base, Overrides(**values), exposure)
+        return DerivedScene(base, Overrides(**values), film)
     except BokehguideError as error:
         raise BokehguideError(f"{path}: overrides: {error}") from None
+
+
+def _base(root: Table, files: SceneFiles) -> str:
+    """The base: a built-in name, or the path of a file."""
+    base = root.text("base")
+    if not base:
+        root.fail("base", "names no scene; give a built-in scene, a scene file or a model")
+    if base in BUILTIN:
+        return base
+    near = [] if Path(base).suffix else get_close_matches(base, BUILTIN, n=1)
+    if near and not files.find(Path(root.file).parent, base, root.place("base")).exists():
+        root.fail("base", f"is no built-in scene and no file; did you mean {near[0]!r}?")
+    return str(files.named(root, "base"))
 
 
 def derived_text(base: str, overrides: Overrides, exposure: float | None, comment: str) -> str:

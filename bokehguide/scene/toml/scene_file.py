@@ -12,13 +12,13 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import LARGEST, MAX_KEY_DEPTH
-from bokehguide.scene.checks import check_light_group, located
+from bokehguide.scene.checks import check_light_group, located, read_exposure
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.model_files import load_model, refuse_format
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
 from bokehguide.scene.shapes import SHAPES, sphere_subdivisions, transform, transformed, unit_sphere
-from bokehguide.scene.tables import ANY, EMITTER_RADIUS, EXPOSURE, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
+from bokehguide.scene.tables import ANY, EMITTER_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
 from bokehguide.scene.toml.lights import read_light_tables
 from bokehguide.scene.toml.materials import read_materials
 from bokehguide.scene.toml.placing import in_light_group, place_emitters, place_suns
@@ -79,7 +79,7 @@ def _read_film(root: Table) -> FilmSettings:
         width=table.count("width", FilmSettings.width),
         height=table.count("height", FilmSettings.height),
         max_depth=table.count("max_depth", FilmSettings.max_depth),
-        exposure=None if table.values.get("exposure", "auto") == "auto" else table.number("exposure", None, EXPOSURE),
+        exposure=read_exposure(table),
     )
 
 
