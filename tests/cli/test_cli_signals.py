@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -123,6 +124,15 @@ def test_temporary_files_go(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.fixture
+def usual_handler() -> Iterator[None]:
+    """Python's handler of SIGINT, which processes in the background of a shell do not have."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("usual_handler")
 def test_a_second_signal_outside_of_saving_has_its_usual_effect():
     told = []
     with Interrupt(lambda: told.append("told")) as interrupt:
