@@ -217,7 +217,7 @@ def _picture(loop: RenderLoop | AdaptiveLoop) -> Picture:
 
 
 def picture_of(loop: RenderLoop | AdaptiveLoop, settings: RenderSettings, display: Display, denoise: bool) -> Picture:
-    """The picture of a loop. settings: those that the metadata describe. denoise: only for a loop with a denoiser."""
+    """The picture of a loop. settings: for the metadata. denoise: whether to denoise, which requires a loop with a denoiser."""
     film = loop.picture()
     layers, error = film.layers(), None
     if denoise:

@@ -37,7 +37,7 @@ MIN_WEIGHT_VARIANCE = 1e-3
 
 
 def summands(radiance: Tensor, weight: Tensor) -> Tensor:
-    """What samples `[3, N]` with weights `[N]` add to `ControlVariate.sums`, float64 `[8, N]`; 0 where they are not finite."""
+    """Summands of `ControlVariate.sums`, float64 `[8, N]`, of samples `[3, N]` with weights `[N]`; 0 for a sample not finite."""
     radiance, weight = radiance.double(), weight.double()  # squares of large float32 numbers overflow
     light = luminance(radiance)
     rows = torch.stack((torch.ones_like(light), weight, weight * weight, weight * light, light * light, *radiance))

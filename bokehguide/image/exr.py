@@ -60,7 +60,7 @@ def write_exr(
             plane = pixels if pixels.ndim == 2 else pixels[..., index]
             channels[name] = _plane(path, name, plane, np.float16 if half else np.float32)
     if not channels:
-        raise BokehguideError(f"{path}: there are no layers to write; give at least one, such as beauty")
+        raise BokehguideError(f"{path}: no layer is given; give at least one, such as beauty")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     header |= {"chromaticities": REC709, "colorInteropID": "lin_rec709_scene"}
     height, width = next(iter(channels.values())).shape

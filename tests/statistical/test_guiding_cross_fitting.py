@@ -84,9 +84,9 @@ def expected(groups: PixelGroups, radiance: np.ndarray, weight: np.ndarray, by_l
 
 
 @pytest.mark.parametrize("scattered", [True, False])
-@pytest.mark.parametrize("key", KEYS)
-def test_coefficients_and_shares_are_those_of_loops(key, scattered):
-    groups = PixelGroups.of(WIDTH, 16, key, scattered)
+@pytest.mark.parametrize(("key", "size"), [*((key, 16) for key in KEYS), (KEYS[0], 2), (KEYS[1], 4), (KEYS[2], 64)])
+def test_coefficients_and_shares_are_those_of_loops(key, size, scattered):
+    groups = PixelGroups.of(WIDTH, size, key, scattered)
     radiance, weight = samples()
     split = torch.rand(2, 3, PIXELS, generator=torch.Generator().manual_seed(1)) * radiance.nan_to_num()
     split[0, :, (torch.arange(PIXELS) % WIDTH) > 20] = 0.0

@@ -106,7 +106,7 @@ def test_half_floats_refuse_what_they_cannot_hold(tmp_path):
 
 
 def test_unknown_layers_and_none_are_refused(tmp_path):
-    with pytest.raises(BokehguideError, match=r"w\.exr: there are no layers to write; give at least one"):
+    with pytest.raises(BokehguideError, match=r"w\.exr: no layer is given; give at least one"):
         write_exr(tmp_path / "w.exr", {})
     with pytest.raises(BokehguideError, match=r"w\.exr: R is no layer; give beauty, alpha, "):
         write_exr(tmp_path / "w.exr", {"R": np.ones((2, 2), np.float32)})
