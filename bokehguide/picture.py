@@ -24,6 +24,7 @@ from bokehguide.image import Display, group_layers, to_8_bit, write_exr, write_p
 from bokehguide.image.cryptomatte import LAYERS, manifest, mask, require_hash
 from bokehguide.image.oidn import require_denoiser
 from bokehguide.limits import MAX_EXPOSURE, VIEWS
+from bokehguide.runtime.bars import terminal_size
 from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.scene import Overrides, Scene, load_scene
@@ -192,7 +193,7 @@ def render(
     metadata say how many samples it has. Raises BokehguideError for input that is missing, malformed or out of range.
     """
     deadline = _deadline(time_limit)
-    width, height = _pair(size)
+    width, height = size_pair(size, "render")
     overrides = Overrides(width=width, height=height, **_of(options, OVERRIDES))
     settings = RenderSettings(mode=mode, spp=spp, denoise=denoise, **_of(options, SETTINGS))
     for name in options:
@@ -246,12 +247,12 @@ def _of(options: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if name in names}
 
 
-def _pair(size: tuple[int, int] | None) -> tuple[int | None, int | None]:
-    """Width and height, None for those of the scene."""
+def size_pair(size: tuple[int, int] | None, caller: str) -> tuple[int | None, int | None]:
+    """Width and height, None for those of the scene. caller: the function that takes the size, for errors."""
     pair = (None, None) if size is None else plain(size)
     if not (isinstance(pair, (tuple, list)) and len(pair) == 2):
         raise BokehguideError(
-            f"render: size: {shown(size)} is no pair of whole numbers; give a width and a height, as in (640, 360)"
+            f"{caller}: size: {shown(size)} is no pair of whole numbers; give a width and a height, as in (640, 360)"
         )
     width, height = pair
     return width, height
@@ -280,9 +281,13 @@ def _take_steps(
 
     spp, title = loop.settings.spp, f"{loop.scene.name} {loop.settings.mode}"
     main = threading.current_thread() is threading.main_thread()
+    size = terminal_size() if sys.stderr.isatty() else {}  # the bar of a notebook has the width of its cell
     # Python lets only the main thread handle signals.
-    with Interrupt() if main else nullcontext() as interrupt, tqdm(total=spp, desc=title, unit="SPP", disable=quiet) as bar:
-        while loop.step_number < spp and not (isinstance(loop, AdaptiveLoop) and loop.finished):
+    with (
+        Interrupt() if main else nullcontext() as interrupt,
+        tqdm(total=spp, desc=title, unit="SPP", disable=quiet, **size) as bar,
+    ):
+        while not loop.complete:
             loop.step(last=loop.step_number + 1 == spp)
             bar.update()
             if on_step is not None:

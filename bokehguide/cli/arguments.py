@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from bokehguide import __version__
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, encoding_problem
 from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS, VIEWS
 
 SCENE_HELP = (
@@ -41,8 +41,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     Raises BokehguideError for a mistake.
     """
     for argument in arguments:
-        if not _is_text(argument):
-            raise BokehguideError(f"{argument!r} is no UTF-8 text; rename the file or folder")
+        if problem := encoding_problem(argument):
+            raise BokehguideError(f"{argument!r} {problem}")
     return make_parser().parse_args(_attach_negative_values(arguments), argparse.Namespace(started=time.monotonic()))
 
 
@@ -106,7 +106,7 @@ def _add_render_options(render: argparse.ArgumentParser) -> None:
     add = render.add_argument
     add("scene", metavar="SCENE", help=SCENE_HELP)
     add("--mode", default="guided", metavar=MODE_NAMES, help="how the lens is sampled (default: guided)")
-    add("--reuse-radius", type=float, default=50.0, metavar="PX", help=REUSE_HELP)
+    add("--reuse-radius", type=float, metavar="PX", help=REUSE_HELP)
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
     add("--seed", type=natural, default=0, metavar="N", help="seed of the random numbers (default: 0)")
@@ -146,7 +146,7 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
         help="default: uniform,lis,lis-b,lis-o,guided",
     )
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel of each mode (default: 256)")
-    add("--reuse-radius", type=float, default=50.0, metavar="PX", help=REUSE_HELP)
+    add("--reuse-radius", type=float, metavar="PX", help=REUSE_HELP)
     add("--out", type=Path, required=True, metavar="DIR", help="output folder; finished modes in it are not rendered again")
     reference = compare.add_mutually_exclusive_group()
     reference.add_argument(
@@ -366,15 +366,6 @@ def inset(text: str) -> tuple[float, float, float, float]:
     return x, y, width, height
 
 
-def _is_text(argument: str) -> bool:
-    """Whether an argument has no bytes that are not UTF-8, which no image library accepts in a path."""
-    try:
-        argument.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
 def _whole(text: str, least: int, most: int = MAX_INT) -> int:
     if not re.fullmatch(r"[0-9]{1,20}", text) or not least <= int(text) <= most:
         raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a whole number from {least} to {most}")
@@ -392,10 +383,10 @@ def _numbers(text: str, form: str) -> tuple[float, ...]:
 
 
 def _attach_negative_values(arguments: Sequence[str]) -> list[str]:
-    """Join `--option -1,2,3` to `--option=-1,2,3`; argparse would read two options."""
+    """Join `--option -1,2,3` to `--option=-1,2,3`, and `--option -inf` alike; argparse would read two options."""
     joined: list[str] = []
     for argument in arguments:
-        if re.match(r"-\.?[0-9]", argument) and joined and re.fullmatch(r"--[a-z-]+", joined[-1]):
+        if re.match(r"-(\.?[0-9]|inf|nan)", argument, re.IGNORECASE) and joined and re.fullmatch(r"--[a-z-]+", joined[-1]):
             joined[-1] += f"={argument}"
         else:
             joined.append(argument)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
+from bokehguide.image.files import written_file
 from bokehguide.train import AdaptiveLoop, RenderLoop, load_checkpoint, save_checkpoint, saved_state
 
 INTERVAL = 60.0
@@ -27,6 +28,8 @@ class Checkpoints:
         self.every = INTERVAL if every is None else every
         self._kept = every is not None
         """Whether the file stays when the render ends by itself: the user has asked for it, now or when it was written."""
+        self._resumes = False
+        """Whether the user continues the render session by session: the file stays until the render is complete."""
         self._last = time.monotonic()
         self._saved_step = 0
         self._of_another = False
@@ -39,6 +42,7 @@ class Checkpoints:
         another name before the first save.
         Raises BokehguideError if `resume` finds another render, a damaged file, or more SPP than the settings ask for.
         """
+        self._resumes = resume
         if resume and self.path.exists():
             seconds = load_checkpoint(self.path, loop)
             self._kept |= saved_state(self.path, loop)[1]
@@ -73,14 +77,14 @@ class Checkpoints:
 
     def end(self, loop: RenderLoop | AdaptiveLoop, seconds: float, interrupted: bool) -> None:
         """Save the last state if the render was interrupted or the file is to stay; collective."""
-        if interrupted or self._kept:
+        if interrupted or self._kept or (self._resumes and not loop.complete):
             self.save(loop, seconds)
 
     def remove(self, loop: RenderLoop | AdaptiveLoop) -> None:
-        """Remove the file of a finished render, once its picture is written. A file with more SPP stays."""
-        if not self._kept and 0 < self._saved_step <= loop.step_number:
+        """Remove the file that is not to stay, once the picture is written. A file with more SPP stays."""
+        if not (self._kept or (self._resumes and not loop.complete)) and 0 < self._saved_step <= loop.step_number:
             with suppress(OSError):
-                self.path.unlink()
+                written_file(self.path).unlink()
             self._saved_step = 0
 
     def ahead(self, loop: RenderLoop | AdaptiveLoop) -> bool:

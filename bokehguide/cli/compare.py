@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.pictures import chosen_exposure
-from bokehguide.cli.render import overrides_from, print_warnings
+from bokehguide.cli.render import overrides_from, print_warnings, with_reuse_radius
 from bokehguide.cli.terminal import clear_stage
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import compare, given_reference, made_reference, report
@@ -33,11 +33,13 @@ REFERENCE_SHARE = 16
 def run(options: argparse.Namespace) -> int:
     """Compare modes on a scene; all input is checked before the first ray."""
     dedicate_process()
+    if options.cache and options.reference:
+        raise BokehguideError(f"--cache: {str(options.cache)!r} has no effect with --reference; leave one of them out")
     scene = load_scene(options.scene, overrides_from(options), options.allow_outside)
     if options.inset:
         scene = replace(scene, insets=tuple(Inset(*box) for box in options.inset))
     common = {"spp": options.spp, "seed": SEED, "device": options.device, "threads": options.threads}
-    every = [RenderSettings(mode, **common, reuse_radius=options.reuse_radius) for mode in options.modes]
+    every = with_reuse_radius([RenderSettings(mode, **common) for mode in options.modes], options.reuse_radius)
     display = Display(chosen_exposure(options.exposure, scene.film.exposure), options.view)
     check_device(options.device)
     reference = given_reference(options.reference, scene) if options.reference else None
@@ -55,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     comparison = compare(scene, every, reference, options.out, display)
     text = report(comparison)
     with replacing(options.out / TABLE) as temporary:
-        temporary.write_text(text + "\n")
+        temporary.write_text(text + "\n", encoding="utf-8")
     write_convergence(options.out / CURVES, comparison)
     write_crops(options.out / CROPS, [comparison], display)
     print(f"\n{text}\n\nwrote {METRICS}, {TABLE}, {CURVES}, {CROPS}, the images and logs into {options.out}")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 import threading
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +33,7 @@ from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import FilmSettings, Inset, Overrides, Scene, load_scene
 from bokehguide.scene.overrides import OVERRIDES
-from bokehguide.train import AdaptiveLoop, Ranks, RenderLoop, RenderSettings, make_loop, restarts
+from bokehguide.train import LENS_MODES, MODES, AdaptiveLoop, Ranks, RenderLoop, RenderSettings, make_loop, restarts
 from bokehguide.train.adaptive import HalvesFilm
 from bokehguide.train.logger import run_folder
 
@@ -145,9 +147,22 @@ def final_errors(pictures: Pictures, options: argparse.Namespace, reference: Ten
 
 def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
     """The settings of the command line. Raises BokehguideError for a value out of range."""
-    names = ("mode", "spp", "seed", "device", "threads", "reuse_radius", "target_noise", "denoise", "cryptomatte", "light_groups")
+    names = ("mode", "spp", "seed", "device", "threads", "target_noise", "denoise", "cryptomatte", "light_groups")
     crop = options.crop and crop_pixels(options.crop, scene.film)
-    return RenderSettings(**{name: getattr(options, name) for name in names}, crop=crop)
+    settings = RenderSettings(**{name: getattr(options, name) for name in names}, crop=crop)
+    return with_reuse_radius([settings], options.reuse_radius)[0]
+
+
+def with_reuse_radius(every: Sequence[RenderSettings], radius: float | None) -> list[RenderSettings]:
+    """The settings with a radius, or as they are without one. Raises BokehguideError where no mode uses the radius."""
+    if radius is None:
+        return list(every)
+    changed = [replace(settings, reuse_radius=radius) for settings in every]
+    if not any(settings.whole_frame for settings in every):
+        users = " or ".join(mode for mode in MODES if mode not in LENS_MODES)
+        named = ", ".join(settings.mode for settings in every)
+        raise BokehguideError(f"--reuse-radius: {radius:g} has no effect in {named}; leave it out, or choose {users}")
+    return changed
 
 
 def crop_pixels(box: tuple[float, ...], film: FilmSettings) -> tuple[int, int, int, int]:

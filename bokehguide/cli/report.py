@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import resource
 import sys
@@ -17,13 +16,12 @@ from tqdm import tqdm
 from bokehguide.cli.forecast import Forecast
 from bokehguide.image import replacing
 from bokehguide.render.film import Film
+from bokehguide.runtime.bars import terminal_size
 from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, StepStats
 from bokehguide.train.adaptive import HalvesFilm
 
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{left}, {rate_fmt}{postfix}]"
 """The format of the bar, that of tqdm with another time left."""
-COLUMNS, ROWS = 80, 24
-"""Size of a terminal that reports none."""
 
 
 class Bar(tqdm):
@@ -111,12 +109,6 @@ class Report:
             **errors,
             "phases": phases,
         }
-
-
-def terminal_size() -> dict[str, Any]:
-    """The arguments of tqdm for the size of the terminal, which tqdm asks for itself unless the terminal reports 0."""
-    unknown = sys.stderr.isatty() and 0 in os.get_terminal_size(sys.stderr.fileno())
-    return {"ncols": COLUMNS, "nrows": ROWS} if unknown else {"dynamic_ncols": True}
 
 
 def write_json(path: Path, facts: Mapping[str, object]) -> None:

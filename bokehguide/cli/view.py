@@ -6,10 +6,12 @@ import argparse
 import webbrowser
 from pathlib import Path
 
+from bokehguide.cli.arguments import parse
 from bokehguide.cli.memory import describe, explained
 from bokehguide.cli.pictures import chosen_exposure
 from bokehguide.cli.render import overrides_from, print_warnings
 from bokehguide.cli.terminal import clear_stage, say
+from bokehguide.errors import BokehguideError
 from bokehguide.image.oidn import has_denoiser
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.runtime.process import dedicate_process
@@ -21,12 +23,16 @@ from bokehguide.view.session import Exhibit, Session
 from bokehguide.view.state import Source, ViewState
 from bokehguide.view.watching import WatchedFile
 
+PAGE_OPTIONS = ("command", "started", "watch", "host", "port", "no_browser")
+"""Options that have an effect with --watch."""
+
 
 def run(options: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C or SIGTERM; returns the exit code."""
     require_websockets()
     require_address(options.host, options.port)  # before the scene is loaded, which may take long
     if options.watch:
+        refuse_scene_options(options)
         return serve(WatchedFile(options.watch), options)
     dedicate_process()
     RenderSettings(options.mode, spp=options.spp, seed=options.seed)  # checks the values
@@ -35,6 +41,15 @@ def run(options: argparse.Namespace) -> int:
     with explained(describe(scene)):
         session = make_session(options, Source(scene, overrides_from(options), options.scene, options.allow_outside))
         return serve(session, options)
+
+
+def refuse_scene_options(options: argparse.Namespace) -> None:
+    """Raise BokehguideError for an option of a scene: a watched file has its own picture."""
+    defaults = vars(parse(["view", f"--watch={options.watch}"]))
+    for name, value in vars(options).items():
+        if name not in PAGE_OPTIONS and value != defaults[name]:
+            option = f"--{name.replace('_', '-')}"
+            raise BokehguideError(f"{option}: has no effect with --watch; leave it out, or give a scene in place of --watch")
 
 
 def make_session(options: argparse.Namespace, source: Source) -> Session:

@@ -5,10 +5,11 @@ Figures are in `curves_figure` and `crops_figure`, which take a second to import
 
 from bokehguide.evaluation.comparison import Comparison, compare, summary
 from bokehguide.evaluation.fingerprint import fingerprint
-from bokehguide.evaluation.long_renders import LongRender, accumulate, progress, render, warn_of_bad_samples, whole_step
+from bokehguide.evaluation.long_renders import LongRender, accumulate, render, warn_of_bad_samples, whole_step
 from bokehguide.evaluation.references import Reference, given_reference, made_reference
 from bokehguide.evaluation.regions import between_halves, errors, regions
 from bokehguide.evaluation.tables import markdown, report
+from bokehguide.runtime.bars import progress
 
 __all__ = [
     "Comparison",

@@ -142,7 +142,7 @@ def write_metrics(folder: Path, comparison: Comparison, runs: Mapping[str, Run])
         "runs": {mode: asdict(run) for mode, run in runs.items()},
     }
     with replacing(folder / METRICS) as temporary:
-        temporary.write_text(json.dumps(facts, indent=1) + "\n")
+        temporary.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
 
 
 def summary(comparison: Comparison) -> dict[str, Any]:

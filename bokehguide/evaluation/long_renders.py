@@ -24,6 +24,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.evaluation.fingerprint import fingerprint
 from bokehguide.image import check_writable, read_exr, read_metadata, write_exr
 from bokehguide.render.film import Film
+from bokehguide.runtime.bars import progress
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.scene.types import Scene
 from bokehguide.train import RenderLoop, RenderSettings, StepStats
@@ -106,12 +107,6 @@ def accumulate(
             layers = {"beauty": kept.radiance.numpy(), "variance": kept.variance.numpy()}
             write_exr(path, layers, facts | {"spp": kept.spp, "chunks": kept.chunks})
     return kept
-
-
-def progress(title: str, total: int, done: int = 0, unit: str = "SPP") -> tqdm:
-    """A progress bar; a terminal gets a moving bar, a log file a line every 30 seconds."""
-    interval = 0.1 if sys.stderr.isatty() else 30.0
-    return tqdm(total=total, initial=min(done, total), desc=title, unit=unit, mininterval=interval, dynamic_ncols=True)
 
 
 def warn_of_bad_samples(film: RenderedFilm, title: str) -> None:

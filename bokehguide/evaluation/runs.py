@@ -14,10 +14,11 @@ from torch import Tensor
 from bokehguide import __version__
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation.fingerprint import fingerprint
-from bokehguide.evaluation.long_renders import progress, warn_of_bad_samples, whole_step
+from bokehguide.evaluation.long_renders import warn_of_bad_samples, whole_step
 from bokehguide.evaluation.references import Reference
 from bokehguide.evaluation.regions import MEASURES, errors, regions
 from bokehguide.image import Display, read_metadata, read_rgb, write_exr, write_png
+from bokehguide.runtime.bars import progress
 from bokehguide.scene.digest import digest
 from bokehguide.scene.types import Scene
 from bokehguide.train import RenderLogger, RenderLoop, RenderSettings, describe_render

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -42,19 +43,20 @@ def _glass(material: Material) -> dict[str, Any]:
 
 
 def _opaque(material: Material) -> dict[str, Any]:
-    """A Lambertian surface, or Disney's principled BSDF, whose `specular` of 0.5 is a refractive index of 1.5."""
+    """A Lambertian surface, or Disney's principled BSDF with the refractive index of the reflectance at normal incidence."""
     base, packed = color(material.base_color, material.base_color_texture), material.metallic_roughness_texture
     sheen = to_disney(material)
     if _is_matte(material) and material.metallic == 0.0 and material.clearcoat == 0.0 and sheen is None:
         bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": base}
     else:
-        reflectance = 0.0 if _is_matte(material) else material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2
+        specular = 0.0 if _is_matte(material) else material.specular
+        root = min(math.sqrt(specular) * (material.ior - 1.0) / (material.ior + 1.0), 0.999)
         bsdf = {
             "type": "principled",
             "base_color": base,
             "metallic": _channel(material.metallic, packed, 2),
             "roughness": _channel(material.roughness, packed, 1),
-            "specular": min(reflectance / 0.08, 1.0),
+            "eta": (1.0 + root) / (1.0 - root),
         }
         if _exports_anisotropy(material):
             most, least = to_alphas(material.roughness, material.anisotropy)

@@ -28,10 +28,11 @@ def lis_o(context: ModeContext) -> Mode:
 
 
 def guided(context: ModeContext) -> Mode:
+    """All strategies of the mode. A pinhole has one lens point, so that only the choice of light samples learns."""
     config: GuidedConfig = context.settings.guided
-    if is_pinhole(context):
-        return uniform(context)
     lights = LightStrategy(context) if context.tracer.lights.empty else LearnedLights(context, config)
+    if is_pinhole(context):
+        return Mode(UniformLens(context, config.split_count), lights)
     return Mode(EmitterGuide(context, config), lights, PixelReuse(context, config))
 
 

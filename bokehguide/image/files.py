@@ -13,26 +13,39 @@ from pathlib import Path
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.stopping import removed_at_stop
 
+REMEDIES = {
+    os.strerror(errno.ENAMETOOLONG): "choose a shorter name",
+    os.strerror(errno.ENOSPC): "free some space, or choose another folder",
+    os.strerror(errno.EDQUOT): "free some space, or choose another folder",
+}
+"""Remedies for a file that cannot be written, by the cause as the system words it."""
+
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path that replaces `path` at the end of the block.
+    """Yield a temporary path that replaces `path` at the end of the block. A symbolic link stays, and its target is replaced.
 
     If the block fails, `path` does not change. Raises BokehguideError if the folder cannot be written.
     """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    path, target = Path(path), written_file(path)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     with removed_at_stop(temporary):
         try:
             yield temporary
             with temporary.open("rb") as written:
                 os.fsync(written.fileno())  # otherwise a power failure could leave an empty file under the new name
-            temporary.replace(path)
+            temporary.replace(target)
         except OSError as error:
             raise unwritable(path, error) from error
         finally:
             with suppress(OSError):
                 temporary.unlink()
+
+
+def written_file(path: str | Path) -> Path:
+    """The file that a write to `path` replaces: the target of a symbolic link, else `path`."""
+    path = Path(path)
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 def check_writable(path: str | Path) -> None:
@@ -49,7 +62,8 @@ def check_writable(path: str | Path) -> None:
         if not stat.S_ISREG(mode):
             raise BokehguideError(f"{path}: is no regular file, and would be replaced by one; give another path")
         path.parent.mkdir(parents=True, exist_ok=True)
-        trial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        target = written_file(path)
+        trial = target.with_name(f".{target.name}.{os.getpid()}.tmp")
         with removed_at_stop(trial):
             trial.touch()
             trial.unlink()
@@ -76,7 +90,7 @@ def make_folder(path: str | Path) -> bool:
 
 def remove_abandoned(path: str | Path) -> None:
     """Remove temporary files of `path` that killed processes have left."""
-    path = Path(path)
+    path = written_file(path)
     for temporary in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         writer = temporary.suffixes[-2].removeprefix(".")
         if writer.isdecimal() and not _runs(int(writer)):
@@ -97,6 +111,7 @@ def _runs(process: int) -> bool:
 
 def unwritable(path: Path, error: Exception) -> BokehguideError:
     """The error for a file that cannot be written."""
-    reason = getattr(error, "strerror", None) or error
-    remedy = "choose a shorter name" if getattr(error, "errno", None) == errno.ENAMETOOLONG else "choose another folder"
+    # OpenEXR names the temporary file before the cause: `Cannot open image file "PATH". Permission denied.`
+    reason = getattr(error, "strerror", None) or str(error).rpartition('". ')[2].rstrip(".")
+    remedy = REMEDIES.get(reason, "choose another folder")
     return BokehguideError(f"{printable(str(path), 400)}: cannot be written ({reason}); {remedy}")

@@ -10,10 +10,13 @@ from typing import Self
 
 from bokehguide.stopping import NUMBERS, leave_signals_to_handlers
 
+ONE_REQUEST = 1.0
+"""Seconds within which signals of a kind are one request. `timeout` sends a signal to the process and then to its group."""
+
 
 class Interrupt:
     """A context in which the first SIGINT and the first SIGTERM only set `signal`. A second signal of a kind has its usual
-    effect, unless it arrives within `saving`.
+    effect, unless it arrives within `saving` or within ONE_REQUEST seconds of the first.
 
     torchrun sends SIGTERM after the SIGINT of a Ctrl-C. Both signals are one request. tell: called once, by the handler of the
     first signal.
@@ -22,7 +25,8 @@ class Interrupt:
     def __init__(self, tell: Callable[[], object] | None = None) -> None:
         self.signal: int | None = None
         self._tell = tell
-        self._received: set[int] = set()
+        self._received: dict[int, float] = {}
+        """Times of the first signals, by number."""
         self._saving = False
 
     @property
@@ -54,11 +58,11 @@ class Interrupt:
             signal.signal(number, handler)
 
     def _request(self, number: int, _: object) -> None:
-        if number in self._received and not self._saving:
+        since = time.monotonic() - self._received.setdefault(number, time.monotonic())
+        if since > ONE_REQUEST and not self._saving:
             signal.signal(number, self._previous[signal.Signals(number)])
             signal.raise_signal(number)
             return
-        self._received.add(number)
         first, self.signal = self.signal is None, self.signal or number
         if first and self._tell is not None:
             self._tell()

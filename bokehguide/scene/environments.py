@@ -22,12 +22,18 @@ def load_environment_map(path: Path) -> tuple[np.ndarray, list[str]]:
     """
     require_map(path)
     radiance = _radiance(read_channels(path, path.suffix.upper().removeprefix(".")), path)
-    bad = np.count_nonzero(~(np.abs(radiance) <= LARGEST).all(axis=2))
-    if bad:
-        raise BokehguideError(f"{path}: {bad} texels are NaN or infinite, or beyond {LARGEST:g}; repair the map")
-    negative = np.count_nonzero((radiance < 0.0).any(axis=2))
-    warnings = [f"{path.name}: {negative} negative texels were set to 0"] if negative else []
+    bad = np.any(~(np.abs(radiance) <= LARGEST), axis=2)
+    if bad.any():
+        raise BokehguideError(f"{path}: texels that are NaN, infinite or beyond {LARGEST:g}: {_counted(bad)}; repair the map")
+    negative = np.any(radiance < 0.0, axis=2)
+    warnings = [f"{path.name}: negative texels, set to 0: {_counted(negative)}"] if negative.any() else []
     return np.maximum(radiance, 0.0), warnings
+
+
+def _counted(texels: np.ndarray) -> str:
+    """The number of the texels in a mask `[H, W]`, and the place of the first one."""
+    row, column = np.unravel_index(int(texels.argmax()), texels.shape)
+    return f"{np.count_nonzero(texels)}, the first in column {column} and row {row}, counted from 0"
 
 
 def _radiance(read: Channels, path: Path) -> np.ndarray:

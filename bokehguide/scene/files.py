@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, encoding_problem
 from bokehguide.limits import FREE_INSTANCES, FREE_MESHES, MESH_BYTES, most_decoded, most_triangles, most_values
 from bokehguide.scene.tables import Table, shown
 
@@ -44,6 +44,8 @@ class SceneFiles:
         path = folder / name
         if not name.isprintable():
             raise BokehguideError(f"{place}: {shown(name)} is no path (control characters); repair it")
+        if problem := encoding_problem(name):
+            raise BokehguideError(f"{place}: {shown(name)} {problem}")
         try:
             inside = path.resolve().is_relative_to(self.folder)
         except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a cycle of links

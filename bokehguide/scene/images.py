@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF", "BMP", "TGA", "TIFF")
 """File formats of textures that Pillow decodes, beside KTX 2. Pillow knows more, some of them with external programs."""
+BITS_PER_SAMPLE = 258
+"""Tag of TIFF files."""
 REMEDY = "give a PNG, a JPEG or a WebP; BMP, TGA, and TIFF of 8 or 16 bits are read too"
 
 
@@ -111,7 +113,9 @@ def _silent() -> Iterator[None]:
 
 
 def _check_mode(image: Image.Image, place: str) -> None:
-    """Raise BokehguideError for pixels that Pillow would clip to 0 … 255 without their scale."""
+    """Raise BokehguideError for pixels of which Pillow loses the scale."""
+    if 12 in getattr(image, "tag_v2", {}).get(BITS_PER_SAMPLE, ()):
+        raise BokehguideError(f"{place}: a texture of 12 bits; {REMEDY}")
     if image.mode in ("F", "I"):
         raise BokehguideError(f"{place}: a texture of floats, or of signed or 32-bit whole numbers; {REMEDY}")
 

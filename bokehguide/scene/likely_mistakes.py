@@ -69,6 +69,8 @@ def _pinhole(scene: Scene, written: Collection[str]) -> Iterator[str]:
             "the camera is a pinhole, so that all is sharp; give f_number (option --f-number), or aperture_radius = 0 "
             "(option --aperture-radius 0) to keep the pinhole"
         )
+    elif scene.camera.aperture_radius == 0.0 and scene.camera.aperture is not None:
+        yield "the camera is a pinhole, on which the shape of the aperture has no effect; give f_number, or leave the shape out"
 
 
 def _inside(scene: Scene) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import replace
 from pathlib import Path, PureWindowsPath
 from typing import Any
@@ -95,10 +96,28 @@ def _parsed(path: Path, files: SceneFiles) -> tuple[trimesh.Scene, list[str]]:
         with default_signals(), np.errstate(all="ignore"):
             scene = trimesh.load_scene(str(path), resolver=resolver, process=False)
     except Exception as error:  # the parsers raise exceptions of any type for damaged files
+        if path.suffix.lower() == ".obj" and not isinstance(error, OSError):
+            _require_vertices(path)
         raise BokehguideError(f"{path}: not a readable {path.suffix} model ({reason(error)})") from None
     if resolver.refusal is not None:
         raise resolver.refusal
     return scene, [f"{printable(name)}: no such file; left out" for name in resolver.missing]
+
+
+def _require_vertices(path: Path) -> None:
+    """Raise BokehguideError, naming the line, for a face of an `.obj` file with a vertex that the file lacks."""
+    lines = [line.partition(b"#")[0].split() for line in path.read_bytes().splitlines()]
+    count, before = sum(words[:1] == [b"v"] for words in lines), 0
+    for number, words in enumerate(lines, 1):
+        before += words[:1] == [b"v"]
+        for word in words[1:] if words[:1] == [b"f"] else ():
+            index = word.partition(b"/")[0]
+            # A negative index counts back from the last vertex above.
+            if not (re.fullmatch(rb"-?\d{1,18}", index) and (1 <= int(index) <= count or -before <= int(index) <= -1)):
+                raise BokehguideError(
+                    f"{path}:{number}: the face has the vertex {printable(index.decode(errors='replace'), 20)}, "
+                    f"and the file has {count} vertices; repair the face"
+                )
 
 
 def _material(geometry: Any, name: str, path: Path, files: SceneFiles) -> Material:

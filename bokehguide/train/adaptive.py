@@ -154,6 +154,11 @@ class AdaptiveLoop:
         return sum(half.step_number for half in self.halves)
 
     @property
+    def complete(self) -> bool:
+        """Whether the render has all its SPP, or every block has reached the target noise."""
+        return self.finished or self.step_number >= self.settings.spp
+
+    @property
     def finished(self) -> bool:
         """Whether every block has reached the target."""
         return not bool(self.open.any())

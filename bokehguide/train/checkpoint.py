@@ -29,6 +29,8 @@ from bokehguide.train.settings import RenderSettings
 
 DATA = ("camera.aperture", "meshes", "materials", "environment", "suns", "light groups")
 """Inputs of a render that do not fit in one line of a message, stored as digests."""
+OTHER = {name: f"other {name}" for name in DATA} | {name: f"other settings of {name}" for name in ("gaussian", "guided")}
+"""Words for differences that do not fit in one line of a message."""
 TYPES = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2"}
 """Types in the states of all modes, as pickle names them. Storages of tensors are permitted too."""
 MAX_PICKLE = 2**20
@@ -43,14 +45,17 @@ def save_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop, seconds: 
     seconds: of the render so far; kept: whether the file is to stay when the render has ended. Raises BokehguideError if the file
     cannot be written.
     """
-    whole = {"fingerprint": fingerprint(loop.scene, loop.settings), "seconds": seconds, "kept": kept, "loop": loop.state_dict()}
+    whole = {"fingerprint": fingerprint(loop.scene, loop.settings), "scene": loop.scene.name}
+    whole |= {"seconds": seconds, "kept": kept, "loop": loop.state_dict()}
     if not loop.ranks.first:
         return
     with replacing(path) as temporary:
         try:
-            torch.save(whole, temporary)
-        except RuntimeError as error:  # from torch's writer on a full disk
-            raise unwritable(Path(path), error) from error
+            with temporary.open("wb") as file:
+                torch.save(whole, file)
+        except RuntimeError as error:  # from torch's writer, after the error of the file
+            cause = error.__context__
+            raise unwritable(Path(path), cause if isinstance(cause, OSError) else error) from error
 
 
 def load_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> float:
@@ -60,11 +65,7 @@ def load_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> float:
     loop. The number of samples per pixel and the number of threads may differ.
     """
     whole = _read(path)
-    found = differences(whole["fingerprint"], fingerprint(loop.scene, loop.settings))
-    if found:
-        more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
-        named = ", ".join(found[:NAMED])
-        raise BokehguideError(f"{path}: is of another render: {named}{more}; render without --resume to start again")
+    _require_same_render(path, whole, loop)
     try:
         require_kind(whole["seconds"], 0.0)
         require_kind(whole["loop"], loop.state_dict())
@@ -72,8 +73,29 @@ def load_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> float:
             _require_numbers(half)
         loop.load_state_dict(whole["loop"])
     except (AttributeError, IndexError, KeyError, RecursionError, RuntimeError, TypeError, ValueError) as error:
-        raise _damaged(path) from error
+        raise BokehguideError(
+            f"{path}: does not fit bokehguide {__version__}: another commit wrote it, or it is damaged; "
+            "render without --resume to start again"
+        ) from error
     return float(whole["seconds"])
+
+
+def _require_same_render(path: str | Path, whole: Mapping[str, Any], loop: RenderLoop | AdaptiveLoop) -> None:
+    """Raise BokehguideError unless the content of a file is of the loop's render, and of this version."""
+    then, now = whole["fingerprint"], fingerprint(loop.scene, loop.settings)
+    writer, this = printable(str(then.get("software", "another version of bokehguide"))), now["software"]
+    if writer != this or then.keys() != now.keys():
+        both = f"{writer}, and this is {this}" if writer != this else f"another commit of {this}"
+        raise BokehguideError(
+            f"{path}: was written by {both}; resume with that bokehguide, or render without --resume to start again"
+        )
+    found, scenes = differences(then, now), [printable(str(scene)) for scene in (whole.get("scene"), loop.scene.name)]
+    if found and "scene" in whole and scenes[0] != scenes[1]:
+        found.insert(0, "scene was {} and is {}".format(*scenes))
+    if found:
+        more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
+        named = ", ".join(found[:NAMED])
+        raise BokehguideError(f"{path}: is of another render: {named}{more}; render without --resume to start again")
 
 
 def saved_state(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> tuple[int, bool, bool]:
@@ -110,14 +132,14 @@ def _read(path: str | Path) -> dict[str, Any]:
         raise BokehguideError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     except Exception as error:  # neither reader documents its exceptions for damaged bytes
         raise _damaged(path) from error
-    then = whole.get("fingerprint") if isinstance(whole, dict) else None
+    then = whole.get("fingerprint", whole.get("origin")) if isinstance(whole, dict) else None  # its name before 0.3.0
     if (
         whole is None
         or not isinstance(then, dict)
         or not all(isinstance(text, str) and text.isprintable() for text in then.values())
     ):
         raise _damaged(path)
-    return whole
+    return whole | {"fingerprint": then}
 
 
 def _pickles(archive: zipfile.ZipFile) -> Iterator[bytes]:
@@ -205,6 +227,4 @@ def fingerprint(scene: Scene, settings: RenderSettings) -> dict[str, str]:
 def differences(then: Mapping[str, object], now: Mapping[str, str]) -> list[str]:
     """The inputs that have changed since a checkpoint was written, in words."""
     other = [name for name in now if then.get(name) != now[name]]
-    return [
-        f"other {name}" if name in DATA else f"{name} was {printable(str(then.get(name)))} and is {now[name]}" for name in other
-    ]
+    return [OTHER.get(name) or f"{name} was {printable(str(then.get(name)))} and is {now[name]}" for name in other]

@@ -30,6 +30,7 @@ from bokehguide.runtime.indexing import Pixels, box_pixels, indices
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.runtime.workers import Workers
 from bokehguide.scene.light_groups import find_light_groups
+from bokehguide.scene.tables import shown
 from bokehguide.scene.types import Scene
 from bokehguide.train.mattes import triangle_objects
 from bokehguide.train.scheduler import GPU_THREADS, Batches
@@ -56,6 +57,7 @@ class RenderLoop:
     """
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None = None, tracer: PathTracer | None = None):
+        _require_inputs(scene, settings)
         self.scene, self.settings, self.ranks = scene, settings, ranks or Ranks()
         entry, device = MODES[settings.mode], torch.device(settings.device)
         threads, on_cpu = settings.threads or available_cores(), device.type == "cpu"
@@ -136,16 +138,23 @@ class RenderLoop:
 
     def inherit(self, learned: Learned) -> None:
         """Begin with the learned state of a render of the same scene and mode, with another camera, lens and seed, but on one
-        rank, of the whole frame and of the same size. Call this method before the first step."""
+        rank, of the whole frame and of the same size. Call this method before the first step.
+
+        A strategy that learned nothing in the earlier render, such as the lens of a pinhole, begins anew."""
         with self.workers.serial():
             for name, strategy in self.mode.strategies.items():
-                if strategy.inherits:
+                if strategy.inherits and learned.state[name]:
                     strategy.inherit(learned, name)
 
     def freeze(self) -> None:
         """Stop learning."""
         self._learn()
         self._learns = False
+
+    @property
+    def complete(self) -> bool:
+        """Whether the render has all its SPP."""
+        return self.step_number >= self.settings.spp
 
     @property
     def phases(self) -> dict[str, float]:
@@ -158,6 +167,7 @@ class RenderLoop:
         last: whether no other step is expected. The loop then learns from this step only when its state is needed before `close`.
         """
         start = time.perf_counter()
+        self._require_open()
         with self.workers.serial():
             self._learn()
             self.step_number += 1
@@ -175,6 +185,17 @@ class RenderLoop:
             self._has_stepped = True
             seconds, components = time.perf_counter() - start, self.mode.lens.component_count
             return step_stats(self.step_number, results + resampled, seconds, components, self.ranks)
+
+    def _require_open(self) -> None:
+        """Raise BokehguideError after `close`."""
+        try:
+            self.workers.submit(int)  # the cheapest work
+        except RuntimeError as error:
+            if "shutdown" not in str(error):  # such as a thread for which memory is missing
+                raise
+            raise BokehguideError(
+                "RenderLoop.step: the loop is closed; take all steps in its `with` block, or make another loop"
+            ) from None
 
     def _update_roulette(self) -> None:
         """Compute the thresholds of shadow rays from the samples on the film."""
@@ -275,7 +296,7 @@ class RenderLoop:
     def _learn_from(self, results: Sequence[BatchResult]) -> None:
         """Pass the reports of all batches to the strategies, and end the step of the strategies."""
         light, count = self.ranks.totals(*self._light_so_far())
-        self._mean_luminance = light / max(count, 1.0)
+        self._mean_luminance = max(light, 0.0) / max(count, 1.0)  # a control variate may leave a negative sum on few pixels
         summary = StepSummary(
             self.step_number, self._mean_luminance, self._picture_so_far, self._groups_so_far if self._groups else None
         )
@@ -396,6 +417,14 @@ class RenderLoop:
         owned = self._of_frame(self._mine_of_film())
         beta = self.ranks.merged({"beta": self.mode.lens.blend_weights()}, owned)["beta"]
         return self.mode.lens.images(beta)
+
+
+def _require_inputs(scene: object, settings: object) -> None:
+    """Raise BokehguideError unless a loop can render these."""
+    if not isinstance(scene, Scene):
+        raise BokehguideError(f"RenderLoop: scene: {shown(scene)} is no Scene; give one, as from bokehguide.load_scene")
+    if not isinstance(settings, RenderSettings):
+        raise BokehguideError(f"RenderLoop: settings: {shown(settings)} is no RenderSettings; give RenderSettings(…)")
 
 
 def _work(results: Sequence[BatchResult]) -> list[int]:

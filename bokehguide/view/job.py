@@ -120,7 +120,7 @@ class Job:
     def _next_loop(self) -> RenderLoop:
         film, settings, learned = self._sizes[0], self._settings, None
         reduced = len(self._sizes) > 1
-        if not reduced and self._kept is not None and self.scene.camera.aperture_radius > 0.0:
+        if not reduced and self._kept is not None:
             learned = self._kept.learned(settings.mode, self.tracer)
         if learned is not None:
             settings, self.exact = replace(settings, seed=self._seed), False

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image.oidn import has_denoiser
+from bokehguide.picture import size_pair
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.overrides import OVERRIDES
 from bokehguide.scene.tables import did_you_mean
@@ -84,7 +85,7 @@ def view(
     for name in overrides:
         if name not in OVERRIDES:
             raise BokehguideError(f"view: {name}: no such option; {did_you_mean(name, OVERRIDES)}")
-    width, tall = size or (None, None)
+    width, tall = size_pair(size, "view")
     given = Overrides(width=width, height=tall, **overrides)
     RenderSettings(mode, spp=spp)
     loaded = load_scene(scene, given, allow_outside)

@@ -280,13 +280,18 @@ def scene_file(state: ViewState, source: Source, folder: Path, name: str) -> str
     options = {"mode": state.mode, "spp": state.spp, "seed": state.seed} | _display_options(state, source)
     words = [name, *(f"--{key}={value}" for key, value in options.items())]
     comment = shlex.join(["bokehguide", "render", *words] + ["--denoise"] * state.denoise + ["--allow-outside"] * outside)
-    return derived_text(base, Overrides(**values), state.exposure, comment)
+    return derived_text(base, Overrides(**values), _exposure(state, source), comment)
+
+
+def _exposure(state: ViewState, source: Source) -> float | str | None:
+    """The exposure as an option or a key; None for a metered one, unless the scene has another one."""
+    return "auto" if state.exposure is None and source.scene.film.exposure is not None else state.exposure
 
 
 def _display_options(state: ViewState, source: Source) -> dict[str, Any]:
-    """The options of view and exposure; a metered exposure is named where the scene has another one."""
-    metered = {} if source.scene.film.exposure is None else {"exposure": "auto"}
-    return {"view": state.view} | (metered if state.exposure is None else {"exposure": state.exposure})
+    """The options of view and exposure."""
+    exposure = _exposure(state, source)
+    return {"view": state.view} | ({} if exposure is None else {"exposure": exposure})
 
 
 def _relative(path: str, folder: Path, outside: bool) -> tuple[str, bool]:

@@ -275,6 +275,8 @@ MISTAKES = {
     "--modes lis,": ["mode: ''", "choose one of"],
     "--spp 0": ["--spp", "'0'"],
     "--reuse-radius 0": ["reuse_radius", "0"],
+    "--reuse-radius 8 --modes uniform,lis": ["--reuse-radius: 8 has no effect in uniform, lis; leave it out, or choose area-"],
+    "--reference good.exr --cache c": ["--cache: 'c' has no effect with --reference"],
     "--inset 0.8,0,0.5,0.5": ["--inset", "leaves the frame"],
     "--reference none.exr": ["none.exr", "cannot be read"],
     "--reference small.exr": ["small.exr: ", "32x20", "16x10"],

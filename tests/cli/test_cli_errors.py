@@ -38,10 +38,14 @@ MISTAKES = {
     "--environment cut.exr": ["cut.exr: is damaged"],
     "--camera-position 1,2": ["--camera-position", "'1,2'", "X,Y,Z"],
     "--camera-position 1,2,x": ["--camera-position", "'1,2,x'", "X,Y,Z"],
-    "--camera-target -inf,2,3": ["--camera-target"],
+    "--camera-target -inf,2,3": ["--camera-target", "'-inf,2,3' is not X,Y,Z"],
     "--camera-position 0,0,4 --camera-target 0,0,4": ["target"],
     "--focus-distance -2": ["focus", "-2"],
     "--focus-distance 0": ["focus", "0"],
+    "--focus-distance -inf": ["--focus-distance: -inf is out of range"],
+    "--focus-distance nan": ["--focus-distance: nan is out of range"],
+    "--focus-distance -NaN": ["--focus-distance: nan is out of range"],
+    "--fov -Infinity": ["--fov: -inf is out of range"],
     "--fov 190": ["fov", "190", "180"],
     "--f-number 0": ["f-number", "0"],
     "--aperture-radius -1": ["aperture-radius", "-1"],
@@ -70,6 +74,7 @@ MISTAKES = {
     "--reference nan.exr": ["nan.exr: ", "NaN"],
     "--spp": ["--spp", "expected one argument"],
     "--sp 4": ["--sp"],
+    "--reuse-radius 50": ["--reuse-radius: 50 has no effect in guided; leave it out, or choose area-restir or area-restir+lis"],
     "--bogus": ["--bogus"],
 }
 

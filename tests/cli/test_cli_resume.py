@@ -65,6 +65,34 @@ def kept_spp(path, mode: str) -> int:
     return loop.step_number
 
 
+def test_a_time_limit_keeps_the_state_of_a_resumed_render(render, tmp_path, capsys):
+    """Session by session until all SPP are there; then the file goes."""
+    session = ("--spp", 5, "--resume", "--time-limit", 1e-3, "--json", "a.json")
+    for spp in (1, 2, 3):
+        assert render(*session) == 0
+        assert json.loads((tmp_path / "a.json").read_text())["spp"] == spp
+        assert "--resume continues it to more SPP" in capsys.readouterr().out
+    assert render(*session[:3]) == 0
+    assert not (tmp_path / "a.ckpt").exists()
+    assert render("--spp", 5, out="b.exr") == 0
+    assert_same_pictures("a.exr", "b.exr")
+
+
+def test_a_time_limit_without_resume_keeps_no_state(render, tmp_path):
+    assert render("--spp", 5, "--time-limit", 1e-3) == 0
+    assert not (tmp_path / "a.ckpt").exists()
+
+
+def test_a_crop_whose_sum_is_negative_is_resumed(tmp_path, monkeypatch):
+    """On two pixels, the control variate of the first steps may leave less than nothing."""
+    monkeypatch.chdir(tmp_path)
+    crop = ["render", "cutout", "--size", "160x90", "--crop", "5,28,1,2", "--seed", "41", "--threads", "1", *map(str, KEEP)]
+    assert main([*crop, "--spp", "3"]) == 0
+    beauty = read_exr("cutout-guided.exr")
+    assert sum(float(beauty[channel].sum()) for channel in "RGB") < 0.0
+    assert main([*crop, "--spp", "4", "--resume"]) == 0
+
+
 def test_samples_are_added_to_a_finished_render(render, tmp_path, capsys):
     assert render("--spp", 4, "--json", "a.json", *KEEP) == 0
     first = json.loads((tmp_path / "a.json").read_text())

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from bokehguide import stopping
+from bokehguide.runtime import interrupt as interrupts
 from bokehguide.runtime.interrupt import Interrupt
 
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
@@ -133,8 +134,29 @@ def usual_handler() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("usual_handler")
-def test_a_second_signal_outside_of_saving_has_its_usual_effect():
+def test_signals_of_a_kind_within_a_second_are_one_request(monkeypatch):
+    """`timeout` sends SIGTERM to its child and then to its process group."""
+    monkeypatch.setattr(interrupts, "ONE_REQUEST", 60.0)
+    with Interrupt() as interrupt:
+        for _ in range(3):
+            signal.raise_signal(signal.SIGINT)
+        assert interrupt.signal == signal.SIGINT
+        monkeypatch.setattr(interrupts, "ONE_REQUEST", 0.0)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.slow
+def test_a_render_that_timeout_ends_saves_its_state(lamps_file, tmp_path):
+    command = ["timeout", "6", *render(tmp_path, "--spp", 1000000)]
+    finished = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, start_new_session=True)
+    assert finished.returncode == 124 and "saved, --resume continues from a.ckpt" in finished.stderr, finished.stderr
+
+
+@pytest.mark.usefixtures("usual_handler")
+def test_a_second_signal_outside_of_saving_has_its_usual_effect(monkeypatch):
     told = []
+    monkeypatch.setattr(interrupts, "ONE_REQUEST", 0.0)
     with Interrupt(lambda: told.append("told")) as interrupt:
         with interrupt.saving():
             for _ in range(3):

@@ -11,12 +11,13 @@ import termios
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bokehguide.cli import main, render
 from bokehguide.cli.arguments import parse
 from bokehguide.cli.pictures import Pictures
-from bokehguide.image import read_metadata
+from bokehguide.image import read_metadata, write_exr
 
 COMMAND = (sys.executable, "-m", "bokehguide")
 
@@ -95,6 +96,46 @@ def test_encodings_without_the_characters_of_messages(environment, lamps_file, t
     finished = run(tmp_path, "render", "emitters.toml", "--spp", "1", "--out", "a.exr", **environment)
     assert finished.returncode == 0, finished.stderr
     finished.stderr.decode("ascii")
+
+
+ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+NEEDED = b"needs file names in UTF-8, which this environment lacks; set PYTHONUTF8=1\n"
+
+
+def test_names_beyond_the_encoding_of_the_environment(lamps_file, tmp_path):
+    """Of an argument, and of a file that a scene names."""
+    (tmp_path / "café.toml").write_bytes(lamps_file.read_bytes())
+    (tmp_path / "derived.toml").write_text('base = "café.toml"\n', encoding="utf-8")
+    for name in ("café.toml", "derived.toml"):
+        refused = run(tmp_path, "info", name, **ASCII)
+        assert refused.returncode == 2 and refused.stderr.count(b"\n") == 1 and refused.stderr.endswith(NEEDED)
+    assert run(tmp_path, "info", "derived.toml", **ASCII | {"PYTHONUTF8": "1"}).returncode == 0
+
+
+@pytest.mark.slow
+def test_a_table_in_an_environment_of_ascii(lamps_file, tmp_path):
+    write_exr(tmp_path / "given.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
+    options = ("--modes", "uniform", "--spp", "2", "--reference", "given.exr", "--out", "compared")
+    finished = run(tmp_path, "compare", "emitters.toml", *options, **ASCII)
+    assert finished.returncode == 0, finished.stderr
+    assert "±" in (tmp_path / "compared/table.md").read_text("utf-8")
+
+
+def test_links_stay_and_their_targets_are_written(lamps_file, tmp_path, monkeypatch):
+    """The checkpoint of a finished render goes, and the next one is written to the same place."""
+    monkeypatch.chdir(tmp_path)
+    Path("disk").mkdir()
+    kinds = ("exr", "png", "json", "ckpt")
+    for kind in kinds:
+        Path(f"a.{kind}").symlink_to(f"disk/{kind}")
+    command = ["render", "emitters.toml", "--mode", "uniform", "--spp", "2", "--out", "a.exr", "--json", "a.json"]
+    monkeypatch.setattr("bokehguide.cli.checkpoints.INTERVAL", 1e-6)
+    assert main(command) == 0
+    assert all(Path(f"a.{kind}").is_symlink() for kind in kinds)
+    assert sorted(path.name for path in Path("disk").iterdir()) == ["exr", "json", "png"]
+    assert read_metadata("disk/exr")["spp"] == 2
+    assert main([*command, "--checkpoint-every", "60"]) == 0
+    assert Path("a.ckpt").is_symlink() and Path("disk/ckpt").stat().st_size > 1000
 
 
 def test_an_output_that_is_no_regular_file(lamps_file, tmp_path, monkeypatch, capfd):
@@ -189,10 +230,20 @@ def test_a_pipe_that_its_reader_closes(lamps_file, tmp_path):
         assert process.wait(timeout=60) == 141
 
 
-def test_the_bar_in_a_terminal_without_a_size(lamps_file, tmp_path):
+PYTHON = "import bokehguide; bokehguide.render('emitters.toml', spp=2)"
+RENDER = "render emitters.toml --spp 2 --out a.exr"
+COMPARE = "compare emitters.toml --modes guided --spp 2 --reference given.exr --out out"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [[*COMMAND, *RENDER.split()], [*COMMAND, *COMPARE.split()], [sys.executable, "-c", PYTHON]],
+    ids=["render", "compare", "Python"],
+)
+def test_the_bar_in_a_terminal_without_a_size(command, lamps_file, tmp_path):
+    write_exr(tmp_path / "given.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 0, 0, 0, 0))
-    command = [*COMMAND, "render", "emitters.toml", "--spp", "2", "--out", "a.exr"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=theirs) as process:
         os.close(theirs)
         told = b""

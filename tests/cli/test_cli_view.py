@@ -27,6 +27,8 @@ def folder(tmp_path, monkeypatch):
         ([], "one of the arguments SCENE --watch is required"),
         (["box.toml", "--watch", "a.exr"], "not allowed with"),
         (["--watch", "a.png"], "end it in .exr"),
+        (["--watch", "a.exr", "--focus-distance", "3"], "--focus-distance: has no effect with --watch; leave it out"),
+        (["--watch", "a.exr", "--noisy"], "--noisy: has no effect with --watch"),
         (["box.tom"], "no such scene"),
         (["box.toml", "--port", "70000"], "from 0 to 65535"),
         (["box.toml", "--host", "not a host"], "cannot listen on not a host:8737"),

@@ -21,6 +21,7 @@ SIZE = 128, 72
 RENDERS, STEPS = 64, 2
 REFERENCE_SPP = 768
 CHANGES = ("lens", "camera")
+ALL_CHANGES = (*CHANGES, "pinhole")
 
 
 @lru_cache
@@ -30,6 +31,8 @@ def scene_of(change: str) -> Scene:
     camera = scene.camera
     if change == "lens":
         camera = replace(camera, aperture_radius=0.8 * camera.aperture_radius, focus_distance=1.2 * camera.focus_distance)
+    elif change == "pinhole":
+        camera = replace(camera, aperture_radius=0.0)
     elif change == "camera":
         camera = replace(camera, position=tuple(np.add(camera.position, (0.12, 0.03, 0.0))), fov=0.95 * camera.fov)
     return replace(scene, camera=camera)
@@ -77,7 +80,7 @@ def pictures(change: str, keeps: bool) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("change", ALL_CHANGES)
 def test_kept_state_changes_no_mean(change):
     kept, (expected, variance) = pictures(change, True), reference(change)
     difference = block_means(kept.mean(0) - expected, 8)
@@ -87,10 +90,23 @@ def test_kept_state_changes_no_mean(change):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("change", ALL_CHANGES)
 def test_kept_state_lowers_the_noise(change):
     kept, fresh = (noise(pictures(change, keeps)) for keeps in (True, False))
     assert kept < 0.95 * fresh
+
+
+def test_a_lens_after_a_pinhole_takes_over_the_choice_of_lights_alone():
+    with loop_of(scene_of("pinhole"), 1) as pinhole:
+        for _ in range(4):
+            pinhole.step()
+        state = pinhole.learned()
+    fresh, kept = loop_of(scene_of(""), 3), loop_of(scene_of(""), 3)
+    assert state is not None and not state.state["lens"]
+    kept.inherit(state)
+    assert float(kept.mode.lights.sampler.sums.abs().sum()) > 0.0 == float(fresh.mode.lights.sampler.sums.abs().sum())
+    assert all(torch.equal(value, fresh.mode.lens.state_dict()[name]) for name, value in kept.mode.lens.state_dict().items())
+    assert np.isfinite(kept.step().seconds)
 
 
 def noise(found: np.ndarray) -> float:

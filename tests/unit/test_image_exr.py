@@ -1,6 +1,7 @@
 """EXR files: what is written is what is read, here and by another library."""
 
 import json
+import resource
 
 import numpy as np
 import OpenImageIO as oiio
@@ -120,6 +121,18 @@ def test_no_trace_of_a_write_that_fails(tmp_path, layers):
         write_exr(tmp_path / "a.exr", layers, {"scene": object()})
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
     assert (tmp_path / "a.exr").read_bytes() == before
+
+
+def test_a_file_that_becomes_too_large_is_named_as_it_was_given(tmp_path, layers):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))  # as on a disk that is full
+    try:
+        with pytest.raises(BokehguideError) as refusal:
+            write_exr(tmp_path / "a.exr", layers)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert str(refusal.value) == f"{tmp_path}/a.exr: cannot be written (File too large); choose another folder"
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_cannot_be_written(tmp_path, layers):

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -49,3 +50,44 @@ def test_what_a_killed_writer_left_is_removed_and_what_is_being_written_is_not(t
         remove_abandoned(path)
     assert path.read_text() == "new"
     assert sorted(tmp_path.iterdir()) == sorted([path, other])
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_told_with_the_name_of_the_file_and_a_remedy(tmp_path):
+    told = r"/a\.txt: cannot be written \(No space left on device\); free some space, or choose another folder$"
+    with pytest.raises(BokehguideError, match=told), replacing(tmp_path / "a.txt") as temporary:
+        temporary.symlink_to("/dev/full")
+        temporary.write_text("new")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("old", ["old", None])
+def test_the_target_of_a_link_is_written_and_the_link_stays(old, tmp_path):
+    target, link = tmp_path / "deep" / "b.txt", tmp_path / "a.txt"
+    target.parent.mkdir()
+    if old is not None:
+        target.write_text(old)
+    link.symlink_to("deep/b.txt")
+    check_writable(link)
+    with replacing(link) as temporary:
+        temporary.write_text("new")
+        assert temporary.parent.samefile(target.parent), "on another disk, the last step would not be atomic"
+        assert target.exists() == (old is not None)
+    assert link.is_symlink() and target.read_text() == "new"
+    assert list(target.parent.iterdir()) == [target]
+
+
+def test_a_link_into_a_missing_folder_is_told_at_once(tmp_path):
+    (tmp_path / "a.txt").symlink_to("missing/b.txt")
+    with pytest.raises(BokehguideError, match=r"/a\.txt: cannot be written \(No such file or directory\)"):
+        check_writable(tmp_path / "a.txt")
+
+
+def test_what_a_killed_writer_left_beside_the_target_of_a_link_is_removed(tmp_path):
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        pass
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / f".b.txt.{ended.pid}.tmp").touch()
+    (tmp_path / "a.txt").symlink_to("deep/b.txt")
+    remove_abandoned(tmp_path / "a.txt")
+    assert not list((tmp_path / "deep").iterdir())

@@ -79,7 +79,7 @@ def test_exported_sheens_come_back(tmp_path, values):
 def test_a_matte_sheen_has_no_coat():
     material = Material("felt", specular_color=(0.0, 0.0, 0.0), **from_disney(0.5, 0.0, (0.8, 0.8, 0.8), 0.0))
     bsdf = mitsuba_bsdf(material)["bsdf"]
-    assert (bsdf["type"], bsdf["specular"], bsdf["sheen"]) == ("principled", 0.0, pytest.approx(0.5))
+    assert (bsdf["type"], bsdf["eta"], bsdf["sheen"]) == ("principled", 1.0, pytest.approx(0.5))
 
 
 def test_sheens_beyond_disneys_are_told():

@@ -256,6 +256,21 @@ def test_tiffs_of_other_numbers_are_refused_in_a_line(folder, change, kind, chan
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("compression", ["none", "zip"])
+def test_tiffs_of_12_bits_are_refused_in_a_line(folder, compression, channels):
+    """Pillow would read greys without their scale, at a sixteenth of their brightness."""
+    spec = oiio.ImageSpec(4, 2, channels, "uint16")
+    spec.attribute("oiio:BitsPerSample", 12)
+    spec.attribute("compression", compression)
+    out = oiio.ImageOutput.create("bad.tif")
+    assert out.open(str(folder / "bad.tif"), spec) and out.write_image(np.ones((2, 4, channels), np.float32))
+    out.close()
+    with pytest.raises(BokehguideError, match=r"bad\.tif: .*texture.*; give a PNG.* TIFF of 8 or 16 bits") as caught:
+        load_scene(str(scene_file(folder, TEXTURE, "bad.tif")))
+    assert "\n" not in str(caught.value)
+
+
 def test_a_photograph_may_be_as_large_as_its_file(tmp_path):
     """The budget grows with the size of the file."""
     Image.fromarray(np.random.default_rng(0).integers(0, 256, (256, 256, 3), np.uint8)).save(tmp_path / "noise.png")

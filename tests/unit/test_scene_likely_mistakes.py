@@ -56,6 +56,12 @@ def test_a_pinhole_that_nobody_asked_for(tmp_path):
     assert mistakes(tmp_path, lens="", aperture_radius=0.0) == ()
 
 
+def test_the_shape_of_a_pinhole(tmp_path):
+    (line,) = mistakes(tmp_path, aperture_radius=0.0, aperture_blades=5)
+    assert "the shape of the aperture has no effect" in line
+    assert mistakes(tmp_path, aperture_blades=5) == ()
+
+
 @pytest.mark.parametrize("scale", [1e-5, 1e5])
 def test_a_model_far_from_metres(tmp_path, scale):
     assert any(

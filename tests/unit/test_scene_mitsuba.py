@@ -1,10 +1,13 @@
 """Mitsuba XML files as scenes: what the exporter writes comes back, and shapes and fields of view are Mitsuba's."""
 
+import zlib
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
 
 mi = pytest.importorskip("mitsuba")
@@ -12,6 +15,7 @@ mi = pytest.importorskip("mitsuba")
 from bokehguide.cli import main
 from bokehguide.errors import BokehguideError
 from bokehguide.export import export_mitsuba
+from bokehguide.image import write_exr
 from bokehguide.render.bsdf.microfacets import ggx_density
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.anisotropy import to_alphas
@@ -21,6 +25,8 @@ from bokehguide.scene.mitsuba_xml.properties import PROPERTIES, unknown_properti
 from bokehguide.scene.mitsuba_xml.tree import read_tree
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_sphere
 from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Scene, Texture
+from tests.support.statistical import SIGNIFICANCE, z_test
+from tests.support.tracing import estimates
 
 MITSUBA_VARIANT = "scalar_rgb"
 SENSOR = (
@@ -113,6 +119,76 @@ def test_shapes_are_mitsubas(tmp_path, kind):
     np.testing.assert_allclose(mesh.vertices.max(axis=0), np.array(shape.bbox().max), atol=close)
 
 
+CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+"""Of a square, anticlockwise."""
+
+
+def write_square(path, normals: bool, reverse: bool) -> None:
+    """A square as `.obj` or `.ply`. normals: whether the file has those along z. reverse: whether the triangles face -z."""
+    faces = [(3, 2, 0), (2, 1, 0)] if reverse else [(0, 1, 2), (0, 2, 3)]
+    if path.suffix == ".obj":
+        corners = "".join(f"v {x} {y} 0\n" for x, y in CORNERS) + ("vn 0 0 1\n" if normals else "")
+        join = "{}//1" if normals else "{}"
+        path.write_text(corners + "".join(f"f {' '.join(join.format(each + 1) for each in face)}\n" for face in faces))
+        return
+    names = ("x", "y", "z", "nx", "ny", "nz") if normals else ("x", "y", "z")
+    head = "".join(f"property float {name}\n" for name in names)
+    head = f"ply\nformat ascii 1.0\nelement vertex 4\n{head}element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    corners = "".join(f"{x} {y} 0{' 0 0 1' * normals}\n" for x, y in CORNERS)
+    path.write_text(head + corners + "".join(f"3 {a} {b} {c}\n" for a, b, c in faces))
+
+
+@pytest.mark.parametrize("kind", ["sphere", "rectangle", "disk", "cube", "obj", "ply", "serialized"])
+def test_the_side_of_emission_is_mitsubas(tmp_path, kind):
+    """Also of mirrored shapes, with and without normals in their files, and of normals against the order of vertices."""
+    files = [""]
+    if kind in ("obj", "ply"):
+        for normals, reverse in ((False, False), (True, False), (True, True)):
+            write_square(tmp_path / f"s{normals}{reverse}.{kind}", normals, reverse)
+        files = [f'<string name="filename" value="{path.name}"/>' for path in sorted(tmp_path.glob(f"*.{kind}"))]
+    if kind == "serialized":
+        files = [f'<string name="filename" value="{write_serialized(tmp_path / "s.serialized").name}"/>']
+    flags = ["", *(f'<boolean name="{key}" value="true"/>' for key in ("flip_normals", "face_normals"))]
+    moves = ("", '<scale x="-1"/>', '<scale z="-1"/>', '<rotate x="1" angle="20"/>')
+    light = '<emitter type="area"><rgb name="radiance" value="1 1 1"/></emitter>'
+    for file, flag, move in product(files, flags, moves):
+        if "face" in flag and kind in ("sphere", "disk"):
+            continue
+        shape = f'<shape type="{kind}">{file}{flag}<transform name="to_world">{move}</transform>{light}</shape>'
+        scene = read(tmp_path, shape)
+        there = mi.load_file(str(tmp_path / "scene.xml"))
+        for side in (1.0, -1.0):
+            hit = there.ray_intersect(mi.Ray3f(mi.Point3f(0.1, 0.13, 4.0 * side), mi.Vector3f(0.0, 0.0, -side)))
+            theirs = float(np.ravel(np.array(hit.emitter(there).eval(hit)))[0])
+            ours = estimates(scene, (0.1, 0.13, 4.0 * side), (0.0, 0.0, -side), 1)[0, 0]
+            assert ours == pytest.approx(theirs, abs=1e-4), (shape, side)
+
+
+def write_serialized(path):
+    """A square in Mitsuba's own format, without normals."""
+    vertices = np.array([(x, y, 0.0) for x, y in CORNERS], "<f4").tobytes()
+    body = np.uint32(0x1000).tobytes() + b"square\0" + np.array([4, 2], "<u8").tobytes() + vertices
+    body += np.array([0, 1, 2, 0, 2, 3], "<u4").tobytes()
+    path.write_bytes(np.array([0x041C, 4], "<u2").tobytes() + zlib.compress(body) + np.array([0], "<u8").tobytes() + b"\1\0\0\0")
+    return path
+
+
+@pytest.mark.parametrize("mirror", ["", '<transform name="to_world"><scale y="-2"/></transform>'])
+def test_models_without_normals_are_smooth_as_in_mitsuba(tmp_path, mirror):
+    """The normals at the vertices are means of those around, weighted by angle."""
+    ball = trimesh.creation.icosphere(1)
+    ball.vertices *= (1.0, 0.5, 1.5)
+    (tmp_path / "ball.obj").write_text(trimesh.exchange.obj.export_obj(ball, include_normals=False))
+    scene = read(tmp_path, f'<shape type="obj"><string name="filename" value="ball.obj"/>{mirror}</shape>')
+    there = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0]
+    points, normals = (
+        np.array(buffer(), np.float32).reshape(-1, 3) for buffer in (there.vertex_positions_buffer, there.vertex_normals_buffer)
+    )
+    mesh = scene.meshes[0]
+    nearest = np.linalg.norm(mesh.vertices[:, None] - points, axis=2).argmin(axis=1)
+    np.testing.assert_allclose(mesh.normals, normals[nearest], atol=2e-3)
+
+
 @pytest.mark.parametrize("axis", ["x", "y", "smaller", "larger", "diagonal"])
 def test_fields_of_view_are_mitsubas(tmp_path, axis):
     sensor = SENSOR.replace("<film", f'<string name="fov_axis" value="{axis}"/><film')
@@ -147,6 +223,160 @@ def test_materials(tmp_path):
     assert (found["veil"].alpha_mode, found["veil"].opacity) == ("blend", 0.25)
     assert scene.warnings[0] == "scene.xml: spec_tint of principled BSDFs: left out (car)"
     assert scene.warnings[1] == "scene.xml: BSDF hair: grey in its place (wig)"
+
+
+def sole(folder, bsdf: str) -> tuple[Material, tuple[str, ...]]:
+    """The material of a sphere with a BSDF, and the warnings."""
+    scene = read(folder, f'<shape type="sphere">{bsdf}</shape>')
+    return scene.materials[scene.meshes[0].material], scene.warnings
+
+
+def test_reflectances_of_principled_are_mitsubas(tmp_path):
+    """The reflectance at normal incidence by `eta` and by `specular`, relative to that of glass of the index 1.5."""
+    up = mi.Vector3f(0.0, 0.0, 1.0)
+
+    def peak(**values) -> float:
+        at = mi.SurfaceInteraction3f()
+        at.wi = up
+        black = {"type": "rgb", "value": [0.0, 0.0, 0.0]}
+        bsdf = mi.load_dict({"type": "principled", "base_color": black, "roughness": 0.3, **values})
+        return np.ravel(np.array(bsdf.eval(mi.BSDFContext(), at, up)))[0]
+
+    for key, value in (("eta", 2.0), ("eta", 1.2), ("eta", 0.8), ("specular", 1.0), ("specular", 0.25), ("specular", 0.0)):
+        given = f'<bsdf type="principled"><float name="{key}" value="{value}"/><float name="spec_trans" value="{{}}"/></bsdf>'
+        found, warnings = sole(tmp_path, given.format(0.0))
+        expected = 0.04 * peak(**{key: value}) / peak(eta=1.5)
+        assert found.specular * ((found.ior - 1.0) / (found.ior + 1.0)) ** 2 == pytest.approx(expected, rel=1e-3, abs=1e-9)
+        assert warnings == ()
+        if key == "eta":
+            assert sole(tmp_path, given.format(1.0))[0].ior == pytest.approx(max(value, 1.0 / value))
+    with pytest.raises(BokehguideError, match=r"principled \d+\.eta: big is not a number in range"):
+        sole(tmp_path, '<bsdf type="principled"><string name="eta" value="big"/></bsdf>')
+
+
+@pytest.mark.parametrize(("ior", "specular"), [(1.5, 1.0), (1.33, 1.0), (1.7, 1.0), (2.0, 1.0), (2.4, 1.0), (1.5, 0.4)])
+def test_refractive_indices_come_back(tmp_path, ior, specular):
+    """Mitsuba has one number for both, the reflectance at normal incidence."""
+    camera, ball = Camera((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)), spheres(np.zeros((1, 3)), np.ones(1), 0, 1)
+    material = Material("m", roughness=0.3, ior=ior, specular=specular)
+    assert export_mitsuba(Scene("one", camera, (ball,), (material,), FilmSettings(8, 8)), tmp_path) == []
+    found = load_scene(str(tmp_path / "scene.xml")).materials[0]
+    ratios = [each.specular * ((each.ior - 1.0) / (each.ior + 1.0)) ** 2 for each in (found, material)]
+    assert ratios[0] == pytest.approx(ratios[1], rel=1e-5)
+    assert specular < 1.0 or (found.ior, found.specular) == (pytest.approx(ior), 1.0)
+
+
+DENSE = '<float name="int_ior" value="1.0"/><float name="ext_ior" value="1.5"/>'
+SHINY = '<rgb name="base_color" value="1 1 1"/><float name="roughness" value="0.2"/><float name="spec_trans" value="1"/>'
+GLASSES = {
+    "glass": '<bsdf type="dielectric"/>',
+    "bubble": f'<bsdf type="dielectric">{DENSE}</bsdf>',
+    "mask": f'<bsdf type="mask"><float name="opacity" value="0.9"/><bsdf type="dielectric">{DENSE}</bsdf></bsdf>',
+    "rough": f'<bsdf type="roughdielectric"><string name="distribution" value="ggx"/>{DENSE}</bsdf>',
+    "principled": f'<bsdf type="principled">{SHINY}<float name="eta" value="1.8"/></bsdf>',
+    "dense": f'<bsdf type="principled">{SHINY}<float name="eta" value="0.8"/></bsdf>',
+}
+
+
+@pytest.mark.parametrize("mirror", ["", '<scale x="-1"/>'])
+@pytest.mark.parametrize("kind", GLASSES)
+def test_glass_refracts_as_in_mitsuba(tmp_path, kind, mirror):
+    """The radiance along a ray through a ball in front of a lamp, on either side of whose surface the glass may be."""
+    place = '<transform name="to_world"><translate x="-1.2" z="-3"/></transform>'
+    lamp = f'<shape type="rectangle">{place}<emitter type="area"><rgb name="radiance" value="3 3 3"/></emitter></shape>'
+    shape = f'<shape type="sphere"><transform name="to_world">{mirror}</transform>{GLASSES[kind]}</shape>'
+    sky = '<emitter type="constant"><rgb name="radiance" value="0.5 0.5 0.5"/></emitter>'
+    scene = read(tmp_path, shape + lamp + sky + '<integrator type="path"><integer name="max_depth" value="12"/></integrator>')
+    there, sampler = mi.load_file(str(tmp_path / "scene.xml")), mi.load_dict({"type": "independent"})
+    sampler.seed(0)
+    ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.45, 0.1, 4.0), mi.Vector3f(0.0, 0.0, -1.0)))
+    theirs = np.array([there.integrator().sample(there, sampler, ray)[0][0] for _ in range(2000)], np.float64)
+    ours = estimates(scene, (0.45, 0.1, 4.0), (0.0, 0.0, -1.0), 20_000)[0]
+    error = np.hypot(*(each.std() / np.sqrt(each.size) for each in (ours, theirs)))
+    assert z_test(np.array([ours.mean() - theirs.mean()]), np.array([error + 2e-3])) > SIGNIFICANCE, (ours.mean(), theirs.mean())
+
+
+def test_losses_of_reflectances_and_of_indices(tmp_path):
+    grey = '<rgb name="specular_reflectance" value="0.5 0.25 0"/>'
+    found, warnings = sole(tmp_path, f'<bsdf type="plastic">{grey}</bsdf>')
+    assert (found.specular, found.specular_color) == (0.5, (1.0, 0.5, 0.0)) and warnings == ()
+    assert sole(tmp_path, f'<bsdf type="plastic">{grey.replace("0.5 0.25 0", "0 0 0")}</bsdf>')[0].specular == 0.0
+    checks = '<texture type="checkerboard" name="specular_reflectance"/>'
+    for bsdf, told in (
+        (f'<bsdf type="dielectric" id="b">{grey}</bsdf>', "specular_reflectance of dielectrics: 1.0 in its place (b)"),
+        (
+            f'<bsdf type="plastic" id="b">{checks}</bsdf>',
+            "specular_reflectance of the type checkerboard: 1.0 in its place (b)",
+        ),
+        (f'<bsdf type="conductor" id="b">{checks}</bsdf>', "specular_reflectance of the type checkerboard: left out (b)"),
+        (f'<bsdf type="thindielectric" id="b">{DENSE}</bsdf>', "thindielectric with int_ior below ext_ior: both exchanged (b)"),
+    ):
+        found, warnings = sole(tmp_path, bsdf)
+        assert warnings == (f"scene.xml: {told}",)
+    assert found.ior == pytest.approx(1.5)
+    light = '<emitter type="area"><float name="radiance" value="2"/></emitter>'
+    scene = read(tmp_path, f'<shape type="sphere" id="s">{GLASSES["bubble"]}{light}</shape>')
+    assert scene.warnings == ("scene.xml: glass in a denser medium that emits: the glass is the denser one (s)",)
+    assert estimates(scene, (0.1, 0.2, 4.0), (0.0, 0.0, -1.0), 1)[0, 0] >= 2.0
+
+
+def test_losses_of_the_sensor(tmp_path):
+    crop = '<integer name="crop_width" value="16"/><integer name="crop_offset_x" value="4"/></film>'
+    sensor = SENSOR.replace("thinlens", "perspective").replace('<float name="aperture_radius" value="0.1"/>', "")
+    offset = '<float name="principal_point_offset_y" value="0.2"/><film'
+    ball = '<shape type="sphere"/>'
+    assert read(tmp_path, ball, sensor.replace("</film>", crop).replace("<film", offset)).warnings == (
+        "scene.xml: crops of the film: the whole film in their place (hdrfilm)",
+        "scene.xml: principal points outside the middle: the middle in their place (perspective)",
+    )
+    whole = '<integer name="crop_width" value="32"/><integer name="crop_height" value="18"/></film>'
+    assert read(tmp_path, ball, sensor.replace("</film>", whole)).warnings == ()
+
+
+SPECTRA = [
+    '<spectrum name="{}" type="d65"><float name="scale" value="3"/></spectrum>',
+    '<spectrum name="{}" type="d65"><rgb name="color" value="1 2 3"/><float name="scale" value="2"/></spectrum>',
+    '<spectrum name="{}" type="uniform"><float name="value" value="0.7"/></spectrum>',
+    '<spectrum name="{}" value="400:1, 500:5, 600:8, 700:10"/>',
+    '<spectrum name="{}" value="3"/>',
+    '<float name="{}" value="2"/>',
+]
+
+
+@pytest.mark.parametrize("spectrum", SPECTRA)
+def test_spectra_of_light_are_mitsubas(tmp_path, spectrum):
+    ball = '<shape type="sphere">{}</shape>'
+    emitters = (
+        f'<emitter type="area">{spectrum.format("radiance")}</emitter>',
+        f'<emitter type="constant">{spectrum.format("radiance")}</emitter>',
+        f'<emitter type="point" id="bulb">{spectrum.format("intensity")}</emitter>',
+    )
+    scene = read(tmp_path, ball.format(emitters[0]) + "".join(emitters[1:]))
+    expected = np.ravel(np.array(mi.load_file(str(tmp_path / "scene.xml")).environment().eval(mi.SurfaceInteraction3f())))
+    bulb = np.array(scene.materials[scene.meshes[1].material].emission) * np.pi * 0.01**2
+    for found in (scene.materials[scene.meshes[0].material].emission, scene.environment.radiance[0, 0], bulb):
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
+    assert scene.warnings == ("scene.xml: point lights: spheres of radius 0.01 m (bulb)",)
+
+
+def test_lights_without_a_colour_in_rgb_are_told(tmp_path):
+    glow = '<spectrum name="radiance" type="blackbody"><float name="temperature" value="3000"/></spectrum>'
+    scene = read(tmp_path, f'<shape type="sphere"/><emitter type="constant" id="sky">{glow}</emitter>')
+    assert scene.environment.radiance.ravel().tolist() == [1.0, 1.0, 1.0]
+    assert scene.warnings == ("scene.xml: radiance of the type blackbody: 1.0 in its place (sky)",)
+
+
+def test_spectra_of_surfaces_are_mitsubas(tmp_path):
+    found, warnings = sole(tmp_path, '<bsdf type="diffuse"><spectrum name="reflectance" value="400:0.1, 700:0.9"/></bsdf>')
+    bsdf, at = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0].bsdf(), mi.SurfaceInteraction3f()
+    at.wi = mi.Vector3f(0.0, 0.0, 1.0)
+    np.testing.assert_allclose(found.base_color, np.ravel(np.array(bsdf.eval_diffuse_reflectance(at))), rtol=1e-5)
+    indices = '<spectrum name="eta" value="400:1.4, 700:0.2"/><spectrum name="k" value="400:1.5, 700:4.2"/>'
+    found, others = sole(tmp_path, f'<bsdf type="conductor">{indices}</bsdf>')
+    metal = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0].bsdf()
+    _, weight = metal.sample(mi.BSDFContext(), at, 0.5, mi.Point2f(0.5, 0.5))
+    np.testing.assert_allclose(found.base_color, np.ravel(np.array(weight)), rtol=1e-5)
+    assert warnings == others == ()
 
 
 def test_opacity_textures_are_mitsubas(tmp_path):
@@ -191,7 +421,10 @@ def test_emitters(tmp_path):
         '<emitter type="constant"><rgb name="radiance" value="0.5 0.5 0.5"/></emitter><emitter type="spot" id="stage"/>'
     )
     scene = read(tmp_path, body)
-    assert scene.materials[scene.meshes[0].material].emission == (3.0, 2.0, 1.0)
+    lamp = scene.materials[scene.meshes[0].material]
+    assert lamp.emission == (3.0, 2.0, 1.0) and lamp.base_color == (0.0, 0.0, 0.0)
+    bsdf = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0].bsdf()
+    assert not np.array(bsdf.eval_diffuse_reflectance(mi.SurfaceInteraction3f())).any()
     bulb = scene.materials[scene.meshes[1].material]
     assert bulb.emission[0] * np.pi * 0.01**2 == pytest.approx(5.0)
     np.testing.assert_allclose(scene.meshes[1].vertices.mean(axis=0), (1, 2, 3), atol=2e-3)
@@ -274,6 +507,14 @@ def test_negative_light_is_refused(tmp_path, body, named):
         BokehguideError, match=rf"scene\.xml: \w+ \d+\.{named}: \(-200\.0, 120\.0, 50\.0\) has a negative channel"
     ):
         read(tmp_path, body)
+
+
+def test_a_negative_scale_of_a_map_is_refused(tmp_path):
+    write_exr(tmp_path / "sky.exr", {"beauty": np.ones((2, 4, 3), np.float32)})
+    sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="{}"/></emitter>'
+    assert read(tmp_path, '<shape type="sphere"/>' + sky.format("0.5")).environment.radiance.max() == 0.5
+    with pytest.raises(BokehguideError, match=r"scene\.xml: envmap \d+\.scale: -0\.5 is negative; give a number of 0 or more"):
+        read(tmp_path, '<shape type="sphere"/>' + sky.format("-0.5"))
 
 
 @pytest.mark.parametrize("name", ["no.png", "no.exr"])

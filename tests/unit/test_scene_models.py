@@ -52,6 +52,17 @@ def test_numbers_beyond_integers_are_refused_in_silence(tmp_path, index, recwarn
     assert not list(recwarn), "warnings of NumPy"
 
 
+@pytest.mark.parametrize(
+    ("face", "vertex"), [("1 2 9", "9"), ("1/1 2/1 4/1 # a comment", "4"), ("-1 -2 -4", "-4"), ("1 2 x", "x")]
+)
+def test_a_face_beyond_the_vertices_is_named_by_its_line(tmp_path, face, vertex):
+    (tmp_path / "a.obj").write_text(f"# a model\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\n\nf 1 2 3\nf {face}\n")
+    with pytest.raises(
+        BokehguideError, match=rf"/a\.obj:8: the face has the vertex {vertex}, and the file has 3 vertices; repair"
+    ):
+        load_scene(str(tmp_path / "a.obj"))
+
+
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj", "glb"])
 def test_a_model_is_framed_and_lit(tmp_path, suffix):
     box = trimesh.creation.box((3.0, 1.0, 2.0))

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from bokehguide.color import LUMINANCE, blackbody
 from bokehguide.errors import BokehguideError
@@ -81,6 +82,21 @@ def test_the_irradiance_of_each_light(tmp_path, kind):
     samples = estimates(scene, (0.0, 0.5, 0.0), (0.0, -1.0, 0.0), 20_000)
     expected = 0.5 / math.pi * irradiance
     assert mean_test(samples, expected, 2e-3) > SIGNIFICANCE, (samples.mean(axis=1), expected)
+
+
+def test_the_power_of_a_goniometric_light_includes_its_image(tmp_path):
+    """pbrt-v4 divides the power by 4π times the mean of the image."""
+    Image.new("L", (4, 4), 89).save(tmp_path / "dim.png")
+    light = 'LightSource "goniometric" {} "string filename" "dim.png"'
+
+    def intensity(given: str) -> np.ndarray:
+        scene = read(tmp_path, light.format(given))
+        mesh = scene.meshes[-1]
+        radius = 0.5 * float(np.ptp(mesh.vertices[:, 0]))
+        return np.array(scene.materials[mesh.material].emission) * math.pi * radius**2
+
+    np.testing.assert_allclose(intensity('"float power" 100'), 100.0 / (4.0 * math.pi), rtol=0.02)
+    np.testing.assert_allclose(intensity('"rgb I" [2 1 0.5]'), RED * ((89.0 / 255.0 + 0.055) / 1.055) ** 2.4, rtol=0.02)
 
 
 def test_the_cone_of_a_spot_is_that_of_pbrt(tmp_path):

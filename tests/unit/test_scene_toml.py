@@ -125,7 +125,7 @@ def test_negative_texels_are_clamped_with_a_warning(tmp_path):
     OpenEXR.File({}, {"RGB": radiance}).write(str(tmp_path / "sky.exr"))
     scene = load(tmp_path, CAMERA + BALL + '[environment]\nmap = "sky.exr"\n')
     assert scene.environment.radiance.min() == 0.0
-    assert scene.warnings == ("sky.exr: 1 negative texels were set to 0",)
+    assert scene.warnings == ("sky.exr: negative texels, set to 0: 1, the first in column 2 and row 1, counted from 0",)
 
 
 def test_objects_are_scaled_then_turned_then_moved(tmp_path):

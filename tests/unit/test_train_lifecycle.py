@@ -7,6 +7,7 @@ import threading
 import pytest
 import torch
 
+from bokehguide.errors import BokehguideError
 from bokehguide.train import RenderSettings
 from bokehguide.train.adaptive import AdaptiveLoop, make_loop
 from bokehguide.train.loop import RenderLoop
@@ -59,8 +60,21 @@ def test_a_closed_loop_keeps_its_picture_and_takes_no_step(kind, target_noise, s
     other = loop_of(target_noise)
     other.load_state_dict(loop.state_dict())
     assert torch.equal(other.picture().radiance(), picture)
-    with pytest.raises(RuntimeError):
+    with pytest.raises(BokehguideError, match="the loop is closed; take all steps in its `with` block, or make another loop"):
         loop.step()
+    assert loop.step_number == 2 and torch.equal(loop.picture().radiance(), picture)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (("daylight", RenderSettings()), "scene: 'daylight' is no Scene; give one, as from bokehguide.load_scene"),
+        ((scenes.emitters(32, 18), "guided"), "settings: 'guided' is no RenderSettings"),
+    ],
+)
+def test_a_loop_of_other_things_is_refused(given, words):
+    with pytest.raises(BokehguideError, match=f"^RenderLoop: {words}"):
+        RenderLoop(*given)
 
 
 @KINDS

@@ -1,5 +1,7 @@
 """USD files that are refused: damaged ones, wrong values, paths outside the folder, and too many instances."""
 
+import os
+
 import pytest
 
 pytest.importorskip("pxr")
@@ -140,3 +142,14 @@ def test_huge_sizes_in_binary_files_are_refused(place, tmp_path):
     (tmp_path / "scene.usdc").write_bytes(data)
     with pytest.raises(BokehguideError, match=r"scene\.usdc: (not a readable USD file|the USD libraries fail)"):
         load_scene(path)
+
+
+def test_a_folder_whose_name_is_no_text(tmp_path, monkeypatch):
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    (folder / "scene.usda").write_text(meshed())
+    with pytest.raises(
+        BokehguideError, match=r"^scene\.usda: '.*udce9/scene\.usda' is no UTF-8 text; rename the file or folder$"
+    ):
+        load_scene("scene.usda")

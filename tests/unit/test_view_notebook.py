@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from urllib.request import urlopen
 
+import numpy as np
 import pytest
 
 import bokehguide
@@ -41,9 +42,21 @@ def test_a_scene_of_python_can_be_viewed(tmp_path, monkeypatch):
         assert "a scene of Python" in browser.until("failure")["failure"]
 
 
+@pytest.mark.parametrize("size", [np.array([32, 18]), [32, 18]], ids=["array", "list"])
+def test_a_size_may_be_an_array(size, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with bokehguide.view("daylight", "uniform", 1, size=size) as page:
+        assert "--size=32x18" in page.command
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
-    [({"f_nunber": 2.0}, "did you mean 'f_number'"), ({"mode": "magic"}, "mode"), ({"fov": 500.0}, "--fov")],
+    [
+        ({"size": 32}, "view: size: 32 is no pair of whole numbers"),
+        ({"f_nunber": 2.0}, "did you mean 'f_number'"),
+        ({"mode": "magic"}, "mode"),
+        ({"fov": 500.0}, "--fov"),
+    ],
 )
 def test_mistakes_are_named(options, words):
     with pytest.raises(bokehguide.BokehguideError, match=words):

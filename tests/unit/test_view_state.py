@@ -118,6 +118,16 @@ def test_the_command_and_the_scene_file_make_the_scene_of_the_page(kind, name, s
     assert path.read_text().startswith(f"# bokehguide render saved.toml --mode={state.mode} --spp={state.spp}")
 
 
+@pytest.mark.parametrize("exposure", [None, 1.5])
+def test_the_exposure_of_the_page_replaces_that_of_the_scene(exposure, sources, folder):
+    scene = sources["file"].scene
+    exposed = replace(sources["file"], scene=replace(scene, film=replace(scene.film, exposure=-2.0)))
+    (folder / "saved.toml").write_text(scene_file(ViewState(Overrides(), exposure=exposure), exposed, folder, "saved.toml"))
+    (folder / "box.toml").write_text(FILE.replace("[film]", "[film]\nexposure = -2.0"))
+    assert load_scene("box.toml").film.exposure == -2.0 and load_scene("saved.toml").film.exposure == exposure
+    (folder / "box.toml").write_text(FILE)
+
+
 def test_edits_change_the_scene(sources):
     """Otherwise the comparisons above would prove nothing."""
     for source in sources.values():

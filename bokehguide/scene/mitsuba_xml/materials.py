@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from bokehguide.scene.anisotropy import from_alphas
 from bokehguide.scene.disney_sheen import from_disney
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.images import load_texture, nearest_texels
-from bokehguide.scene.mitsuba_xml.tree import Plugin, mitsuba
+from bokehguide.scene.mitsuba_xml.tree import Plugin, as_dictionary, mitsuba
 from bokehguide.scene.types import Material, Texture, Vector, as_vector
 
 GREY = (0.5, 0.5, 0.5)
@@ -34,6 +34,11 @@ REFRACTIVE_INDICES = {
     "diamond": 2.419,
 }
 """Media that Mitsuba knows by name."""
+GLASS = 1.5046
+"""Mitsuba's refractive index of glass, unless the file gives another."""
+ADAPTERS = ("twosided", "normalmap", "bumpmap", "mask")
+SOLIDS = ("dielectric", "roughdielectric", "principled")
+"""BSDFs whose light is refracted inside."""
 WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp"}
 
 
@@ -54,17 +59,28 @@ class Materials:
         """The index of the material of a BSDF that has the given fields of emission."""
         key = id(bsdf) if not emission else -1
         if key not in self._known:
-            material = Material("default", GREY, specular=0.0) if bsdf is None else self.convert(bsdf)
+            color = (0.0, 0.0, 0.0) if emission else GREY  # of Mitsuba's shapes without a BSDF
+            material = Material("default", color, specular=0.0) if bsdf is None else self.convert(bsdf)
             self.all.append(replace(material, **emission))
             if emission:
                 return len(self.all) - 1
             self._known[key] = len(self.all) - 1
         return self._known[key]
 
+    def turned(self, bsdf: Plugin | None) -> bool:
+        """Whether the medium inside of a BSDF is the thinner one, so that the material suits the other side of the surface."""
+        while bsdf is not None and bsdf.type in ADAPTERS and len(bsdf.inner("bsdf")) == 1:
+            bsdf = bsdf.inner("bsdf")[0]
+        if bsdf is None or bsdf.type not in SOLIDS:
+            return False
+        if bsdf.type == "principled":
+            return _mean(bsdf.values.get("spec_trans", 0.0)) > 0.0 and bsdf.number("eta", 1.5) < 1.0
+        return self._ratio(bsdf, GLASS) < 1.0
+
     def convert(self, bsdf: Plugin) -> Material:
         """The closest material to a BSDF."""
         name, inner = bsdf.name or bsdf.type, bsdf.inner("bsdf")
-        if bsdf.type in ("twosided", "normalmap", "bumpmap", "mask") and len(inner) == 1:
+        if bsdf.type in ADAPTERS and len(inner) == 1:
             return self._wrapped(bsdf, replace(self.convert(inner[0]), name=name))
         convert = getattr(self, f"_{bsdf.type}", None)
         if convert is None or bsdf.type not in KNOWN:
@@ -111,12 +127,16 @@ class Materials:
 
     def _plastic(self, bsdf: Plugin, name: str) -> Material:
         rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughplastic" else 0.0
-        return Material(name, roughness=rough, ior=self._ior(bsdf, 1.49), **self._color(bsdf, "diffuse_reflectance"))
+        tint, color = self._tint(bsdf, name), self._color(bsdf, "diffuse_reflectance")
+        most = max(tint)
+        if most > 0.0:
+            color["specular_color"] = as_vector(channel / most for channel in tint)
+        return Material(name, roughness=rough, ior=self._ior(bsdf, name, 1.49), specular=most, **color)
 
     _roughplastic = _plastic
 
     def _conductor(self, bsdf: Plugin, name: str) -> Material:
-        color = as_vector(min(max(float(each), 0.0), 1.0) for each in _metal(bsdf))
+        color = as_vector(min(max(float(each), 0.0), 1.0) for each in self._metal(bsdf, name))
         if bsdf.type == "conductor":
             return Material(name, color, metallic=1.0, roughness=0.0)
         alphas = [bsdf.values.get(key, bsdf.values.get("alpha", 0.1)) for key in ("alpha_u", "alpha_v")]
@@ -130,8 +150,10 @@ class Materials:
     def _dielectric(self, bsdf: Plugin, name: str) -> Material:
         rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughdielectric" else 0.0
         color = self._color(bsdf, "specular_transmittance", (1.0, 1.0, 1.0))
+        if self._tint(bsdf, name) != (1.0, 1.0, 1.0):
+            self.lose("specular_reflectance of dielectrics: 1.0 in its place", name)
         thin = bsdf.type == "thindielectric"
-        return Material(name, transmission=1.0, roughness=rough, thin=thin, ior=self._ior(bsdf, 1.5046), **color)
+        return Material(name, transmission=1.0, roughness=rough, thin=thin, ior=self._ior(bsdf, name, GLASS), **color)
 
     _roughdielectric = _thindielectric = _dielectric
 
@@ -150,11 +172,13 @@ class Materials:
         tint = scalar("sheen_tint", 0.0) if sheen > 0.0 else 0.0
         if tint > 0.0 and "base_color_texture" in color:
             self.lose("sheen_tint of principled BSDFs with a texture: a white sheen", name)
+        ior = _principled_ior(bsdf)
         return Material(
             name,
             metallic=metallic,
             single_scattering=metallic > 0.0,
-            specular=min(2.0 * scalar("specular", 0.5), 1.0),
+            ior=ior,
+            specular=float(ior > 1.0),
             transmission=scalar("spec_trans", 0.0),
             clearcoat=scalar("clearcoat", 0.0),
             clearcoat_roughness=1.0 - scalar("clearcoat_gloss", 0.0),
@@ -173,10 +197,17 @@ class Materials:
             self.lose("anisotropic roughness: that along u counts", bsdf.name or bsdf.type)
         return math.sqrt(min(max(_mean(value), 0.0), 1.0))
 
-    def _ior(self, bsdf: Plugin, default: float) -> float:
-        """The ratio of the refractive indices inside and outside, at least 1."""
+    def _ior(self, bsdf: Plugin, name: str, default: float) -> float:
+        """The refractive index of the denser medium, relative to that of the thinner one."""
+        ratio = self._ratio(bsdf, default)
+        if ratio < 1.0 and bsdf.type not in SOLIDS:
+            self.lose(f"{bsdf.type} with int_ior below ext_ior: both exchanged", name)
+        return max(ratio, 1.0 / ratio)
+
+    def _ratio(self, bsdf: Plugin, default: float) -> float:
+        """The ratio of the refractive indices inside and outside. default: the index inside unless the file has one."""
         inside, outside = (self._index(bsdf, key, value) for key, value in (("int_ior", default), ("ext_ior", 1.000277)))
-        return max(inside / outside, 1.0)
+        return inside / outside
 
     def _index(self, bsdf: Plugin, key: str, default: float) -> float:
         value = bsdf.values.get(key, default)
@@ -186,19 +217,44 @@ class Materials:
             return REFRACTIVE_INDICES[value]
         return max(bsdf.number(key, default), 1e-3)
 
+    def _tint(self, bsdf: Plugin, name: str) -> Vector:
+        """The factor of the specular reflection."""
+        value = bsdf.values.get("specular_reflectance", 1.0)
+        color = color_of(value, bsdf.place)
+        if color is None:
+            self.lose(f"specular_reflectance of the type {kind_of(value)}: 1.0 in its place", name)
+            return 1.0, 1.0, 1.0
+        return as_vector(min(max(channel, 0.0), 1.0) for channel in color)
+
+    def _metal(self, bsdf: Plugin, name: str) -> Any:
+        """The reflectance of a conductor at normal incidence, by Mitsuba itself."""
+        given = {key: bsdf.values[key] for key in ("material", "eta", "k", "specular_reflectance") if key in bsdf.values}
+        plain = {key: as_dictionary(value) for key, value in given.items()}
+        for key in (key for key, value in plain.items() if value is None):
+            self.lose(f"{key} of the type {kind_of(given[key])}: left out", name)
+        with mitsuba(bsdf.place) as mi:
+            try:
+                metal = mi.load_dict({"type": "conductor"} | {key: value for key, value in plain.items() if value is not None})
+            except RuntimeError:
+                bsdf.fail("material", "is no conductor that Mitsuba knows; give another one")
+            at = mi.SurfaceInteraction3f()
+            at.wi = mi.Vector3f(0.0, 0.0, 1.0)
+            _, weight = metal.sample(mi.BSDFContext(), at, 0.5, mi.Point2f(0.5, 0.5))
+            return np.array(weight, np.float64).ravel()[:3]
+
     def _color(self, bsdf: Plugin, key: str, default: Vector = GREY) -> dict[str, Any]:
         """Base colour and its texture from a colour or a bitmap."""
         value = bsdf.values.get(key, default)
-        if not isinstance(value, Plugin):
-            return {"base_color": as_vector(min(max(channel, 0.0), 1.0) for channel in color_of(value))}
-        if value.type == "bitmap" and isinstance(value.values.get("filename"), str):
+        if is_bitmap(value):
             return {"base_color": (1.0, 1.0, 1.0), "base_color_texture": self.texture(value, srgb=True)}
-        self.lose(f"texture {value.type}: grey in its place", bsdf.name or bsdf.type)
-        return {"base_color": GREY}
+        color = color_of(value, bsdf.place)
+        if color is None:
+            self.lose(f"texture {kind_of(value)}: grey in its place", bsdf.name or bsdf.type)
+        return {"base_color": as_vector(min(max(channel, 0.0), 1.0) for channel in color or GREY)}
 
     def texture(self, texture: Plugin, srgb: bool = True) -> Texture | None:
         """A bitmap; None for another texture."""
-        if texture.type != "bitmap" or not isinstance(texture.values.get("filename"), str):
+        if not is_bitmap(texture):
             self.lose(f"texture {texture.type}: left out", texture.name or texture.type)
             return None
         path = self._files.find(self._file.parent, texture.text("filename"), f"{texture.place}.filename")
@@ -224,12 +280,48 @@ KNOWN = {
 """BSDFs that have a counterpart."""
 
 
-def color_of(value: Any) -> Vector:
-    """A colour as linear RGB: a number and a spectrum are grey."""
+def is_bitmap(value: Any) -> TypeGuard[Plugin]:
+    """Whether a property is an image of a file."""
+    return isinstance(value, Plugin) and value.type == "bitmap" and isinstance(value.values.get("filename"), str)
+
+
+def kind_of(value: Any) -> str:
+    """The plugin of a property that is a plugin or a spectrum."""
+    return value.type if isinstance(value, Plugin) else "spectrum"
+
+
+def color_of(value: Any, place: str, light: bool = False) -> Vector | None:
+    """A colour as linear RGB, that of spectra by Mitsuba itself. None for a texture, and for a spectrum without a colour there.
+
+    light: whether the colour is that of an emitter. place: of the plugin, for errors.
+    """
+    if isinstance(value, (int, float)):
+        return float(value), float(value), float(value)
     if isinstance(value, tuple) and len(value) == 3:
         return as_vector(value)
-    mean = _mean(value)
-    return mean, mean, mean
+    plain = as_dictionary(value)
+    if plain is None:
+        return None
+    with mitsuba(place) as mi:
+        at = mi.SurfaceInteraction3f()
+        at.wi = mi.Vector3f(0.0, 0.0, 1.0)
+        try:
+            if light:
+                found = mi.load_dict({"type": "constant", "radiance": plain}).eval(at)
+            else:
+                found = mi.load_dict({"type": "diffuse", "reflectance": plain}).eval_diffuse_reflectance(at)
+        except (RuntimeError, TypeError, ValueError):
+            return None
+        return as_vector(float(channel) for channel in np.ravel(np.array(found)))
+
+
+def _principled_ior(bsdf: Plugin) -> float:
+    """The refractive index of a principled BSDF, at least 1. `specular` is a reflectance at normal incidence of 0.08."""
+    if "eta" in bsdf.values:
+        eta = max(bsdf.number("eta", 1.5), 1e-3)
+        return max(eta, 1.0 / eta)
+    root = math.sqrt(min(max(0.08 * bsdf.number("specular", 0.5), 0.0), 0.99))
+    return (1.0 + root) / (1.0 - root)
 
 
 def _mean(value: Any) -> float:
@@ -241,19 +333,3 @@ def _mean(value: Any) -> float:
     except (TypeError, ValueError):
         return 0.5
     return mean if math.isfinite(mean) else 0.5
-
-
-def _metal(bsdf: Plugin) -> Any:
-    """The reflectance of a conductor at normal incidence, by Mitsuba itself."""
-    keys = ("material", "eta", "k", "specular_reflectance")
-    plain = {key: value for key, value in bsdf.values.items() if key in keys and isinstance(value, (str, float, int, tuple))}
-    plain = {key: {"type": "rgb", "value": list(value)} if isinstance(value, tuple) else value for key, value in plain.items()}
-    with mitsuba(bsdf.place) as mi:
-        try:
-            metal = mi.load_dict({"type": "conductor"} | plain)
-        except RuntimeError:
-            bsdf.fail("material", "is no conductor that Mitsuba knows; give another one")
-        at = mi.SurfaceInteraction3f()
-        at.wi = mi.Vector3f(0.0, 0.0, 1.0)
-        _, weight = metal.sample(mi.BSDFContext(), at, 0.5, mi.Point2f(0.5, 0.5))
-        return np.array(weight, np.float64).ravel()[:3]

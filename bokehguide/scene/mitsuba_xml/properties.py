@@ -9,7 +9,7 @@ from bokehguide.scene.mitsuba_xml.tree import Plugin
 
 PLACED = ("to_world", "sampling_weight")
 MESH = ("to_world", "flip_normals", "face_normals", "silhouette_sampling_weight")
-FILE = (*MESH, "filename", "flip_tex_coords")
+FILE = (*MESH, "filename")
 SENSOR = (
     *("to_world", "fov", "fov_axis", "focal_length", "focus_distance", "near_clip", "far_clip", "shutter_open", "shutter_close"),
     "srf",
@@ -34,7 +34,7 @@ PROPERTIES = {
     "hdrfilm": FILM,
     "sphere": (*MESH, "center", "radius"),
     **dict.fromkeys(("rectangle", "disk", "cube"), MESH),
-    **dict.fromkeys(("obj", "ply"), FILE),
+    **dict.fromkeys(("obj", "ply"), (*FILE, "flip_tex_coords")),
     "serialized": (*FILE, "shape_index"),
     "diffuse": ("reflectance",),
     "roughdiffuse": ("reflectance", "alpha", "use_fast_approx"),

@@ -14,14 +14,15 @@ from bokehguide.scene.checks import located
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_map
 from bokehguide.scene.losses import UNKNOWN_NAMES, loss_lines, unknown_name
-from bokehguide.scene.mitsuba_xml.materials import Materials, color_of
+from bokehguide.scene.mitsuba_xml.materials import Materials, color_of, is_bitmap, kind_of
 from bokehguide.scene.mitsuba_xml.properties import unknown_properties
 from bokehguide.scene.mitsuba_xml.shapes import read_shape
 from bokehguide.scene.mitsuba_xml.sunsky import read_sunsky
 from bokehguide.scene.mitsuba_xml.tree import Plugin, read_tree
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
+from bokehguide.scene.pbrt.shapes import reversed_mesh
 from bokehguide.scene.shapes import spheres
-from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Scene, Sun, Texture, Vector, as_vector
+from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Scene, Sun, Vector, as_vector
 from bokehguide.scene.validation import check_meshes, check_triangles
 
 POINT_RADIUS = 0.01
@@ -46,7 +47,7 @@ def read_mitsuba(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[S
         raise BokehguideError(f"{path}: holds no shapes that can be drawn; give a scene with some")
     for plugin, key, near in unknown_properties(root):
         materials.lose(UNKNOWN_NAMES, unknown_name(plugin.place.removeprefix(f"{path}: "), key, near))
-    film = _film(sensors[0], root)
+    film = _film(sensors[0], root, materials)
     chosen = override_camera(_camera(sensors[0], film, materials), overrides, str(path), files, written=True)
     scene = Scene(
         name=path.stem,
@@ -74,7 +75,13 @@ def _meshes(root: Plugin, path: Path, files: SceneFiles, materials: Materials) -
             continue
         bsdfs, emitters = shape.inner("bsdf"), [each for each in shape.inner("emitter") if each.type == "area"]
         emission = _emission(emitters[0], materials) if emitters else {}
-        index = materials.index(bsdfs[0] if bsdfs else None, emission)
+        bsdf = bsdfs[0] if bsdfs else None
+        if materials.turned(bsdf):
+            if emission:
+                materials.lose("glass in a denser medium that emits: the glass is the denser one", name)
+            else:
+                found = [reversed_mesh(mesh) for mesh in found]
+        index = materials.index(bsdf, emission)
         check_meshes(len(meshes) + len(found), shape.place, files.most_meshes)
         triangles += sum(len(mesh.triangles) for mesh in found)
         check_triangles(triangles, shape.place, files.most_triangles)
@@ -85,15 +92,18 @@ def _meshes(root: Plugin, path: Path, files: SceneFiles, materials: Materials) -
 def _emission(emitter: Plugin, materials: Materials) -> dict[str, Any]:
     """The fields of `Material` of an area emitter."""
     radiance = emitter.values.get("radiance")
-    if isinstance(radiance, Plugin):
-        texture: Texture | None = materials.texture(radiance)
-        return {"emission": (1.0, 1.0, 1.0), "emission_texture": texture}
-    return {"emission": _light(emitter, "radiance")}
+    if is_bitmap(radiance):
+        return {"emission": (1.0, 1.0, 1.0), "emission_texture": materials.texture(radiance)}
+    return {"emission": _light(emitter, "radiance", materials)}
 
 
-def _light(emitter: Plugin, key: str) -> Vector:
+def _light(emitter: Plugin, key: str, materials: Materials) -> Vector:
     """The colour of the light of an emitter. Raises BokehguideError for a negative channel."""
-    color = color_of(emitter.values.get(key, 1.0))
+    value = emitter.values.get(key, 1.0)
+    color = color_of(value, emitter.place, light=True)
+    if color is None:
+        materials.lose(f"{key} of the type {kind_of(value)}: 1.0 in its place", emitter.name or emitter.type)
+        return 1.0, 1.0, 1.0
     if min(color) < 0.0:
         emitter.fail(key, "has a negative channel; give numbers of 0 or more")
     return color
@@ -107,7 +117,7 @@ def _lights(
     for emitter in root.inner("emitter"):
         name = emitter.name or emitter.type
         if emitter.type == "constant":
-            environment = Environment(constant_radiance(_light(emitter, "radiance")))
+            environment = Environment(constant_radiance(_light(emitter, "radiance", materials)))
         elif emitter.type == "envmap":
             environment = _map(emitter, path, files, materials)
         elif emitter.type == "sunsky":
@@ -115,7 +125,7 @@ def _lights(
                 environment, found = read_sunsky(emitter, materials)
             suns += found
         elif emitter.type == "directional":
-            suns.append(_sun(emitter))
+            suns.append(_sun(emitter, materials))
             materials.lose(f"directional lights: discs of {LightSizes.sun_angle}°", name)
         elif emitter.type == "point":
             meshes.append(_point(emitter, materials))
@@ -134,20 +144,22 @@ def _map(emitter: Plugin, path: Path, files: SceneFiles, materials: Materials) -
     upright = np.linalg.norm(axes[:, 1] / max(np.linalg.norm(axes[:, 1]), 1e-12) - (0.0, 1.0, 0.0)) < 1e-3
     if not upright:
         materials.lose("environment maps that do not stand upright: only their turn about y counts", emitter.name or "envmap")
-    scale = np.float32(max(emitter.number("scale", 1.0), 0.0))
+    scale = emitter.number("scale", 1.0)
+    if scale < 0.0:
+        emitter.fail("scale", "is negative; give a number of 0 or more")
     # Mitsuba's centre of the map lies at +z, that of bokehguide at -z.
     angle = math.degrees(math.atan2(axes[0, 2], axes[2, 2])) - 180.0
-    return Environment(radiance * scale, angle)
+    return Environment(radiance * np.float32(scale), angle)
 
 
-def _sun(emitter: Plugin) -> Sun:
+def _sun(emitter: Plugin, materials: Materials) -> Sun:
     """A directional light as a sun."""
     away = emitter.matrix()[:3, 2]
     direction = emitter.values.get("direction", tuple(away))
     if not isinstance(direction, tuple) or len(direction) != 3 or not any(direction):
         emitter.fail("direction", "is no direction; give x, y and z")
     unit = -np.array(direction) / np.linalg.norm(direction)
-    return Sun(as_vector(unit), LightSizes.sun_angle, _light(emitter, "irradiance"))
+    return Sun(as_vector(unit), LightSizes.sun_angle, _light(emitter, "irradiance", materials))
 
 
 def _point(emitter: Plugin, materials: Materials) -> Mesh:
@@ -155,23 +167,23 @@ def _point(emitter: Plugin, materials: Materials) -> Mesh:
     position = emitter.values.get("position", tuple(emitter.matrix()[:3, 3]))
     if not isinstance(position, tuple) or len(position) != 3:
         emitter.fail("position", "is no point; give x, y and z")
-    emission = as_vector(channel / (math.pi * POINT_RADIUS**2) for channel in _light(emitter, "intensity"))
+    emission = as_vector(channel / (math.pi * POINT_RADIUS**2) for channel in _light(emitter, "intensity", materials))
     name = emitter.name or "point light"
     materials.all.append(Material(name, (0.0, 0.0, 0.0), specular=0.0, emission=emission))
     sphere = spheres(np.array([position]), np.array([POINT_RADIUS]), len(materials.all) - 1)
     return replace(sphere, name=name)
 
 
-def _film(sensor: Plugin, root: Plugin) -> FilmSettings:
+def _film(sensor: Plugin, root: Plugin, materials: Materials) -> FilmSettings:
     """Size of the film, and the depth of the integrator."""
     films, integrators = sensor.inner("film"), root.inner("integrator")
     film = films[0] if films else sensor
     depth = int(integrators[0].number("max_depth", -1)) if integrators else -1
-    return FilmSettings(
-        width=int(film.number("width", 768)) if films else 768,
-        height=int(film.number("height", 576)) if films else 576,
-        max_depth=depth if depth > 0 else FilmSettings.max_depth,
-    )
+    width, height = (int(film.number(key, size)) if films else size for key, size in (("width", 768), ("height", 576)))
+    whole = {"crop_width": width, "crop_height": height, "crop_offset_x": 0, "crop_offset_y": 0}
+    if any(film.number(key, size) != size for key, size in whole.items()):
+        materials.lose("crops of the film: the whole film in their place", film.name or film.type)
+    return FilmSettings(width, height, max_depth=depth if depth > 0 else FilmSettings.max_depth)
 
 
 def _camera(sensor: Plugin, film: FilmSettings, materials: Materials) -> dict[str, Any]:
@@ -180,6 +192,8 @@ def _camera(sensor: Plugin, film: FilmSettings, materials: Materials) -> dict[st
     axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0).clip(1e-12)
     if np.linalg.det(axes) < 0.0:
         materials.lose("mirrored sensors: the picture is not mirrored", sensor.name or sensor.type)
+    if any(sensor.number(f"principal_point_offset_{axis}", 0.0) for axis in "xy"):
+        materials.lose("principal points outside the middle: the middle in their place", sensor.name or sensor.type)
     position = matrix[:3, 3]
     focus = sensor.number("focus_distance", 1.0) if sensor.type == "thinlens" else 1.0
     values: dict[str, Any] = {

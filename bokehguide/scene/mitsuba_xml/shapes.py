@@ -8,86 +8,108 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from trimesh import Trimesh
 
 from bokehguide.errors import BokehguideError, reason
 from bokehguide.limits import MAX_INT
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.mesh_files import load_mesh_file
 from bokehguide.scene.mitsuba_xml.tree import Plugin, mitsuba
+from bokehguide.scene.pbrt.shapes import facing_normals, reversed_mesh
 from bokehguide.scene.shapes import transform, transformed, unit_disc, unit_normals, unit_rectangle, unit_sphere
 from bokehguide.scene.types import Mesh
 
 
 def read_shape(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh] | None:
     """The meshes of a shape in world space, None for a kind without a counterpart. Raises BokehguideError for a damaged file."""
-    read = READERS.get(shape.type)
-    if read is None:
+    if shape.type in MODELS:
+        meshes = MODELS[shape.type](shape, file, files)
+    elif shape.type in PRIMITIVES:
+        meshes = [transformed(PRIMITIVES[shape.type](shape), shape.matrix())]
+    else:
         return None
-    meshes = [transformed(mesh, shape.matrix()) for mesh in read(shape, file, files)]
     if shape.flag("face_normals"):
         meshes = [replace(mesh, normals=None) for mesh in meshes]
-    if shape.flag("flip_normals"):
-        meshes = [_flipped(mesh) for mesh in meshes]
-    return meshes
+    # Mitsuba turns spheres inside out by a reflection.
+    inside_out = shape.type == "sphere" and _mirrors(shape)
+    return [reversed_mesh(mesh) for mesh in meshes] if shape.flag("flip_normals") != inside_out else meshes
 
 
-def _flipped(mesh: Mesh) -> Mesh:
-    """The same triangles, facing the other side."""
-    normals = None if mesh.normals is None else -mesh.normals
-    return replace(mesh, triangles=np.ascontiguousarray(mesh.triangles[:, ::-1]), normals=normals)
+def _mirrors(shape: Plugin) -> bool:
+    """Whether the transform of a shape is a reflection."""
+    return bool(np.linalg.det(shape.matrix()[:3, :3]) < 0.0)
 
 
-def _sphere(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh]:
+def _sphere(shape: Plugin) -> Mesh:
     center = shape.values.get("center", (0.0, 0.0, 0.0))
     if not isinstance(center, tuple) or len(center) != 3:
         shape.fail("center", "is no point; give x, y and z")
     # v grows from +z, and u about z from +x.
     pole = np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    return [transformed(unit_sphere(), transform(center, scale=max(shape.number("radius", 1.0), 1e-9)) @ pole)]
+    return transformed(unit_sphere(), transform(center, scale=max(shape.number("radius", 1.0), 1e-9)) @ pole)
 
 
-def _rectangle(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh]:
+def _rectangle(shape: Plugin) -> Mesh:
     """The square, whose texture stands on its head."""
     square = unit_rectangle()
     assert square.uvs is not None
-    return [replace(square, uvs=square.uvs * np.array((1.0, -1.0), np.float32) + np.array((0.0, 1.0), np.float32))]
+    return replace(square, uvs=square.uvs * np.array((1.0, -1.0), np.float32) + np.array((0.0, 1.0), np.float32))
 
 
-def _disk(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh]:
+def _disk(shape: Plugin) -> Mesh:
     """The disc with polar uvs: u is the radius, v the angle. Each triangle has its own corner in the middle."""
     disc = unit_disc()
     points = disc.vertices[disc.triangles]
     angle = (np.arange(len(points))[:, None] + (0.5, 0.0, 1.0)) / len(points)
     uvs = np.stack((np.linalg.norm(points, axis=2).clip(max=1.0), angle), axis=2)
     triangles = np.arange(3 * len(points), dtype=np.int32).reshape(-1, 3)
-    return [Mesh(points.reshape(-1, 3), triangles, 0, uvs=uvs.reshape(-1, 1, 2).astype(np.float32))]
+    return Mesh(points.reshape(-1, 3), triangles, 0, uvs=uvs.reshape(-1, 1, 2).astype(np.float32))
 
 
-def _cube(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh]:
+def _cube(shape: Plugin) -> Mesh:
     with mitsuba(shape.place) as mi:
-        return [_mesh(mi.load_dict({"type": "cube"}))]
+        return _mesh(mi.load_dict({"type": "cube"}))
 
 
 def _obj(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh]:
     """The triangles of an `.obj` file, whose v points upwards unless the shape says otherwise."""
-    meshes = [replace(mesh, material=0) for mesh in load_mesh_file(_path(shape, file, files), files).meshes]
+    meshes = [_shaded(mesh, shape) for mesh in load_mesh_file(_path(shape, file, files), files).meshes]
     if shape.flag("flip_tex_coords", True):
         return meshes
     return [mesh if mesh.uvs is None else replace(mesh, uvs=mesh.uvs * (1, -1) + (0, 1)) for mesh in meshes]
+
+
+def _shaded(mesh: Mesh, shape: Plugin) -> Mesh:
+    """A mesh of an `.obj` file in world space. Its front is the side of its normals.
+
+    Without normals, triangles are anticlockwise in world space, and Mitsuba weights the normals of faces by their angle.
+    """
+    flat = shape.flag("face_normals")
+    placed = transformed(facing_normals(replace(mesh, material=0, normals=None if flat else mesh.normals)), shape.matrix())
+    if placed.normals is not None:
+        return placed
+    placed = reversed_mesh(placed) if _mirrors(shape) else placed
+    if flat:
+        return placed
+    normals = Trimesh(placed.vertices, placed.triangles, process=False).vertex_normals.astype(np.float32)
+    return replace(placed, normals=unit_normals(normals, placed.vertices, placed.triangles))
 
 
 def _by_mitsuba(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh]:
     """The triangles of a `.ply` file or of Mitsuba's own format, read by Mitsuba. trimesh leaves out the uvs of `.ply` files."""
     path = _path(shape, file, files)
     files.add_geometry(path.stat().st_size)
-    values = {"type": shape.type, "filename": str(path)}
-    values |= {"shape_index": int(shape.number("shape_index", 0))} if shape.type == "serialized" else {}
+    values = {"type": shape.type, "filename": str(path), "face_normals": shape.flag("face_normals")}
+    if shape.type == "ply":
+        values["flip_tex_coords"] = shape.flag("flip_tex_coords")
+    else:
+        values["shape_index"] = int(shape.number("shape_index", 0))
     with mitsuba(shape.place) as mi:
         try:
-            mesh = mi.load_dict(values | {"flip_tex_coords": shape.flag("flip_tex_coords")})
+            mesh = mi.load_dict(values | {"to_world": mi.ScalarTransform4f(shape.matrix())})
         except (RuntimeError, ValueError) as error:
             raise BokehguideError(f"{path}: not a readable model ({reason(error)})") from None
-        return [_mesh(mesh)]
+        return [facing_normals(_mesh(mesh))]
 
 
 def _mesh(mesh: Any) -> Mesh:
@@ -107,14 +129,11 @@ def _path(shape: Plugin, file: Path, files: SceneFiles) -> Path:
     return path
 
 
-Reader = Callable[[Plugin, Path, SceneFiles], list[Mesh]]
-READERS: dict[str, Reader] = {
-    "sphere": _sphere,
-    "cube": _cube,
-    "rectangle": _rectangle,
-    "disk": _disk,
+PRIMITIVES: dict[str, Callable[[Plugin], Mesh]] = {"sphere": _sphere, "cube": _cube, "rectangle": _rectangle, "disk": _disk}
+"""Makers of shapes by the name of the plugin, before their transform."""
+MODELS: dict[str, Callable[[Plugin, Path, SceneFiles], list[Mesh]]] = {
     "obj": _obj,
     "ply": _by_mitsuba,
     "serialized": _by_mitsuba,
 }
-"""Readers of shapes by the name of the plugin, before their transform."""
+"""Readers of files by the name of the plugin, in world space."""

@@ -21,6 +21,8 @@ from bokehguide.stopping import default_signals
 VARIANT = "scalar_rgb"
 NAMES = re.compile(r"""<(include|path)\b[^>]*?\b(?:filename|value)\s*=\s*["']([^"']*)["']""")
 """Tags that name further files and folders for Mitsuba's parser."""
+SPECTRA = ("d65", "srgb", "uniform")
+"""Spectra as plugins that Mitsuba's RGB variants have."""
 MAX_NODES = 100_000
 """Objects of a file; each takes a few kilobytes."""
 
@@ -103,6 +105,19 @@ def _check_names(path: Path, files: SceneFiles, seen: set[Path]) -> None:
         found = files.find(path.parent, name, f"{path}: <{tag}>")
         if tag == "include" and found.is_file() and found.resolve() not in seen:
             _check_names(found, files, seen)
+
+
+def as_dictionary(value: Any) -> Any:
+    """A property as Mitsuba's `load_dict` takes it, None for a plugin that is no spectrum of SPECTRA."""
+    if isinstance(value, Plugin):
+        plain = value.type in SPECTRA and not any(isinstance(each, Plugin) for each in value.values.values())
+        return {"type": value.type} | {key: as_dictionary(each) for key, each in value.values.items()} if plain else None
+    if isinstance(value, tuple):
+        return {"type": "rgb", "value": list(value)}
+    if hasattr(value, "wavelengths"):
+        samples = value.values[0] if value.is_uniform() else list(zip(value.wavelengths, value.values))
+        return {"type": "spectrum", "value": samples}
+    return value
 
 
 @contextmanager

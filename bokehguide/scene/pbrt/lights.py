@@ -107,10 +107,11 @@ class Lights:
         return cone, max(2.0 * math.pi * ((1.0 - high) + 0.5 * (high - low)), 1e-6)
 
     def _goniometric(self, parameters: Parameters) -> float:
-        """The mean of the image of a goniometric light."""
+        """The mean of the image of a goniometric light, 1 for a light of a given power, which includes the mean."""
         name = parameters.text("filename")
         self._contents.lose("images of goniometric lights: their mean", printable(name))
-        return float((self._textures.load(name, str(parameters.place), True) @ LUMINANCE).mean()) if name else 1.0
+        mean = float((self._textures.load(name, str(parameters.place), True) @ LUMINANCE).mean()) if name else 1.0
+        return 1.0 if parameters.number("power", -1.0) > 0.0 else mean
 
     def _infinite(self, parameters: Parameters, matrix: np.ndarray, folder: Path, files: SceneFiles) -> np.ndarray:
         """The radiance `[H, W, 3]` of an infinite light in the scene's directions."""

@@ -45,6 +45,16 @@ def reversed_mesh(mesh: Mesh) -> Mesh:
     return replace(mesh, triangles=np.ascontiguousarray(mesh.triangles[:, ::-1]), normals=normals)
 
 
+def facing_normals(mesh: Mesh) -> Mesh:
+    """The same triangles, facing the side of the normals of their vertices, if there are any."""
+    if mesh.normals is None:
+        return mesh
+    triangles = mesh.triangles
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[triangles], 1, 0)
+    away = (np.cross(b - a, c - a) * mesh.normals[triangles].sum(axis=1)).sum(axis=1) < 0.0
+    return replace(mesh, triangles=np.where(away[:, None], triangles[:, ::-1], triangles))
+
+
 def triangles_mesh(
     points: np.ndarray, triangles: np.ndarray, normals: np.ndarray | None, uvs: np.ndarray | None, parameters: Parameters
 ) -> Mesh:
@@ -62,11 +72,8 @@ def triangles_mesh(
     points = points.astype(np.float32)
     if normals is not None:
         normals = unit_normals(normals.astype(np.float32), points, triangles)
-        a, b, c = np.moveaxis(points.astype(np.float64)[triangles], 1, 0)
-        away = (np.cross(b - a, c - a) * normals[triangles].sum(axis=1)).sum(axis=1) < 0.0
-        triangles = np.where(away[:, None], triangles[:, ::-1], triangles)
     downwards = None if uvs is None else (uvs * (1.0, -1.0) + (0.0, 1.0)).astype(np.float32)[:, None]
-    return Mesh(points, triangles.astype(np.int32), 0, normals, downwards)
+    return facing_normals(Mesh(points, triangles.astype(np.int32), 0, normals, downwards))
 
 
 def _vertices(parameters: Parameters) -> np.ndarray:

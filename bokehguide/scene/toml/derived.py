@@ -61,8 +61,11 @@ def _base(root: Table, files: SceneFiles) -> str:
     return str(files.named(root, "base"))
 
 
-def derived_text(base: str, overrides: Overrides, exposure: float | None, comment: str) -> str:
-    """The text of a `.toml` file with this derived scene. comment: its first lines, without `#`."""
+def derived_text(base: str, overrides: Overrides, exposure: float | str | None, comment: str) -> str:
+    """The text of a `.toml` file with this derived scene.
+
+    exposure: in EV or "auto", None for that of the base. comment: the first lines of the text, without `#`.
+    """
     values = overrides.given | ({} if exposure is None else {"exposure": exposure})
     lines = [*(f"# {line}" for line in comment.splitlines()), f"base = {_toml(base)}", "", "[overrides]"]
     return "\n".join([*lines, *(f"{key} = {_toml(value)}" for key, value in values.items())]) + "\n"

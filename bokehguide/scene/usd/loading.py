@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, encoding_problem
 from bokehguide.limits import MAX_SIDE
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.shapes import instanced, transformed
+from bokehguide.scene.tables import shown
 from bokehguide.scene.types import Environment, FilmSettings, Material, Mesh, Model, ModelCamera, ModelState, Sun
 from bokehguide.scene.usd.cameras import read_camera
 from bokehguide.scene.usd.domes import DOMES, read_dome
@@ -37,6 +38,9 @@ def load_usd(path: Path, files: SceneFiles, state: ModelState) -> Model:
     files: the files that the stage may name. state: the time. Raises BokehguideError, naming file and prim, for missing USD
     libraries, damaged data, values out of range, a variant, and more triangles than the files allow.
     """
+    whole = str(path.resolve())
+    if problem := encoding_problem(whole):
+        raise BokehguideError(f"{path}: {shown(whole)} {problem}")
     if state.variant is not None:
         raise BokehguideError(f"{path}: a USD file selects its variants itself; leave the variant out")
     try:
