@@ -70,15 +70,15 @@ def given_reference(path: Path, scene: Scene) -> Reference:
 def made_reference(scene: Scene, settings: RenderSettings, path: Path, cache: Path | None = None) -> Reference:
     """A reference of two halves, which are rendered as far as `cache` lacks them, written to `path`.
 
-    settings: SPP of both halves together, threads and device; mode and seed are not used. cache: as in `half_files`.
-    Raises BokehguideError if a file cannot be written, or if a file in the cache is damaged.
+    settings: SPP of both halves together, threads and device; mode and seed are not used. cache: as in `half_files`. Negative
+    pixels are set to 0. Raises BokehguideError if a file cannot be written, or if a file in the cache is damaged.
     """
     check_writable(path)
     half = replace(settings, spp=math.ceil(settings.spp / 2))
     spp = sum(render.spp for render in rendered_halves(scene, half, cache))
     # Read from the files, so that a later run gets the same reference, bit for bit.
     first, second = (torch.from_numpy(read_rgb(file)) for file in half_files(scene, cache))
-    mean = (first + second) / 2
+    mean = ((first + second) / 2).clamp(min=0.0)  # the control variate may leave negative pixels at few SPP
     masks = regions(scene).items()
     halves = {region: between_halves(first[mask][None], mean[mask][None]) for region, mask in masks}
     facts = {"scene": scene.name, "mode": MODE, "spp": spp, "between_halves": json.dumps(halves["frame"])}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bokehguide.evaluation import compare, given_reference
+from bokehguide.evaluation import compare, given_reference, made_reference, references
 from bokehguide.evaluation.comparison import interpolated
 from bokehguide.evaluation.tables import report
 from bokehguide.image import read_exr, read_rgb, write_exr
@@ -32,6 +32,14 @@ def emitters(lamps_file, tmp_path, monkeypatch, capfd):
 
     run.scene = scene
     return run
+
+
+def test_a_made_reference_has_no_negative_pixels(emitters, monkeypatch):
+    """The metrics refuse a reference with negative pixels, which the control variate may leave at few SPP."""
+    monkeypatch.setattr(references, "read_rgb", lambda file: read_rgb(file) - 0.05)
+    made = made_reference(emitters.scene, RenderSettings(spp=2, threads=1), Path("made.exr"), Path("cache"))
+    assert float(made.radiance.min()) == 0.0 < float(made.radiance.max())
+    np.testing.assert_array_equal(read_rgb("made.exr"), made.radiance.numpy())
 
 
 def test_nothing_changed_nothing_rendered(emitters):
