@@ -26,13 +26,13 @@ class Workers:
     The constructor starts no thread: threads start with the first call of `map` or `submit`. They end with `close`, at the end of
     the context, or when the object is garbage-collected.
 
-    threads: number of threads. device: of the tensors that `map` works on.
+    threads: number of threads. device: of the tensors that `map` works on. closed: whether `close` was called.
     """
 
     def __init__(self, threads: int, device: torch.device):
         if device.type == "cuda" and device.index is None:
             device = torch.device("cuda", torch.cuda.current_device())
-        self.threads = threads
+        self.threads, self.closed = threads, False
         self._device = device
         # The threads hold the initializer. It must not refer to this object, or the object would never be collected.
         self._pool = ThreadPoolExecutor(threads, "bokehguide", _begin_thread, (device,))
@@ -70,6 +70,7 @@ class Workers:
 
     def close(self) -> None:
         """Wait for the threads' work and end them."""
+        self.closed = True
         self._pool.shutdown()
 
     def __enter__(self) -> Self:

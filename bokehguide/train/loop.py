@@ -188,14 +188,8 @@ class RenderLoop:
 
     def _require_open(self) -> None:
         """Raise BokehguideError after `close`."""
-        try:
-            self.workers.submit(int)  # the cheapest work
-        except RuntimeError as error:
-            if "shutdown" not in str(error):  # such as a thread for which memory is missing
-                raise
-            raise BokehguideError(
-                "RenderLoop.step: the loop is closed; take all steps in its `with` block, or make another loop"
-            ) from None
+        if self.workers.closed:
+            raise BokehguideError("RenderLoop.step: the loop is closed; take all steps in its `with` block, or make another loop")
 
     def _update_roulette(self) -> None:
         """Compute the thresholds of shadow rays from the samples on the film."""
