@@ -134,35 +134,50 @@ def _select_camera(cameras: tuple[ModelCamera, ...], overrides: Overrides, file:
 
 
 def _photographed(scene: Scene, own: ModelCamera, overrides: Overrides) -> Scene:
-    """`scene` with a model's camera and a lens. The frame shows the camera's fields of view for every aspect ratio."""
+    """`scene` with a model's camera and a lens. The frame shows the camera's fields of view for every aspect ratio.
+
+    Another field of view keeps the f-number of the camera's own lens.
+    """
     position, forward, film = np.array(own.position), np.array(own.forward), scene.film
-    slope = np.tan(np.radians(own.vertical_fov) / 2.0) * film.width / film.height
-    if own.horizontal_fov is not None:
-        slope = max(slope, np.tan(np.radians(own.horizontal_fov) / 2.0))
+    slope = _slope(own, film)
     horizontal = np.degrees(2.0 * np.arctan(slope))
     fov = float(min(horizontal, ANGLE_OF_VIEW.high)) if overrides.fov is None else overrides.fov
     middle = np.mean(_bounds(scene.meshes), axis=0)
     target = position + max(abs(float((middle - position) @ forward)), 1e-3) * forward
-    camera = Camera(own.position, as_vector(target), own.up, fov)
+    camera = Camera(own.position, as_vector(target), own.up, fov, sensor_width=_sensor_width(own, film))
     if own.lens is None or own.lens.focus_distance is None:
         camera = with_lens(camera, Sight(scene.meshes, scene.materials), film)
     if own.lens is not None:
         focus = own.lens.focus_distance or camera.focus_distance
-        camera = replace(camera, aperture_radius=own.lens.aperture_radius, focus_distance=focus)
-        if own.horizontal_fov is not None and overrides.fov is None:  # the sensor grows with the frame
-            growth = float(slope / np.tan(np.radians(own.horizontal_fov) / 2.0))
-            camera = replace(camera, sensor_width=own.lens.sensor_width * growth)
+        zoom = 1.0 if overrides.fov is None else float(slope / np.tan(np.radians(fov) / 2.0))
+        camera = replace(camera, aperture_radius=own.lens.aperture_radius * zoom, focus_distance=focus)
     return replace(scene, camera=camera)
+
+
+def _slope(own: ModelCamera, film: FilmSettings) -> float:
+    """Half the width of the frame of a model's camera at a depth of 1."""
+    slope = np.tan(np.radians(own.vertical_fov) / 2.0) * film.width / film.height
+    if own.horizontal_fov is not None:
+        slope = max(slope, np.tan(np.radians(own.horizontal_fov) / 2.0))
+    return float(slope)
+
+
+def _sensor_width(own: ModelCamera, film: FilmSettings) -> float:
+    """The width in millimetres of the sensor of a model's camera, which grows with the frame."""
+    if own.lens is None or own.horizontal_fov is None:
+        return Camera.sensor_width
+    return own.lens.sensor_width * float(_slope(own, film) / np.tan(np.radians(own.horizontal_fov) / 2.0))
 
 
 def _framed(scene: Scene, model: Model, overrides: Overrides, file: str) -> Scene:
     """`scene` with a camera that frames `model`, but for grounds. Position, target and fov of `overrides` take precedence.
 
-    An environment of the model's own does not turn.
+    The sensor is that of the model's first camera. An environment of the model's own does not turn.
     """
     subject = _without_grounds(model.meshes)
     points, film = _used_vertices(subject, file), scene.film
     fov = FOV if overrides.fov is None else overrides.fov
+    sensor = _sensor_width(model.cameras[0], film) if model.cameras else Camera.sensor_width
     sight = Sight(scene.meshes, scene.materials)
     focusing = sight if len(subject) == len(model.meshes) else Sight(subject, scene.materials)
     position, target = overrides.camera_position, overrides.camera_target
@@ -174,10 +189,11 @@ def _framed(scene: Scene, model: Model, overrides: Overrides, file: str) -> Scen
         if view.rotation and environment is not None and overrides.environment_rotation is None:
             scene = replace(scene, environment=replace(environment, rotation=environment.rotation + view.rotation))
         if target is None:
-            return replace(scene, camera=camera)
+            return replace(scene, camera=replace(camera, sensor_width=sensor))
         position = camera.position
     target = target or as_vector(np.mean([points.min(axis=0), points.max(axis=0)], axis=0))
-    camera = read_camera({"position": position, "target": target, "fov": fov}, file, SceneFiles(Path()))
+    values = {"position": position, "target": target, "fov": fov, "sensor_width": sensor}
+    camera = read_camera(values, file, SceneFiles(Path()))
     return replace(scene, camera=with_lens(camera, focusing, film))
 
 

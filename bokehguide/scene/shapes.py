@@ -196,6 +196,22 @@ def unit_normals(normals: np.ndarray, vertices: np.ndarray, triangles: np.ndarra
     return unit
 
 
+def reversed_mesh(mesh: Mesh) -> Mesh:
+    """The same triangles, facing the other side."""
+    normals = None if mesh.normals is None else -mesh.normals
+    return replace(mesh, triangles=np.ascontiguousarray(mesh.triangles[:, ::-1]), normals=normals)
+
+
+def facing_normals(mesh: Mesh) -> Mesh:
+    """The same triangles, facing the side of the normals of their vertices, if there are any."""
+    if mesh.normals is None:
+        return mesh
+    triangles = mesh.triangles
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[triangles], 1, 0)
+    away = (np.cross(b - a, c - a) * mesh.normals[triangles].sum(axis=1)).sum(axis=1) < 0.0
+    return replace(mesh, triangles=np.where(away[:, None], triangles[:, ::-1], triangles))
+
+
 def joined(meshes: Sequence[Mesh]) -> Mesh:
     """Meshes as one mesh of the material of the first. Normals, uvs, tangents and colours stay if every mesh has them."""
     counts = [len(mesh.vertices) for mesh in meshes]

@@ -98,7 +98,7 @@ def changed(state: ViewState, source: Source, name: str, value: Any) -> ViewStat
     """
     if name not in CHANGES:
         raise BokehguideError(f"{name}: no such value; {did_you_mean(name, CHANGES)}")
-    new = CHANGES[name](state, source, value)
+    new = _without_sensor(CHANGES[name](state, source, value), source)
     if new.overrides != state.overrides:
         source.scene_of(new.overrides)  # raises for values out of range
     return new
@@ -127,8 +127,20 @@ def moved(state: ViewState, source: Source, position: Vector, target: Vector) ->
     new = with_overrides(
         state, camera_position=position, camera_target=target, fov=camera.fov, focus_distance=camera.focus_distance, **values
     )
+    new = _without_sensor(new, source)
     source.scene_of(new.overrides)
     return new
+
+
+def _without_sensor(state: ViewState, source: Source) -> ViewState:
+    """The state with a radius for an f-number that would count with another sensor.
+
+    A camera that `--camera` selects has a sensor of its own. Once such a camera moves, a command gives the sensor of the model's
+    first camera.
+    """
+    if source.overrides.camera is None or state.overrides.camera is not None or state.overrides.f_number is None:
+        return state
+    return with_overrides(state, aperture_radius=source.scene_of(state.overrides).camera.aperture_radius)
 
 
 def _number(value: Any, name: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+import trimesh
 
 from bokehguide.cli import main
 from bokehguide.image import read_exr, read_metadata
@@ -85,6 +87,19 @@ def test_a_resumed_render_has_the_same_mattes(folder, options, capsys):
     for name, plane in whole.items():
         np.testing.assert_array_equal(part[name], plane, err_msg=name)
     assert all(mask.max() > 0.0 for mask in masks("part.exr").values())
+
+
+def test_named_copies_of_a_model_have_the_names_of_info(folder):
+    trimesh.creation.icosphere().export("ball.ply")
+    place = '[[object]]\nfile = "ball.ply"\nname = "{}"\nscale = 0.3\ntranslate = [{}, 0.5, 1.0]\n'
+    with Path("emitters.toml").open("a") as file:
+        file.write(place.format("left", -0.5) + place.format("right", 0.5))
+    assert render("--spp", 4, "--cryptomatte", "--out", "a.exr") == 0 and main(["info", "emitters.toml", "--json", "a.json"]) == 0
+    names = [entry["name"] for entry in json.loads(Path("a.json").read_text())["objects"]]
+    assert names == ["object[0]", "object[1]", "left", "right"]
+    found = masks("a.exr")
+    assert found.keys() == set(names) and not (found["left"] * found["right"]).any()
+    assert all(found[name].max() > 0.5 for name in ("left", "right"))
 
 
 def test_a_model_has_the_mattes_of_its_nodes_and_materials(tmp_path, monkeypatch):

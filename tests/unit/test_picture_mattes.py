@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import bokehguide
 from bokehguide import BokehguideError
@@ -45,3 +46,21 @@ def test_a_picture_without_mattes_says_how_to_get_them():
     plain = bokehguide.render("fairy-lights", "uniform", 1, size=(16, 9), threads=1)
     with pytest.raises(BokehguideError, match="render with cryptomatte=True"):
         plain.matte("floor")
+
+
+def test_named_copies_of_a_model_have_mattes_of_their_own(tmp_path):
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    copies = (
+        f'[[object]]\nfile = "box.ply"\nname = "{name}"\ntranslate = [{x}, 0, 0]\n'
+        for name, x in {"left": -1, "right": 1}.items()
+    )
+    (tmp_path / "copies.toml").write_text(
+        "camera = { position = [0, 0, 4], target = [0, 0, 0], aperture_radius = 0.05 }\n"
+        "environment = { color = [1, 1, 1] }\n" + "".join(copies)
+    )
+    picture = bokehguide.render(str(tmp_path / "copies.toml"), "uniform", 4, size=(24, 16), threads=1, cryptomatte=True)
+    left, right = picture.matte("left"), picture.matte("right")
+    assert left[:, :12].max() > 0.9 and right[:, 12:].max() > 0.9
+    assert not left[:, 12:].any() and not right[:, :12].any()
+    with pytest.raises(BokehguideError, match=r"no object is named 'box\.ply'"):
+        picture.matte("box.ply")

@@ -5,10 +5,14 @@ import math
 import numpy as np
 import OpenEXR
 import pytest
+import trimesh
 from PIL import Image
 
 from bokehguide.scene import Overrides, load_scene
+from bokehguide.scene.digest import digest
+from bokehguide.scene.inspection import objects
 from bokehguide.scene.shapes import transform, transformed, unit_box, unit_rectangle, unit_sphere
+from tests.support.gltf_square import write_gltf
 from tests.support.scene_text import BALL, CAMERA, load
 
 
@@ -257,3 +261,31 @@ def test_f_number_without_focal_length_means_a_36_mm_sensor():
     camera = load_scene("fairy-lights", Overrides(f_number=2.0)).camera
     assert camera.fov == pytest.approx(40.0)
     assert camera.aperture_radius == pytest.approx(0.018 / math.tan(math.radians(20.0)) / 4.0)
+
+
+def copies(file: str, *names: str) -> str:
+    """Two objects of a model side by side."""
+    keys = [f'name = "{name}"\n' for name in names] or ["", ""]
+    lines = (f'[[object]]\nfile = "{file}"\n{key}translate = [{x}, 0, 0]\n' for key, x in zip(keys, (-1.5, 1.5)))
+    return CAMERA + "".join(lines)
+
+
+def test_the_name_of_an_object_is_that_of_its_model(tmp_path):
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    text = copies("box.ply", "left", "right")
+    named, plain = load(tmp_path, text), load(tmp_path, copies("box.ply"))
+    assert [(entry.name, entry.low[0], entry.high[0]) for entry in objects(named)] == [("left", -2.0, -1.0), ("right", 1.0, 2.0)]
+    assert [(entry.name, entry.low[0], entry.high[0]) for entry in objects(plain)] == [("box.ply", -2.0, 2.0)]
+    assert digest(named.meshes) == digest(plain.meshes)
+    for name in ("right", "box.ply"):
+        assert load(tmp_path, text, Overrides(focus_on=name)).camera.focus_distance == pytest.approx(5.5)
+
+
+def test_the_parts_of_a_named_model_have_both_names(tmp_path):
+    nodes = [{"mesh": 0, "name": "lid"}, {"mesh": 0, "name": "pot", "translation": [0, 1, -1]}, {"mesh": 0, "name": "lid"}]
+    write_gltf(tmp_path / "pot.gltf", nodes=nodes)
+    text = copies("pot.gltf", "left", "right")
+    assert [entry.name for entry in objects(load(tmp_path, text))] == ["left/lid", "left/pot", "right/lid", "right/pot"]
+    assert [entry.name for entry in objects(load(tmp_path, copies("pot.gltf")))] == ["lid", "pot"]
+    for name, distance in {"left": 6.0, "left/pot": 7.0, "pot": 7.0, "right/lid": 6.0}.items():
+        assert load(tmp_path, text, Overrides(focus_on=name)).camera.focus_distance == pytest.approx(distance)

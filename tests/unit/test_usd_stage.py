@@ -167,6 +167,27 @@ def test_a_camera_without_an_f_stop_gets_a_lens_and_one_of_zero_none(tmp_path):
     assert loaded(stage, tmp_path).camera.focus_distance == pytest.approx(5.0), "of the middle of the frame"
 
 
+def test_options_keep_the_sensor_and_the_f_number_of_the_stage(tmp_path):
+    stage = new_stage()
+    add_mesh(stage, "/square")
+    camera = UsdGeom.Camera.Define(stage, "/main")
+    camera.AddTranslateOp().Set(Gf.Vec3d(0, 0, 5))
+    camera.CreateFocalLengthAttr(0.5)
+    camera.CreateHorizontalApertureAttr(0.2)
+    camera.CreateVerticalApertureAttr(0.15)
+    camera.CreateFStopAttr(2.8)
+    size = {"width": 400, "height": 300}
+    found = loaded(stage, tmp_path, Overrides(**size)).camera
+    assert (found.sensor_width, found.f_number) == (pytest.approx(20.0), pytest.approx(2.8))
+    wide = loaded(stage, tmp_path, Overrides(fov=60.0, **size)).camera
+    assert (wide.sensor_width, wide.f_number) == (pytest.approx(20.0), pytest.approx(2.8))
+    assert wide.aperture_radius == pytest.approx(0.01 / math.tan(math.radians(30.0)) / 5.6)
+    for view in ({"camera": "frame"}, {"camera_position": (0.0, 0.0, 3.0)}, {"camera_target": (0.1, 0.0, 0.0)}):
+        framed = loaded(stage, tmp_path, Overrides(fov=60.0, f_number=1.4, **view, **size)).camera
+        assert framed.sensor_width == pytest.approx(20.0)
+        assert framed.aperture_radius == pytest.approx(0.01 / math.tan(math.radians(30.0)) / 2.8)
+
+
 def test_cameras_with_negative_numbers_are_told_or_refused(tmp_path):
     stage = new_stage()
     add_mesh(stage, "/mesh")

@@ -28,6 +28,27 @@ FILE = BOX_AND_EMITTER.replace("fov = 40.0\naperture_radius = 0.5", "focal_lengt
 )
 """A scene file whose lens and focus depend on other values of its camera."""
 
+STAGE_CAMERA = """
+def Camera "{name}" {{
+    float focalLength = 0.5
+    float horizontalAperture = {width}
+    float verticalAperture = 0.15291
+    float fStop = 2.8
+    float focusDistance = 3
+    double3 xformOp:translate = (0, 0, 4)
+    double3 xformOp:rotateXYZ = {turn}
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
+}}
+"""
+STAGE = "\n".join(
+    (
+        '#usda 1.0\n(\nmetersPerUnit = 1\nupAxis = "Y"\n)\ndef Sphere "ball" {\ndouble radius = 0.5\n}',
+        STAGE_CAMERA.format(name="upright", width=0.20955, turn="(0, 0, 0)"),
+        STAGE_CAMERA.format(name="tilted", width=0.5, turn="(-5, 3, 12)"),
+    )
+)
+"""A stage of a 50 mm lens on a sensor 20.955 mm wide, and of another lens on a sensor 50 mm wide."""
+
 
 def source_of(spec: str, *options: str) -> Source:
     given = parse(["render", spec, *options])
@@ -38,9 +59,9 @@ def state_of(source: Source) -> ViewState:
     return ViewState(source.overrides, exposure=source.scene.film.exposure)
 
 
-def same(one: Scene, other: Scene) -> None:
-    """Assert that two scenes have the same camera, film, environment and geometry."""
-    for name in ("position", "target", "up", "fov", "aperture_radius", "focus_distance", "sensor_width"):
+def same(one: Scene, other: Scene, sensor: bool = True) -> None:
+    """Assert that two scenes have the same camera, film, environment and geometry. sensor: whether its width counts."""
+    for name in ("position", "target", "up", "fov", "aperture_radius", "focus_distance", *(["sensor_width"] if sensor else [])):
         assert getattr(one.camera, name) == getattr(other.camera, name), name
     assert digest(one.camera.aperture) == digest(other.camera.aperture)
     assert (one.film.width, one.film.height, one.film.max_depth) == (other.film.width, other.film.height, other.film.max_depth)
@@ -64,11 +85,15 @@ def sources(folder) -> dict[str, Source]:
     tilted = {"camera": 0, "translation": [0.5, 1.0, 4.0], "rotation": [-0.1, 0.02, 0.03, 0.994]}
     lens = [{"type": "perspective", "perspective": {"yfov": 0.6, "znear": 0.1}}]
     write_gltf(folder / "photo.gltf", nodes=[{"mesh": 0}, tilted], cameras=lens)
+    lens = [{"type": "perspective", "perspective": {"aspectRatio": 16 / 9, "yfov": 0.4, "znear": 0.1, "zfar": 100.0}}]
+    camera = {"name": "Camera", "camera": 0, "translation": [0.5, 0.6, 4.0], "rotation": [-0.05, 0.0, 0.0, 0.99875]}
+    write_gltf(folder / "blender.gltf", nodes=[{"name": "Plane", "mesh": 0}, camera], cameras=lens)
     return {
         "builtin": source_of("fairy-lights", "--size", "32x18"),
         "file": source_of("box.toml"),
         "model": source_of("square.gltf", "--size", "32x18"),
         "camera": source_of("photo.gltf", "--size", "32x18", "--camera", "0"),
+        "blender": source_of("blender.gltf", "--size", "32x18"),
         "options": source_of("box.toml", "--f-number", "0.1", "--camera-target", "0.1,0,0"),
     }
 
@@ -84,6 +109,7 @@ EDITS = {
     "shape": [("blades", 7), ("rotation", 12.5), ("curvature", 0.3), ("ratio", 1.4), ("cat_eye", 0.5), ("edge", -0.2)],
     "round again": [("blades", 7), ("rotation", 12.5), ("blades", 0)],
     "light": [("environment_rotation", 77.0), ("mode", "uniform"), ("exposure", 1.5), ("view", "aces"), ("spp", 3)],
+    "moved lens": [("f_number", 1.4), ("move", ("orbit", 0.1, 0.05)), ("focal_length", 61.7), ("move", ("dolly", 0.0, -0.1))],
     "moved": [("move", ("orbit", 0.1, 0.05)), ("move", ("dolly", 0.0, -0.1)), ("f_number", 1.1), ("move", ("pan", 0.05, 0.0))],
 }
 
@@ -101,19 +127,31 @@ def edited(source: Source, name: str) -> ViewState:
 
 
 @pytest.mark.parametrize("name", EDITS)
-@pytest.mark.parametrize("kind", ["builtin", "file", "model", "camera", "options"])
+@pytest.mark.parametrize("kind", ["builtin", "file", "model", "camera", "blender", "options"])
 def test_the_command_and_the_scene_file_make_the_scene_of_the_page(kind, name, sources, folder):
-    source = sources[kind]
+    check_page(sources[kind], name, folder)
+
+
+@pytest.mark.parametrize("name", ["untouched", "f-number", "pinhole", "field of view", "focal length", "moved lens", "moved"])
+@pytest.mark.parametrize("options", [(), ("--fov", "60"), ("--f-number", "2"), ("--camera", "frame"), ("--camera", "tilted")])
+def test_the_lens_of_a_stage_is_that_of_the_page(options, name, folder):
+    pytest.importorskip("pxr")
+    (folder / "stage.usda").write_text(STAGE)
+    check_page(source_of("stage.usda", "--size", "32x18", *options), name, folder, sensor="tilted" not in options)
+
+
+def check_page(source: Source, name: str, folder: Path, sensor: bool = True) -> None:
+    """Assert that the command and the scene file after edits make the scene of the page. sensor: whether they keep its width."""
     state = edited(source, name)
     scene = source.scene_of(state.overrides)
     words = shlex.split(command_line(state, source))
     options = parse(words[1:])
-    same(load_scene(options.scene, overrides_from(options)), scene)
+    same(load_scene(options.scene, overrides_from(options)), scene, sensor)
     assert (options.mode, options.spp, options.view) == (state.mode, state.spp, state.view)
     path = folder / "saved.toml"
     path.write_text(scene_file(state, source, folder, path.name))
     saved = load_scene(str(path))
-    same(saved, scene)
+    same(saved, scene, sensor)
     assert saved.film.exposure == state.exposure
     assert path.read_text().startswith(f"# bokehguide render saved.toml --mode={state.mode} --spp={state.spp}")
 

@@ -20,8 +20,7 @@ from bokehguide.scene.mitsuba_xml.shapes import read_shape
 from bokehguide.scene.mitsuba_xml.sunsky import read_sunsky
 from bokehguide.scene.mitsuba_xml.tree import Plugin, read_tree
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
-from bokehguide.scene.pbrt.shapes import reversed_mesh
-from bokehguide.scene.shapes import spheres
+from bokehguide.scene.shapes import reversed_mesh, spheres
 from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Scene, Sun, Vector, as_vector
 from bokehguide.scene.validation import check_meshes, check_triangles
 

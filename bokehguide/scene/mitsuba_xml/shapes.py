@@ -15,8 +15,16 @@ from bokehguide.limits import MAX_INT
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.mesh_files import load_mesh_file
 from bokehguide.scene.mitsuba_xml.tree import Plugin, mitsuba
-from bokehguide.scene.pbrt.shapes import facing_normals, reversed_mesh
-from bokehguide.scene.shapes import transform, transformed, unit_disc, unit_normals, unit_rectangle, unit_sphere
+from bokehguide.scene.shapes import (
+    facing_normals,
+    reversed_mesh,
+    transform,
+    transformed,
+    unit_disc,
+    unit_normals,
+    unit_rectangle,
+    unit_sphere,
+)
 from bokehguide.scene.types import Mesh
 
 

@@ -20,9 +20,9 @@ from bokehguide.scene.pbrt.lights import Lights, area_emission
 from bokehguide.scene.pbrt.materials import Materials, Opacity
 from bokehguide.scene.pbrt.parser import parse
 from bokehguide.scene.pbrt.quadrics import SEGMENTS
-from bokehguide.scene.pbrt.shapes import QUADRICS, read_shape, reversed_mesh
+from bokehguide.scene.pbrt.shapes import QUADRICS, read_shape
 from bokehguide.scene.pbrt.textures import Textures, constant
-from bokehguide.scene.shapes import MOST_SPHERES, instanced, surface_area, transformed
+from bokehguide.scene.shapes import MOST_SPHERES, instanced, reversed_mesh, surface_area, transformed
 from bokehguide.scene.tables import did_you_mean
 from bokehguide.scene.types import Mesh, Scene
 from bokehguide.scene.validation import check_meshes, check_triangles

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.pbrt.parameters import Parameters
 from bokehguide.scene.pbrt.ply import read_ply
 from bokehguide.scene.pbrt.quadrics import cylinder, disk, sphere
-from bokehguide.scene.shapes import unit_normals
+from bokehguide.scene.shapes import facing_normals, unit_normals
 from bokehguide.scene.types import Mesh
 from bokehguide.scene.validation import check_triangles
 
@@ -37,22 +37,6 @@ def read_shape(parameters: Parameters, folder: Path, files: SceneFiles, segments
         return Read(QUADRICS[parameters.kind](parameters, segments), 1)
     read = READERS.get(parameters.kind)
     return None if read is None else read(parameters, folder, files)
-
-
-def reversed_mesh(mesh: Mesh) -> Mesh:
-    """The same triangles, facing the other side."""
-    normals = None if mesh.normals is None else -mesh.normals
-    return replace(mesh, triangles=np.ascontiguousarray(mesh.triangles[:, ::-1]), normals=normals)
-
-
-def facing_normals(mesh: Mesh) -> Mesh:
-    """The same triangles, facing the side of the normals of their vertices, if there are any."""
-    if mesh.normals is None:
-        return mesh
-    triangles = mesh.triangles
-    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[triangles], 1, 0)
-    away = (np.cross(b - a, c - a) * mesh.normals[triangles].sum(axis=1)).sum(axis=1) < 0.0
-    return replace(mesh, triangles=np.where(away[:, None], triangles[:, ::-1], triangles))
 
 
 def triangles_mesh(

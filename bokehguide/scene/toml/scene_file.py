@@ -197,16 +197,25 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
                 model, first = objects.load(table)
                 placed += place_emitters(model, first, matrix, objects.materials)
                 objects.suns += place_suns(model, matrix)
-        objects.meshes += [_named(mesh, table) for mesh in placed]
+        objects.meshes += _named(placed, table)
         triangles += sum(len(mesh.triangles) for mesh in placed)
         check_triangles(triangles, f"{root.file}: {table.path}", files.most_triangles)
     return objects
 
 
-def _named(mesh: Mesh, table: Table) -> Mesh:
-    """A mesh under the name of its object; the names within a model stay valid too."""
-    name = table.text("name") or table.path
-    return replace(mesh, name=mesh.name or name, groups=(*mesh.groups, name))
+def _named(meshes: list[Mesh], table: Table) -> list[Mesh]:
+    """The meshes of an object under its name; the names within a model stay valid too.
+
+    The parts of a named model are called as in "left/lid", and the only part has the name of the object alone. A model without a
+    name keeps the names of its parts.
+    """
+    own = table.text("name")
+    if not own:
+        return [replace(mesh, name=mesh.name or table.path, groups=(*mesh.groups, table.path)) for mesh in meshes]
+    several = len({mesh.name for mesh in meshes}) > 1
+    names = [f"{own}/{mesh.name}" if several and mesh.name else own for mesh in meshes]
+    groups = [(*filter(None, (mesh.name, *mesh.groups)), own) for mesh in meshes]
+    return [replace(mesh, name=name, groups=further) for mesh, name, further in zip(meshes, names, groups)]
 
 
 def _named_material(table: Table, named: dict[str, int]) -> int | None:
