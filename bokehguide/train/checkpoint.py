@@ -27,7 +27,7 @@ from bokehguide.train.adaptive import AdaptiveLoop
 from bokehguide.train.loop import RenderLoop
 from bokehguide.train.settings import RenderSettings
 
-DATA = ("camera.aperture", "meshes", "materials", "environment", "suns", "light groups")
+DATA = ("camera.aperture", "meshes", "materials", "environment", "suns", "light groups", "names of mattes")
 """Inputs of a render that do not fit in one line of a message, stored as digests."""
 OTHER = {name: f"other {name}" for name in DATA} | {name: f"other settings of {name}" for name in ("gaussian", "guided")}
 """Words for differences that do not fit in one line of a message."""
@@ -220,7 +220,8 @@ def fingerprint(scene: Scene, settings: RenderSettings) -> dict[str, str]:
     values |= {"gaussian": settings.gaussian, "guided": settings.guided}
     values |= {f"camera.{field.name}": getattr(camera, field.name) for field in fields(camera) if field.name != "aperture"}
     groups = find_light_groups(scene) if settings.light_groups else None
-    data = (camera.aperture, scene.meshes, scene.materials, scene.environment, scene.suns, groups)
+    names = [[one.name for one in group] for group in (scene.meshes, scene.materials)] if settings.cryptomatte else None
+    data = (camera.aperture, scene.meshes, scene.materials, scene.environment, scene.suns, groups, names)
     return {name: str(value) for name, value in values.items()} | dict(zip(DATA, map(digest, data), strict=True))
 
 

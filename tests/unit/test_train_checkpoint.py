@@ -243,6 +243,20 @@ def test_the_radius_counts_where_samples_are_reused(tmp_path, checkpoint):
         load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene("area-restir"), replace(settings("area-restir"), reuse_radius=4.0)))
 
 
+@pytest.mark.parametrize("cryptomatte", [True, False])
+def test_names_count_where_mattes_go_by_them(cryptomatte, tmp_path):
+    named, one = replace(settings(), cryptomatte=cryptomatte), scene()
+    with RenderLoop(one, named) as loop:
+        loop.step()
+        save_checkpoint(tmp_path / "a.ckpt", loop, 0.0)
+    renamed = RenderLoop(replace(one, meshes=(replace(one.meshes[0], name="other"), *one.meshes[1:])), named)
+    if cryptomatte:
+        with pytest.raises(BokehguideError, match="other names of mattes"):
+            load_checkpoint(tmp_path / "a.ckpt", renamed)
+    else:
+        load_checkpoint(tmp_path / "a.ckpt", renamed)
+
+
 def test_so_is_another_version(checkpoint, monkeypatch):
     monkeypatch.setattr("bokehguide.train.checkpoint.__version__", "9.9.9")
     told = (
