@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from torch import Tensor
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image import read_rgb, tone_map
+
+log = logging.getLogger(__name__)
 
 EPSILON = 0.01
 """Added to the reference in denominators, so that the errors of black pixels count and stay finite."""
@@ -96,30 +99,37 @@ def checked(image: Tensor | np.ndarray, reference: Tensor | np.ndarray) -> tuple
         if bad:
             raise BokehguideError(f"the {name} has {bad} NaN or infinite values; their mean is undefined; render it again")
     if reference.min() < 0.0:
-        raise BokehguideError(f"the reference has a negative value, {reference.min():g}; give an image of radiance")
+        least = f"{reference.min():g}"
+        raise BokehguideError(f"the reference has a negative value, {least}; clamp it, or render it with more SPP")
     return image, reference
 
 
 def _tensor(name: str, pixels: Tensor | np.ndarray) -> Tensor:
-    """The pixels of an image `[H, W, 3]`; those of an array in single precision."""
+    """The pixels of an image `[H, W, 3]`; whole numbers and those of an array in single precision."""
     if isinstance(pixels, np.ndarray) and pixels.dtype.kind in "iuf":
         pixels = torch.from_numpy(np.require(pixels, np.float32, ("C", "W")))
-    if not (isinstance(pixels, Tensor) and pixels.ndim == 3 and pixels.numel()):
-        found = f"shape {tuple(pixels.shape)}" if hasattr(pixels, "shape") else f"type {type(pixels).__name__}"
-        raise BokehguideError(f"the {name} has {found}; give an array or a tensor of numbers, height × width × 3")
-    return pixels
+    shape = tuple(pixels.shape) if hasattr(pixels, "shape") else None
+    fits = shape is None or (len(shape) == 3 and shape[2] == 3 and 0 not in shape)
+    if fits and isinstance(pixels, Tensor) and pixels.dtype != torch.bool and not pixels.is_complex():
+        return pixels if pixels.is_floating_point() else pixels.float()
+    found = f"type {getattr(pixels, 'dtype', type(pixels).__name__)}" if fits else f"shape {shape}"
+    raise BokehguideError(f"the {name} has {found}; give an array or a tensor of numbers, height × width × 3")
 
 
-def read_reference(path: str | Path, width: int, height: int) -> Tensor:
-    """Radiance `[H, W, 3]` of a reference EXR for renders of this size.
+def read_reference(path: str | Path, width: int | None = None, height: int | None = None) -> Tensor:
+    """Radiance `[H, W, 3]` of a reference EXR for renders of this size, None for any. Negative values become 0, with a warning.
 
     Raises BokehguideError with the name of the file if it cannot be read, has another size, or fails `checked`.
     """
     reference = torch.from_numpy(read_rgb(path))
+    negative = (reference < 0.0) & reference.isfinite()  # the control variate leaves some at few SPP
+    reference = reference.masked_fill(negative, 0.0)
     try:
-        checked(torch.zeros(height, width, 3), reference)
+        checked(torch.zeros(height or len(reference), width or reference.shape[1], 3), reference)
     except BokehguideError as error:
         raise BokehguideError(f"{path}: {error}") from error
+    if count := int(negative.sum()):
+        log.warning("%s: the reference has %d negative values, 0 in their place; more SPP avoid such values", path, count)
     return reference
 
 

@@ -9,9 +9,10 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, fields, replace
+from inspect import signature
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,14 +24,14 @@ from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, group_layers, to_8_bit, write_exr, write_png
 from bokehguide.image.cryptomatte import LAYERS, manifest, mask, require_hash
 from bokehguide.image.oidn import require_denoiser
-from bokehguide.limits import MAX_EXPOSURE, VIEWS
-from bokehguide.runtime.bars import terminal_size
+from bokehguide.limits import VIEWS
+from bokehguide.runtime.bars import on_terminal, terminal_size
 from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.scene import Overrides, Scene, load_scene
-from bokehguide.scene.checks import plain
+from bokehguide.scene.checks import plain, read_exposure
 from bokehguide.scene.overrides import OVERRIDES
-from bokehguide.scene.tables import EXPOSURE, Table, did_you_mean, is_number, shown
+from bokehguide.scene.tables import Table, did_you_mean, is_number, shown
 from bokehguide.train import (
     AdaptiveLoop,
     RenderLoop,
@@ -46,8 +47,10 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SETTINGS = tuple(field.name for field in fields(RenderSettings) if field.name not in ("mode", "spp", "denoise"))
-EV = replace(EXPOSURE, remedy=f"EV from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}")
-"""Exposures of a developed picture."""
+SYNONYMS = {"height": "size", "resolution": "size", "samples": "spp", "samples_per_pixel": "spp", "width": "size"}
+"""Keywords by names that users may give in their place."""
+DISPLAY = ("exposure", "view")
+"""Keywords of `Picture.developed` that users may give to `render`."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,15 +93,17 @@ class Picture:
             **group_layers(self.light_groups),
         }
 
-    def developed(self, exposure: float | None = None, view: str | None = None) -> Picture:
+    def developed(self, exposure: float | str | None = None, view: str | None = None) -> Picture:
         """The same picture, shown with another exposure in EV or another view ("photo", "aces" or "srgb").
+
+        exposure: "auto" meters the picture; None keeps the exposure.
 
         Raises BokehguideError for an exposure out of range and for an unknown view.
         """
         display = self.display
         if exposure is not None:
             table = Table({"exposure": plain(exposure)}, "Picture.developed", "", ("exposure",))
-            display = replace(display, exposure=table.number("exposure", None, EV))
+            display = replace(display, exposure=read_exposure(table)).metered(self._delivered(), self.alpha)
         if view is not None:
             if view not in VIEWS:
                 raise BokehguideError(f"Picture.developed: view: {shown(view)} is unknown; choose one of {', '.join(VIEWS)}")
@@ -114,6 +119,8 @@ class Picture:
 
         Raises BokehguideError for another suffix and for a path that cannot be written.
         """
+        if not isinstance(path, str | os.PathLike):
+            raise BokehguideError(f"Picture.save: path: {shown(path)} is no path; give one that ends in .exr or .png")
         path = Path(path)
         if path.suffix.lower() == ".exr":
             write_exr(path, self.layers, self.metadata, corner=self.corner, frame=self.frame)
@@ -151,7 +158,11 @@ class Picture:
 
     def _shown(self) -> Tensor:
         """Display values `[H, W, 3]` in 0 … 1."""
-        return self.display.show(self.beauty if self.denoised is None else self.denoised, self.alpha)
+        return self.display.show(self._delivered(), self.alpha)
+
+    def _delivered(self) -> np.ndarray:
+        """The denoised picture where there is one, else beauty."""
+        return self.beauty if self.denoised is None else self.denoised
 
     def _repr_png_(self) -> bytes:
         """The picture as notebooks show it."""
@@ -196,9 +207,7 @@ def render(
     width, height = size_pair(size, "render")
     overrides = Overrides(width=width, height=height, **_of(options, OVERRIDES))
     settings = RenderSettings(mode=mode, spp=spp, denoise=denoise, **_of(options, SETTINGS))
-    for name in options:
-        if name not in OVERRIDES + SETTINGS:
-            raise BokehguideError(f"render: {name}: no such option; {did_you_mean(name, OVERRIDES + SETTINGS)}")
+    require_known(render, options, OVERRIDES + SETTINGS)
     check_device(settings.device)
     if denoise:
         require_denoiser()
@@ -247,6 +256,17 @@ def _of(options: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if name in names}
 
 
+def require_known(function: Callable[..., object], options: Iterable[str], fields: tuple[str, ...]) -> None:
+    """Raise BokehguideError for an option that is none of `fields`, which `function` takes beside its keywords."""
+    for name in options:
+        if name not in fields:
+            keywords = [each.name for each in signature(function).parameters.values() if each.kind is not each.VAR_KEYWORD]
+            hint = did_you_mean(SYNONYMS.get(name, name), [*keywords, *fields])
+            if name in DISPLAY and function is render:
+                hint = 'give it to the result, as in picture.developed(exposure=1.0, view="srgb")'
+            raise BokehguideError(f"{function.__name__}: {name}: no such option; {hint}")
+
+
 def size_pair(size: tuple[int, int] | None, caller: str) -> tuple[int | None, int | None]:
     """Width and height, None for those of the scene. caller: the function that takes the size, for errors."""
     pair = (None, None) if size is None else plain(size)
@@ -281,11 +301,11 @@ def _take_steps(
 
     spp, title = loop.settings.spp, f"{loop.scene.name} {loop.settings.mode}"
     main = threading.current_thread() is threading.main_thread()
-    size = terminal_size() if sys.stderr.isatty() else {}  # the bar of a notebook has the width of its cell
+    size = terminal_size() if on_terminal() else {}  # the bar of a notebook has the width of its cell
     # Python lets only the main thread handle signals.
     with (
         Interrupt() if main else nullcontext() as interrupt,
-        tqdm(total=spp, desc=title, unit="SPP", disable=quiet, **size) as bar,
+        tqdm(total=spp, desc=title, unit="SPP", disable=quiet or sys.stderr is None, **size) as bar,
     ):
         while not loop.complete:
             loop.step(last=loop.step_number + 1 == spp)

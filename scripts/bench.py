@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import math
 import multiprocessing
 import time
 from collections.abc import Callable
@@ -138,7 +139,7 @@ def render_alone(mode: str, args: argparse.Namespace) -> float:
     loop = start(mode, args)
     for _ in range(args.warm_up + 2):
         loop.step()
-    return peak_memory_mb()
+    return peak_memory_mb() or math.nan
 
 
 def start(mode: str, args: argparse.Namespace) -> RenderLoop:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import multiprocessing
 import time
 import warnings
@@ -162,7 +163,7 @@ def measure(mode: str, args: argparse.Namespace) -> dict:
     row = {"mode": mode, "M samples/s": 1e-6 * sum(step.samples for step in steps) / seconds}
     row |= {"M rays/s": 1e-6 * sum(step.rays for step in steps) / seconds, "ms / step": 1e3 * seconds / spp}
     row |= {f"{name}, ms": value for name, value in phases.items()}
-    return row | {"host waits / step": waits, "device MiB": clock.memory_mb(), "process MiB": peak_memory_mb()}
+    return row | {"host waits / step": waits, "device MiB": clock.memory_mb(), "process MiB": peak_memory_mb() or math.nan}
 
 
 class StepClock:

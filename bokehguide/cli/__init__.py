@@ -64,8 +64,8 @@ def _run(arguments: Sequence[str], own_process: bool) -> int:
         terminal.open_streams()
     try:
         options = parse(arguments)
-        if own_process and options.command in ("render", "compare", "view"):
-            terminal.show_stages()
+        if own_process:
+            terminal.show_log(stages=options.command in ("render", "compare", "view"))
         # Imported by name, so that --help and a mistyped option do not wait for torch.
         with explained("the image" if options.command == "metrics" else "the scene"):
             return _module(options.command, own_process).run(options)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from bokehguide import __version__
 from bokehguide.errors import BokehguideError, encoding_problem
+from bokehguide.guiding.modes import MODES
 from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS, VIEWS
+from bokehguide.scene.tables import did_you_mean, in_fractions, leaves_frame
 
 SCENE_HELP = (
     "a built-in scene (see `bokehguide scenes`), a .toml, Mitsuba .xml or pbrt-v4 .pbrt file, a .usd .usda .usdc .usdz stage, "
@@ -22,17 +24,35 @@ REUSE_HELP = "radius in pixels in which area-restir reuses samples (default: 50,
 
 TEV_PORT = 14158
 """Port on which tev listens by default."""
-MODE_NAMES = "uniform|lis|lis-b|lis-o|guided|area-restir|area-restir+lis"
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser without abbreviations that reports a mistake in one line, as a BokehguideError."""
+    """A parser without abbreviations that reports a mistake in one line, as a BokehguideError, with the nearest known word."""
 
     def __init__(self, **keywords: Any) -> None:
         super().__init__(allow_abbrev=False, **keywords)
 
     def error(self, message: str) -> NoReturn:
-        raise BokehguideError(f"{message}; see `{self.prog} --help`")
+        raise BokehguideError(f"{message}{' See' if message.endswith('?') else '; see'} `{self.prog} --help`")
+
+    def require_known(self, arguments: Sequence[str]) -> None:
+        """Raise BokehguideError for an option that the command lacks: argparse would first ask for missing arguments."""
+        commands = next((each.choices for each in self._actions if isinstance(each, argparse._SubParsersAction)), None)
+        for number, argument in enumerate(arguments):
+            option = argument.partition("=")[0]
+            if commands is not None and not argument.startswith("-"):
+                if argument in commands:
+                    commands[argument].require_known(arguments[number + 1 :])
+                return
+            if argument == "--":
+                return
+            if re.match(r"-[^\d.]", option) and " " not in option and option not in self._option_string_actions:
+                known = [name[2:] for name in self._option_string_actions if name.startswith("--")]
+                self.error(f"unrecognized option {option}; {did_you_mean(option.lstrip('-'), known, '--')}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            raise argparse.ArgumentError(action, _no_choice(value, action.choices))
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -43,7 +63,9 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     for argument in arguments:
         if problem := encoding_problem(argument):
             raise BokehguideError(f"{argument!r} {problem}")
-    return make_parser().parse_args(_attach_negative_values(arguments), argparse.Namespace(started=time.monotonic()))
+    words, parser = _attach_negative_values(arguments), make_parser()
+    parser.require_known(words)
+    return parser.parse_args(words, argparse.Namespace(started=time.monotonic()))
 
 
 def make_parser() -> Parser:
@@ -83,7 +105,7 @@ def _add_view(commands: argparse._SubParsersAction) -> None:
     add("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1, this machine alone)")
     add("--port", type=port, default=8737, metavar="N", help="port to listen on; 0: any free port (default: 8737)")
     add("--no-browser", action="store_true", help="print the address, and open no browser")
-    add("--mode", default="guided", metavar=MODE_NAMES, help="how the lens is sampled at first (default: guided)")
+    add("--mode", choices=MODES, default="guided", help="how the lens is sampled at first (default: guided)")
     add("--spp", type=positive, default=64, metavar="N", help="samples per pixel of a render (default: 64)")
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
     add("--seed", type=natural, default=0, metavar="N", help="seed of the random numbers (default: 0)")
@@ -105,7 +127,7 @@ def _add_info(commands: argparse._SubParsersAction) -> None:
 def _add_render_options(render: argparse.ArgumentParser) -> None:
     add = render.add_argument
     add("scene", metavar="SCENE", help=SCENE_HELP)
-    add("--mode", default="guided", metavar=MODE_NAMES, help="how the lens is sampled (default: guided)")
+    add("--mode", choices=MODES, default="guided", help="how the lens is sampled (default: guided)")
     add("--reuse-radius", type=float, metavar="PX", help=REUSE_HELP)
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
@@ -271,8 +293,11 @@ def address(text: str) -> tuple[str, int]:
 
 
 def modes(text: str) -> tuple[str, ...]:
-    """Names between commas, each once; RenderSettings checks that the modes exist."""
+    """Names between commas, each once."""
     names = tuple(text.split(","))
+    for name in names:
+        if name not in MODES:
+            raise argparse.ArgumentTypeError(_no_choice(name, MODES))
     if len(set(names)) < len(names):
         raise argparse.ArgumentTypeError(f"{text!r} names a mode twice; give each once")
     return names
@@ -310,11 +335,6 @@ def crop(text: str) -> tuple[float, float, float, float]:
         raise argparse.ArgumentTypeError(f"{text!r} is in pixels and not whole; give whole pixels, or fractions of the frame")
     x, y, width, height = (int(value) for value in box)
     return x, y, width, height
-
-
-def in_fractions(box: Sequence[float]) -> bool:
-    """Whether a crop is in fractions of the frame, not in pixels."""
-    return all(0.0 <= value <= 1.0 for value in box)
 
 
 def size(text: str) -> tuple[int, int]:
@@ -361,9 +381,15 @@ def vector(text: str) -> tuple[float, float, float]:
 
 def inset(text: str) -> tuple[float, float, float, float]:
     x, y, width, height = _numbers(text, "X,Y,W,H")
-    if not (x >= 0 and y >= 0 and width > 0 and height > 0 and x + width <= 1 and y + height <= 1):
+    if leaves_frame(x, y, width, height):
         raise argparse.ArgumentTypeError(f"{text!r} leaves the frame; give X,Y,W,H as fractions of it, between 0 and 1")
     return x, y, width, height
+
+
+def _no_choice(word: str, known: Iterable[str]) -> str:
+    """The problem of a word that is none of `known`, with all of them and the nearest one."""
+    hint = did_you_mean(word, known)
+    return f"invalid choice: {word!r}; {hint}" + (f" Known are {', '.join(known)}" if hint.endswith("?") else "")
 
 
 def _whole(text: str, least: int, most: int = MAX_INT) -> int:

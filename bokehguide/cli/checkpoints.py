@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from contextlib import suppress
 from itertools import count
@@ -11,6 +12,7 @@ from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError
 from bokehguide.image.files import written_file
 from bokehguide.train import AdaptiveLoop, RenderLoop, load_checkpoint, save_checkpoint, saved_state
+from bokehguide.train.checkpoint import ANOTHER, UNREADABLE
 
 INTERVAL = 60.0
 """Seconds from one save to the next, by default."""
@@ -32,34 +34,40 @@ class Checkpoints:
         """Whether the user continues the render session by session: the file stays until the render is complete."""
         self._last = time.monotonic()
         self._saved_step = 0
-        self._of_another = False
-        """Whether the file is of another render."""
+        self._stranger = ""
+        """What the file is, if it is not of this render: see `SavedState`."""
 
-    def begin(self, loop: RenderLoop | AdaptiveLoop, resume: bool) -> float:
+    def begin(self, loop: RenderLoop | AdaptiveLoop, resume: bool, restarted: bool = False) -> float:
         """Load the file into the loop if `resume` is set and the file exists; returns the seconds of earlier sessions.
 
-        Without `resume`, a file of the same render stays until the loop has more SPP than the file. A file of another render gets
-        another name before the first save.
+        Without `resume`, a file of the same render stays until the loop has more SPP than the file. Any other file gets another
+        name before the first save. restarted: whether a rank of this job has died; the loop then loads a file of the same render.
         Raises BokehguideError if `resume` finds another render, a damaged file, or more SPP than the settings ask for.
         """
         self._resumes = resume
         if resume and self.path.exists():
-            seconds = load_checkpoint(self.path, loop)
-            self._kept |= saved_state(self.path, loop)[1]
-            step = self._saved_step = loop.step_number
-            if step > loop.settings.spp:
-                raise BokehguideError(f"{self.path}: has {step} SPP already; give --spp {step} or more")
-            self._note(f"resuming {self.path} at {step} SPP")
-            return seconds
+            return self._load(loop)
         if resume:
             advice = "a finished render keeps one with --checkpoint-every SECONDS"
             self._note(f"no {self.path} to resume; starting from the first step ({advice})")
         elif self.every > 0.0:
-            step, kept, self._of_another = saved_state(self.path, loop)
-            self._saved_step, self._kept = step, self._kept or kept
-            if step > 0:
-                self._note(f"{self.path} has {step} SPP of this render and stays until this run has more; see --resume")
+            saved = saved_state(self.path, loop)
+            if restarted and 0 < saved.step <= loop.settings.spp:
+                return self._load(loop)
+            self._saved_step, self._kept, self._stranger = saved.step, self._kept or saved.kept, saved.stranger
+            if saved.step > 0:
+                self._note(f"{self.path} has {saved.step} SPP of this render and stays until this run has more; see --resume")
         return 0.0
+
+    def _load(self, loop: RenderLoop | AdaptiveLoop) -> float:
+        """Load the file into the loop; returns the seconds of earlier sessions. Raises BokehguideError as `begin` does."""
+        seconds = load_checkpoint(self.path, loop)
+        self._kept |= saved_state(self.path, loop).kept
+        step = self._saved_step = loop.step_number
+        if step > loop.settings.spp:
+            raise BokehguideError(f"{self.path}: has {step} SPP already; give --spp {step} or more")
+        self._note(f"resuming {self.path} at {step} SPP")
+        return seconds
 
     def due(self) -> bool:
         return 0.0 < self.every <= time.monotonic() - self._last
@@ -77,12 +85,12 @@ class Checkpoints:
 
     def end(self, loop: RenderLoop | AdaptiveLoop, seconds: float, interrupted: bool) -> None:
         """Save the last state if the render was interrupted or the file is to stay; collective."""
-        if interrupted or self._kept or (self._resumes and not loop.complete):
+        if interrupted or self._stays(loop):
             self.save(loop, seconds)
 
     def remove(self, loop: RenderLoop | AdaptiveLoop) -> None:
         """Remove the file that is not to stay, once the picture is written. A file with more SPP stays."""
-        if not (self._kept or (self._resumes and not loop.complete)) and 0 < self._saved_step <= loop.step_number:
+        if not self._stays(loop) and 0 < self._saved_step <= loop.step_number:
             with suppress(OSError):
                 written_file(self.path).unlink()
             self._saved_step = 0
@@ -95,15 +103,30 @@ class Checkpoints:
         """Whether the file has the current state of the loop."""
         return 0 < self._saved_step == loop.step_number
 
+    def _stays(self, loop: RenderLoop | AdaptiveLoop) -> bool:
+        """Whether the file stays when the render ends by itself."""
+        return self._kept or (self._resumes and not loop.complete)
+
     def _set_aside(self, loop: RenderLoop | AdaptiveLoop) -> None:
-        """Rename a file of another render to the first free name, and tell it."""
-        if self._of_another and loop.ranks.first:
+        """Rename a file that is not of this render to the first free name, and tell it."""
+        if self._stranger and loop.ranks.first:
             new = _free_name(self.path)
             with suppress(OSError):  # the save fails too then, and warns
                 self.path.rename(new)
-                resume = f"--out {new.with_suffix('.exr')} --resume"
-                self._note(f"{self.path} was of another render and is {new} now; that render's options with {resume} continue it")
-        self._of_another = False
+                options = f"that render's options with --out {new.with_suffix('.exr')} --resume continue it"
+                remedy = {ANOTHER: f"; {options}", UNREADABLE: ""}.get(self._stranger, "; that version continues it")
+                self._note(f"{self.path} {self._stranger} and is {new} now{remedy}")
+                self._tell_others()
+        self._stranger = ""
+
+    def _tell_others(self) -> None:
+        """Tell the number and the size of the files that have got another name, from the second on."""
+        name = re.compile(rf"{re.escape(self.path.stem)}-\d+\.ckpt")
+        others = [path for path in self.path.parent.iterdir() if name.fullmatch(path.name)]
+        if len(others) > 1:
+            size = sum(path.stat().st_size for path in others) / 2**20
+            names = self.path.with_name(f"{self.path.stem}-NUMBER.ckpt")
+            self._note(f"{len(others)} files {names} take {size:.1f} MB; remove the files that no render continues")
 
     def _note(self, text: str) -> None:
         if not self._silent:

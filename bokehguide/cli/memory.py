@@ -51,7 +51,7 @@ def describe(scene: Scene) -> str:
 
 def check_memory(scene: Scene, settings: RenderSettings) -> None:
     """Raise BokehguideError if a render needs more memory than is free; estimates are low."""
-    from bokehguide.runtime.memory import free_memory  # here, as the command line imports this module first
+    from bokehguide.memory import free_memory  # here, as the command line imports this module first
 
     free, needed = free_memory(), least_memory(scene, settings)
     if free is not None and needed > free:

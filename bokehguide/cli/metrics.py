@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image import read_rgb
-from bokehguide.metrics import Metrics, compare
+from bokehguide.image.reading import read_crop
+from bokehguide.metrics import Metrics, compare, read_reference
 from bokehguide.scene.types import Inset
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the metrics of the frame and of each inset, one line each; SSIM is "-" for a box smaller than its window."""
     image = torch.from_numpy(read_rgb(options.image))
-    reference = torch.from_numpy(read_rgb(options.reference))
+    require_same_crop(options.image, options.reference)
+    reference = read_reference(options.reference)
     try:
         rows = {"frame": compare(image, reference)}
         rows |= {_label(box): _compare_inset(image, reference, Inset(*box)) for box in options.inset}
@@ -28,6 +31,17 @@ def run(options: argparse.Namespace) -> int:
         similarity = "-" if row.ssim is None else f"{row.ssim:.5f}"
         print(f"{label:<{width}}  {row.mape:>10.5f} {row.relmse:>10.5f} {similarity:>8} {row.psnr:>8.3f}")
     return 0
+
+
+def require_same_crop(image: Path, reference: Path) -> None:
+    """Raise BokehguideError if the files have different parts of a frame. A whole frame may stand for a crop of its size."""
+    crops = [read_crop(path) for path in (image, reference)]
+    if None not in crops and crops[0] != crops[1]:
+        one, other = ("{},{},{},{} of {}x{}".format(*crop) for crop in crops if crop is not None)
+        raise BokehguideError(
+            f"{image} against {reference}: the image is the crop {one} pixels, and the reference is the crop {other} pixels; "
+            "give two images of the same crop"
+        )
 
 
 def _compare_inset(image: Tensor, reference: Tensor, inset: Inset) -> Metrics:

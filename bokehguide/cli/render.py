@@ -6,19 +6,21 @@ import argparse
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from bokehguide.cli.arguments import in_fractions
 from bokehguide.cli.checkpoints import Checkpoints
 from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.memory import check_memory, describe, explained
 from bokehguide.cli.pictures import Pictures, chosen_exposure
 from bokehguide.cli.report import write_json
+from bokehguide.cli.sole_writer import sole_writer
 from bokehguide.cli.steps import measure, take_steps
 from bokehguide.cli.terminal import say
 from bokehguide.cli.tev import TevViewer, require_client
@@ -31,11 +33,12 @@ from bokehguide.render import Film
 from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.runtime.process import dedicate_process
-from bokehguide.scene import FilmSettings, Inset, Overrides, Scene, load_scene
+from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.overrides import OVERRIDES
 from bokehguide.train import LENS_MODES, MODES, AdaptiveLoop, Ranks, RenderLoop, RenderSettings, make_loop, restarts
 from bokehguide.train.adaptive import HalvesFilm
 from bokehguide.train.logger import run_folder
+from bokehguide.train.settings import crop_pixels
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,7 +58,11 @@ def run(options: argparse.Namespace) -> int:
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
     check_outputs(out, options, run_folder(options.logdir or "", scene, settings))
     check_memory(scene, settings)
-    with Ranks.join(settings.device) as ranks, explained(describe(scene)):
+    with (
+        Ranks.join(settings.device) as ranks,
+        sole_writer(out) if ranks.first else nullcontext(),
+        explained(describe(scene)),
+    ):
         if ranks.first:
             print_warnings(scene)
         with make_loop(scene, settings, ranks) as loop:
@@ -66,11 +73,11 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
     """Render from the first step or from a checkpoint, and write the files; returns the exit code. Collective."""
     first = loop.ranks.first
     checkpoints = Checkpoints(out.with_suffix(".ckpt"), options.checkpoint_every, silent=not first)
-    earlier = checkpoints.begin(loop, options.resume or restarts() > 0)
+    earlier = checkpoints.begin(loop, options.resume, restarts() > 0)
     display = Display(chosen_exposure(options.exposure, loop.scene.film.exposure), options.view)
     viewer = make_viewer(loop, options) if first and options.tev else None
     pictures = Pictures(out, options, display, viewer)
-    with Interrupt(tell_interruption if first else None) as interrupt:  # a signal ends the render in order
+    with Interrupt(partial(tell_interruption, loop) if first else None) as interrupt:  # a signal ends the render in order
         end, report = take_steps(loop, options, reference, checkpoints, pictures, earlier, interrupt)
         with interrupt.saving():
             picture = loop.picture()
@@ -88,12 +95,13 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
                 print_files(loop, pictures, checkpoints)
                 print_problems(loop, picture, checkpoints, end)
     number = end if isinstance(end, int) else interrupt.signal
-    return 0 if number is None else 128 + number
+    return 0 if number is None or loop.complete else 128 + number
 
 
-def tell_interruption() -> None:
+def tell_interruption(loop: RenderLoop | AdaptiveLoop) -> None:
     """Tell on stderr what follows a first signal. A thread does, as the main thread may be using stderr at the signal."""
-    text = "finishing the step and saving; a second interruption during the step discards the samples since the last save"
+    work = "finishing the render" if loop.complete else "finishing the step and saving"
+    text = f"{work}; a second interruption during the step discards the samples since the last save"
     threading.Thread(target=say, args=(text,)).start()
 
 
@@ -148,7 +156,7 @@ def final_errors(pictures: Pictures, options: argparse.Namespace, reference: Ten
 def settings_from(options: argparse.Namespace, scene: Scene) -> RenderSettings:
     """The settings of the command line. Raises BokehguideError for a value out of range."""
     names = ("mode", "spp", "seed", "device", "threads", "target_noise", "denoise", "cryptomatte", "light_groups")
-    crop = options.crop and crop_pixels(options.crop, scene.film)
+    crop = options.crop and crop_pixels(options.crop, scene.film.width, scene.film.height)
     settings = RenderSettings(**{name: getattr(options, name) for name in names}, crop=crop)
     return with_reuse_radius([settings], options.reuse_radius)[0]
 
@@ -163,15 +171,6 @@ def with_reuse_radius(every: Sequence[RenderSettings], radius: float | None) -> 
         named = ", ".join(settings.mode for settings in every)
         raise BokehguideError(f"--reuse-radius: {radius:g} has no effect in {named}; leave it out, or choose {users}")
     return changed
-
-
-def crop_pixels(box: tuple[float, ...], film: FilmSettings) -> tuple[int, int, int, int]:
-    """The box in pixels."""
-    if in_fractions(box):
-        rows, columns = Inset(*box).pixels(film.width, film.height)
-        return columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start
-    x, y, width, height = (int(value) for value in box)
-    return x, y, width, height
 
 
 def read_window(path: Path, scene: Scene, window: tuple[int, int, int, int]) -> Tensor:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import resource
 import sys
 import time
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ from tqdm import tqdm
 from bokehguide.cli.forecast import Forecast
 from bokehguide.image import replacing
 from bokehguide.render.film import Film
-from bokehguide.runtime.bars import terminal_size
+from bokehguide.runtime.bars import on_terminal, terminal_size
 from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, StepStats
 from bokehguide.train.adaptive import HalvesFilm
 
@@ -60,12 +59,12 @@ class Report:
         self._earlier = earlier
         self._start = time.perf_counter()
         # A terminal gets a moving bar, a log file a line every ten seconds.
-        interval = 0.1 if sys.stderr.isatty() else 10.0
+        interval = 0.1 if on_terminal() else 10.0
         self.bar = Bar(
             None,
             title,
             settings.spp,
-            disable=silent,
+            disable=silent or sys.stderr is None,
             unit="SPP",
             initial=done,
             mininterval=interval,
@@ -117,8 +116,12 @@ def write_json(path: Path, facts: Mapping[str, object]) -> None:
         temporary.write_text(json.dumps(facts, indent=2) + "\n")
 
 
-def peak_memory_mb() -> float:
-    """Peak memory of this process in MiB."""
+def peak_memory_mb() -> float | None:
+    """Peak memory of this process in MiB, None where the system does not tell, as on Windows."""
+    try:
+        import resource
+    except ImportError:
+        return None
     if sys.platform == "darwin":
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     # ru_maxrss of Linux starts at the size of the parent process.

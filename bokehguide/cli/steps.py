@@ -51,7 +51,7 @@ def take_steps(
         interrupted, late, due, shown = ranks.any(interrupt.requested, late, checkpoints.due(), pictures.due())
         if due:
             save(loop, report, logger, checkpoints, interrupt)
-        if interrupted:
+        if interrupted and not loop.complete:
             end = interrupt.signal or signal.SIGTERM
         elif loop.step_number < settings.spp:
             if late:

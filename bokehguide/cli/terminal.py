@@ -10,6 +10,8 @@ import os
 import shutil
 import sys
 
+from bokehguide.runtime.bars import on_terminal
+
 PLAIN = {"×": "x", "°": " deg", "…": "...", "²": "^2", "³": "^3", "β": "beta", "→": "->", "–": "-", "’": "'"}
 """Characters of messages, and their form in encodings that lack them."""
 
@@ -63,7 +65,7 @@ class Stages(logging.Handler):
         text = record.getMessage()
         if record.levelno >= logging.WARNING:
             say(f"warning: {text}")
-        elif sys.stderr.isatty():
+        elif on_terminal():
             width = shutil.get_terminal_size().columns - 1
             print(f"\r\x1b[K{f'bokehguide: {text} …'[:width]}", end="", file=sys.stderr, flush=True)
             Stages.shown = True
@@ -71,11 +73,12 @@ class Stages(logging.Handler):
             print(f"bokehguide: {text}", file=sys.stderr, flush=True)
 
 
-def show_stages() -> None:
-    """Show the stages of this command on stderr. Of several ranks, the first does."""
-    if os.environ.get("RANK", "0") == "0":
-        log = logging.getLogger("bokehguide")
-        log.addHandler(Stages())
+def show_log(stages: bool) -> None:
+    """Show the warnings in the log of this command on stderr, and its stages if `stages` is set. Of several ranks, the first
+    does."""
+    log, first = logging.getLogger("bokehguide"), os.environ.get("RANK", "0") == "0"
+    log.addHandler(Stages() if first else logging.NullHandler())
+    if first and stages:
         log.setLevel(logging.INFO)
         log.info("starting")
 

@@ -6,6 +6,7 @@ from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.emitter_guide import EmitterGuide
 from bokehguide.guiding.gaussian_guide import GaussianGuide
 from bokehguide.guiding.learned_lights import LearnedLights
+from bokehguide.guiding.modes import is_pinhole
 from bokehguide.guiding.pixel_reuse import PixelReuse
 from bokehguide.guiding.protocols import LensSampler, LightStrategy, Mode, ModeContext
 from bokehguide.guiding.uniform import UniformLens
@@ -37,12 +38,5 @@ def guided(context: ModeContext) -> Mode:
 
 
 def paper_lens(context: ModeContext, learns_blend: bool, learns_offsets: bool) -> LensSampler:
-    """The paper's guide, or the uniform lens for a pinhole: a pinhole has one lens point, so that there is nothing to learn."""
-    if is_pinhole(context):
-        return UniformLens(context)
+    """The paper's guide."""
     return GaussianGuide(context, context.settings.gaussian, learns_blend, learns_offsets)
-
-
-def is_pinhole(context: ModeContext) -> bool:
-    """Whether the aperture radius is 0."""
-    return context.scene.camera.aperture_radius == 0.0

@@ -48,11 +48,13 @@ class LensPointDistribution(Distribution):
         """Lens points `[*sample_shape, N, 2]`.
 
         uniforms: numbers in 0 … 1 to draw from, `[..., N, 5]`, in place of those of `torch.rand`; their first axes are the
-        sample shape.
+        sample shape. Raises BokehguideError for another shape, and for numbers out of this range.
         """
         if uniforms is None:
             uniforms = torch.rand(*sample_shape, *self.batch_shape, UNIFORMS)
+        uniforms = _numbers("sample: uniforms", uniforms)
         _check_shape("sample: uniforms", uniforms, (*self.batch_shape, UNIFORMS))
+        _check_values("sample: uniforms", uniforms, (uniforms >= 0.0) & (uniforms <= 1.0), "from 0 to 1")
         numbers = uniforms.reshape(-1, *self.batch_shape, UNIFORMS).permute(0, 2, 1)
         used = slice(None) if self.mixture is not None else slice(2, 4)
         points = torch.stack([self._density.sample(each[used].contiguous()).points.T for each in numbers])
@@ -108,15 +110,19 @@ class LensGuide:
     the state at its start, so that every estimate is unbiased.
 
     camera: of the renderer, a thin lens. width, height: of the frame, pixels. config: settings of the method.
-    Raises BokehguideError for a size out of range, and for a pinhole, which has one lens point.
+    Raises BokehguideError for a size out of range, for another type, and for a pinhole, which has one lens point.
     """
 
     def __init__(self, camera: Camera, width: int, height: int, config: GaussianConfig | None = None):
+        config = config or GaussianConfig()
+        for name, value, kind in (("camera", camera, Camera), ("config", config, GaussianConfig)):
+            if not isinstance(value, kind):
+                raise BokehguideError(f"LensGuide: {name}: a {type(value).__name__} is no {kind.__name__}; give one")
         if camera.aperture_radius == 0.0:
             raise BokehguideError("LensGuide: aperture_radius 0 is a pinhole with one lens point; give a lens of some radius")
         film = FilmSettings(width, height)
         self.camera = ThinLensCamera(camera, film.width, film.height)
-        self._guide = GaussianGuide(_Frame(self.camera, Ranks()), config or GaussianConfig(), True, False)
+        self._guide = GaussianGuide(_Frame(self.camera, Ranks()), config, True, False)
         self.step = 0
         self._light = self._count = 0.0
         self._last: LensPointDistribution | None = None
@@ -142,7 +148,7 @@ class LensGuide:
 
         Raises BokehguideError for another shape, and for positions outside the frame.
         """
-        positions = torch.as_tensor(raster, dtype=torch.float32)
+        positions = _numbers("LensGuide.distribution: raster", raster)
         if positions.ndim != 2 or positions.shape[1] != 2:
             raise BokehguideError(f"LensGuide.distribution: raster has shape {tuple(positions.shape)}, not (N, 2)")
         positions = positions.T.contiguous()
@@ -167,14 +173,20 @@ class LensGuide:
 
         points: of its `sample`, or others, `[..., N, 2]`. distances: along each ray from its lens point to the first surface,
         metres, infinite without one, `[..., N]`. luminance: of the radiance along each ray, without the weight, `[..., N]`.
-        Values that are not finite count as black. Raises BokehguideError for other shapes, and before the first distribution.
+        A ray whose luminance is NaN or infinite, or whose distance is NaN, counts as black. Raises BokehguideError for other
+        shapes, for negative values, for points that are not finite, and before the first distribution.
         """
         lens = self._last
         if lens is None:
             raise BokehguideError("LensGuide.observe: no distribution yet; call distribution(raster) first")
-        points, distances, luminance = (torch.as_tensor(each, dtype=torch.float32) for each in (points, distances, luminance))
+        points, distances, luminance = (
+            _numbers(f"LensGuide.observe: {name}", values)
+            for name, values in (("points", points), ("distances", distances), ("luminance", luminance))
+        )
         _check_shape("points", points, (*lens.batch_shape, 2))
+        _check_values("LensGuide.observe: points", points, points.isfinite(), "finite numbers")
         for name, values in (("distances", distances), ("luminance", luminance)):
+            _check_values(f"LensGuide.observe: {name}", values, ~(values < 0.0), "0 or more")
             if values.shape != points.shape[:-1]:
                 expected = tuple(points.shape[:-1])
                 raise BokehguideError(
@@ -230,7 +242,7 @@ class LensGuide:
             self._guide.optimizers["blend"].load_state_dict(state["optimizer"])
             self.step, self._light, self._count = state["step"], state["light"], state["count"]
             self._guide.check(self.step)
-        except (KeyError, RuntimeError, ValueError) as error:
+        except (KeyError, RuntimeError, TypeError, ValueError) as error:
             reason = str(error).splitlines()[-1].strip()
             raise BokehguideError(f"LensGuide.load_state_dict: not a state of this guide ({reason})") from None
         self._last = None
@@ -242,3 +254,18 @@ def _check_shape(name: str, values: Tensor, ending: tuple[int, ...]) -> None:
     if tuple(values.shape[-len(ending) :]) != ending:
         wanted = ", ".join(map(str, ending))
         raise BokehguideError(f"{name}: has shape {tuple(values.shape)}, not (..., {wanted})")
+
+
+def _numbers(name: str, values: ArrayLike | Tensor) -> Tensor:
+    """A caller's array in single precision. Raises BokehguideError for anything but numbers."""
+    try:
+        return torch.as_tensor(values, dtype=torch.float32)
+    except (RuntimeError, TypeError, ValueError):
+        raise BokehguideError(f"{name}: a {type(values).__name__} is no array of numbers; give one") from None
+
+
+def _check_values(name: str, values: Tensor, good: Tensor, wanted: str) -> None:
+    """Raise BokehguideError unless all values are good. The guide is on the host, so that the check waits for no device."""
+    if not bool(good.all()):
+        first = float(values[~good][0])
+        raise BokehguideError(f"{name}: {int((~good).sum())} values are out of range, such as {first:g}; give {wanted}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.limits import MAX_PIXELS, MAX_SIDE, most_map_values
+from bokehguide.memory import require_memory
 
 MAGIC = {"EXR": b"\x76\x2f\x31\x01", "HDR": b"#?"}
 
@@ -45,6 +46,20 @@ def read_channels(path: str | Path, kind: str = "EXR") -> Channels:
         raise _damaged(path, "names that are no UTF-8") from None
 
 
+def read_crop(path: str | Path) -> tuple[int, int, int, int, int, int] | None:
+    """The data window of an intact file in its display window: x, y, width, height, and width and height of the display window.
+
+    None if both windows are the same, so that the file shows a whole frame.
+    """
+    import OpenImageIO as oiio
+
+    image = oiio.ImageInput.open(str(path))
+    assert image is not None, "intact"
+    spec = image.spec()
+    x, y, frame = spec.x - spec.full_x, spec.y - spec.full_y, (spec.full_width, spec.full_height)
+    return None if (x, y, spec.width, spec.height) == (0, 0, *frame) else (x, y, spec.width, spec.height, *frame)
+
+
 def _read(path: str | Path) -> Channels:
     import OpenImageIO as oiio
 
@@ -57,6 +72,7 @@ def _read(path: str | Path) -> Channels:
     values = spec.width * spec.height * spec.nchannels
     if values > most_map_values(stored):
         raise BokehguideError(f"{path}: would unfold from {stored:,} bytes to {values:,} values; give a smaller image")
+    require_memory(4 * values, str(path), "smaller image")
     pixels = image.read_image(oiio.FLOAT)
     if pixels is None:
         raise _damaged(path, image.geterror())

@@ -5,11 +5,7 @@ binds the name `bokehguide.render` to this package as soon as any module imports
 not stay there.
 """
 
-import sys
-from importlib import import_module
-from types import ModuleType
-from typing import Any
-
+from bokehguide.lazy_names import make_callable
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import Film, FilmSamples
 from bokehguide.render.lens import Lens
@@ -18,13 +14,4 @@ from bokehguide.render.random import PixelRandom
 
 __all__ = ["Film", "FilmSamples", "Lens", "PathSamples", "PathTracer", "PixelRandom", "ThinLensCamera"]
 
-
-class _CallablePackage(ModuleType):
-    """The type of this package."""
-
-    def __call__(self, *arguments: Any, **options: Any) -> Any:
-        """See `bokehguide.picture.render`."""
-        return import_module("bokehguide.picture").render(*arguments, **options)  # by name: this layer imports none above
-
-
-sys.modules[__name__].__class__ = _CallablePackage
+make_callable(__name__, "bokehguide.picture")  # by name: this layer imports none above

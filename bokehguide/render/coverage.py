@@ -68,9 +68,9 @@ class Coverage:
         """Objects and running sums by name. A film saves these tensors."""
         return {"objects": self._numbers, **self._features.sums()}
 
-    def check(self) -> None:
-        """Raise ValueError if loaded sums name an object that the scene has not."""
-        if self._numbers.numel() and int(self._numbers.max()) > int(self._objects.max()):
+    def check(self, numbers: Tensor) -> None:
+        """Raise ValueError if the objects of another state name an object that the scene has not."""
+        if numbers.numel() and int(numbers.max()) > int(self._objects.max()):
             raise ValueError("the coverage has an object that the scene has not")
 
     def add(self, pixels: Pixels, triangle: Tensor, weight: Tensor, kept: Tensor, recenter: bool) -> None:

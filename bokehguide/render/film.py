@@ -123,19 +123,32 @@ class Film:
         return sums | self._groups.sums()
 
     def state_dict(self) -> dict[str, object]:
-        """All sums and the bad samples; the tensors are those of the film."""
+        """All sums and the bad samples; the tensors are those of the film, so that later samples change them."""
         return {**self._sums(), "bad_count": self.bad_count, "bad_samples": [tuple(bad) for bad in self.bad_samples]}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore the state of a film of the same size and kind of features. Raises KeyError or ValueError for another film's."""
+        """Restore the state of a film of the same size and kind of features. Raises as `check_state`, before any change."""
+        self.check_state(state)
+        for name, tensor in self._sums().items():
+            tensor.copy_(state[name])
+        self._bad_count, self._suspects = state["bad_count"], []
+        self._bad_samples = [BadSample(*bad) for bad in state["bad_samples"]]
+
+    def check_state(self, state: Mapping[str, Any]) -> None:
+        """Raise KeyError or ValueError for a state of a film of another size or kind of features, or of other objects."""
         for name, tensor in self._sums().items():
             if state[name].shape != tensor.shape:
                 raise ValueError(f"{name} has the shape {tuple(state[name].shape)}, not {tuple(tensor.shape)}")
-            tensor.copy_(state[name])
-        for coverage in self._coverage.values():
-            coverage.check()
-        self._bad_count, self._suspects = state["bad_count"], []
-        self._bad_samples = [BadSample(*bad) for bad in state["bad_samples"]]
+        for kind, coverage in self._coverage.items():
+            coverage.check(state[f"{kind} objects"])
+
+    def __getstate__(self) -> dict[str, Any]:
+        self.find_bad()
+        return {name: value for name, value in vars(self).items() if name != "_lock"}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        vars(self).update(state)
+        self._lock = threading.Lock()
 
     def add(
         self, pixels: Pixels, samples: FilmSamples, step: int, recenter: bool = True, counted: Tensor | None = None

@@ -12,7 +12,7 @@ from bokehguide.color import LUMINANCE
 from bokehguide.scene.checks import iris_blades
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import load_texture
-from bokehguide.scene.tables import CAT_EYE, FRACTION, RATIO, SIGNED_FRACTION, Table
+from bokehguide.scene.tables import CAT_EYE, FRACTION, RATIO, SIGNED_FRACTION, Table, override_place
 from bokehguide.scene.types import Aperture
 
 KEYS = ("blades", "rotation", "curvature", "ratio", "image", "cat_eye", "edge")
@@ -58,8 +58,8 @@ class _Shape(Table):
         self.values = {key: value for key, value in self.values.items() if key not in left_out} | overrides
 
     def place(self, key: str) -> str:
-        """The command-line option for an override, the location in the file for another key."""
-        return f"--aperture-{key.replace('_', '-')}" if key in self.overrides else super().place(key)
+        """The field and the command-line option for an override, the location in the file for another key."""
+        return override_place(f"aperture_{key}") if key in self.overrides else super().place(key)
 
 
 def read_aperture(camera: Table, files: SceneFiles, overrides: dict[str, Any]) -> Aperture | None:
@@ -83,7 +83,7 @@ def read_aperture(camera: Table, files: SceneFiles, overrides: dict[str, Any]) -
             table.fail(key, f"has no {' or '.join(needed)} beside it; give one of them or leave it out")
     if "aperture_radius" not in camera and "f_number" not in camera:
         if overrides:
-            table.fail(next(iter(overrides)), "has no effect on a pinhole; give --f-number or --aperture-radius too")
+            table.fail(next(iter(overrides)), "has no effect on a pinhole; give an f-number or an aperture radius too")
         camera.fail("aperture", "has no effect on a pinhole; give f_number or aperture_radius in [camera]")
     return Aperture(
         blades=blades,

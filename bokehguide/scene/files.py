@@ -10,10 +10,17 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError, encoding_problem
 from bokehguide.limits import FREE_INSTANCES, FREE_MESHES, MESH_BYTES, most_decoded, most_triangles, most_values
+from bokehguide.memory import require_memory
 from bokehguide.scene.tables import Table, shown
 
 KINDS = {"file": "model", "image": "image", "base": "scene", "aperture_image": "image"}
 """The kinds of files by the keys that name them; other keys name textures."""
+VALUE_BYTES, GEOMETRY_BYTES = 6, 2
+"""Memory for each value of an image while an image of 8 bits is decoded, and least memory for each byte of a file with geometry:
+the file and its arrays."""
+
+LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+"""Begin of the small files that stand for large ones in a clone without Git LFS."""
 
 
 class SceneFiles:
@@ -27,6 +34,7 @@ class SceneFiles:
 
     def __init__(self, folder: Path, allow_outside: bool = False):
         self.folder, self.allow_outside = folder.resolve(), allow_outside
+        self._searched: list[Path] = []
         self._values = self._stored = 0
         self._decoded = self._compressed = 0
         """Bytes of buffers after and before their decompression."""
@@ -36,17 +44,17 @@ class SceneFiles:
         """Decoded images by the digest of their files, by `srgb` and by `alpha`."""
 
     def find(self, folder: Path, name: str, place: str) -> Path:
-        """The path of the file `name`, which is relative to `folder`.
+        """The path of the file `name`, which is relative to a folder of `search_first` or to `folder`.
 
         place: location of the name, for errors. Raises BokehguideError for an invalid path and for
         a path outside the scene's folder, even if no such file exists.
         """
-        path = folder / name
         if not name.isprintable():
             raise BokehguideError(f"{place}: {shown(name)} is no path (control characters); repair it")
         if problem := encoding_problem(name):
             raise BokehguideError(f"{place}: {shown(name)} {problem}")
         try:
+            path = next((each / name for each in self._searched if (each / name).is_file()), folder / name)
             inside = path.resolve().is_relative_to(self.folder)
         except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a cycle of links
             reason = getattr(error, "strerror", None) or shown(str(error))
@@ -56,6 +64,10 @@ class SceneFiles:
                 f"{place}: {shown(name)} lies outside the scene's folder; copy it there, or give --allow-outside"
             )
         return path
+
+    def search_first(self, folder: Path) -> None:
+        """Let `find` look for files in `folder` before all other folders."""
+        self._searched.insert(0, folder)
 
     def named(self, table: Table, key: str) -> Path:
         """The path of the file under `key` of a scene file's table, relative to that file.
@@ -70,13 +82,21 @@ class SceneFiles:
         return path
 
     def read(self, path: Path) -> bytes:
-        """The bytes of a file with geometry. Small files may make fewer triangles than large ones. Raises OSError."""
-        data = path.read_bytes()
-        self.add_geometry(len(data))
-        return data
+        """The bytes of a file with geometry. Raises OSError, and BokehguideError as `add_file` does."""
+        self.add_file(path)
+        return path.read_bytes()
+
+    def add_file(self, path: Path) -> None:
+        """Count a file with geometry, before it is read. Small files may make fewer triangles than large ones.
+
+        Raises OSError, and BokehguideError for a file that is too large for the memory.
+        """
+        stored = path.stat().st_size
+        require_memory(GEOMETRY_BYTES * stored, str(path), "smaller file")
+        self.add_geometry(stored)
 
     def add_geometry(self, stored: int) -> None:
-        """Count `stored` bytes of geometry that another reader reads."""
+        """Count `stored` bytes of geometry."""
         self._geometry += stored
 
     @property
@@ -85,10 +105,10 @@ class SceneFiles:
         return self._geometry, self._values, self._stored
 
     def add_used(self, used: tuple[int, int, int], place: str) -> None:
-        """Count what another process `used`. Raises as `reserve` does."""
+        """Count what another process `used`. Raises BokehguideError, naming `place`, if the images exceed the budget."""
         geometry, values, stored = used
         self.add_geometry(geometry)
-        self.reserve(values, stored, place)
+        self._add_image(values, stored, place)
 
     @property
     def most_triangles(self) -> int:
@@ -113,10 +133,15 @@ class SceneFiles:
         return self._images[key]
 
     def reserve(self, values: int, stored: int, place: str) -> None:
-        """Add an image of `values` numbers, stored in `stored` bytes, to the budget.
+        """Add an image of `values` numbers, stored in `stored` bytes, to the budget, before it is decoded.
 
-        Raises BokehguideError, naming `place`, if the scene's images exceed the budget.
+        Raises BokehguideError, naming `place`, if the scene's images exceed the budget, and if this image exceeds the memory.
         """
+        self._add_image(values, stored, place)
+        require_memory(VALUE_BYTES * values, place, "smaller image")
+
+    def _add_image(self, values: int, stored: int, place: str) -> None:
+        """Add an image to the budget."""
         self._values, self._stored = self._values + values, self._stored + stored
         if self._values > most_values(self._stored):
             raise BokehguideError(
@@ -157,6 +182,9 @@ def require_file(path: Path, what: str, place: str = "") -> None:
             raise BokehguideError(f"{start}{path}: no such file ({what}); check the path")
         if not path.is_file():  # reading a pipe could block for ever
             raise BokehguideError(f"{start}{path}: is no regular file; give one ({what})")
-        path.open("rb").close()
+        with path.open("rb") as file:
+            pointer = file.read(len(LFS_POINTER)) == LFS_POINTER
     except OSError as error:
         raise BokehguideError(f"{start}{shown(str(path))}: cannot be read ({error.strerror}); {what}") from None
+    if pointer:
+        raise BokehguideError(f"{start}{path}: is a pointer of Git LFS, not the file itself ({what}); run git lfs pull")

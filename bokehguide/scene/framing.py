@@ -16,7 +16,7 @@ from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.model_files import load_model
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera, override_environment, override_film
 from bokehguide.scene.sight import Sight
-from bokehguide.scene.tables import ANGLE_OF_VIEW
+from bokehguide.scene.tables import ANGLE_OF_VIEW, override_place
 from bokehguide.scene.types import Camera, FilmSettings, Mesh, Model, ModelCamera, Scene, Vector, as_vector
 from bokehguide.scene.validation import checked
 
@@ -129,8 +129,10 @@ def _select_camera(cameras: tuple[ModelCamera, ...], overrides: Overrides, file:
     known |= {camera.name: camera for camera in reversed(cameras)}
     if wanted not in known and wanted != FRAME:
         names = printable(", ".join(f"{number} ({camera.name})" for number, camera in enumerate(cameras)) or "none", 600)
-        raise BokehguideError(f"--camera: {wanted!r} is no camera of {file}; it has {names}; {FRAME!r} frames the model")
-    return known.get(wanted)
+        raise BokehguideError(
+            f"{override_place('camera')}: {wanted!r} is no camera of {file}; it has {names}; {FRAME!r} frames the model"
+        )
+    return known.get(str(wanted))
 
 
 def _photographed(scene: Scene, own: ModelCamera, overrides: Overrides) -> Scene:

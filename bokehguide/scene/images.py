@@ -26,6 +26,8 @@ FORMATS = ("PNG", "JPEG", "WEBP", "AVIF", "BMP", "TGA", "TIFF")
 """File formats of textures that Pillow decodes, beside KTX 2. Pillow knows more, some of them with external programs."""
 BITS_PER_SAMPLE = 258
 """Tag of TIFF files."""
+CHECK_TEXELS = 64
+"""Texels along the side of a check: textures are sampled bilinearly, so that a check ends within one texel."""
 REMEDY = "give a PNG, a JPEG or a WebP; BMP, TGA, and TIFF of 8 or 16 bits are read too"
 
 
@@ -83,6 +85,12 @@ def nearest_texels(image: np.ndarray, height: int, width: int) -> np.ndarray:
     return image[rows[:, None], columns]
 
 
+def checks(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """An image `[H, W, C]` of two by two checks, `first` in the top left corner. first, second: colours that broadcast to it."""
+    row = np.repeat([False, True], CHECK_TEXELS)
+    return np.where((row[:, None] ^ row)[..., None], second, first)
+
+
 @contextmanager
 def _decoding(place: str) -> Iterator[None]:
     """Turn any exception of a decoder into a BokehguideError that names `place`."""
@@ -101,6 +109,9 @@ def _decoding(place: str) -> Iterator[None]:
 @contextmanager
 def _silent() -> Iterator[None]:
     """Suppress the messages that libpng and libtiff print from C; their exceptions say the same."""
+    if sys.stderr is None:  # closed by the caller
+        yield
+        return
     sys.stderr.flush()
     saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 2)

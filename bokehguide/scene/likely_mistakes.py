@@ -17,6 +17,9 @@ LEAST_FOV, GREATEST_FOV = 2.0, 150.0
 """Degrees."""
 SMALLEST_MODEL, LARGEST_MODEL = 1e-3, 1e3
 """Metres; models beyond were probably made in another unit."""
+FARTHEST = 300.0
+"""Distance of the scene from the origin, relative to its size, up to which single precision shows no faults. New rays start at
+1e-5 of the distance from surfaces, and this offset reaches 0.3 % of the size here."""
 BLURRED = 2.0
 """Diameter in pixels of the smallest circle of confusion that counts as out of focus."""
 INSIDE = 0.75
@@ -30,7 +33,7 @@ def likely_mistakes(scene: Scene, written: Collection[str] = ("aperture_radius",
     them, a pinhole counts as a mistake; an f-number counts only if it is among them.
     """
     checks = (_wide_lens(scene), _f_number(scene, written), _field_of_view(scene), _darkness(scene), _pinhole(scene, written))
-    return tuple(line for lines in (*checks, _inside(scene), _scale(scene), _focus(scene)) for line in lines)
+    return tuple(line for lines in (*checks, _inside(scene), _size_and_place(scene), _focus(scene)) for line in lines)
 
 
 def _wide_lens(scene: Scene) -> Iterator[str]:
@@ -102,13 +105,20 @@ def _winding_number(meshes: list[Mesh], point: np.ndarray) -> float:
     return total / (2.0 * np.pi)
 
 
-def _scale(scene: Scene) -> Iterator[str]:
+def _size_and_place(scene: Scene) -> Iterator[str]:
     dark = [mesh.vertices for mesh in scene.meshes if not scene.materials[mesh.material].emits]
     points = np.concatenate(dark or [mesh.vertices for mesh in scene.meshes]).astype(np.float64)
     # Twice the median distance ignores the few corners of a large ground.
-    size = 2.0 * float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+    middle = np.median(points, axis=0)
+    size = 2.0 * float(np.median(np.linalg.norm(points - middle, axis=1)))
     if not SMALLEST_MODEL <= size <= LARGEST_MODEL:
         yield f"the scene is about {size:.2g} m in size, while lengths are in metres; scale the model if it has another unit"
+    distance = float(np.abs(middle).max())
+    if distance > FARTHEST * size:
+        yield (
+            f"the scene is about {size:.2g} m in size and {distance:.2g} m from the origin, where single precision causes dark "
+            "bands near contacts; move the model and the camera to the origin"
+        )
 
 
 def _focus(scene: Scene) -> Iterator[str]:

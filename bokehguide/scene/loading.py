@@ -25,7 +25,7 @@ from bokehguide.scene.overrides import (
     override_environment,
     override_film,
 )
-from bokehguide.scene.tables import shown
+from bokehguide.scene.tables import override_place, shown
 from bokehguide.scene.toml.derived import read_derived
 from bokehguide.scene.types import Scene
 from bokehguide.scene.validation import checked
@@ -68,6 +68,25 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
         return replace(scene, likely_mistakes=likely_mistakes(scene, chosen.written))
 
 
+def base_of(spec: str, overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> tuple[str, Overrides]:
+    """The scene that the `base` of a scene file leads to, and `overrides` over those of the files on the way.
+
+    spec, overrides, allow_outside: as of `load_scene`; another scene than a file with a `base` is its own base.
+    """
+    from bokehguide.scene.toml.scene_file import parse_scene_file
+
+    files = SceneFiles(Path(spec).parent, allow_outside)
+    for _ in range(MAX_BASES + 1):
+        if spec in BUILTIN or Path(spec).suffix.lower() != ".toml":
+            break
+        tables = parse_scene_file(Path(spec), files)
+        if "base" not in tables:
+            break
+        derived = read_derived(Path(spec), tables, files)
+        spec, overrides = derived.base, overrides.over(derived.overrides)
+    return spec, overrides
+
+
 def override_scene(scene: Scene, overrides: Overrides) -> Scene:
     """`scene` with a camera, a film and an environment by `overrides`, except the focus on a point or an object.
 
@@ -93,7 +112,9 @@ def _check_model(name: str, suffix: str, overrides: Overrides) -> None:
     for key in MODEL_OVERRIDES:
         value = getattr(overrides, key)
         if value is not None and suffix not in (*MODEL_SUFFIXES, ".toml"):
-            raise BokehguideError(f"--{key}: {value!r}: selects a {key} of a model, but {name} is none; leave it out")
+            raise BokehguideError(
+                f"{override_place(key)}: {value!r}: selects a {key} of a model, but {name} is none; leave it out"
+            )
 
 
 def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0) -> tuple[Scene, ChosenCamera]:
@@ -122,8 +143,9 @@ def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0) ->
         return model_scene(Path(spec), overrides, files)
     refuse_format(Path(spec), spec)
     near = difflib.get_close_matches(spec, BUILTIN, n=1)
+    problem = "exists, and is no scene of a known kind" if Path(spec).exists() else "no such scene"
     raise BokehguideError(
-        f"{spec}: no such scene" + (f"; did you mean {near[0]!r}?" if near else "") + "\n"
+        f"{spec}: {problem}" + (f"; did you mean {near[0]!r}?" if near else "") + "\n"
         f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, a Mitsuba .xml or pbrt-v4 .pbrt file, "
         f"or a model ({' '.join(MODEL_SUFFIXES)})"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path, PureWindowsPath
 from typing import Any
@@ -24,6 +25,12 @@ from bokehguide.stopping import default_signals
 # Without a handler, Python prints the log of trimesh, which includes tracebacks, to the terminal.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
+INDEXED = {
+    b"v": ("vertex", "vertices"),
+    b"vt": ("texture coordinate", "texture coordinates"),
+    b"vn": ("normal", "normals"),
+}
+"""Statements of `.obj` files that faces have indices of, in the order of the indices, each with words for one and for many."""
 MTL_TERMS = {"kd", "ke", "map_kd"}
 """Supported statements of `.mtl` files."""
 
@@ -90,34 +97,48 @@ def load_mesh_file(path: Path, files: SceneFiles) -> Model:
 def _parsed(path: Path, files: SceneFiles) -> tuple[trimesh.Scene, list[str]]:
     """The trimesh scene of the file, and a warning for each missing file that it names."""
     resolver = _Resolver(path, files)
+    files.add_file(path)
     try:
-        files.add_geometry(path.stat().st_size)
         # Parts of trimesh hold the interpreter's lock, and numbers of damaged files overflow.
         with default_signals(), np.errstate(all="ignore"):
             scene = trimesh.load_scene(str(path), resolver=resolver, process=False)
     except Exception as error:  # the parsers raise exceptions of any type for damaged files
         if path.suffix.lower() == ".obj" and not isinstance(error, OSError):
-            _require_vertices(path)
+            _require_indices(path)
         raise BokehguideError(f"{path}: not a readable {path.suffix} model ({reason(error)})") from None
     if resolver.refusal is not None:
         raise resolver.refusal
+    if path.suffix.lower() == ".obj" and _has_wrong_index(path.read_bytes()):
+        _require_indices(path)
     return scene, [f"{printable(name)}: no such file; left out" for name in resolver.missing]
 
 
-def _require_vertices(path: Path) -> None:
-    """Raise BokehguideError, naming the line, for a face of an `.obj` file with a vertex that the file lacks."""
+def _require_indices(path: Path) -> None:
+    """Raise BokehguideError, naming the line, for a face of an `.obj` file with an index that the file lacks."""
     lines = [line.partition(b"#")[0].split() for line in path.read_bytes().splitlines()]
-    count, before = sum(words[:1] == [b"v"] for words in lines), 0
+    counts, before = Counter(words[0] for words in lines if words), Counter[bytes]()
     for number, words in enumerate(lines, 1):
-        before += words[:1] == [b"v"]
-        for word in words[1:] if words[:1] == [b"f"] else ():
-            index = word.partition(b"/")[0]
-            # A negative index counts back from the last vertex above.
-            if not (re.fullmatch(rb"-?\d{1,18}", index) and (1 <= int(index) <= count or -before <= int(index) <= -1)):
-                raise BokehguideError(
-                    f"{path}:{number}: the face has the vertex {printable(index.decode(errors='replace'), 20)}, "
-                    f"and the file has {count} vertices; repair the face"
-                )
+        before.update(words[:1])
+        for corner in words[1:] if words[:1] == [b"f"] else ():
+            for place, (index, (key, (one, many))) in enumerate(zip(corner.split(b"/"), INDEXED.items())):
+                # A negative index counts back from the last statement above.
+                known = re.fullmatch(rb"-?\d{1,18}", index) and -before[key] <= int(index) <= counts[key] and int(index) != 0
+                if not known and (place == 0 or (index and counts[key] > 0)):
+                    raise BokehguideError(
+                        f"{path}:{number}: the face has the {one} {printable(index.decode(errors='replace'), 20)}, "
+                        f"and the file has {counts[key]} {one if counts[key] == 1 else many}; repair the face"
+                    )
+
+
+def _has_wrong_index(data: bytes) -> bool:
+    """Whether a face of an `.obj` file may have the index 0 or one beyond the file, which trimesh accepts.
+
+    The search is fast: it looks at each corner once, and does not see statements after a blank.
+    """
+    counts = [sum(data.count(b"\n%s%s" % (key, blank)) for blank in (b" ", b"\t")) for key in INDEXED]
+    corners = set(b" ".join(re.findall(rb"^[ \t]*f[ \t]([^\n#]*)", data, re.MULTILINE)).split())
+    given = ((index.lstrip(b"-"), count) for corner in corners for index, count in zip(corner.split(b"/"), counts))
+    return any(index.isdigit() and count > 0 and not 1 <= int(index) <= count for index, count in given)
 
 
 def _material(geometry: Any, name: str, path: Path, files: SceneFiles) -> Material:

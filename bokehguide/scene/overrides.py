@@ -15,7 +15,7 @@ from bokehguide.scene.cameras import FOCUS_KEYS, Focus, read_camera, read_focus
 from bokehguide.scene.checks import plain
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.tables import ANGLE_OF_VIEW, ANY, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table
+from bokehguide.scene.tables import ANGLE_OF_VIEW, ANY, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table, is_number, override_place
 from bokehguide.scene.types import Camera, Environment, FilmSettings, ModelState, Scene, Vector
 
 NUMBERS = {
@@ -41,7 +41,7 @@ class Overrides:
     """Values that replace a scene's own; None keeps the scene's.
 
     width, height: pixels. max_depth: largest number of segments of a path. environment: the path of a `.hdr` or `.exr` map, or a
-    radiance "R,G,B". environment_rotation: of the map, degrees about +y, anticlockwise seen from above.
+    radiance "R,G,B" or three numbers. environment_rotation: of the map, degrees about +y, anticlockwise seen from above.
     f_number: focal length / lens diameter, with the focal length of the field of view on the scene's
     sensor, 36 mm wide by default. aperture_radius, focus_distance, camera_position, camera_target:
     metres. focus_at: focuses on the surface at a point of the frame, in pixels from the top left
@@ -51,15 +51,15 @@ class Overrides:
     the model. variant: name of a material variant of a glTF model. time: of the animations of a glTF or USD model, in seconds.
     aperture_blades, aperture_rotation, aperture_curvature, aperture_ratio, aperture_cat_eye,
     aperture_edge, aperture_image: single fields of `Aperture`; the image is a path.
-    NumPy numbers and arrays, lists and paths become numbers, tuples and texts.
+    NumPy numbers and arrays, lists and paths become numbers, tuples and texts, and so do a radiance and the number of a camera.
 
-    Raises BokehguideError, naming the command-line option, for a value out of range.
+    Raises BokehguideError, naming the field and the command-line option, for a value out of range.
     """
 
     width: int | None = None
     height: int | None = None
     max_depth: int | None = None
-    environment: str | None = None
+    environment: str | Vector | None = None
     environment_rotation: float | None = None
     f_number: float | None = None
     aperture_radius: float | None = None
@@ -69,7 +69,7 @@ class Overrides:
     camera_position: Vector | None = None
     camera_target: Vector | None = None
     fov: float | None = None
-    camera: str | None = None
+    camera: str | int | None = None
     variant: str | None = None
     time: float | None = None
     aperture_blades: int | None = None
@@ -82,13 +82,18 @@ class Overrides:
 
     def __post_init__(self) -> None:
         for key, value in self.given.items():
-            object.__setattr__(self, key, _as_option(value))  # the dataclass is frozen
+            object.__setattr__(self, key, _as_option(key, value))  # the dataclass is frozen
         options = self._options()
         for names in RIVALS:
             options.exclusive(*names)
         options.count("width", 1)
         options.count("height", 1)
         options.count("max_depth", 1)
+        if not isinstance(self.environment, str | None):
+            kind = type(self.environment).__name__
+            raise BokehguideError(
+                f"{options.place('environment')}: {kind} is no radiance; give three numbers, or the path of a .hdr or .exr map"
+            )
         options.text("environment")
         options.text("camera")
         options.text("variant")
@@ -130,18 +135,19 @@ class Overrides:
 
 
 class _Options(Table):
-    """A table whose keys are command-line options."""
+    """A table whose keys are fields of `Overrides` and command-line options."""
 
     def place(self, key: str) -> str:
-        """The command-line option for `key`."""
-        name = key.replace("_", "-")
-        return f"--size ({name})" if key in ("width", "height") else f"--{name}"
+        """The field, and the command-line option for it."""
+        return f"{key} or --size ({key})" if key in ("width", "height") else override_place(key)
 
 
-def _as_option(value: Any) -> Any:
-    """NumPy numbers and arrays, lists and paths as numbers, tuples and texts."""
+def _as_option(key: str, value: Any) -> Any:
+    """NumPy numbers and arrays, lists and paths as numbers, tuples and texts; a radiance and the number of a camera as texts."""
     value = plain(os.fspath(value) if isinstance(value, os.PathLike) else value)
-    return tuple(value) if isinstance(value, list) else value
+    value = tuple(value) if isinstance(value, list) else value
+    numbers = isinstance(value, tuple) and all(map(is_number, value))
+    return option_text(value) if (key == "environment" and numbers) or (key == "camera" and type(value) is int) else value
 
 
 def option_text(value: Any) -> str:
@@ -212,12 +218,13 @@ def override_environment(scene: Scene, overrides: Overrides) -> Scene:
     """
     environment, warnings = scene.environment, []
     if overrides.environment is not None:
-        radiance, warnings = read_radiance(overrides.environment)
+        radiance, warnings = read_radiance(option_text(overrides.environment))
         environment = replace(environment or Environment(radiance), radiance=radiance)
     if overrides.environment_rotation is not None:
         if environment is None:
             raise BokehguideError(
-                f"--environment-rotation: {overrides.environment_rotation:g}: there is no environment; give --environment too"
+                f"{override_place('environment_rotation')}: {overrides.environment_rotation:g}: there is no environment; "
+                f"give {override_place('environment')} too"
             )
         environment = replace(environment, rotation=overrides.environment_rotation)
     if environment is scene.environment:
@@ -232,8 +239,8 @@ def read_radiance(text: str) -> tuple[np.ndarray, list[str]]:
         color = [float(part) for part in parts]
     except ValueError:
         if len(parts) == 3 and Path(text).suffix.lower() not in (".hdr", ".exr"):
-            raise BokehguideError(f"--environment: {text!r} is not three numbers R,G,B") from None
+            raise BokehguideError(f"{override_place('environment')}: {text!r} is not three numbers R,G,B") from None
         return load_environment_map(Path(text))
     if len(color) != 3 or not all(NOT_NEGATIVE.contains(channel) for channel in color):
-        raise BokehguideError(f"--environment: {text!r}; give R,G,B, each {NOT_NEGATIVE.remedy}")
+        raise BokehguideError(f"{override_place('environment')}: {text!r}; give R,G,B, each {NOT_NEGATIVE.remedy}")
     return constant_radiance(color), []

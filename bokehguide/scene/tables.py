@@ -69,8 +69,27 @@ class _Short(reprlib.Repr):
         """`x` in decimal, or its number of bits if it is very long."""
         return repr(x) if x.bit_length() <= 128 else f"a whole number of {x.bit_length()} bits"
 
+    def repr_instance(self, x: object, level: int) -> str:
+        """`x` in one line, also where its class writes several, as NumPy does for matrices."""
+        return " ".join(super().repr_instance(x, level).split())
+
 
 shown = _Short().repr
+
+
+def override_place(key: str) -> str:
+    """An override in a message: the field of `Overrides`, and the option of the command line."""
+    return f"{key} or --{key.replace('_', '-')}"
+
+
+def in_fractions(box: Iterable[float]) -> bool:
+    """Whether a crop is in fractions of the frame, not in pixels."""
+    return all(0.0 <= value <= 1.0 for value in box)
+
+
+def leaves_frame(x: float, y: float, width: float, height: float) -> bool:
+    """Whether a box in fractions of the frame is empty or not wholly in the frame."""
+    return not (x >= 0 and y >= 0 and width > 0 and height > 0 and x + width <= 1 and y + height <= 1)
 
 
 def is_number(value: Any) -> bool:
@@ -78,15 +97,19 @@ def is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """A hint: the word of `known` that is most similar; all of them if none is, or the nearest three of a long list."""
+def did_you_mean(word: str, known: Iterable[str], prefix: str = "") -> str:
+    """A hint: the word of `known` that is most similar; all of them if none is, or the nearest three of a long list.
+
+    prefix: before each known word in the hint, but not compared.
+    """
     known = list(known)
     near = difflib.get_close_matches(word, known, n=1)
     if near:
-        return f"did you mean {shown(near[0])}?"
-    listed = f"known are {', '.join(known)}"
+        return f"did you mean {shown(prefix + near[0])}?"
+    listed = f"known are {', '.join(prefix + each for each in known)}"
     if len(listed) > LONGEST_LIST:
-        listed = f"the nearest of {len(known)} known are {', '.join(difflib.get_close_matches(word, known, n=3, cutoff=0.0))}"
+        nearest = ", ".join(prefix + each for each in difflib.get_close_matches(word, known, n=3, cutoff=0.0))
+        listed = f"the nearest of {len(known)} known are {nearest}"
     return printable(listed, LONGEST_LIST)
 
 

@@ -5,6 +5,8 @@ World space is right-handed with y up.
 
 Each class checks its fields when an instance is built, and raises BokehguideError with the class, the field, the value and the
 remedy. Lists and arrays of other types are converted.
+
+Scenes, models, meshes, textures and environments are equal only to themselves: their arrays can be large.
 """
 
 from __future__ import annotations
@@ -49,7 +51,7 @@ INDEX = Limits("an index, a whole number of 0 or more", low=0)
 ALPHA_MODES = ("opaque", "mask", "blend")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Aperture:
     """The shape of a lens opening, seen from behind the camera.
 
@@ -78,6 +80,18 @@ class Aperture:
         fields.check_numbers(rotation=ANY, curvature=FRACTION, ratio=RATIO, cat_eye=CAT_EYE, edge=SIGNED_FRACTION)
         if self.image is not None and not fields.check_array("image", ("H", "W"), low=0.0).any():
             fields.fail("image", "is black all over and lets no light through; give an image with brighter pixels")
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Aperture) and self._values == other._values
+
+    def __hash__(self) -> int:
+        return hash(self._values)
+
+    @property
+    def _values(self) -> tuple[object, ...]:
+        """The fields, with an image as its shape and its bytes, which are hashable."""
+        image = None if self.image is None else (self.image.shape, self.image.tobytes())
+        return self.blades, self.rotation, self.curvature, self.ratio, image, self.cat_eye, self.edge
 
 
 @dataclass(frozen=True)
@@ -135,7 +149,7 @@ class FilmSettings:
             raise FieldError(f"FilmSettings: {self.width}x{self.height} pixels are too many; give at most {MAX_PIXELS}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Texture:
     """An image on a surface, sampled bilinearly.
 
@@ -311,7 +325,7 @@ MATERIAL_COLORS: dict[str, Limits] = {
 """Limits of the colours of a `Material`, channel by channel."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles in world space with one material.
 
@@ -396,7 +410,7 @@ class Sun:
         fields.check_vectors(irradiance=NOT_NEGATIVE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Environment:
     """An environment map: equirectangular radiance, float32 `[H, W, 3]`, top row towards +y.
 
@@ -437,7 +451,7 @@ class Inset:
         return slice(top, bottom), slice(left, right)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Everything that a render needs.
 
@@ -531,7 +545,7 @@ class ModelCamera:
     lens: ModelLens | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Model:
     """Contents of a model file in the model's own space.
 

@@ -12,13 +12,14 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from bokehguide.errors import BokehguideError
 from bokehguide.render.coverage import Covered
 from bokehguide.render.film import NO_DEPTH, BadSample, Film, FilmSamples, earliest
 from bokehguide.render.path_tracer import PathTracer
@@ -28,7 +29,8 @@ from bokehguide.render.vector import luminance
 from bokehguide.runtime.distributed import Ranks
 from bokehguide.runtime.indexing import Pixels, gather_pixels, scatter_add
 from bokehguide.scene.types import Scene
-from bokehguide.train.loop import PHASES, RenderLoop
+from bokehguide.train.loop import PHASES, RenderLoop, refused_copy, require_inputs
+from bokehguide.train.loop_state import REMEDY, all_or_nothing, require_one_moment, require_parts
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.step_stats import StepStats
 
@@ -40,6 +42,7 @@ FIRST_ROUND = 8
 
 def make_loop(scene: Scene, settings: RenderSettings, ranks: Ranks | None = None) -> RenderLoop | AdaptiveLoop:
     """An `AdaptiveLoop` if the settings have a target noise, else a `RenderLoop`. Raises BokehguideError as `RenderLoop`."""
+    require_inputs(scene, settings)
     return RenderLoop(scene, settings, ranks) if settings.target_noise is None else AdaptiveLoop(scene, settings, ranks)
 
 
@@ -58,6 +61,16 @@ def from_blocks(blocks: Tensor, height: int, width: int) -> Tensor:
     return rows.reshape(-1, columns * BLOCK)[:height, :width]
 
 
+class HalfFilm(Film):
+    """The film of one half. It is the picture while the other half has no sample."""
+
+    def halves(self) -> Halves:
+        """All samples in the first picture and none in the second, as of `SplitFilm` after one step."""
+        radiance, emission = self.radiance(), self.emission()
+        share = torch.ones(radiance.shape[:2], device=radiance.device)
+        return Halves(radiance, torch.zeros_like(radiance), share, emission, torch.zeros_like(emission))
+
+
 class HalfLoop(RenderLoop):
     """One of the two halves. A step renders all blocks that are open in either half. The film adds samples in its open blocks."""
 
@@ -69,7 +82,7 @@ class HalfLoop(RenderLoop):
         self._counted: Tensor | None = None
 
     def _film_class(self) -> type[Film]:
-        return Film  # a half itself
+        return HalfFilm
 
     def count_only(self, counted: Tensor) -> None:
         """From now on put only samples of `counted` pixels on the film, bool `[pixels]`."""
@@ -148,6 +161,9 @@ class AdaptiveLoop:
     def close(self) -> None:
         """As `RenderLoop.close`."""
         self.workers.close()
+
+    def __getstate__(self) -> NoReturn:
+        raise refused_copy(self)
 
     @property
     def step_number(self) -> int:
@@ -237,12 +253,32 @@ class AdaptiveLoop:
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """As `RenderLoop.load_state_dict`."""
-        for half, saved, brightness in zip(self.halves, state["halves"], state["brightness"], strict=True):
-            half.load_state_dict(saved)
+        place = "AdaptiveLoop.load_state_dict"
+        own: dict[str, Any] = self.state_dict()
+        self._require_state(place, state, own)
+        with all_or_nothing(place, *((half.load_learned, present) for half, present in zip(self.halves, own["halves"]))):
+            for half, saved in zip(self.halves, state["halves"]):
+                half.load_learned(saved)
+        for half, saved, brightness in zip(self.halves, state["halves"], state["brightness"]):
+            half.load_film(saved)
             half.brightness.copy_(brightness)
         self.open.copy_(state["open"])
         if not bool(self.open.all()):
             self._render_open_blocks()
+
+    def _require_state(self, place: str, state: Mapping[str, Any], own: Mapping[str, Any]) -> None:
+        """Raise BokehguideError unless `state` fits `own`, the state of this loop, and is of one moment."""
+        require_parts(place, state, own, apart="halves")
+        halves = state["halves"]
+        if not (isinstance(halves, (list, tuple)) and len(halves) == 2):
+            raise BokehguideError(f"{place}: halves is no list of two states; {REMEDY}")
+        for half, saved, of_own in zip(self.halves, halves, own["halves"]):
+            half.require_state(place, saved, of_own)
+        shapes = [[each.shape for each in (one["open"], *one["brightness"])] for one in (state, own)]
+        if shapes[0] != shapes[1] or state["step"] != sum(saved["step"] for saved in halves):
+            raise BokehguideError(f"{place}: the blocks or the steps are those of another render; {REMEDY}")
+        for saved, still in zip(halves, state["open"]):
+            require_one_moment(place, saved, still.to(self._block.device)[self._block])
 
 
 class HalvesFilm:

@@ -11,7 +11,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.image.denoise import denoise_halves
 from bokehguide.render.film import Film
 from bokehguide.render.split_film import SplitFilm, relative_error
-from bokehguide.train.adaptive import HalvesFilm
+from bokehguide.train.adaptive import HalfFilm, HalvesFilm
 
 
 class DenoisedPicture(NamedTuple):
@@ -27,7 +27,7 @@ def denoise_picture(picture: Film | HalvesFilm, layers: Mapping[str, np.ndarray]
     picture: of a loop whose settings have `denoise` or `target_noise`; layers: `picture.layers()`, if they are at hand.
     Raises BokehguideError for a film without halves, and where Open Image Denoise is not installed.
     """
-    if not isinstance(picture, SplitFilm | HalvesFilm):
+    if not isinstance(picture, SplitFilm | HalfFilm | HalvesFilm):
         raise BokehguideError("denoise: the film has no halves; render with RenderSettings(denoise=True)")
     layers = picture.layers() if layers is None else layers
     first, second, share, *emission = (values.cpu() for values in picture.halves())

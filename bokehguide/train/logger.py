@@ -85,9 +85,11 @@ class RenderLogger:
         """Write the scalars of one step, and images at powers of two; collective.
 
         errors: by name (`mape`, `relmse`); empty without a reference. In this case, the logger writes the estimated relative
-        noise of `picture`, the film so far.
+        noise of `picture`, the film so far, from the second step on.
         """
-        scalars = {f"error/{name}": value for name, value in errors.items()} or {"error/relative_noise": picture.relative_noise()}
+        scalars = {f"error/{name}": value for name, value in errors.items()}
+        if not errors and stats.step > 1:  # a single step has no estimate
+            scalars["error/relative_noise"] = picture.relative_noise()
         scalars |= {
             "guide/kl": stats.kl,
             "guide/gaussians": stats.gaussians,

@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from typing import Any, Self, cast
+from typing import Any, NoReturn, Self, cast
 
 import numpy as np
 import torch
@@ -32,6 +32,7 @@ from bokehguide.runtime.workers import Workers
 from bokehguide.scene.light_groups import find_light_groups
 from bokehguide.scene.tables import shown
 from bokehguide.scene.types import Scene
+from bokehguide.train.loop_state import all_or_nothing, require_loop_state, require_one_moment
 from bokehguide.train.mattes import triangle_objects
 from bokehguide.train.scheduler import GPU_THREADS, Batches
 from bokehguide.train.settings import RenderSettings
@@ -57,7 +58,7 @@ class RenderLoop:
     """
 
     def __init__(self, scene: Scene, settings: RenderSettings, ranks: Ranks | None = None, tracer: PathTracer | None = None):
-        _require_inputs(scene, settings)
+        require_inputs(scene, settings)
         self.scene, self.settings, self.ranks = scene, settings, ranks or Ranks()
         entry, device = MODES[settings.mode], torch.device(settings.device)
         threads, on_cpu = settings.threads or available_cores(), device.type == "cpu"
@@ -100,6 +101,9 @@ class RenderLoop:
     def close(self) -> None:
         """End the workers; the film and the state stay."""
         self.workers.close()
+
+    def __getstate__(self) -> NoReturn:
+        raise refused_copy(self)
 
     def _empty_film(self) -> Film:
         left, top, width, height = self._window
@@ -368,7 +372,7 @@ class RenderLoop:
         """All values on which later steps depend, and the times so far; collective.
 
         The state does not depend on the number of ranks. Its tensors may be the tensors of the loop, as in any state dict of
-        PyTorch.
+        PyTorch. Later steps change these tensors: `copy.deepcopy` keeps the state of a moment.
         """
         with self.workers.serial():
             self._learn()
@@ -383,16 +387,26 @@ class RenderLoop:
             return state | self.ranks.merged(by_pixel, self._of_frame(self._mine_of_film()))
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continue from the state of another loop, so that later steps have the same bits.
+        """Continue from the state of another loop, so that later steps have the same bits; collective.
 
         The scene and the settings must be equal. Only `spp`, `threads` and the number of ranks may differ.
 
-        Raises KeyError, RuntimeError or ValueError where the state does not fit.
+        Raises BokehguideError, and changes nothing, for a state that does not fit or that is not of one moment.
         """
+        place, own = "RenderLoop.load_state_dict", self.state_dict()
+        self.require_state(place, state, own)
+        require_one_moment(place, state)
+        with all_or_nothing(place, (self.load_learned, own)):
+            self.load_learned(state)
+        self.load_film(state)
+
+    def require_state(self, place: str, state: Mapping[str, Any], own: Mapping[str, Any]) -> None:
+        """Raise BokehguideError for a state with other parts than `own`, the state of this loop. place: for errors."""
+        require_loop_state(place, state, own, self.film.check_state)
+
+    def load_learned(self, state: Mapping[str, Any]) -> None:
+        """The part of `load_state_dict` for the strategies. Raises one of UNFIT if a part does not fit."""
         with self.workers.serial():
-            self._unlearned = None
-            film = state["film"] if self.ranks.first else {**state["film"], "bad_count": 0, "bad_samples": []}
-            self.film.load_state_dict(film)
             self.shadow_roulette.load_state_dict(state["shadow_roulette"])
             for name, strategy in self.mode.strategies.items():
                 strategy.load_state_dict(state[name])
@@ -400,9 +414,15 @@ class RenderLoop:
                 optimizer.load_state_dict(deepcopy(state["optimizers"][name]))  # else it would share the tensors
             for strategy in self.mode.strategies.values():
                 strategy.check(state["step"])
-            self.step_number, self._mean_luminance = state["step"], state["mean_luminance"]
-            self._has_stepped = self.step_number > 0
-            self._phases = Counter(state["phases"])
+
+    def load_film(self, state: Mapping[str, Any]) -> None:
+        """The part of `load_state_dict` for the film and the numbers of the loop."""
+        with self.workers.serial():
+            film = state["film"] if self.ranks.first else {**state["film"], "bad_count": 0, "bad_samples": []}
+            self.film.load_state_dict(film)
+        self.step_number, self._mean_luminance = state["step"], state["mean_luminance"]
+        self._has_stepped = self.step_number > 0
+        self._phases = Counter(state["phases"])
 
     def guide_images(self) -> dict[str, Tensor]:
         """Pictures of the learned state by name, `[H, W, 3]` in 0 … 1; empty without learning. Collective."""
@@ -413,12 +433,20 @@ class RenderLoop:
         return self.mode.lens.images(beta)
 
 
-def _require_inputs(scene: object, settings: object) -> None:
+def require_inputs(scene: object, settings: object) -> None:
     """Raise BokehguideError unless a loop can render these."""
     if not isinstance(scene, Scene):
         raise BokehguideError(f"RenderLoop: scene: {shown(scene)} is no Scene; give one, as from bokehguide.load_scene")
     if not isinstance(settings, RenderSettings):
         raise BokehguideError(f"RenderLoop: settings: {shown(settings)} is no RenderSettings; give RenderSettings(…)")
+
+
+def refused_copy(loop: object) -> BokehguideError:
+    """The error for `copy` and `pickle`, which cannot take the threads of a loop."""
+    name = type(loop).__name__
+    return BokehguideError(
+        f"{name}: a loop cannot be copied or pickled; copy its film, or load its state_dict() into another loop"
+    )
 
 
 def _work(results: Sequence[BatchResult]) -> list[int]:

@@ -3,18 +3,6 @@
 The package is callable: `bokehguide.view(scene)` is `bokehguide.view.notebook.view(scene)`, which shows the page in a notebook.
 """
 
-import sys
-from importlib import import_module
-from types import ModuleType
-from typing import Any
+from bokehguide.lazy_names import make_callable
 
-
-class _CallablePackage(ModuleType):
-    """The type of this package."""
-
-    def __call__(self, *arguments: Any, **options: Any) -> Any:
-        """See `bokehguide.view.notebook.view`."""
-        return import_module("bokehguide.view.notebook").view(*arguments, **options)
-
-
-sys.modules[__name__].__class__ = _CallablePackage
+make_callable(__name__, "bokehguide.view.notebook")

@@ -11,13 +11,14 @@ def picture_facts(job: Job, limit: int, rendering: bool, revision: int, exposure
     """The facts beside a picture of a job, as JSON values. limit: samples per pixel at which its steps end."""
     stats = job.stats
     seconds = max(stats.seconds, 1e-9) if stats else 1.0
+    spp = job.loop.step_number if job.full_size else 0
     return {
         "revision": revision,
         "width": job.scene.film.width,
         "height": job.scene.film.height,
         "reduction": job.reduction,
-        "spp": job.loop.step_number if job.full_size else 0,
-        "limit": limit,
+        "spp": spp,
+        "limit": max(limit, spp),  # a render that has ended may have more samples than a picture that rests
         "rendering": rendering,
         "done": job.done(limit),
         "exact": False,

@@ -7,12 +7,10 @@ import os
 from pathlib import Path
 from typing import Any, Self
 
-from bokehguide.errors import BokehguideError
 from bokehguide.image.oidn import has_denoiser
-from bokehguide.picture import size_pair
+from bokehguide.picture import require_known, size_pair
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.overrides import OVERRIDES
-from bokehguide.scene.tables import did_you_mean
 from bokehguide.train import RenderSettings
 from bokehguide.view.server import ViewServer, require_websockets
 from bokehguide.view.session import Session
@@ -82,9 +80,7 @@ def view(
     Raises BokehguideError for input that is missing, malformed or out of range, and where the extra `view` is not installed.
     """
     require_websockets()
-    for name in overrides:
-        if name not in OVERRIDES:
-            raise BokehguideError(f"view: {name}: no such option; {did_you_mean(name, OVERRIDES)}")
+    require_known(view, overrides, OVERRIDES)
     width, tall = size_pair(size, "view")
     given = Overrides(width=width, height=tall, **overrides)
     RenderSettings(mode, spp=spp)

@@ -39,7 +39,8 @@ class DepthFinder:
         raster = np.array([[x * scene.film.width, y * scene.film.height]])
         depth = float(self._along(scene, frame_rays(scene.camera, scene.film, raster))[0])
         if not np.isfinite(depth):
-            raise BokehguideError("focus: there is nothing but background; click a surface, or set the distance")
+            seen = "the ray through the middle of the lens meets nothing but background there"
+            raise BokehguideError(f"focus: {seen}; click a surface, or set the distance")
         return depth
 
     def marker(self, scene: Scene) -> np.ndarray:

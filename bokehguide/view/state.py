@@ -6,7 +6,7 @@ import math
 import os
 import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.limits import FARTHEST_FOCUS, VIEWS
 from bokehguide.scene import BUILTIN, Aperture, Overrides, Scene
 from bokehguide.scene.cameras import focal_length
-from bokehguide.scene.loading import override_scene
+from bokehguide.scene.loading import base_of, override_scene
 from bokehguide.scene.model_files import MODEL_SUFFIXES
 from bokehguide.scene.overrides import APERTURE, NO_OVERRIDES
 from bokehguide.scene.tables import EXPOSURE, Table, did_you_mean
@@ -61,18 +61,26 @@ class ViewState:
 class Source:
     """The scene as it was loaded.
 
-    scene: with the `overrides` of the command line. spec: its name or path; empty for a `Scene` of Python.
+    scene: with the `overrides` of the command line. spec: its name or path; empty for a `Scene` of Python. base, chosen: the
+    scene that the `base` of a scene file leads to, and all overrides of that scene.
     """
 
     scene: Scene
     overrides: Overrides = NO_OVERRIDES
     spec: str = ""
     allow_outside: bool = False
+    base: str = field(init=False)
+    chosen: Overrides = field(init=False)
+
+    def __post_init__(self) -> None:
+        base, chosen = base_of(self.spec, self.overrides, self.allow_outside)
+        object.__setattr__(self, "base", base)  # the dataclass is frozen
+        object.__setattr__(self, "chosen", chosen)
 
     @property
     def is_model(self) -> bool:
-        """Whether the scene is a model file."""
-        return Path(self.spec).suffix.lower() in MODEL_SUFFIXES
+        """Whether the scene is a model file, or a scene file whose base is one."""
+        return Path(self.base).suffix.lower() in MODEL_SUFFIXES
 
     def scene_of(self, overrides: Overrides) -> Scene:
         """The scene that `load_scene(spec, overrides)` returns; meshes and materials are those of `scene`.
@@ -138,7 +146,8 @@ def _without_sensor(state: ViewState, source: Source) -> ViewState:
     A camera that `--camera` selects has a sensor of its own. Once such a camera moves, a command gives the sensor of the model's
     first camera.
     """
-    if source.overrides.camera is None or state.overrides.camera is not None or state.overrides.f_number is None:
+    own = source.chosen.camera
+    if own is None or state.overrides.f_number is None or state.overrides.over(source.chosen).camera is not None:
         return state
     return with_overrides(state, aperture_radius=source.scene_of(state.overrides).camera.aperture_radius)
 

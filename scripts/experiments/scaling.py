@@ -107,7 +107,7 @@ def costs(mode: str, amounts: dict[str, int], workers: int | None) -> dict[str, 
         loop.step()
     step = statistics.median(loop.step().seconds for _ in range(STEPS))
     guide, record = guide_memory(loop)
-    return {"first": first, "step": step, "memory_mb": peak_memory_mb(), "guide_mb": guide, "record_mb": record}
+    return {"first": first, "step": step, "memory_mb": peak_memory_mb() or math.nan, "guide_mb": guide, "record_mb": record}
 
 
 def guide_memory(loop: RenderLoop) -> tuple[float, float]:

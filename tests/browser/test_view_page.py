@@ -199,6 +199,18 @@ def test_the_pixel_under_the_pointer_has_values_and_a_lens(browser):
     assert browser.driver.execute_script(drawn) == 255
 
 
+def test_the_values_of_a_pixel_follow_the_picture_while_the_pointer_rests(browser):
+    ActionChains(browser.driver).move_to_element(browser.find("frame")).perform()
+    browser.until(lambda: "Samples\n4" in browser.find("pixel").text)
+    blur = browser.find("pixel").text.partition("Blur disc\n")[2].split("\n")[0]
+    browser.changed(lambda: browser.write("focus_distance", "7"))
+    browser.until(lambda: f"Blur disc\n{blur}" not in browser.find("pixel").text)
+    browser.write("spp", "48")
+    browser.driver.execute_script("document.getElementById('render').click()")  # the pointer stays
+    browser.until(lambda: "Samples\n48" in browser.find("pixel").text)
+    assert browser.find("samples").text == "48 / 48"
+
+
 def test_a_refused_value_is_marked_until_its_field_is_left(browser):
     field, before = browser.find("f_number"), browser.find("f_number").get_attribute("value")
     browser.write("f_number", "-3")

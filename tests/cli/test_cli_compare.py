@@ -272,7 +272,7 @@ MISTAKES = {
     "--modes uniform,lis-x": ["lis-x", "uniform", "lis-o"],
     "--modes": ["--modes", "expected one argument"],
     "--modes lis,lis": ["--modes", "twice"],
-    "--modes lis,": ["mode: ''", "choose one of"],
+    "--modes lis,": ["--modes: invalid choice: ''; known are uniform, lis, "],
     "--spp 0": ["--spp", "'0'"],
     "--reuse-radius 0": ["reuse_radius", "0"],
     "--reuse-radius 8 --modes uniform,lis": ["--reuse-radius: 8 has no effect in uniform, lis; leave it out, or choose area-"],

@@ -123,6 +123,21 @@ def test_the_noise_target_reports_the_denoised_picture(tmp_path, monkeypatch):
     assert 0.0 < found["denoised"] < found["noisy"]
 
 
+def test_the_first_step_of_a_noise_target_is_denoised_as_of_any_render(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("mitsuba_oidn")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "red.toml").write_text(RED_LAMP)
+    options = ["render", "red.toml", "--denoise", "--threads", "1"]
+    assert main([*options, "--spp", "1", "--out", "plain.exr"]) == 0
+    assert main([*options, "--spp", "1", "--target-noise", "0.01", "--out", "target.exr"]) == 0
+    assert main([*options, "--spp", "2", "--target-noise", "0.01", "--out", "more.exr"]) == 0
+    assert "warning" not in capsys.readouterr().err
+    plain, target = read_exr("plain.exr"), read_exr("target.exr")
+    assert "denoised.R" in plain and plain.keys() == target.keys()
+    for name, plane in plain.items():
+        np.testing.assert_array_equal(target[name], plane, err_msg=name)
+
+
 BAD = {
     "missing": (["develop", "no.exr"], "no.exr: cannot be read (No such file or directory)"),
     "no EXR": (["develop", "text.exr"], "text.exr: is not an EXR file"),

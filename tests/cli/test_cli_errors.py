@@ -75,7 +75,12 @@ MISTAKES = {
     "--spp": ["--spp", "expected one argument"],
     "--sp 4": ["--sp"],
     "--reuse-radius 50": ["--reuse-radius: 50 has no effect in guided; leave it out, or choose area-restir or area-restir+lis"],
-    "--bogus": ["--bogus"],
+    "--bogus": ["unrecognized option --bogus; the nearest of ", " known are --"],
+    "--sppp 8": ["unrecognized option --sppp; did you mean '--spp'? See `bokehguide render --help`"],
+    "-spp 8": ["unrecognized option -spp; did you mean '--spp'?"],
+    "--apertur-radius=8": ["unrecognized option --apertur-radius; did you mean '--aperture-radius'?"],
+    "--mode guidd": ["'guidd'; did you mean 'guided'? Known are uniform, lis, ", "area-restir+lis; see"],
+    "--mode xyz": ["'xyz'; known are uniform, lis, "],
 }
 
 
@@ -100,10 +105,16 @@ def test_render_refuses(options, lamps_file, tmp_path, monkeypatch, capfd):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("words", "told"),
     [
         ([], "COMMAND"),
         (["paint"], "'paint'"),
+        (["rendr", "cutout", "--spp", "8"], "'rendr'; did you mean 'render'? Known are render, view, "),
+        (["--versoin"], "unrecognized option --versoin; did you mean '--version'?"),
+        (["compare", "cutout", "--ot", "x"], "unrecognized option --ot; did you mean '--out'?"),
+        (["compare", "cutout", "--out", "x", "--modes", "guided,lsi"], "'lsi'; did you mean 'lis'?"),
+        (["render", "--", "--sppp"], "--sppp: no such scene"),
+        (["info", "--focus-on", "a --spp lamp", "none.toml"], "none.toml: "),
         (["render"], "SCENE"),
         (["render", "none.toml"], "none.toml"),
         (["render", "none.glb"], "none.glb"),
@@ -112,13 +123,22 @@ def test_render_refuses(options, lamps_file, tmp_path, monkeypatch, capfd):
         (["info", "cutout", "--json", "a.png"], "argument --json: 'a.png' is the name of a picture or a checkpoint"),
     ],
 )
-def test_other_mistakes(arguments, words, tmp_path, monkeypatch, capfd):
+def test_other_mistakes(words, told, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
+    assert main(words) == 2
     out, err = capfd.readouterr()
     assert (out, err[:19]) == ("", "bokehguide: error: ")
-    assert words in err
+    assert told in err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["a.txt", "folder"])
+def test_a_file_that_is_no_scene_is_told_to_exist(name, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.txt").write_text("text")
+    (tmp_path / "folder").mkdir()
+    assert main(["render", name]) == 2
+    assert f"error: {name}: exists, and is no scene of a known kind\nGive a built-in name (" in capfd.readouterr().err
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ import pytest
 import bokehguide
 from bokehguide.cli import main
 from bokehguide.image import read_exr, read_layers, read_metadata
+from bokehguide.scene import load_scene
 
 SCENE = """
 [camera]
@@ -165,6 +166,19 @@ def test_a_model_has_one_group(folder):
     assert {"left", "right"} <= groups.keys()
     assert groups["left"][:, :16].max() > 1.0 > groups["left"][:, 16:].max()
     assert groups["right"][:, 16:].max() > 1.0 > groups["right"][:, :16].max()
+
+
+def test_a_group_of_a_model_without_lights_is_told(folder, capsys):
+    (folder / "dark.obj").write_text("mtllib dark.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl wall\nf 1 2 3\n")
+    (folder / "dark.mtl").write_text("newmtl wall\nKd 0.5 0.5 0.5\n")
+    (folder / "lit.toml").write_text(SCENE + '\n[[object]]\nfile = "dark.obj"\ngroup = "model"\n')
+    number = SCENE.count("[[object]]")
+    assert main(["render", "lit.toml", "--mode=uniform", "--spp=1", "--light-groups", "--out=a.exr"]) == 0
+    assert f"warning: object[{number}].group: has no effect, as the object has no lights" in capsys.readouterr().err
+    (folder / "dark.mtl").write_text("newmtl wall\nKe 0.5 0.5 0.5\n")
+    assert not load_scene("lit.toml").warnings
+    (folder / "lit.toml").write_text(SCENE + '\n[[object]]\nfile = "dark.obj"\ngroup = "model"\nmaterial = "floor"\n')
+    assert len(load_scene("lit.toml").warnings) == 1, "the material of the object replaces that of the model"
 
 
 @pytest.mark.parametrize(

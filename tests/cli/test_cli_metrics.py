@@ -43,10 +43,28 @@ def test_an_inset_too_small_for_ssim_has_a_dash_there(bokehguide, images):
     assert isinstance(table["frame"][2], float)
 
 
+@pytest.mark.slow
+def test_a_reference_of_few_spp_is_clamped_with_a_warning(bokehguide, lamps_file):
+    """The control variate of the first step leaves negative values."""
+    size = ("--size", "160x90", "--seed", 1)
+    assert bokehguide("render", "daylight", *size, "--spp", 1, "--out", "a.exr").returncode == 0
+    told = "bokehguide: warning: a.exr: the reference has "
+    finished = bokehguide("metrics", "a.exr", "a.exr")
+    assert finished.returncode == 0 and "frame" in finished.stdout
+    assert finished.stderr.startswith(told) and finished.stderr.count("\n") == 1, finished.stderr
+    words = ("--spp", 1, "--reference", "a.exr", "--size", "160x90", "--out")
+    for command in (("render", "daylight", *words, "b.exr"), ("compare", "daylight", *words, "c", "--modes", "uniform")):
+        finished = bokehguide(*command)
+        assert finished.returncode == 0 and finished.stderr.count(told) == 1, finished.stderr
+
+
 MISTAKES = {
     "none.exr reference.exr": "none.exr: cannot be read (No such file or directory); check the path",
     "cut.exr reference.exr": "cut.exr: is damaged",
     "small.exr reference.exr": "small.exr against reference.exr: the image is 40x10 and",
+    "crop.exr other.exr": "crop 8,4,40,20 of 64x48 pixels, and the reference is the crop 9,4,40,20 of 64x48",
+    "crop.exr larger.exr": "crop 8,4,40,20 of 64x48 pixels, and the reference is the crop 8,4,40,20 of 128x96",
+    "crop.exr cut_crop.exr": "crop 8,4,40,20 of 64x48 pixels, and the reference is the crop 8,4,40,10 of 64x48",
     "bad.exr reference.exr": "bad.exr against reference.exr: the image has 2400 NaN or infinite",
     "image.exr reference.exr --inset 0.5,0,0.6,1": "argument --inset: '0.5,0,0.6,1' leaves the frame",
     "image.exr reference.exr --inset -.5,0,.6,1": "argument --inset: '-.5,0,.6,1' leaves the frame",
@@ -55,12 +73,28 @@ MISTAKES = {
 }
 
 
+def write_crop(name, corner, frame, height=20):
+    write_exr(name, {"beauty": np.ones((height, 40, 3), np.float32)}, corner=corner, frame=frame)
+
+
+@pytest.mark.slow
+def test_equal_crops_are_compared_and_a_whole_frame_may_stand_for_a_crop(images, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    write_crop("crop.exr", (8, 4), (64, 48))
+    for reference in ("crop.exr", "reference.exr"):
+        assert main(["metrics", "crop.exr", reference]) == 0, capfd.readouterr().err
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", MISTAKES)
 def test_mistakes_are_one_line(arguments, images, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     write_exr("small.exr", {"beauty": np.ones((10, 40, 3), np.float32)})
     (tmp_path / "cut.exr").write_bytes((tmp_path / "image.exr").read_bytes()[:-20])
+    write_crop("crop.exr", (8, 4), (64, 48))
+    write_crop("other.exr", (9, 4), (64, 48))
+    write_crop("larger.exr", (8, 4), (128, 96))
+    write_crop("cut_crop.exr", (8, 4), (64, 48), height=10)
     write_exr("bad.exr", {"beauty": np.full((20, 40, 3), np.nan, np.float32)})
     assert main(["metrics", *arguments.split()]) == 2
     out, err = capfd.readouterr()

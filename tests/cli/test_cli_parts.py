@@ -9,11 +9,11 @@ import OpenEXR
 import pytest
 
 from bokehguide.cli.arguments import parse
-from bokehguide.cli.render import crop_pixels
 from bokehguide.image import read_exr, read_metadata, write_exr
 from bokehguide.render.vector import luminance
-from bokehguide.scene import FilmSettings, load_scene
+from bokehguide.scene import load_scene
 from bokehguide.train import RenderLoop, RenderSettings
+from bokehguide.train.settings import crop_pixels
 from tests.support import scenes
 from tests.support.statistical import SIGNIFICANCE, z_test
 
@@ -30,7 +30,7 @@ from tests.support.statistical import SIGNIFICANCE, z_test
 )
 def test_a_crop_is_in_fractions_if_all_values_are(crop, box):
     options = parse(["render", "cutout", "--crop", crop])
-    assert crop_pixels(options.crop, FilmSettings(width=32, height=20)) == box
+    assert crop_pixels(options.crop, 32, 20) == box
 
 
 @pytest.mark.slow

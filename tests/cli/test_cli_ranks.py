@@ -76,7 +76,9 @@ def test_no_thread_of_a_job_outlives_the_render(lamps_file, tmp_path):
 @pytest.mark.parametrize("name", OPTIONS)
 def test_the_picture_of_several_is_that_of_one(name, bokehguide, lamps_file, tmp_path):
     count, options = OPTIONS[name]
-    write_exr(tmp_path / "reference.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
+    reference = np.full((20, 32, 3), 0.1, np.float32)
+    reference[3, 4] = -0.1
+    write_exr(tmp_path / "reference.exr", {"beauty": reference})
     options = (lamps_file, *options, "--threads", 1)
     assert bokehguide("render", *options, "--spp", 24, "--out", "one.exr").returncode == 0
     blend_weights = logged_blend_weights(tmp_path)
@@ -88,6 +90,7 @@ def test_the_picture_of_several_is_that_of_one(name, bokehguide, lamps_file, tmp
     assert_same(tmp_path / "one.exr", tmp_path / "some.exr")
     log = (tmp_path / "job.log").read_text()
     assert log.count("wrote some.exr") == 1 and log.count("18/18") == 1, "one rank speaks"
+    assert log.count("3 negative values") == ("--reference" in options)
 
 
 @pytest.mark.slow
@@ -118,3 +121,23 @@ def test_a_rank_that_dies_is_told_of_and_the_restart_goes_on(lamps_file, bokehgu
     assert "resuming some.ckpt" in log
     assert bokehguide("render", *options, "--out", "one.exr").returncode == 0
     assert_same(tmp_path / "one.exr", tmp_path / "some.exr")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds the ranks in /proc")
+def test_a_restart_before_the_first_save_leaves_the_checkpoint_of_another_render(lamps_file, bokehguide, tmp_path):
+    options = (lamps_file, "--threads", 1, "--size", "320x180", "--out", "some.exr", "--checkpoint-every", 60)
+    assert bokehguide("render", *options, "--spp", 1, "--seed", 4).returncode == 0
+    kept = (tmp_path / "some.ckpt").read_bytes()
+    (tmp_path / "some.exr").unlink()
+    job = torchrun(tmp_path, 2, *options, "--spp", 24, "--seed", 9, restarts=1)
+    deadline = time.monotonic() + 60.0
+    while not (tmp_path / "some.exr").exists():
+        assert job.poll() is None and time.monotonic() < deadline, (tmp_path / "job.log").read_text()
+        time.sleep(0.01)
+    os.kill(ranks_of(job)[1], signal.SIGKILL)
+    assert job.wait(120) == 0, (tmp_path / "job.log").read_text()
+    log = (tmp_path / "job.log").read_text()
+    assert "another rank has ended" in log or "signal SIGTERM" in log
+    assert log.count("some.ckpt was of another render and is some-2.ckpt now") == 1
+    assert (tmp_path / "some-2.ckpt").read_bytes() == kept

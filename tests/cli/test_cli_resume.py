@@ -1,6 +1,9 @@
 """`bokehguide render --resume`: after its end, after signals, after being killed."""
 
+import errno
+import fcntl
 import json
+import os
 import pkgutil
 import random
 import resource
@@ -8,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -15,8 +19,10 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from bokehguide import __version__
 from bokehguide.cli import main
 from bokehguide.cli.pictures import Pictures
+from bokehguide.cli.sole_writer import sole_writer
 from bokehguide.errors import BokehguideError
 from bokehguide.image import read_exr, read_metadata, write_exr
 from bokehguide.scene import load_scene
@@ -162,6 +168,85 @@ def test_the_checkpoint_of_another_render_gets_another_name(render, tmp_path, ca
     assert read_metadata("a-3.exr")["spp"] == 4
 
 
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("text", "a.ckpt is no readable checkpoint of bokehguide and is a-2.ckpt now\n"),
+        ("state of a model", "a.ckpt is no readable checkpoint of bokehguide and is a-2.ckpt now\n"),
+        ("cut", "a.ckpt is no readable checkpoint of bokehguide and is a-2.ckpt now\n"),
+        ("version", "a.ckpt was written by bokehguide 0.3.0 and is a-2.ckpt now; that version continues it\n"),
+        (
+            "commit",
+            f"a.ckpt was written by another commit of bokehguide {__version__} and is a-2.ckpt now; that version continues",
+        ),
+    ],
+)
+def test_any_other_file_gets_another_name(content, told, render, tmp_path, capsys):
+    loop = RenderLoop(load_scene("emitters.toml"), RenderSettings("uniform", threads=1))
+    loop.step()
+    save_checkpoint(tmp_path / "a.ckpt", loop, 1.0)
+    whole = torch.load(tmp_path / "a.ckpt", weights_only=True)
+    if content == "text":
+        (tmp_path / "a.ckpt").write_text("Mine.\n" * 99)
+    elif content == "cut":
+        (tmp_path / "a.ckpt").write_bytes((tmp_path / "a.ckpt").read_bytes()[:5000])
+    elif content == "state of a model":
+        torch.save({"weight": torch.zeros(3)}, tmp_path / "a.ckpt")
+    else:
+        whole["fingerprint"] |= {"software": "bokehguide 0.3.0"} if content == "version" else {"fewer": "inputs"}
+        torch.save(whole, tmp_path / "a.ckpt")
+    before = (tmp_path / "a.ckpt").read_bytes()
+    assert render("--spp", 2, "--mode", "uniform") == 0
+    assert (tmp_path / "a.ckpt").read_bytes() == before
+    capsys.readouterr()
+    assert render("--spp", 3, "--mode", "uniform", "--checkpoint-every", "1e-6") == 0
+    assert capsys.readouterr().err.count(f"bokehguide: {told}") == 1
+    assert (tmp_path / "a-2.ckpt").read_bytes() == before and kept_spp("a.ckpt", "uniform") == 3
+
+
+def test_an_empty_file_is_replaced(render, tmp_path, capsys):
+    (tmp_path / "a.ckpt").touch()
+    assert render("--spp", 2, "--mode", "uniform", "--checkpoint-every", "1e-6") == 0
+    assert "is no readable" not in capsys.readouterr().err and [path.name for path in tmp_path.glob("*.ckpt")] == ["a.ckpt"]
+
+
+def test_files_with_another_name_are_counted_from_the_second_on(render, tmp_path, capsys):
+    for name in ("a-b.ckpt", "b-2.ckpt"):
+        (tmp_path / name).write_bytes(bytes(2**20))
+    for seed in range(4):
+        capsys.readouterr()
+        assert render("--spp", 1, "--mode", "uniform", "--seed", seed, "--checkpoint-every", "1e-6") == 0
+        size = sum(path.stat().st_size for path in tmp_path.glob("a-[0-9].ckpt")) / 2**20
+        told = f"bokehguide: {seed} files a-NUMBER.ckpt take {size:.1f} MB; remove the files that no render continues\n"
+        error = capsys.readouterr().err
+        assert (error.count(told), error.count("NUMBER")) == ((1, 1) if seed > 1 else (0, 0))
+
+
+def test_a_restarted_job_loads_a_checkpoint_of_its_own_render_alone(render, capsys, monkeypatch):
+    """Without --resume, the checkpoint of another render is the user's, and no reason to end."""
+    assert render("--spp", 2, "--mode", "uniform", "--seed", 4, *KEEP) == 0
+    monkeypatch.setenv("TORCHELASTIC_RESTART_COUNT", "1")
+    capsys.readouterr()
+    mine = ("--mode", "uniform", "--seed", 9)
+    assert render("--spp", 2, *mine, "--checkpoint-every", "1e-6") == 0
+    assert "a.ckpt was of another render and is a-2.ckpt now" in capsys.readouterr().err
+    assert render("--spp", 4, *mine) == 0
+    assert "resuming a.ckpt at 2 SPP" in capsys.readouterr().err
+    assert render("--spp", 3, *mine) == 0 and read_metadata("a.exr")["spp"] == 3
+    assert "a.ckpt has 4 SPP of this render and stays until this run has more" in capsys.readouterr().err
+    assert render("--spp", 5, "--mode", "uniform", "--seed", 4, "--resume") == 2
+    assert "a.ckpt: is of another render: seed was 9 and is 4" in capsys.readouterr().err
+
+
+def test_a_restarted_job_with_a_time_limit_keeps_no_state(render, tmp_path, monkeypatch):
+    loop = RenderLoop(load_scene("emitters.toml"), RenderSettings("guided", threads=1))
+    loop.step()
+    save_checkpoint(tmp_path / "a.ckpt", loop, 1.0, kept=False)
+    monkeypatch.setenv("TORCHELASTIC_RESTART_COUNT", "1")
+    assert render("--spp", 5, "--time-limit", 1e-3) == 0
+    assert read_metadata("a.exr")["spp"] == 2 and not (tmp_path / "a.ckpt").exists()
+
+
 def test_a_finished_render_leaves_no_checkpoint(render, tmp_path, capsys, monkeypatch):
     """The state is still saved at intervals, for a crash."""
     monkeypatch.setattr("bokehguide.cli.checkpoints.INTERVAL", 1e-6)
@@ -278,9 +363,27 @@ def test_further_signals_while_files_are_written_lose_nothing(writer, render, tm
         write(*arguments, **keywords)
 
     monkeypatch.setattr(place, interrupted)
-    assert render("--spp", 2, "--json", "a.json", *KEEP) == 130
+    every = () if writer == "render.write_json" else ("--checkpoint-every", 1e-6)
+    code = render("--spp", 5, "--json", "a.json", *(every or KEEP))
     spp = read_metadata("a.exr")["spp"]
+    assert (code, spp) == ((130, 2) if every else (0, 5)), "the summary is written when the render is complete"
     assert kept_spp("a.ckpt", "guided") == json.loads((tmp_path / "a.json").read_text())["spp"] == spp
+
+
+@pytest.mark.parametrize("place", ["checkpoints.save_checkpoint", "pictures.write_png", "steps.report_step"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_last_sample_ends_a_complete_render(number, place, render, tmp_path, capsys, monkeypatch):
+    place = f"bokehguide.cli.{place}"
+    act = pkgutil.resolve_name(place)
+    monkeypatch.setattr(place, lambda *arguments: (signal.raise_signal(number), act(*arguments)))
+    assert render("--spp", 1, *KEEP) == 0
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join(60)
+    error = capsys.readouterr().err
+    assert "bokehguide: finishing the render; a second interruption" in error
+    assert "interrupted at" not in error and "finishing the step" not in error
+    assert kept_spp("a.ckpt", "guided") == 1
 
 
 @pytest.mark.slow
@@ -300,6 +403,46 @@ def test_killed_at_random_moments_it_loses_no_more_than_the_last_interval(render
     assert render("--spp", kept + 2, out="b.exr") == 0
     assert_same_pictures("a.exr", "b.exr")
     assert not list(tmp_path.glob(".*")), "what was half written has been cleared away"
+
+
+def test_a_second_render_to_the_same_files_is_refused_and_a_killed_one_blocks_none(render, tmp_path, capsys):
+    (tmp_path / "link.exr").symlink_to("a.exr")
+    with started(tmp_path) as process:
+        wait_for(process, (tmp_path / "a.ckpt").exists)
+        for out in ("a.exr", "a.EXR", "link.exr"):
+            assert render("--spp", 2, "--resume", out=out) == 2
+            refused = f"bokehguide: error: {out}: another render is writing this file; wait for its end, or give another --out\n"
+            assert capsys.readouterr().err == refused
+        assert render("--spp", 2, out="b.exr") == 0 and process.poll() is None
+        process.kill()
+    spp = kept_spp("a.ckpt", "guided")
+    assert render("--spp", spp + 1, "--resume") == 0 and read_metadata("a.exr")["spp"] == spp + 1
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_lock_on_a_file_that_its_owner_has_removed_is_taken_again(tmp_path, monkeypatch):
+    lock, tried = fcntl.flock, []
+
+    def late(file, operation):
+        if not tried:
+            (tmp_path / ".a.lock").unlink()
+        tried.append(file)
+        lock(file, operation)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with sole_writer(tmp_path / "a.exr"):
+        assert len(tried) == 2 and (tmp_path / ".a.lock").exists()
+        with pytest.raises(BokehguideError, match="another render"), sole_writer(tmp_path / "a.exr"):
+            pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_system_without_locks_refuses_no_render(render, monkeypatch):
+    def without(*_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", without)
+    assert render("--spp", 1) == 0
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Full disks, odd names, pipes and locales: one line, and never a lost picture."""
 
 import fcntl
+import json
 import os
 import pty
 import re
@@ -214,6 +215,15 @@ def test_closed_streams(closed, lamps_file, tmp_path):
     assert finished.returncode == 0 and b"Traceback" not in finished.stderr
     assert (b"wrote a.exr" in finished.stdout, b"2/2" in finished.stderr) == (">&-" not in closed.split(), "2>&-" not in closed)
     assert read_metadata(tmp_path / "a.exr")["spp"] == 2 and (tmp_path / "a.png").exists()
+
+
+def test_a_system_without_the_modules_of_unix(lamps_file, tmp_path):
+    """As Windows, which lacks them: no lock, and no peak memory in the summary."""
+    hide = "import sys; sys.modules |= {'fcntl': None, 'resource': None}; from bokehguide.cli import main; sys.exit(main())"
+    command = ["render", str(lamps_file), "--spp", "1", "--out", "a.exr", "--json", "a.json"]
+    finished = subprocess.run([sys.executable, "-c", hide, *command], cwd=tmp_path, capture_output=True, text=True)
+    assert finished.returncode == 0 and read_metadata(tmp_path / "a.exr")["spp"] == 1, finished.stderr
+    assert json.loads((tmp_path / "a.json").read_text())["peak_memory_mb"] is None
 
 
 def test_the_list_of_scenes_on_closed_streams(tmp_path):

@@ -32,7 +32,7 @@ def folder(tmp_path, monkeypatch):
         (["box.tom"], "no such scene"),
         (["box.toml", "--port", "70000"], "from 0 to 65535"),
         (["box.toml", "--host", "not a host"], "cannot listen on not a host:8737"),
-        (["box.toml", "--mode", "magic"], "mode: 'magic' is unknown"),
+        (["box.toml", "--mode", "magic"], "argument --mode: invalid choice: 'magic'"),
         (["box.toml", "--f-number", "0"], "--f-number: 0.0"),
     ],
 )

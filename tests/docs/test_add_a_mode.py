@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
+import subprocess
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from bokehguide.guiding.modes import MODES, ModeEntry
+from bokehguide.guiding import register_mode
+from bokehguide.guiding.modes import MODES
 from bokehguide.render.lens import Lens
 from bokehguide.render.vector import luminance
 from bokehguide.train import RenderLoop, RenderSettings
@@ -21,16 +26,60 @@ PAGE = REPOSITORY / "docs/how-to/add-a-mode.md"
 RINGS, SECTORS, DRAWS = 24, 16, 400_000
 
 
+def block(start: str) -> str:
+    """The code of the page's block whose fence begins so."""
+    return re.search(re.escape(start) + r"[^\n]*\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL).group(1)
+
+
 @pytest.fixture
 def rim(tmp_path, monkeypatch):
-    """The module of the page, with its line in the registry."""
-    code = re.search(r'```python title="rim\.py"\n(.*?)```', PAGE.read_text(encoding="utf-8"), re.DOTALL).group(1)
+    """The module of the page, which a program has registered."""
+    code = block('```python title="rim.py"')
     assert code.count("\n") < 60
     (tmp_path / "rim.py").write_text(code)
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setitem(MODES, "rim", ModeEntry("rim:rim", "half of the lens points prefer the rim"))
     monkeypatch.delitem(importlib.sys.modules, "rim", raising=False)
-    return importlib.import_module("rim")
+    monkeypatch.setitem(MODES, "rim", None)
+    del MODES["rim"]  # the patch removes the mode at the end
+    module = importlib.import_module("rim")
+    register_mode("rim", module.rim)
+    return module
+
+
+@pytest.mark.slow
+def test_the_program_of_the_page_renders(rim, tmp_path):
+    (tmp_path / "program.py").write_text(block('```python { no-run="a program'))
+    finished = subprocess.run([sys.executable, "program.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr
+    assert (tmp_path / "rim.exr").exists()
+
+
+@pytest.mark.slow
+def test_the_package_of_the_page_installs_the_mode(rim, tmp_path):
+    pytest.importorskip("setuptools")  # pip would fetch it
+    (tmp_path / "pyproject.toml").write_text(block('```toml title="pyproject.toml"'))
+    install = [sys.executable, "-m", "pip", "install", "--no-deps", "--no-index", "--no-build-isolation", "--target", "installed"]
+    finished = subprocess.run([*install, "."], cwd=tmp_path, capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr
+    path = os.pathsep.join((str(tmp_path / "installed"), str(REPOSITORY)))
+    command = [sys.executable, "-m", "bokehguide", "render", "cutout", "--mode", "rim", "--size", "32x18", "--spp", "2"]
+    away = tmp_path / "away"
+    away.mkdir()
+    finished = subprocess.run(command, cwd=away, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr
+    assert (away / "cutout-rim.png").exists()
+
+
+def test_a_pinhole_has_the_picture_of_the_uniform_lens(rim):
+    """Though the sampler of the page divides by the area of the lens."""
+    scene = replace(scenes.emitters(32, 20), camera=replace(scenes.emitters(32, 20).camera, aperture_radius=0.0))
+    pictures = []
+    for mode in ("rim", "uniform"):
+        with RenderLoop(scene, RenderSettings(mode, 2, seed=7, threads=1)) as loop:
+            loop.step()
+            pictures.append(loop.film.layers()["beauty"])
+    assert pictures[0].max() > 0.0
+    assert np.array_equal(*pictures)
 
 
 def query_of(rim, lens: Lens, count: int):

@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 
 import bokehguide
-from bokehguide.runtime.memory import free_memory
+from bokehguide.memory import free_memory
 from bokehguide.scene.environments import load_environment_map
 from tests.support.gltf_square import write_gltf
 from tests.support.paths import REPOSITORY

@@ -8,7 +8,7 @@ import torch
 
 from bokehguide.cli.memory import check_memory, explained, least_memory
 from bokehguide.errors import BokehguideError
-from bokehguide.runtime.memory import free_memory
+from bokehguide.memory import free_memory
 from bokehguide.scene.types import FilmSettings, Texture
 from bokehguide.train import RenderSettings
 from tests.support.scenes import emitters
@@ -43,13 +43,13 @@ def test_the_estimate_grows_with_all_that_takes_memory():
 
 def test_a_picture_that_needs_more_than_is_free(monkeypatch):
     scene = replace(emitters(32, 20), film=FilmSettings(16000, 16000))
-    monkeypatch.setattr("bokehguide.runtime.memory.free_memory", lambda: 10**10)
+    monkeypatch.setattr("bokehguide.memory.free_memory", lambda: 10**10)
     with pytest.raises(
         BokehguideError, match=r"^memory: a picture of 16000x16000 pixels with .* at least 64.\d GB, and 10.0 GB are free"
     ):
         check_memory(scene, RenderSettings("uniform"))
     check_memory(emitters(32, 20), RenderSettings("uniform"))
-    monkeypatch.setattr("bokehguide.runtime.memory.free_memory", lambda: None)
+    monkeypatch.setattr("bokehguide.memory.free_memory", lambda: None)
     check_memory(scene, RenderSettings("uniform"))
 
 
@@ -64,3 +64,5 @@ def test_free_memory_is_the_least_of_machine_and_group(tmp_path):
     assert free_memory(tmp_path) == 3000 * 1024
     (tmp_path / "sys/fs/cgroup/memory.max").write_text("5000\n")
     assert free_memory(tmp_path) == 4000
+    (tmp_path / "sys/fs/cgroup/memory.stat").write_text("anon 100\nfile 900\ninactive_file 500\nactive_file 300\nslab 9\n")
+    assert free_memory(tmp_path) == 4800, "the cache of files gives way"

@@ -240,6 +240,43 @@ def test_wrong_calls_are_named():
         lens.sample(uniforms=torch.zeros(384, 2))
 
 
+def test_values_out_of_range_are_refused_and_change_nothing():
+    guide = LensGuide(CAMERA, WIDTH, HEIGHT)
+    lens = guide.distribution(raster())
+    points, one = lens.sample(), torch.ones(WIDTH * HEIGHT)
+    bad = one.clone()
+    bad[7:9] = -2.0
+    for values, told in [
+        ((points, one, bad), "LensGuide.observe: luminance: 2 values are out of range, such as -2; give 0 or more"),
+        ((points, bad, one), "LensGuide.observe: distances: 2 values are out of range, such as -2; give 0 or more"),
+        (
+            (points * math.nan, one, one),
+            "LensGuide.observe: points: 768 values are out of range, such as nan; give finite numbers",
+        ),
+        (("a", one, one), "LensGuide.observe: points: a str is no array of numbers; give one"),
+    ]:
+        with pytest.raises(BokehguideError) as error:
+            guide.observe(*values)
+        assert str(error.value) == told
+    with pytest.raises(BokehguideError, match=r"nothing was observed"):
+        guide.update()
+    assert guide.mean_luminance == 1.0
+    for number in (math.nan, -0.1, 1.1):
+        with pytest.raises(BokehguideError, match=r"uniforms: 1920 values are out of range, such as .*; give from 0 to 1"):
+            lens.sample(uniforms=torch.full((WIDTH * HEIGHT, 5), number))
+
+
+def test_values_of_another_type_are_named(guide):
+    with pytest.raises(BokehguideError, match="LensGuide: camera: a NoneType is no Camera; give one"):
+        LensGuide(None, 48, 27)
+    with pytest.raises(BokehguideError, match="LensGuide: config: a int is no GaussianConfig; give one"):
+        LensGuide(CAMERA, 48, 27, 3)
+    with pytest.raises(BokehguideError, match=r"LensGuide\.distribution: raster: a str is no array of numbers; give one"):
+        guide.distribution("x")
+    with pytest.raises(BokehguideError, match=r"LensGuide\.load_state_dict: not a state"):
+        LensGuide(CAMERA, WIDTH, HEIGHT).load_state_dict(None)
+
+
 def test_the_example(capsys, tmp_path):
     EXAMPLE["main"](["--spp", "2", "--width", "32", "--out", str(tmp_path)])
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == ["uniform", "guided"]

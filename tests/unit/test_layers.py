@@ -11,6 +11,7 @@ from tests.support.paths import REPOSITORY
 
 LAYERS = (
     ("errors", "lazy_names", "limits", "color", "stopping"),
+    ("memory",),
     ("image",),
     ("metrics",),
     ("scene",),

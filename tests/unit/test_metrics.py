@@ -8,7 +8,8 @@ import torch
 
 from bokehguide import metrics
 from bokehguide.errors import BokehguideError
-from bokehguide.metrics import compare, mape, relmse
+from bokehguide.image import write_exr
+from bokehguide.metrics import compare, mape, read_reference, relmse
 
 
 def test_mape_and_relmse_by_hand():
@@ -61,7 +62,7 @@ def test_what_cannot_be_compared_is_refused(measure):
         measure(good, bad)
     with pytest.raises(BokehguideError, match="the image is 13x12 and the reference 12x13 pixels"):
         measure(good, torch.ones(13, 12, 3))
-    with pytest.raises(BokehguideError, match=r"negative value, -0\.5"):
+    with pytest.raises(BokehguideError, match=r"negative value, -0\.5; clamp it, or render it with more SPP$"):
         measure(good, good - 1.5)
 
 
@@ -74,6 +75,14 @@ def test_arrays_are_measured_as_tensors(measure):
 
 
 @pytest.mark.parametrize("measure", [mape, relmse, compare])
+@pytest.mark.parametrize("kind", [np.uint8, np.int64])
+def test_whole_numbers_are_measured_as_others(measure, kind):
+    image, reference = (np.random.default_rng(seed).integers(0, 256, (12, 13, 3)).astype(kind) for seed in (0, 1))
+    expected = measure(image.astype(np.float32), reference.astype(np.float32))
+    assert measure(torch.from_numpy(image), torch.from_numpy(reference)) == measure(image, reference) == expected
+
+
+@pytest.mark.parametrize("measure", [mape, relmse, compare])
 @pytest.mark.parametrize(
     ("bad", "found"),
     [
@@ -81,11 +90,34 @@ def test_arrays_are_measured_as_tensors(measure):
         (torch.ones(0, 13, 3), r"shape \(0, 13, 3\)"),
         ([[1.0]], "type list"),
         (np.array("x"), r"shape \(\)"),
+        (np.ones((12, 13, 1)), r"shape \(12, 13, 1\)"),
+        (torch.ones(12, 13, 4), r"shape \(12, 13, 4\)"),
+        (np.ones((12, 13, 3), bool), "type bool"),
+        (torch.ones(12, 13, 3, dtype=torch.bool), r"type torch\.bool"),
+        (np.ones((12, 13, 3), complex), "type complex128"),
+        (torch.ones(12, 13, 3, dtype=torch.complex64), r"type torch\.complex64"),
     ],
 )
 def test_what_is_no_image_is_refused(measure, bad, found):
     with pytest.raises(BokehguideError, match=f"the reference has {found}; give an array or a tensor"):
         measure(np.ones((12, 13, 3)), bad)
+
+
+def test_negative_values_of_a_reference_file_become_0_with_a_line(tmp_path, caplog):
+    pixels = np.full((2, 4, 3), 0.5, np.float32)
+    pixels[0, 1] = -0.25, -1.0, 0.25
+    write_exr(tmp_path / "a.exr", {"beauty": pixels})
+    np.testing.assert_array_equal(read_reference(tmp_path / "a.exr", 4, 2).numpy(), pixels.clip(0.0))
+    told = f"{tmp_path}/a.exr: the reference has 2 negative values, 0 in their place; more SPP avoid such values"
+    assert [(record.levelname, record.getMessage()) for record in caplog.records] == [("WARNING", told)]
+    pixels[0, 1] = -math.inf
+    write_exr(tmp_path / "a.exr", {"beauty": pixels})
+    with pytest.raises(BokehguideError, match=r"a\.exr: the reference has 3 NaN or infinite values"):
+        read_reference(tmp_path / "a.exr")
+    write_exr(tmp_path / "a.exr", {"beauty": pixels.clip(0.0)})
+    with pytest.raises(BokehguideError, match=r"a\.exr: the image is 2x4 and the reference 4x2 pixels"):
+        read_reference(tmp_path / "a.exr", 2, 4)
+    assert len(caplog.records) == 1
 
 
 def test_too_small_for_ssim():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import pydoc
+import shlex
 import signal
 import subprocess
 import sys
@@ -16,11 +18,13 @@ import pytest
 from PIL import Image
 
 import bokehguide
+from bokehguide import picture
 from bokehguide.cli import main
 from bokehguide.errors import BokehguideError
 from bokehguide.image import read_exr, read_metadata, write_exr
 from bokehguide.scene import Aperture, Camera, Environment, Material, Mesh, Scene, load_scene
 from bokehguide.train import RenderLoop
+from bokehguide.view import notebook
 from tests.support import scenes
 
 SMALL = {"spp": 2, "threads": 1, "quiet": True}
@@ -166,16 +170,58 @@ def test_the_bar_and_the_warnings(capsys):
     assert capsys.readouterr().err == ""
 
 
+WITHOUT_STDERR = """
+import sys
+import bokehguide
+from bokehguide.cli import main
+from bokehguide.runtime.bars import progress
+assert sys.stderr is None
+for quiet in (True, False):
+    bokehguide.render("scene.toml", spp=2, threads=1, quiet=quiet)
+progress("steps", 2).close()
+main(["render", "scene.toml", "--spp", "2", "--out", "a.exr"])
+print("done")
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+def test_a_process_without_stderr_renders(lamps_file, tmp_path):
+    """A shell closes stderr with `2>&-`. Decoders of textures use the stream too."""
+    Image.new("RGB", (4, 4), (99, 99, 99)).save(tmp_path / "t.png")
+    text = lamps_file.read_text()
+    material = next(line for line in text.splitlines() if line.startswith("[materials."))
+    (tmp_path / "scene.toml").write_text(text.replace(material, f'{material}\nbase_color_texture = "t.png"', 1))
+    (tmp_path / "script.py").write_text(WITHOUT_STDERR)
+    shell = f"{shlex.quote(sys.executable)} script.py 2>&-"
+    ended = subprocess.run(shell, shell=True, cwd=tmp_path, stdout=subprocess.PIPE, text=True, timeout=120)
+    assert ended.returncode == 0 and ended.stdout.endswith("done\n")
+
+
 @pytest.mark.parametrize(
     ("options", "named"),
     [
         ({"fcous_distance": 1.0}, "render: fcous_distance: no such option; did you mean 'focus_distance'?"),
+        ({"width": 320}, "render: width: no such option; did you mean 'size'?"),
+        ({"samples": 8}, "render: samples: no such option; did you mean 'spp'?"),
+        ({"denoised": True}, "render: denoised: no such option; did you mean 'denoise'?"),
+        ({"timelimit": 3.0}, "render: timelimit: no such option; did you mean 'time_limit'?"),
+        ({"option": 1}, "render: option: no such option; the nearest of "),
         ({"spp": 2.5}, "spp: 2.5 is out of range"),
         ({"mode": "guide"}, "mode: 'guide' is unknown"),
         ({"size": 640}, "render: size: 640 is no pair of whole numbers"),
         ({"size": (640, 0)}, "0 is out of range"),
+        ({"size": np.zeros((2, 2))}, "render: size: array([[0., 0.], [0., 0.]]) is no pair of whole numbers"),
         ({"focus_distance": -1.0}, "focus-distance: -1.0 is out of range"),
         ({"camera": "0"}, "selects a camera of a model, but emitters is none"),
+        ({"camera": 0}, "camera or --camera: '0': selects a camera of a model, but emitters is none"),
+        ({"fov": 200}, "fov or --fov: 200 is out of range; give degrees"),
+        ({"size": (-3, 4)}, "width or --size (width): -3 is out of range"),
+        ({"environment": (1, -1, 1)}, "environment or --environment: '1,-1,1'; give R,G,B, each a number of 0 or more"),
+        ({"environment": (1, 1)}, "environment or --environment: '1,1'; give R,G,B"),
+        ({"environment": np.ones((4, 4, 3))}, "environment or --environment: ndarray is no radiance; give three numbers, or the"),
+        ({"environment": 3}, "environment or --environment: int is no radiance; give three numbers, or the path"),
+        ({"exposure": 1}, "render: exposure: no such option; give it to the result, as in picture.developed(exposure=1.0"),
+        ({"view": "srgb"}, "render: view: no such option; give it to the result, as in picture.developed("),
     ],
 )
 def test_a_wrong_option_is_named(options, named):
@@ -201,6 +247,10 @@ def test_numbers_of_numpy_and_paths_are_options(tmp_path):
     found, expected = (bokehguide.render(triangle(), **SMALL, **options) for options in (lens, wanted))
     np.testing.assert_array_equal(found.beauty, expected.beauty)
     assert found.beauty.shape == (9, 16, 3)
+    for radiance in ((1, 1, 1), np.ones(3)):
+        found = bokehguide.render(triangle(), **SMALL, **(lens | {"environment": radiance}))
+        written = bokehguide.render(triangle(), **SMALL, **(lens | {"environment": "1,1,1"}))
+        np.testing.assert_array_equal(found.beauty, written.beauty)
     bokehguide.render(triangle(), size=(np.int64(16), 9), aperture_image=tmp_path / "mask.png", **SMALL)
 
 
@@ -217,7 +267,11 @@ def test_a_picture_cannot_be_developed_otherwise(options, named):
     picture = bokehguide.render(triangle(), size=(8, 4), **SMALL)
     with pytest.raises(BokehguideError, match=rf"Picture\.developed: {named}"):
         picture.developed(**options)
-    assert picture.developed(exposure=np.float32(1.5)).metadata["exposure"] == 1.5
+    developed = picture.developed(exposure=np.float32(1.5))
+    assert developed.metadata["exposure"] == 1.5 and picture.metadata["exposure"] != 1.5
+    metered = developed.developed(exposure="auto", view="srgb")
+    assert metered.metadata == picture.developed(view="srgb").metadata  # a picture is metered at first
+    np.testing.assert_array_equal(metered.image(), picture.developed(view="srgb").image())
 
 
 def test_a_device_that_is_absent_is_named(monkeypatch):
@@ -249,6 +303,9 @@ def test_a_wrong_suffix_is_named(tmp_path):
     picture = bokehguide.render(scenes.emitters(16, 10), **SMALL)
     with pytest.raises(BokehguideError, match=r"Picture\.save: .*picture\.jpg.* has another suffix; give \.exr or \.png"):
         picture.save(tmp_path / "picture.jpg")
+    for path in (3, None, b"picture.png"):
+        with pytest.raises(BokehguideError, match=rf"Picture\.save: path: {path} is no path; give one that ends in \.exr"):
+            picture.save(path)
 
 
 def test_exported_names():
@@ -257,7 +314,17 @@ def test_exported_names():
     assert bokehguide.load_scene is load_scene and bokehguide.Scene is Scene
     with pytest.raises(AttributeError, match="no attribute 'rendr'"):
         bokehguide.rendr  # noqa: B018
-    assert "spp" in inspect.signature(bokehguide.picture.render).parameters
+
+
+@pytest.mark.parametrize(
+    ("package", "function"), [(bokehguide.render, picture.render), (bokehguide.view, notebook.view)], ids=["render", "view"]
+)
+def test_a_callable_package_shows_its_function(package, function):
+    assert inspect.signature(package) == inspect.signature(function)
+    shown = pydoc.plain(pydoc.render_doc(package))
+    assert "The package is callable" in shown
+    summary, *_ = inspect.getdoc(function).splitlines()
+    assert f"{function.__name__}{inspect.signature(function)}" in shown and summary in shown
 
 
 ORDERS = """
@@ -307,3 +374,10 @@ def test_the_name_works_in_every_order_of_imports(orders):
 def test_the_package_is_imported_without_its_parts():
     code = "import bokehguide, sys; assert not {'torch', 'numpy', 'bokehguide.scene'} & set(sys.modules); dir(bokehguide)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_a_crop_in_fractions_is_the_part_of_the_frame():
+    whole = bokehguide.render(triangle(), "uniform", size=(16, 8), **SMALL)
+    part = bokehguide.render(triangle(), "uniform", size=(16, 8), crop=(0.25, 0.5, 0.5, 0.5), **SMALL)
+    assert part.corner == (4, 4) and part.frame == (16, 8)
+    np.testing.assert_array_equal(part.beauty, whole.beauty[4:8, 4:12])

@@ -156,4 +156,4 @@ def test_a_state_with_an_unknown_object_is_refused():
     coverage = Coverage(OBJECTS, 2, MeanFeatures)
     coverage.sums()["objects"][0, 1] = 11
     with pytest.raises(ValueError, match="an object that the scene has not"):
-        coverage.check()
+        coverage.check(coverage.sums()["objects"])

@@ -1,6 +1,8 @@
 """The film: means, variances, alpha under weights, and samples that are not numbers."""
 
 import math
+import pickle
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -9,8 +11,10 @@ import torch
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
 from bokehguide.render.film import KEPT_BAD_SAMPLES, NO_DEPTH, BadSample, Film, FilmSamples
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.split_film import SplitFilm
 from bokehguide.render.vector import luminance
 from bokehguide.runtime.indexing import bands
+from bokehguide.train.adaptive import HalfFilm, HalvesFilm
 from tests.support.statistical import SIGNIFICANCE, z_test
 
 
@@ -336,3 +340,33 @@ def test_a_weight_that_is_not_a_number_stays_off_the_film():
         assert film.add(slice(None), bad, step).tolist() == [True] * 4 + [False, True]
     assert all(np.isfinite(layer).all() for layer in film.layers().values())
     assert [(sample.x, sample.y, sample.step) for sample in film.bad_samples] == [(1, 1, 2), (1, 1, 3)]
+
+
+COPIES = {"deepcopy": deepcopy, "pickle": lambda film: pickle.loads(pickle.dumps(film))}
+
+
+@pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
+@pytest.mark.parametrize("kind", [Film, SplitFilm, HalfFilm, HalvesFilm])
+def test_films_can_be_copied_and_pickled(kind, copied):
+    """With all layers, and with bad samples that are not yet counted. A copy goes on by itself."""
+    objects, bad = {"object": torch.tensor([1, 2], dtype=torch.int32)}, torch.ones(3, 20)
+    bad[0, 7] = math.nan
+    films = []
+    for seed in range(2):
+        film = (Film if kind is HalvesFilm else kind)(5, 4, seed, objects=objects, groups=("lamps",))
+        for step, radiance in enumerate((random(1 + seed, 20)[:3], bad), 1):
+            added = samples(radiance)
+            added.triangle, added.groups = torch.zeros(20, dtype=torch.int32), radiance[None]
+            film.add(slice(None), added, step)
+        films.append(film)
+    film = HalvesFilm(*films) if kind is HalvesFilm else films[0]
+    other = copied(film)
+    assert type(other) is kind and other.bad_samples == film.bad_samples and other.bad_count == film.bad_count > 0
+    for name, layer in film.layers().items():
+        np.testing.assert_array_equal(other.layers()[name], layer, err_msg=name)
+    np.testing.assert_array_equal(other.light_groups()["lamps"], film.light_groups()["lamps"])
+    assert torch.equal(other.covered()["object"].numbers, film.covered()["object"].numbers)
+    if kind is not HalvesFilm:
+        other.load_state_dict(copied(film.state_dict()))
+        other.add(slice(None), added, 3)
+        assert other.samples() == film.samples() + 19

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from bokehguide.errors import BokehguideError
@@ -76,7 +78,13 @@ IMAGE = np.ones((2, 3, 3), np.float32)
         (SCENE, {"materials": [GREY, "red"]}, "Scene.materials[1]: 'red' is no Material"),
         (SCENE, {"meshes": [replace(SQUARE, material=3)]}, "Scene.meshes[0].material: 3 is out of range; there is one material"),
         (SCENE, {"camera": None}, "Scene.camera: None is no Camera; give Camera(…)"),
-        (RenderSettings(), {"spp": 2.5}, "spp: 2.5 is out of range; give a whole number of samples per pixel, at least 1"),
+        (RenderSettings(), {"spp": 2.5}, "spp: 2.5 is out of range; give a whole number of samples per pixel from 1 to"),
+        (RenderSettings(), {"spp": 2**40}, "spp: 1099511627776 is out of range; give a whole number of samples per pixel from"),
+        (RenderSettings(), {"threads": 1025}, "threads: 1025 is out of range; give a whole number of threads from 1 to 1024"),
+        (RenderSettings(), {"crop": (1.5, 2, 3, 4)}, "crop: (1.5, 2.0, 3.0, 4.0) is in pixels and not whole; give whole pixels"),
+        (RenderSettings(), {"crop": (0.5, 0, 0.75, 1)}, "crop: (0.5, 0.0, 0.75, 1.0) leaves the frame; give X,Y,W,H as"),
+        (RenderSettings(), {"device": torch.device("meta")}, "device: 'meta' is unknown; choose cpu or cuda"),
+        (RenderSettings(), {"device": torch.device("cuda:7")}, "device: 'cuda:7' is unknown; choose cpu or cuda"),
         (RenderSettings(), {"spp": None}, "spp: None is out of range"),
         (RenderSettings(), {"denoise": 1}, "denoise: 1 is neither true nor false"),
         (FilmSettings(), {"exposure": "bright"}, "FilmSettings.exposure: 'bright' is not a number"),
@@ -146,3 +154,39 @@ def test_texture_coordinates_from_trimesh_point_downwards():
 
 def test_built_in_shapes_pass():
     assert len(unit_box().triangles) == 12
+
+
+@pytest.mark.parametrize(
+    ("crop", "box"),
+    [
+        ((0.0, 0.0, 1.0, 1.0), (0, 0, 32, 18)),
+        ((0.25, 0.25, 0.5, 0.5), (8, 4, 16, 10)),
+        (np.array([0.0, 0.5, 1.0, 0.5]), (0, 9, 32, 9)),
+        ((0, 0, 1, 1), (0, 0, 1, 1)),
+        ((4.0, 2, 3.0, 5), (4, 2, 3, 5)),
+    ],
+)
+def test_a_crop_of_floats_up_to_1_is_in_fractions(crop, box):
+    """Whole numbers are pixels, so that a box of one pixel in the corner has a name as well."""
+    settings = RenderSettings(crop=crop)
+    assert settings.window(32, 18) == box == replace(settings, spp=3).window(32, 18)
+
+
+def test_devices_of_torch_are_taken():
+    assert RenderSettings(device=torch.device("cpu")).device == RenderSettings(device=torch.device("cpu:0")).device == "cpu"
+    assert RenderSettings(device=torch.device("cuda")).device == "cuda"
+
+
+def test_scenes_are_compared_by_identity_and_apertures_by_value():
+    textured = Material("textured", base_color_texture=Texture(IMAGE))
+    scene = replace(SCENE, materials=(textured,), environment=Environment(IMAGE))
+    for one in (scene, scene.meshes[0], scene.environment, textured.base_color_texture):
+        other = deepcopy(one)
+        assert one == one and one != other and one != replace(one) and len({one, other, one}) == 2
+    assert textured != deepcopy(textured) and textured == replace(textured)
+    masked = Aperture(image=np.ones((2, 3), np.float32))
+    camera = replace(CAMERA, aperture_radius=0.1, aperture=masked)
+    assert camera == deepcopy(camera) and hash(camera) == hash(deepcopy(camera))
+    for other in (np.ones((3, 2)), np.full((2, 3), 0.5), None):
+        assert masked != replace(masked, image=other)
+    assert masked != "aperture" and Aperture(blades=5) == Aperture(5) != Aperture(6)

@@ -73,7 +73,7 @@ def test_a_base_may_have_a_base(derive, tmp_path):
         ('base = ""', "derived.toml: base: .* is not a text"),
         ("base = 3", "derived.toml: base: 3 is not a text"),
         ('base = "box.toml"\n[overrides]\nf_numbr = 2.0', "overrides.f_numbr: unknown key; did you mean 'f_number'"),
-        ('base = "box.toml"\n[overrides]\nf_number = -2.0', "derived.toml: overrides: --f-number: -2.0"),
+        ('base = "box.toml"\n[overrides]\nf_number = -2.0', "derived.toml: overrides: f_number or --f-number: -2.0"),
         ('base = "box.toml"\n[overrides]\nf_number = 2.0\naperture_radius = 1.0', "both given"),
         ('base = "box.toml"\n[overrides]\nexposure = 1e9', "derived.toml: overrides.exposure"),
         ('base = "box.toml"\n[overrides]\naperture_image = "gone.png"', "overrides.aperture_image: .*gone.png"),
@@ -116,5 +116,5 @@ def test_the_length_of_paths_is_an_override(derive):
 
 def test_a_rotation_needs_an_environment(derive):
     text = BOX_AND_EMITTER.replace("[environment]\ncolor = [0.02, 0.03, 0.05]\n", "")
-    with pytest.raises(BokehguideError, match="--environment-rotation: 10: there is no environment; give --environment too"):
+    with pytest.raises(BokehguideError, match="--environment-rotation: 10: there is no environment; give environment or --env"):
         derive(text, Overrides(environment_rotation=10.0))

@@ -324,6 +324,8 @@ def test_an_exr_without_colours(tmp_path):
         ({"width": 65537}, ["--size (width)", "65537", "65536"]),
         ({"camera_position": (0.0, float("nan"), 0.0)}, ["--camera-position", "nan"]),
         ({"camera_target": (0.0, 1.0)}, ["--camera-target", "three"]),
+        ({"camera_target": np.zeros((3, 1))}, ["--camera-target: array([[0.], [0.], [0.]]) is not three numbers; give"]),
+        ({"width": np.zeros((300, 3))}, ["--size (width)", "..."]),
     ],
 )
 def test_an_override_out_of_range(values, named):
@@ -331,6 +333,7 @@ def test_an_override_out_of_range(values, named):
         Overrides(**values)
     for part in named:
         assert part in str(caught.value), str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

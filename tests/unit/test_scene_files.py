@@ -51,6 +51,31 @@ def refused(path, named: str) -> None:
     assert f"{named} lies outside the scene's folder; copy it there, or give --allow-outside" in text
 
 
+@pytest.mark.parametrize("kind", ["texture", "map", "ply", "glb"])
+def test_files_beyond_the_free_memory_are_refused_before_they_take_it(folder, monkeypatch, kind):
+    """A free memory of 100 MB stands for the machine's."""
+    size = 2**26
+    if kind == "texture":  # from a file of 16 kB
+        path, change, size = folder / "large.png", TEXTURE, 6 * 4 * 4096 * 4096
+        Image.new("L", (4096, 4096)).save(path)
+    elif kind == "map":
+        path, change, size = folder / "large.exr", MAP, 4 * 3 * 4096 * 4096
+        OpenEXR.File({"compression": OpenEXR.NO_COMPRESSION}, {"RGB": np.ones((4096, 4096, 3), np.float16)}).write(str(path))
+    else:
+        path, change = folder / f"large.{kind}", MODEL
+        with path.open("wb") as file:
+            file.truncate(size)
+        size *= 2
+    scene = scene_file(folder, change, path.name)
+    monkeypatch.setattr("bokehguide.memory.free_memory", lambda: 10**8)
+    monkeypatch.setattr("bokehguide.scene.images._texels", lambda *_: pytest.fail("was decoded"))
+    what = "image" if kind in ("texture", "map") else "file"
+    told = rf"takes about {size / 1e9:.1f} GB of memory, and 0\.1 GB are free; give a smaller {what}$"
+    with pytest.raises(BokehguideError, match=told) as refusal:
+        load_scene(str(scene))
+    assert "\n" not in str(refusal.value) and str(refusal.value).startswith(str(folder))
+
+
 @pytest.mark.parametrize(("change", "file"), [(TEXTURE, "wood.png"), (MASK, "wood.png"), (MAP, "sky.exr"), (MODEL, "square.glb")])
 def test_paths_of_a_scene_file_stay_in_its_folder(folder, change, file):
     (folder / "link").symlink_to(folder.parent / "outside")
@@ -364,3 +389,12 @@ def test_pipes_beside_a_mesh_are_left_out(folder):
     os.mkfifo(folder / "pipe.mtl")
     (folder / "m.obj").write_text("mtllib pipe.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     assert any("pipe.mtl: no such file; left out" in warning for warning in load_scene(str(folder / "m.obj")).warnings)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("a.obj", "model"), ("a.toml", "scene"), ("a.glb", "model"), ("a.pbrt", "pbrt file")])
+def test_a_pointer_of_git_lfs_is_told(tmp_path, name, kind):
+    (tmp_path / name).write_text("version https://git-lfs.github.com/spec/v1\noid sha256:20357221\nsize 4284156\n")
+    with pytest.raises(
+        BokehguideError, match=rf"/{name}: is a pointer of Git LFS, not the file itself \({kind}\); run git lfs pull$"
+    ):
+        load_scene(str(tmp_path / name))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from bokehguide.scene import BUILTIN, Overrides, load_scene
+from tests.support.gltf_square import write_gltf
 
 BALL = """
 [camera]
@@ -67,6 +70,16 @@ def test_a_model_far_from_metres(tmp_path, scale):
     assert any(
         "lengths are in metres" in line for line in mistakes(tmp_path, scale=scale, camera_position=(0.0, 0.0, 5.0 * scale))
     )
+
+
+def test_a_model_far_from_the_origin(tmp_path):
+    for distance, far in ((100.0, False), (10_000.0, True)):
+        write_gltf(tmp_path / "square.gltf", nodes=[{"children": [1], "translation": [0.0, -distance, 0.0]}, {"mesh": 0}])
+        document = json.loads((tmp_path / "square.gltf").read_text())
+        document["scenes"] = [{"nodes": [0]}]
+        (tmp_path / "square.gltf").write_text(json.dumps(document))
+        found = [line for line in load_scene(str(tmp_path / "square.gltf")).likely_mistakes if "from the origin" in line]
+        assert len(found) == far and all("2.8 m in size and 1e+04 m from the origin, where" in line for line in found)
 
 
 @pytest.mark.parametrize("name", BUILTIN)

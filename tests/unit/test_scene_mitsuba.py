@@ -17,6 +17,10 @@ from bokehguide.errors import BokehguideError
 from bokehguide.export import export_mitsuba
 from bokehguide.image import write_exr
 from bokehguide.render.bsdf.microfacets import ggx_density
+from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.lights.environment import EnvironmentLight
+from bokehguide.render.textures import TextureAtlas
+from bokehguide.render.tracer import Tracer
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.anisotropy import to_alphas
 from bokehguide.scene.files import SceneFiles
@@ -102,13 +106,16 @@ def test_exported_flat_meshes_stay_flat(tmp_path):
     assert back.meshes[0].normals is None and back.meshes[1].normals is not None
 
 
-@pytest.mark.parametrize("kind", ["sphere", "rectangle", "disk", "cube"])
+@pytest.mark.parametrize("kind", ["sphere", "rectangle", "disk", "cube", "cylinder"])
 def test_shapes_are_mitsubas(tmp_path, kind):
     """Bounds and area, under a transform."""
     steps = '<scale x="2" y="1" z="0.5"/><rotate y="1" angle="30"/><translate x="1" y="2" z="-3"/>'
     move = f'<transform name="to_world">{steps}</transform>'
     if kind == "sphere":
         move = '<point name="center" x="1" y="2" z="-3"/><float name="radius" value="0.7"/>'
+    if kind == "cylinder":
+        ends = '<point name="p0" x="1" y="2" z="-3"/><point name="p1" x="2" y="-1" z="0.5"/>'
+        move = f'{ends}<float name="radius" value="0.7"/><transform name="to_world"><rotate y="1" angle="30"/></transform>'
     (mesh,) = read(tmp_path, f'<shape type="{kind}">{move}</shape>').meshes
     shape = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0]
     corners = mesh.vertices[mesh.triangles]
@@ -162,6 +169,18 @@ def test_the_side_of_emission_is_mitsubas(tmp_path, kind):
             theirs = float(np.ravel(np.array(hit.emitter(there).eval(hit)))[0])
             ours = estimates(scene, (0.1, 0.13, 4.0 * side), (0.0, 0.0, -side), 1)[0, 0]
             assert ours == pytest.approx(theirs, abs=1e-4), (shape, side)
+
+
+@pytest.mark.parametrize("flag", ["", '<boolean name="flip_normals" value="true"/>'])
+@pytest.mark.parametrize("move", ["", '<scale x="-1"/>', '<rotate z="1" angle="25"/>'])
+def test_the_side_of_emission_of_cylinders_is_mitsubas(tmp_path, flag, move):
+    light = '<emitter type="area"><rgb name="radiance" value="1 1 1"/></emitter>'
+    scene = read(tmp_path, f'<shape type="cylinder">{flag}<transform name="to_world">{move}</transform>{light}</shape>')
+    there = mi.load_file(str(tmp_path / "scene.xml"))
+    for start, direction in (((4.0, 0.1, 0.3), (-1.0, 0.0, 0.0)), ((0.2, 0.1, 0.3), (-1.0, 0.0, 0.0))):
+        hit = there.ray_intersect(mi.Ray3f(mi.Point3f(*start), mi.Vector3f(*direction)))
+        theirs = float(np.ravel(np.array(hit.emitter(there).eval(hit)))[0])
+        assert estimates(scene, start, direction, 1)[0, 0] == pytest.approx(theirs, abs=1e-4)
 
 
 def write_serialized(path):
@@ -418,7 +437,7 @@ def test_emitters(tmp_path):
         '<rgb name="intensity" value="5 5 5"/></emitter>'
         '<emitter type="directional" id="sun"><vector name="direction" x="0" y="-2" z="0"/>'
         '<rgb name="irradiance" value="4 4 4"/></emitter>'
-        '<emitter type="constant"><rgb name="radiance" value="0.5 0.5 0.5"/></emitter><emitter type="spot" id="stage"/>'
+        '<emitter type="constant"><rgb name="radiance" value="0.5 0.5 0.5"/></emitter><emitter type="projector" id="stage"/>'
     )
     scene = read(tmp_path, body)
     lamp = scene.materials[scene.meshes[0].material]
@@ -433,7 +452,7 @@ def test_emitters(tmp_path):
     assert [line.removeprefix("scene.xml: ") for line in scene.warnings] == [
         "point lights: spheres of radius 0.01 m (bulb)",
         "directional lights: discs of 0.53° (sun)",
-        "emitters of the type spot: left out (stage)",
+        "emitters of the type projector: left out (stage)",
     ]
 
 
@@ -515,6 +534,48 @@ def test_a_negative_scale_of_a_map_is_refused(tmp_path):
     assert read(tmp_path, '<shape type="sphere"/>' + sky.format("0.5")).environment.radiance.max() == 0.5
     with pytest.raises(BokehguideError, match=r"scene\.xml: envmap \d+\.scale: -0\.5 is negative; give a number of 0 or more"):
         read(tmp_path, '<shape type="sphere"/>' + sky.format("-0.5"))
+
+
+def test_a_checkerboard_is_mitsubas(tmp_path):
+    colors = '<rgb name="color0" value="0.9 0.1 0"/><rgb name="color1" value="0 0.2 0.7"/>'
+    place = '<transform name="to_uv"><scale x="5" y="3"/><translate x="0.3" y="0.1"/></transform>'
+    texture = f'<texture type="checkerboard" name="reflectance">{colors}{place}</texture>'
+    scene = read(tmp_path, f'<shape type="rectangle"><bsdf type="diffuse">{texture}</bsdf></shape>')
+    assert scene.warnings == ()
+    found = scene.materials[scene.meshes[0].material].base_color_texture
+    atlas = TextureAtlas()
+    number = atlas.add(found)
+    uv = np.random.default_rng(0).random((200, 2), np.float32)
+    ours = atlas.build("cpu").lookup(torch.full((len(uv),), number), torch.from_numpy(uv.T.copy()))[:3].numpy().T
+    bsdf = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0].bsdf()
+    theirs = np.empty_like(ours)
+    for row, point in zip(theirs, uv):
+        at = mi.SurfaceInteraction3f()
+        at.uv, at.wi = mi.Point2f(point), mi.Vector3f(0.0, 0.0, 1.0)
+        row[:] = np.array(bsdf.eval_diffuse_reflectance(at)).ravel()
+    same = np.abs(ours - theirs).max(axis=1) < 1e-3
+    assert same.mean() > 0.94 and len(np.unique(theirs, axis=0)) == 2, "a check ends within one texel"
+    light = texture.replace("reflectance", "radiance")
+    scene = read(tmp_path, f'<shape type="rectangle"><emitter type="area">{light}</emitter></shape>')
+    assert scene.materials[scene.meshes[0].material].emission_texture is not None and scene.warnings == ()
+
+
+def test_a_checkerboard_of_textures_is_grey_in_their_place(tmp_path):
+    inner = '<texture type="bitmap" name="color0"><string name="filename" value="a.png"/></texture>'
+    texture = f'<texture type="checkerboard" name="reflectance" id="c">{inner}</texture>'
+    found, warnings = sole(tmp_path, f'<bsdf type="diffuse">{texture}</bsdf>')
+    assert warnings == ("scene.xml: textures in a checkerboard: grey in their place (c)",)
+    np.testing.assert_allclose(np.unique(found.base_color_texture.image), (0.2, 0.5), rtol=1e-6)
+
+
+def test_shapes_without_a_name_have_that_of_their_file_or_type(tmp_path):
+    ball = trimesh.creation.icosphere(1)
+    ball.export(tmp_path / "ball.obj")
+    file = '<shape type="obj"><string name="filename" value="ball.obj"/></shape>'
+    named = '<shape type="sphere" id="moon"/>'
+    scene = read(tmp_path, f'{file}<shape type="sphere"/>{named}<shape type="sphere"/>{file}')
+    assert [mesh.name for mesh in scene.meshes] == ["ball", "sphere", "moon", "sphere 2", "ball 2"]
+    assert [mesh.groups for mesh in scene.meshes] == [("ball",), ("sphere",), ("sphere",), ("sphere",), ("ball",)]
 
 
 @pytest.mark.parametrize("name", ["no.png", "no.exr"])
@@ -619,7 +680,7 @@ def test_microfacets_are_mitsubas(tmp_path, u, v):
     np.testing.assert_allclose((2.0 * half[2] / (half[2] + root)).numpy(), masking, rtol=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["sphere", "rectangle", "disk", "cube"])
+@pytest.mark.parametrize("kind", ["sphere", "rectangle", "disk", "cube", "cylinder"])
 def test_texture_coordinates_are_mitsubas(tmp_path, kind):
     scene = read(tmp_path, f'<shape type="{kind}"/>')
     mesh, generator = scene.meshes[0], np.random.default_rng(0)
@@ -637,3 +698,219 @@ def test_texture_coordinates_are_mitsubas(tmp_path, kind):
         if kind == "sphere" and np.hypot(*point[:2]) < 0.2:
             continue  # u of flat triangles runs straight past the pole
         assert (np.minimum(difference, np.abs(1.0 - difference)) < 0.02).all(), (point, uv, found.uv)
+
+
+TURNS = {
+    "upright": '<rotate y="1" angle="70"/>',
+    "z up": '<rotate y="1" angle="70"/><rotate x="1" angle="90"/>',
+    "upside down": '<rotate x="1" angle="180"/><rotate y="1" angle="20"/>',
+    "askew": '<rotate z="1" angle="25"/><rotate y="1" angle="130"/><rotate x="1" angle="-40"/>',
+    "mirrored": '<scale x="-1"/><rotate y="1" angle="70"/>',
+    "mirrored, z up": '<scale z="-1"/><rotate y="1" angle="-15"/><rotate x="1" angle="90"/>',
+}
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_maps_and_their_worlds_are_mitsubas(tmp_path, turn):
+    """Light in the directions from the camera, whose place in the world is that of Mitsuba's. The map is smooth, as texels are
+    half a texel apart in the two programs."""
+    v, u = np.meshgrid(np.linspace(0.0, np.pi, 65), np.linspace(0.0, 2.0 * np.pi, 128, endpoint=False), indexing="ij")
+    image = np.stack((2.0 + np.cos(v), 2.0 + np.sin(v) * np.sin(u), 2.0 + np.sin(v) * np.cos(u)), axis=2).astype(np.float32)
+    write_exr(tmp_path / "map.exr", {"beauty": image})
+    body = (
+        '<emitter type="envmap"><string name="filename" value="map.exr"/>'
+        f'<transform name="to_world">{TURNS[turn]}</transform></emitter>'
+        '<emitter type="directional"><vector name="direction" x="1" y="2" z="3"/></emitter><shape type="rectangle">'
+        '<transform name="to_world"><translate x="1" y="2" z="3"/></transform></shape>'
+    )
+    scene = read(tmp_path, body)
+    emitters = mi.load_file(str(tmp_path / "scene.xml")).emitters()
+    emitter = next(each for each in emitters if each.is_environment())
+    matrix = np.array(mi.load_file(str(tmp_path / "scene.xml")).sensors()[0].world_transform().matrix, np.float64).reshape(4, 4)
+    ours = ThinLensCamera(scene.camera, scene.film.width, scene.film.height).axes.double().numpy()
+    theirs = matrix[:3, :3] * (-1.0, 1.0, 1.0)  # Mitsuba's x points to the left
+    world = ours @ theirs.T
+    at, environment = mi.SurfaceInteraction3f(), EnvironmentLight(scene.environment)
+    for direction in np.random.default_rng(4).normal(size=(40, 3)):
+        direction /= np.linalg.norm(direction)
+        at.wi = mi.Vector3f(*-direction)
+        wanted = np.ravel(np.array(emitter.eval(at)))
+        found = environment.radiance(torch.tensor((world @ direction)[:, None], dtype=torch.float32)).ravel().numpy()
+        np.testing.assert_allclose(found, wanted, atol=0.04)
+    np.testing.assert_allclose(scene.meshes[0].vertices.mean(axis=0), world @ (1, 2, 3), atol=1e-5)
+    np.testing.assert_allclose(scene.suns[0].direction, -(world @ (1, 2, 3)) / np.sqrt(14.0), atol=1e-6)
+    said = ["scene.xml: world: turned so that the environment map stands upright"]
+    assert list(scene.supported) == ([] if turn in ("upright", "mirrored") else said)
+    assert scene.warnings == ("scene.xml: directional lights: discs of 0.53° (directional)",)
+
+
+def test_instances_of_groups_are_mitsubas(tmp_path):
+    """Nearest hits of parallel rays, and the sides of the surfaces there."""
+    body = (
+        '<shape type="shapegroup" id="both"><shape type="sphere"><float name="radius" value="0.5"/></shape>'
+        '<shape type="rectangle"><bsdf type="diffuse"><rgb name="reflectance" value="0.1 0.2 0.3"/></bsdf>'
+        '<transform name="to_world"><translate x="2"/></transform></shape></shape>'
+        '<shape type="instance"><ref id="both"/></shape>'
+        '<shape type="instance"><ref id="both"/>'
+        '<transform name="to_world"><scale x="-1" y="2"/><translate z="3"/></transform></shape>'
+    )
+    scene = read(tmp_path, body)
+    assert scene.warnings == () and [mesh.name for mesh in scene.meshes] == ["sphere", "rectangle"]
+    rectangle = scene.meshes[1]
+    assert scene.materials[rectangle.material].base_color == pytest.approx((0.1, 0.2, 0.3))
+    theirs = mi.load_file(str(tmp_path / "scene.xml"))
+    rays = np.random.default_rng(5).uniform((-3.0, -2.0, -8.0), (3.0, 2.0, -6.0), (400, 3))
+    tracer = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.triangles) for mesh in scene.meshes])
+    ours = Tracer(tracer.vertices.astype(np.float32), tracer.faces.astype(np.int32))
+    found = ours.intersect(torch.tensor(rays.T, dtype=torch.float32), torch.tensor([[0.0], [0.0], [1.0]]).expand(3, 400))
+    depths, sides = [], []
+    for origin in rays:
+        hit = theirs.ray_intersect(mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(0.0, 0.0, 1.0)))
+        depths.append(float(hit.t))
+        sides.append(float(hit.n.z))
+    hits, seen = np.isfinite(depths), found.triangle.numpy() >= 0
+    assert hits.sum() > 100 and (hits == seen).mean() > 0.98
+    both = hits & seen
+    np.testing.assert_allclose(found.distance.numpy()[both], np.array(depths)[both], atol=0.05)
+    normals = tracer.face_normals[found.triangle.numpy()[both], 2]
+    assert (np.sign(normals) == np.sign(np.array(sides)[both])).mean() > 0.99
+
+
+def test_folders_of_path_tags_come_first(tmp_path):
+    """Of two files of one name, Mitsuba takes that of the last `<path>`."""
+    for number, folder in enumerate((".", "first", "last"), 1):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        trimesh.creation.box((number, number, number)).export(tmp_path / folder / "box.ply")
+    trimesh.creation.box((7, 7, 7)).export(tmp_path / "first" / "other.ply")
+    names = ("box.ply", "other.ply")
+    body = '<path value="first"/><path value="last"/>' + "".join(
+        f'<shape type="ply"><string name="filename" value="{name}"/></shape>' for name in names
+    )
+    path = written(tmp_path, body)
+    sizes = [float(np.ptp(mesh.vertices, axis=0).max()) for mesh in load_scene(str(path)).meshes]
+    theirs = [float(shape.bbox().extents().x) for shape in mi.load_file(str(path)).shapes()]
+    assert sizes == pytest.approx([3.0, 7.0]) and sorted(theirs) == pytest.approx(sizes)
+
+
+def test_folders_of_path_tags_lie_within_the_folder(tmp_path):
+    (tmp_path / "inner").mkdir()
+    path = written(tmp_path / "inner", '<path value=".."/><shape type="sphere"/>')
+    with pytest.raises(
+        BokehguideError, match=r"<path>: '..' lies outside the scene's folder; copy it there, or give --allow-outside$"
+    ):
+        load_scene(str(path))
+
+
+def test_an_undefined_parameter_has_a_remedy(tmp_path):
+    path = written(tmp_path, '<shape type="sphere"><float name="radius" value="$size"/></shape>')
+    with pytest.raises(BokehguideError, match=r'\$size\); add <default name="size" value="…"/> at the beginning of <scene>$'):
+        load_scene(str(path))
+
+
+@pytest.mark.parametrize("angles", ["", '<float name="cutoff_angle" value="60"/><float name="beam_width" value="20"/>'])
+def test_spotlights_are_mitsubas(tmp_path, angles):
+    """The same intensity on the axis, none beyond the cutoff, and the same flux: the falloffs between differ in form."""
+    place = '<transform name="to_world"><lookat origin="1,2,3" target="4,1,5" up="0,1,0"/></transform>'
+    body = f'<emitter type="spot">{place}{angles}<rgb name="intensity" value="5 4 3"/></emitter><shape type="rectangle"/>'
+    scene = read(tmp_path, body)
+    material, cone = scene.materials[-1], scene.materials[-1].emission_cone
+    np.testing.assert_allclose(np.multiply(material.emission, np.pi * 0.01**2), (5.0, 4.0, 3.0), rtol=1e-5)
+    np.testing.assert_allclose(scene.meshes[-1].vertices.mean(axis=0), (1, 2, 3), atol=2e-3)
+    (light,) = mi.load_file(str(tmp_path / "scene.xml")).emitters()
+    angle = np.radians(np.linspace(0.05, 89.95, 900))
+    side = np.cross(cone.axis, (0.0, 1.0, 0.0))
+    side /= np.linalg.norm(side)
+    at, theirs = mi.SurfaceInteraction3f(), []
+    for each in angle:
+        at.p = mi.Point3f(*(np.array((1.0, 2.0, 3.0)) + np.cos(each) * np.array(cone.axis) + np.sin(each) * side))
+        theirs.append(float(light.sample_direction(at, mi.Point2f(0.5, 0.5))[1][0]) / 5.0)
+    low, high = np.cos(np.radians((cone.outer, cone.inner)))
+    share = ((np.cos(angle) - low) / (high - low)).clip(0.0, 1.0)
+    ours, theirs = share**2, np.array(theirs)
+    assert not cone.smooth and cone.outer == (60.0 if angles else 20.0) and not theirs[angle > np.radians(cone.outer)].any()
+    assert np.abs(ours - theirs).max() < 0.25  # the largest t - t²
+    assert (ours * np.sin(angle)).sum() == pytest.approx((theirs * np.sin(angle)).sum(), rel=2e-3)
+
+
+NINE = '<integrator type="path"><integer name="max_depth" value="9"/></integrator>'
+
+
+@pytest.mark.parametrize(
+    ("integrators", "depth"),
+    [
+        ("", 64),
+        ('<integrator type="path"/>', 64),
+        ('<integrator type="path"><integer name="max_depth" value="3"/></integrator>', 3),
+        ('<integrator type="direct"/>', 2),
+        (f'<integrator type="aov"><string name="aovs" value="d:depth"/>{NINE}</integrator>', 9),
+    ],
+)
+def test_depths_of_integrators(tmp_path, integrators, depth):
+    assert read(tmp_path, integrators + '<shape type="sphere"/>').film.max_depth == depth
+
+
+def test_an_area_emitter_that_shapes_refer_to_is_no_loss(tmp_path):
+    lamp = '<emitter type="area" id="lamp"><rgb name="radiance" value="3 2 1"/></emitter>'
+    scene = read(tmp_path, lamp + '<shape type="rectangle"><ref id="lamp"/></shape>')
+    assert scene.warnings == () and scene.materials[scene.meshes[0].material].emission == (3.0, 2.0, 1.0)
+
+
+def test_media_are_told_and_their_boundaries_invisible(tmp_path):
+    medium = '<medium type="homogeneous" name="interior"/>'
+    body = (
+        f'<shape type="sphere" id="fog"><bsdf type="null"/>{medium}</shape>'
+        f'<shape type="sphere" id="bead"><bsdf type="dielectric"/>{medium}</shape>'
+    )
+    scene = read(tmp_path, body)
+    assert [mesh.name for mesh in scene.meshes] == ["bead"] and scene.warnings == ("scene.xml: media: left out (fog, bead)",)
+
+
+@pytest.mark.parametrize(("kind", "tolerance"), [("plastic", 2e-3), ("roughplastic", 0.05)])
+def test_nonlinear_plastics_are_mitsubas(tmp_path, kind, tolerance):
+    """Base colours over those of linear plastics are as the diffuse terms of Mitsuba, also of textures.
+
+    The reflectance on the inside is that of a smooth surface, also of a rough one.
+    """
+    colors = ("0.9 0.4 0.1", "1 1 1")
+    Image.fromarray(np.array([[[255, 188, 99]]], np.uint8)).save(tmp_path / "t.png")
+    given = [f'<rgb name="diffuse_reflectance" value="{color}"/>' for color in colors]
+    given.append('<texture name="diffuse_reflectance" type="bitmap"><string name="filename" value="t.png"/></texture>')
+    at, away = mi.SurfaceInteraction3f(), mi.Vector3f(0.3, 0.1, 0.9)
+    at.wi, at.uv = mi.Vector3f(-0.5, 0.2, 0.7), mi.Point2f(0.5, 0.5)
+    for color in given:
+        found, theirs = [], []
+        for flag in ("", '<boolean name="nonlinear" value="true"/>'):
+            scene = read(tmp_path, f'<shape type="sphere"><bsdf type="{kind}">{color}{flag}</bsdf></shape>')
+            material = scene.materials[scene.meshes[0].material]
+            texture = material.base_color_texture
+            found.append(np.multiply(material.base_color, 1.0 if texture is None else texture.image[0, 0, :3]))
+            bsdf = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0].bsdf()
+            diffuse = mi.BSDFContext()
+            diffuse.type_mask = int(mi.BSDFFlags.DiffuseReflection)
+            theirs.append(np.ravel(np.array(bsdf.eval(diffuse, at, away), np.float64)))
+        np.testing.assert_allclose(found[1] / found[0], theirs[1] / theirs[0], rtol=tolerance)
+
+
+def test_textures_of_roughness_and_metallic(tmp_path):
+    """Luminances of images, packed as in glTF; the smaller image is repeated."""
+    Image.fromarray(np.array([[0, 51], [102, 255]], np.uint8)).save(tmp_path / "rough.png")
+    Image.fromarray(np.array([[[255, 0, 0]]], np.uint8)).save(tmp_path / "metal.png")
+    file = '<string name="filename" value="{}.png"/><boolean name="raw" value="true"/>'
+    bitmap = f'<texture type="bitmap" name="{{}}">{file}</texture>'
+    names = ("roughness", "rough"), ("alpha", "rough"), ("metallic", "metal")
+    rough, alpha, metal = (bitmap.format(*each) for each in names)
+    values = np.array([[0.0, 0.2], [0.4, 1.0]])
+    for kind, given, green, blue in (
+        ("principled", rough + metal, values, 0.2126),
+        ("principled", rough, values, 1.0),
+        ("principled", metal, 1.0, 0.2126),
+        ("roughconductor", alpha, np.sqrt(values), 1.0),
+        ("roughplastic", alpha, np.sqrt(values), 1.0),
+        ("roughdielectric", alpha, np.sqrt(values), 1.0),
+    ):
+        material, warnings = sole(tmp_path, f'<bsdf type="{kind}">{given}</bsdf>')
+        image = material.metallic_roughness_texture.image
+        np.testing.assert_allclose(image[..., 1], np.broadcast_to(green, image.shape[:2]), atol=1e-4)
+        np.testing.assert_allclose(image[..., 2], np.broadcast_to(blue, image.shape[:2]), atol=1e-4)
+        assert warnings == () and material.roughness == (1.0 if given != metal else 0.5)
+        assert material.metallic == (1.0 if kind == "roughconductor" or metal in given else 0.0)

@@ -63,6 +63,33 @@ def test_a_face_beyond_the_vertices_is_named_by_its_line(tmp_path, face, vertex)
         load_scene(str(tmp_path / "a.obj"))
 
 
+@pytest.mark.parametrize(
+    ("face", "told"),
+    [
+        ("0 1 2", "the vertex 0, and the file has 3 vertices"),
+        ("1/1 2/2 3/9", "the texture coordinate 9, and the file has 2 texture coordinates"),
+        ("1/0 2/2 3/1", "the texture coordinate 0, and the file has 2 texture coordinates"),
+        ("1/-3 2/2 3/1", "the texture coordinate -3, and the file has 2 texture coordinates"),
+        ("1/1/1 2/1/1 3/1/2", "the normal 2, and the file has 1 normal"),
+        ("1//1 2//1 3//0", "the normal 0, and the file has 1 normal"),
+    ],
+)
+def test_a_face_with_an_index_that_the_file_lacks_is_named_by_its_line(tmp_path, face, told):
+    good = "f 1 2 3\nf 1/1 2/2 3/1\nf 1//1 2//1 3//-1\nf 1/1/1 -2/-2/-1 3/2/1\n"
+    header = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 1\nvn 0 0 1\n"
+    (tmp_path / "a.obj").write_text(f"# a model\n{header}{good}")
+    assert sum(len(mesh.triangles) for mesh in load_scene(str(tmp_path / "a.obj")).meshes) == 4
+    (tmp_path / "a.obj").write_text(f"# a model\n{header}{good}f {face}\n")
+    with pytest.raises(BokehguideError, match=rf"/a\.obj:12: the face has {told}; repair the face$"):
+        load_scene(str(tmp_path / "a.obj"))
+
+
+def test_faces_may_have_indices_of_statements_that_the_whole_file_lacks(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1/1 2/2/2 3/3/3\n")
+    (mesh,) = load_scene(str(tmp_path / "a.obj")).meshes
+    assert len(mesh.triangles) == 1 and mesh.uvs is None
+
+
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj", "glb"])
 def test_a_model_is_framed_and_lit(tmp_path, suffix):
     box = trimesh.creation.box((3.0, 1.0, 2.0))

@@ -84,6 +84,26 @@ def test_the_irradiance_of_each_light(tmp_path, kind):
     assert mean_test(samples, expected, 2e-3) > SIGNIFICANCE, (samples.mean(axis=1), expected)
 
 
+NEGATIVE = {
+    "distant": 'LightSource "distant" "float scale" -2',
+    "infinite": 'LightSource "infinite" "float scale" -2',
+    "map": 'LightSource "infinite" "string filename" "sky.png" "float scale" -2',
+    "point": 'LightSource "point" "float scale" -2',
+    "diffuse": f'AreaLightSource "diffuse" "float scale" -2 {square(1.0, 2.0)}',
+}
+
+
+@pytest.mark.parametrize("kind", NEGATIVE)
+def test_a_negative_scale_is_told(tmp_path, kind):
+    Image.new("RGB", (4, 4), (200, 100, 50)).save(tmp_path / "sky.png")
+    scene = read(tmp_path, NEGATIVE[kind])
+    name = "infinite" if kind == "map" else kind
+    assert f"scene.pbrt: negative scales of lights: 0 in their place ({name}, scene.pbrt:8)" in scene.warnings
+    assert not scene.suns and (scene.environment is None or not scene.environment.radiance.any())
+    assert not any(material.emits for material in scene.materials)
+    assert not any("negative" in line for line in read(tmp_path, NEGATIVE[kind].replace("-2", "2")).warnings)
+
+
 def test_the_power_of_a_goniometric_light_includes_its_image(tmp_path):
     """pbrt-v4 divides the power by 4π times the mean of the image."""
     Image.new("L", (4, 4), 89).save(tmp_path / "dim.png")

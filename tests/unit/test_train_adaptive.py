@@ -232,7 +232,7 @@ def test_blocks_at_the_right_edge_are_blocks_of_their_own():
 
 def test_a_half_of_a_denoised_render_has_no_halves():
     loop = AdaptiveLoop(scenes.emitters(32, 18), RenderSettings(threads=1, target_noise=0.01, denoise=True))
-    assert [type(half.film) for half in loop.halves] == [Film, Film]
+    assert [type(half.film) for half in loop.halves] == [adaptive.HalfFilm, adaptive.HalfFilm]
 
 
 def test_halves_share_nothing_random_but_all_else():

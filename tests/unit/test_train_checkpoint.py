@@ -16,6 +16,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.guiding.config import GaussianConfig, GuidedConfig
 from bokehguide.scene.types import Aperture, Scene
 from bokehguide.train import MODES, RenderLoop, RenderSettings, load_checkpoint, save_checkpoint, saved_state
+from bokehguide.train.checkpoint import ANOTHER, UNREADABLE, SavedState
 from tests.support import restir_cases, scenes
 from tests.support.same_bits import assert_same_bits
 from tests.support.sharing_cases import spoil
@@ -158,6 +159,13 @@ def test_a_loop_goes_back_to_before_its_offsets():
     assert_same_state(rendered("lis-o", GaussianConfig.fits + 3), onwards(late, GaussianConfig.fits + 3))
 
 
+@pytest.mark.parametrize("seconds", [math.nan, math.inf, -1.0, "x", None])
+def test_seconds_are_a_number(seconds, tmp_path):
+    with pytest.raises(BokehguideError, match=r"save_checkpoint: seconds: .* is out of range; give a number of 0 or more"):
+        save_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()), seconds)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("seed", [-1, 2**62])
 def test_bad_samples_of_any_seed_are_kept(seed, tmp_path):
     loops = [RenderLoop(scene(), replace(settings("uniform"), seed=seed)) for _ in range(2)]
@@ -281,9 +289,27 @@ def test_a_format_of_another_version_or_commit_is_told(checkpoint, tmp_path):
         torch.save(whole, tmp_path / "a.ckpt")
         with pytest.raises(BokehguideError, match=f"a.ckpt: {words}"):
             load_checkpoint(tmp_path / "a.ckpt", RenderLoop(scene(), settings()))
-    assert saved_state(tmp_path / "a.ckpt", RenderLoop(scene(), settings())) == (2, True, False)
-    torch.save(early, tmp_path / "a.ckpt")
-    assert saved_state(tmp_path / "a.ckpt", RenderLoop(scene(), settings())) == (0, False, True), "it gets another name"
+    loop = RenderLoop(scene(), settings())
+    assert saved_state(tmp_path / "a.ckpt", loop) == SavedState(2, True)
+    strangers = {"bokehguide 0.1.0": early, f"another commit of {version}": fewer}
+    for writer, whole in strangers.items():
+        torch.save(whole, tmp_path / "a.ckpt")
+        assert saved_state(tmp_path / "a.ckpt", loop) == SavedState(stranger=f"was written by {writer}")
+    assert saved_state(checkpoint, RenderLoop(moved(scene()), settings())) == SavedState(stranger=ANOTHER)
+
+
+def test_a_file_that_is_no_checkpoint_is_told_from_none(checkpoint, tmp_path):
+    """An empty file and a folder are nothing that another name would keep."""
+    loop, path = RenderLoop(scene(), settings()), tmp_path / "a.ckpt"
+    path.touch()
+    for absent in (path, tmp_path, tmp_path / "none.ckpt"):
+        assert saved_state(absent, loop) == SavedState()
+    for name, data in {"text": b"text", "cut": checkpoint.read_bytes()[:5000]}.items():
+        path.write_bytes(data)
+        assert saved_state(path, loop) == SavedState(stranger=UNREADABLE), name
+    for step in ("many", -3, None, 2.5):
+        torch.save(changed(checkpoint, "loop", "step", value=step), path)
+        assert saved_state(path, loop) == SavedState(stranger=UNREADABLE), step
 
 
 def test_another_scene_is_named(checkpoint):
@@ -323,7 +349,7 @@ def test_a_damaged_file_is_one_line(checkpoint, tmp_path):
             load_checkpoint(tmp_path / "a.ckpt", loop)
             sound += 1  # a bit that no reader looks at, between two records
         except BokehguideError as error:
-            assert "is damaged or no checkpoint of a render; remove it" in str(error), name
+            assert "is damaged or no checkpoint of a render; render without --resume to start again" in str(error), name
     assert sound <= 3
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import threading
 
 import pytest
@@ -73,8 +75,18 @@ def test_a_closed_loop_keeps_its_picture_and_takes_no_step(kind, target_noise, s
     ],
 )
 def test_a_loop_of_other_things_is_refused(given, words):
-    with pytest.raises(BokehguideError, match=f"^RenderLoop: {words}"):
-        RenderLoop(*given)
+    for kind in (RenderLoop, AdaptiveLoop, make_loop):
+        with pytest.raises(BokehguideError, match=f"^RenderLoop: {words}"):
+            kind(*given)
+
+
+@KINDS
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_loop_cannot_be_copied(kind, target_noise, copied):
+    with pytest.raises(
+        BokehguideError, match=f"^{kind.__name__}: a loop cannot be copied or pickled; copy its film, or load its"
+    ):
+        copied(loop_of(target_noise))
 
 
 @KINDS

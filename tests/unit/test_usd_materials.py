@@ -257,7 +257,7 @@ def test_what_is_lost_is_told(tmp_path):
         "displacement: left out (look)",
         "nodes of the type SomeNoise at roughness: left out (look)",
         "missing textures: left out (./gone.png)",
-        "materials without a UsdPreviewSurface: the display colour in their place (/other)",
+        "materials without a surface that is read: the display colour in their place (/other)",
     ):
         assert part in text
 

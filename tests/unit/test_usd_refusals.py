@@ -130,6 +130,16 @@ def test_a_reader_that_dies_is_a_message(tmp_path, monkeypatch):
         load_scene(path)
 
 
+def test_the_reader_of_binary_files_imports_nothing_from_the_working_folder(tmp_path, monkeypatch):
+    """A downloaded folder may hold a module with the name of one that Python brings."""
+    stage = new_stage()
+    add_mesh(stage, "/mesh")
+    path = saved(stage, tmp_path, "scene.usdc")
+    (tmp_path / "pickle.py").write_text("raise SystemExit(3)")
+    monkeypatch.chdir(tmp_path)
+    assert len(load_scene(path).meshes) == 1
+
+
 @pytest.mark.parametrize("place", [16, -16, -48])
 def test_huge_sizes_in_binary_files_are_refused(place, tmp_path):
     """The place of the table of contents, in the header, and the places of sections, in the table at the end."""

@@ -54,6 +54,7 @@ def test_a_size_may_be_an_array(size, tmp_path, monkeypatch):
     [
         ({"size": 32}, "view: size: 32 is no pair of whole numbers"),
         ({"f_nunber": 2.0}, "did you mean 'f_number'"),
+        ({"width": 320}, "view: width: no such option; did you mean 'size'?"),
         ({"mode": "magic"}, "mode"),
         ({"fov": 500.0}, "--fov"),
     ],

@@ -86,7 +86,7 @@ def test_a_click_focuses_on_the_surface_there(page):
     expected = load_scene("box.toml", Overrides(focus_at=(0.27, 0.62))).camera.focus_distance
     assert after == expected == pytest.approx(3.0, abs=0.2)
     page.send(type="focus", x=0.99, y=0.01)
-    assert "nothing but background" in page.until("failure")["failure"]
+    assert "the middle of the lens meets nothing but background there" in page.until("failure")["failure"]
 
 
 def test_every_change_of_the_lens_changes_the_picture(page):

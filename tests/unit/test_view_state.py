@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import os
+import random
 import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -118,12 +120,15 @@ def edited(source: Source, name: str) -> ViewState:
     """The state after the edits of this name."""
     state = state_of(source)
     for key, value in EDITS[name]:
-        if key == "move":
-            place = move(source.scene_of(state.overrides).camera, *value)
-            state = moved(state, source, *place)
-        else:
-            state = changed(state, source, key, value)
+        state = with_edit(state, source, key, value)
     return state
+
+
+def with_edit(state: ViewState, source: Source, key: str, value: Any) -> ViewState:
+    """The state after one edit."""
+    if key == "move":
+        return moved(state, source, *move(source.scene_of(state.overrides).camera, *value))
+    return changed(state, source, key, value)
 
 
 @pytest.mark.parametrize("name", EDITS)
@@ -138,6 +143,62 @@ def test_the_lens_of_a_stage_is_that_of_the_page(options, name, folder):
     pytest.importorskip("pxr")
     (folder / "stage.usda").write_text(STAGE)
     check_page(source_of("stage.usda", "--size", "32x18", *options), name, folder, sensor="tilted" not in options)
+
+
+OVERRIDES = ("", "f_number = 2.0", "fov = 60.0", "camera_position = [0.4, 0.5, 3.0]", "aperture_blades = 6", 'camera = "tilted"')
+"""Overrides of scene files whose base is a model with the camera `tilted`."""
+
+
+def random_edits(rng: random.Random) -> list[tuple[str, object]]:
+    """Some edits of the camera, the lens and the environment."""
+    kinds = ("f_number", "focus_distance", "fov", "focal_length", "environment_rotation", "blades", "move", "move")
+    limits = {"f_number": (0.5, 8.0), "focus_distance": (1.0, 6.0), "fov": (20.0, 70.0), "focal_length": (20.0, 90.0)}
+    edits: list[tuple[str, object]] = []
+    for kind in rng.choices(kinds, k=rng.randint(1, 5)):
+        if kind == "move":
+            name = rng.choice(("orbit", "look", "pan", "dolly", "walk", "rise"))
+            edits.append((kind, (name, rng.uniform(-0.2, 0.2), rng.uniform(-0.1, 0.1))))
+        elif kind == "blades":
+            edits.append((kind, rng.choice((5, 7))))
+        else:
+            pinhole = kind == "f_number" and rng.random() < 0.2
+            edits.append((kind, None if pinhole else rng.uniform(*limits.get(kind, (0.0, 360.0)))))
+    return edits
+
+
+@pytest.mark.parametrize("first", range(0, 20, 5))
+@pytest.mark.parametrize("model", ["rolled.usda", "tilted.gltf", "plain.gltf"])
+def test_random_edits_of_a_scene_file_with_a_model_as_base(model, first, folder):
+    if model == "rolled.usda":
+        pytest.importorskip("pxr")
+        (folder / model).write_text(STAGE.replace("(0, 0, 0)", "(3, 2, 10)"))
+    elif model == "tilted.gltf":
+        camera = {"name": "tilted", "camera": 0, "translation": [0.5, 1.0, 4.0], "rotation": [-0.1, 0.02, 0.03, 0.994]}
+        lens = [{"type": "perspective", "perspective": {"yfov": 0.6, "znear": 0.1}}]
+        write_gltf(folder / model, nodes=[{"mesh": 0}, camera], cameras=lens)
+    else:
+        write_gltf(folder / model)
+    known = OVERRIDES[:-1] if model == "plain.gltf" else OVERRIDES
+    for seed in range(first, first + 5):
+        rng = random.Random(seed)
+        (folder / "derived.toml").write_text(f'base = "{model}"\n[overrides]\n{rng.choice(known)}\n')
+        source = source_of("derived.toml", "--size", "32x18", *rng.choice([(), (), ("--f-number", "1.5"), ("--fov", "50")]))
+        state = state_of(source)
+        for key, value in random_edits(rng):
+            try:
+                state = with_edit(state, source, key, value)
+            except BokehguideError:  # a pinhole has no blades
+                continue
+        options = parse(shlex.split(command_line(state, source))[1:])
+        same(load_scene(options.scene, overrides_from(options)), source.scene_of(state.overrides), model != "rolled.usda")
+
+
+@pytest.mark.parametrize("name", ["untouched", "f-number", "focal length", "moved lens", "moved"])
+def test_the_camera_that_a_scene_file_selects(name, folder):
+    pytest.importorskip("pxr")
+    (folder / "stage.usda").write_text(STAGE)
+    (folder / "derived.toml").write_text('base = "stage.usda"\n[overrides]\ncamera = "tilted"\n')
+    check_page(source_of("derived.toml", "--size", "32x18"), name, folder, sensor=False)
 
 
 def check_page(source: Source, name: str, folder: Path, sensor: bool = True) -> None:

@@ -14,7 +14,7 @@ from bokehguide.image.reading import read_channels
 from bokehguide.scene.anisotropy import from_alphas
 from bokehguide.scene.disney_sheen import from_disney
 from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.images import load_texture, nearest_texels
+from bokehguide.scene.images import checks, load_texture, nearest_texels
 from bokehguide.scene.mitsuba_xml.tree import Plugin, as_dictionary, mitsuba
 from bokehguide.scene.types import Material, Texture, Vector, as_vector
 
@@ -126,34 +126,35 @@ class Materials:
         return self._diffuse(bsdf, name)
 
     def _plastic(self, bsdf: Plugin, name: str) -> Material:
-        rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughplastic" else 0.0
-        tint, color = self._tint(bsdf, name), self._color(bsdf, "diffuse_reflectance")
-        most = max(tint)
+        rough = {"roughness": 0.0} if bsdf.type == "plastic" else self._roughness(bsdf, 0.1)
+        tint, ior = self._tint(bsdf, name), self._ior(bsdf, name, 1.49)
+        color, most = self._color(bsdf, "diffuse_reflectance"), max(tint)
+        if bsdf.flag("nonlinear"):
+            color = _saturated(color, ior)
         if most > 0.0:
             color["specular_color"] = as_vector(channel / most for channel in tint)
-        return Material(name, roughness=rough, ior=self._ior(bsdf, name, 1.49), specular=most, **color)
+        return Material(name, ior=ior, specular=most, **rough, **color)
 
-    _roughplastic = _plastic
+    _roughplastic = _pplastic = _plastic
 
     def _conductor(self, bsdf: Plugin, name: str) -> Material:
         color = as_vector(min(max(float(each), 0.0), 1.0) for each in self._metal(bsdf, name))
         if bsdf.type == "conductor":
             return Material(name, color, metallic=1.0, roughness=0.0)
         alphas = [bsdf.values.get(key, bsdf.values.get("alpha", 0.1)) for key in ("alpha_u", "alpha_v")]
-        if any(isinstance(alpha, Plugin) for alpha in alphas):
-            self.lose("textures of roughness: left out", name)
-            alphas = [0.1, 0.1]
-        return Material(name, color, metallic=1.0, single_scattering=True, **from_alphas(*map(_mean, alphas)))
+        textured = any(isinstance(alpha, Plugin) for alpha in alphas)
+        rough = self._roughness(bsdf, 0.1) if textured else from_alphas(*map(_mean, alphas))
+        return Material(name, color, metallic=1.0, single_scattering=True, **rough)
 
     _roughconductor = _conductor
 
     def _dielectric(self, bsdf: Plugin, name: str) -> Material:
-        rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughdielectric" else 0.0
+        rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughdielectric" else {"roughness": 0.0}
         color = self._color(bsdf, "specular_transmittance", (1.0, 1.0, 1.0))
         if self._tint(bsdf, name) != (1.0, 1.0, 1.0):
             self.lose("specular_reflectance of dielectrics: 1.0 in its place", name)
         thin = bsdf.type == "thindielectric"
-        return Material(name, transmission=1.0, roughness=rough, thin=thin, ior=self._ior(bsdf, name, GLASS), **color)
+        return Material(name, transmission=1.0, thin=thin, ior=self._ior(bsdf, name, GLASS), **rough, **color)
 
     _roughdielectric = _thindielectric = _dielectric
 
@@ -164,11 +165,19 @@ class Materials:
                 return default
             return min(max(_mean(bsdf.values.get(key, default)), 0.0), 1.0)
 
-        aspect, rough = math.sqrt(1.0 - 0.9 * scalar("anisotropic", 0.0)), scalar("roughness", 0.5)
+        packed = self._packed(bsdf.values.get("roughness"), bsdf.values.get("metallic"), name)
         for key in ("spec_tint", "flatness"):
             if isinstance(bsdf.values.get(key), Plugin) or _mean(bsdf.values.get(key, 0.0)) > 0.0:
                 self.lose(f"{key} of principled BSDFs: left out", name)
-        color, metallic, sheen = self._color(bsdf, "base_color"), scalar("metallic", 0.0), scalar("sheen", 0.0)
+        color, sheen = self._color(bsdf, "base_color"), scalar("sheen", 0.0)
+        metallic = 1.0 if is_image(bsdf.values.get("metallic")) else scalar("metallic", 0.0)
+        if is_image(bsdf.values.get("roughness")):
+            rough: dict[str, Any] = {"roughness": 1.0}
+            if scalar("anisotropic", 0.0) > 0.0:
+                self.lose("anisotropic of principled BSDFs with a texture of roughness: left out", name)
+        else:
+            aspect, alpha = math.sqrt(1.0 - 0.9 * scalar("anisotropic", 0.0)), scalar("roughness", 0.5) ** 2
+            rough = from_alphas(alpha / aspect, alpha * aspect)
         tint = scalar("sheen_tint", 0.0) if sheen > 0.0 else 0.0
         if tint > 0.0 and "base_color_texture" in color:
             self.lose("sheen_tint of principled BSDFs with a texture: a white sheen", name)
@@ -182,20 +191,41 @@ class Materials:
             transmission=scalar("spec_trans", 0.0),
             clearcoat=scalar("clearcoat", 0.0),
             clearcoat_roughness=1.0 - scalar("clearcoat_gloss", 0.0),
-            **from_alphas(rough**2 / aspect, rough**2 * aspect),
             **from_disney(sheen, tint, color["base_color"], metallic),
+            **packed,
+            **rough,
             **color,
         )
 
-    def _roughness(self, bsdf: Plugin, default: float) -> float:
-        """The roughness whose square is Mitsuba's α."""
+    def _roughness(self, bsdf: Plugin, default: float) -> dict[str, Any]:
+        """The fields of the roughness whose square is Mitsuba's α."""
         value = bsdf.values.get("alpha", bsdf.values.get("alpha_u", default))
+        if "alpha_u" in bsdf.values and bsdf.values["alpha_u"] != bsdf.values.get("alpha_v"):
+            self.lose("anisotropic roughness: that along u counts", bsdf.name or bsdf.type)
+        if is_image(value):
+            packed = self._packed(value, None, bsdf.name or bsdf.type)["metallic_roughness_texture"]
+            return {"roughness": 1.0, "metallic_roughness_texture": replace(packed, image=np.sqrt(packed.image))}
         if isinstance(value, Plugin):
             self.lose("textures of roughness: left out", bsdf.name or bsdf.type)
             value = default
-        if "alpha_u" in bsdf.values and bsdf.values["alpha_u"] != bsdf.values.get("alpha_v"):
-            self.lose("anisotropic roughness: that along u counts", bsdf.name or bsdf.type)
-        return math.sqrt(min(max(_mean(value), 0.0), 1.0))
+        return {"roughness": math.sqrt(min(max(_mean(value), 0.0), 1.0))}
+
+    def _packed(self, roughness: Any, metallic: Any, name: str) -> dict[str, Any]:
+        """The texture of the luminances of two images, as glTF packs them; without images no field."""
+        given = {channel: self.texture(value) for channel, value in ((1, roughness), (2, metallic)) if is_image(value)}
+        found = {channel: texture for channel, texture in given.items() if texture is not None}
+        if not found:
+            return {}
+        first = next(iter(found.values()))
+        height, width = np.max([texture.image.shape[:2] for texture in found.values()], axis=0)
+        image = np.ones((height, width, 3), np.float32)
+        for channel, texture in found.items():
+            if (texture.wrap, texture.transform) != (first.wrap, first.transform):
+                self.lose("metallic of other texture coordinates than roughness: those of roughness count", name)
+            rows, columns = (np.arange(size) * old // size for size, old in zip((height, width), texture.image.shape))
+            luminance = texture.image[..., :3] @ np.array(LUMINANCE, np.float32)
+            image[..., channel] = luminance[rows[:, None], columns].clip(0.0, 1.0)
+        return {"metallic_roughness_texture": replace(first, image=image)}
 
     def _ior(self, bsdf: Plugin, name: str, default: float) -> float:
         """The refractive index of the denser medium, relative to that of the thinner one."""
@@ -243,9 +273,9 @@ class Materials:
             return np.array(weight, np.float64).ravel()[:3]
 
     def _color(self, bsdf: Plugin, key: str, default: Vector = GREY) -> dict[str, Any]:
-        """Base colour and its texture from a colour or a bitmap."""
+        """Base colour and its texture from a colour or an image."""
         value = bsdf.values.get(key, default)
-        if is_bitmap(value):
+        if is_image(value):
             return {"base_color": (1.0, 1.0, 1.0), "base_color_texture": self.texture(value, srgb=True)}
         color = color_of(value, bsdf.place)
         if color is None:
@@ -253,16 +283,30 @@ class Materials:
         return {"base_color": as_vector(min(max(channel, 0.0), 1.0) for channel in color or GREY)}
 
     def texture(self, texture: Plugin, srgb: bool = True) -> Texture | None:
-        """A bitmap; None for another texture."""
-        if not is_bitmap(texture):
+        """A bitmap or a checkerboard; None for another texture."""
+        if not is_image(texture):
             self.lose(f"texture {texture.type}: left out", texture.name or texture.type)
             return None
+        image = self._checks(texture) if texture.type == "checkerboard" else self._bitmap(texture, srgb)
+        wrap, matrix = WRAPS.get(texture.text("wrap_mode", "repeat"), "repeat"), texture.matrix("to_uv")
+        return Texture(image, wrap=(wrap, wrap), transform=tuple(matrix[[0, 0, 0, 1, 1, 1], [0, 1, 3, 0, 1, 3]].tolist()))
+
+    def _bitmap(self, texture: Plugin, srgb: bool) -> np.ndarray:
+        """The pixels of a file, linear float32 `[H, W, 3]`."""
         path = self._files.find(self._file.parent, texture.text("filename"), f"{texture.place}.filename")
         require_file(path, "texture", f"{texture.place}.filename")
         raw = not srgb or texture.flag("raw")
-        image = self._floats(path) if path.suffix.lower() in (".exr", ".hdr") else load_texture(path, self._files, not raw)
-        wrap, matrix = WRAPS.get(texture.text("wrap_mode", "repeat"), "repeat"), texture.matrix("to_uv")
-        return Texture(image, wrap=(wrap, wrap), transform=tuple(matrix[[0, 0, 0, 1, 1, 1], [0, 1, 3, 0, 1, 3]].tolist()))
+        return self._floats(path) if path.suffix.lower() in (".exr", ".hdr") else load_texture(path, self._files, not raw)
+
+    def _checks(self, texture: Plugin) -> np.ndarray:
+        """A checkerboard, linear float32 `[H, W, 3]`."""
+        given = [texture.values.get(key, default) for key, default in (("color0", 0.4), ("color1", 0.2))]
+        colors = [color_of(value, texture.place) for value in given]
+        if None in colors:
+            self.lose("textures in a checkerboard: grey in their place", texture.name or texture.type)
+        image = checks(*(np.array(color or GREY, np.float32).clip(min=0.0) for color in colors))
+        self._files.reserve(image.size, 0, texture.place)
+        return image
 
     def _floats(self, path: Path) -> np.ndarray:
         """An image of linear floats, `[H, W, 3]`."""
@@ -274,15 +318,31 @@ class Materials:
 
 
 KNOWN = {
-    *("diffuse", "roughdiffuse", "plastic", "roughplastic", "conductor", "roughconductor", "principled"),
+    *("diffuse", "roughdiffuse", "plastic", "roughplastic", "pplastic", "conductor", "roughconductor", "principled"),
     *("dielectric", "roughdielectric", "thindielectric"),
 }
 """BSDFs that have a counterpart."""
 
 
-def is_bitmap(value: Any) -> TypeGuard[Plugin]:
-    """Whether a property is an image of a file."""
-    return isinstance(value, Plugin) and value.type == "bitmap" and isinstance(value.values.get("filename"), str)
+def _saturated(color: dict[str, Any], ior: float) -> dict[str, Any]:
+    """The fields of `_color` for the `nonlinear` plastic of Mitsuba.
+
+    The base colours light again after each reflection on the inside. Other plastics have the light that a white base would lose.
+    """
+    with mitsuba("plastic") as mi:
+        inside = float(mi.fresnel_diffuse_reflectance(1.0 / ior))
+    texture = color.get("base_color_texture")
+    again = lambda base: base * (1.0 - inside) / (1.0 - inside * base)  # noqa: E731
+    if texture is not None:
+        color["base_color_texture"] = replace(texture, image=again(texture.image.clip(max=1.0)))
+    return color | {"base_color": as_vector(again(channel) for channel in color["base_color"])}
+
+
+def is_image(value: Any) -> TypeGuard[Plugin]:
+    """Whether a property is an image of a file or a checkerboard."""
+    if not isinstance(value, Plugin):
+        return False
+    return value.type == "checkerboard" or (value.type == "bitmap" and isinstance(value.values.get("filename"), str))
 
 
 def kind_of(value: Any) -> str:

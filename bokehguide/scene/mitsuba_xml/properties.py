@@ -34,12 +34,14 @@ PROPERTIES = {
     "hdrfilm": FILM,
     "sphere": (*MESH, "center", "radius"),
     **dict.fromkeys(("rectangle", "disk", "cube"), MESH),
+    "cylinder": ("to_world", "flip_normals", "silhouette_sampling_weight", "p0", "p1", "radius"),
     **dict.fromkeys(("obj", "ply"), (*FILE, "flip_tex_coords")),
     "serialized": (*FILE, "shape_index"),
     "diffuse": ("reflectance",),
     "roughdiffuse": ("reflectance", "alpha", "use_fast_approx"),
     "plastic": PLASTIC,
     "roughplastic": (*PLASTIC, *ROUGH),
+    "pplastic": ("diffuse_reflectance", "specular_reflectance", "int_ior", "ext_ior", *ROUGH),
     "conductor": METAL,
     "roughconductor": (*METAL, *ROUGH),
     **dict.fromkeys(("dielectric", "thindielectric"), GLASS),
@@ -50,11 +52,13 @@ PROPERTIES = {
     "normalmap": BUMPS,
     "bumpmap": (*BUMPS, "scale"),
     "bitmap": ("filename", "bitmap", "data", "filter_type", "wrap_mode", "format", "raw", "to_uv", "accel"),
+    "checkerboard": ("color0", "color1", "to_uv"),
     "area": (*PLACED, "radiance"),
     "constant": (*PLACED, "radiance"),
     "envmap": (*PLACED, "filename", "bitmap", "scale", "mis_compensation"),
     "directional": (*PLACED, "direction", "irradiance"),
     "point": (*PLACED, "position", "intensity"),
+    "spot": (*PLACED, "intensity", "cutoff_angle", "beam_width", "texture"),
 }
 """Properties by plugin, also those without a counterpart. Other plugins are left out as a whole, or tell each loss."""
 ADAPTERS = ("normalmap", "bumpmap")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,9 @@ from bokehguide.scene.shapes import (
     unit_sphere,
 )
 from bokehguide.scene.types import Mesh
+
+SEGMENTS = 128
+"""Flat sides of a cylinder."""
 
 
 def read_shape(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh] | None:
@@ -74,6 +78,27 @@ def _disk(shape: Plugin) -> Mesh:
     return Mesh(points.reshape(-1, 3), triangles, 0, uvs=uvs.reshape(-1, 1, 2).astype(np.float32))
 
 
+def _cylinder(shape: Plugin) -> Mesh:
+    """The side of a cylinder from `p0` to `p1`: u is the angle, v the height."""
+    ends = [np.array(shape.values.get(key, default), np.float64) for key, default in (("p0", (0, 0, 0)), ("p1", (0, 0, 1)))]
+    axis = ends[1] - ends[0]
+    if any(end.shape != (3,) for end in ends) or not np.linalg.norm(axis) > 0.0:
+        shape.fail("p1", "is no point beside p0; give x, y and z")
+    with mitsuba(shape.place) as mi:
+        sides = np.array(mi.coordinate_system(mi.ScalarVector3f(*(axis / np.linalg.norm(axis)))), np.float64)
+    angle = np.linspace(0.0, 2.0 * math.pi, SEGMENTS + 1)
+    circle = np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=1)
+    points = np.concatenate((circle, np.add(circle, (0.0, 0.0, 1.0)))).astype(np.float32)
+    corner = np.arange(SEGMENTS)[:, None]
+    low, high = np.add(corner, (0, 1)), np.add(corner, (SEGMENTS + 2, SEGMENTS + 1))
+    triangles = np.concatenate((np.c_[low, high[:, :1]], np.c_[high, low[:, :1]])).astype(np.int32)
+    uvs = np.stack((np.tile(angle / (2.0 * math.pi), 2), points[:, 2]), axis=1)[:, None].astype(np.float32)
+    unit = Mesh(points, triangles, 0, np.concatenate((circle, circle)).astype(np.float32), uvs)
+    matrix, radius = np.eye(4), max(shape.number("radius", 1.0), 1e-9)
+    matrix[:3] = np.stack((radius * sides[0], radius * sides[1], axis, ends[0]), axis=1)
+    return transformed(unit, matrix)
+
+
 def _cube(shape: Plugin) -> Mesh:
     with mitsuba(shape.place) as mi:
         return _mesh(mi.load_dict({"type": "cube"}))
@@ -106,7 +131,7 @@ def _shaded(mesh: Mesh, shape: Plugin) -> Mesh:
 def _by_mitsuba(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh]:
     """The triangles of a `.ply` file or of Mitsuba's own format, read by Mitsuba. trimesh leaves out the uvs of `.ply` files."""
     path = _path(shape, file, files)
-    files.add_geometry(path.stat().st_size)
+    files.add_file(path)
     values = {"type": shape.type, "filename": str(path), "face_normals": shape.flag("face_normals")}
     if shape.type == "ply":
         values["flip_tex_coords"] = shape.flag("flip_tex_coords")
@@ -137,7 +162,13 @@ def _path(shape: Plugin, file: Path, files: SceneFiles) -> Path:
     return path
 
 
-PRIMITIVES: dict[str, Callable[[Plugin], Mesh]] = {"sphere": _sphere, "cube": _cube, "rectangle": _rectangle, "disk": _disk}
+PRIMITIVES: dict[str, Callable[[Plugin], Mesh]] = {
+    "sphere": _sphere,
+    "cube": _cube,
+    "cylinder": _cylinder,
+    "rectangle": _rectangle,
+    "disk": _disk,
+}
 """Makers of shapes by the name of the plugin, before their transform."""
 MODELS: dict[str, Callable[[Plugin, Path, SceneFiles], list[Mesh]]] = {
     "obj": _obj,

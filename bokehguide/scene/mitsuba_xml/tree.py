@@ -85,7 +85,7 @@ def read_tree(path: Path, files: SceneFiles) -> Plugin:
         except (RuntimeError, ValueError, TypeError) as error:
             lines = [line.strip() for line in str(error).splitlines() if line.strip()]
             problem = printable(" ".join(lines).replace(str(path), path.name), 300) or reason(error)
-            raise BokehguideError(f"{path}: not a readable Mitsuba scene ({problem})") from None
+            raise BokehguideError(f"{path}: not a readable Mitsuba scene ({problem}){_remedy(problem)}") from None
         if len(state.nodes) > MAX_NODES:
             raise BokehguideError(f"{path}: has {len(state.nodes)} objects; give at most {MAX_NODES}")
         root = _Tree(mi, state, str(path)).plugin(0)
@@ -94,8 +94,18 @@ def read_tree(path: Path, files: SceneFiles) -> Plugin:
     return root
 
 
+def _remedy(problem: str) -> str:
+    """How to repair a file with this error message of Mitsuba's parser, empty if the message says it."""
+    parameter = re.search(r"undefined parameter: \$(\w+)", problem)
+    return f'; add <default name="{parameter[1]}" value="…"/> at the beginning of <scene>' if parameter else ""
+
+
 def _check_names(path: Path, files: SceneFiles, seen: set[Path]) -> None:
-    """Raise BokehguideError if a file or its includes name a file or a folder outside the scene's folder."""
+    """Raise BokehguideError if a file or its includes name a file or a folder outside the scene's folder.
+
+    Mitsuba looks for files in the folders of the file's `<path>` tags first, from the last tag to the first.
+    """
+    scene = not seen
     seen.add(path.resolve())
     try:
         text = files.read(path).decode("utf-8")
@@ -103,6 +113,8 @@ def _check_names(path: Path, files: SceneFiles, seen: set[Path]) -> None:
         raise BokehguideError(f"{path}: not a readable Mitsuba scene ({reason(error)}); save it as UTF-8") from None
     for tag, name in NAMES.findall(text):
         found = files.find(path.parent, name, f"{path}: <{tag}>")
+        if tag == "path" and scene:
+            files.search_first(found)
         if tag == "include" and found.is_file() and found.resolve() not in seen:
             _check_names(found, files, seen)
 

@@ -70,7 +70,7 @@ class Lights:
         direction = linear(matrix, start - end)
         if not np.linalg.norm(direction) > 0.0:
             parameters.place.fail('distant: "from" equals "to", so there is no direction; move one of them')
-        color = emission(parameters, "L", folder, files) * _scale(parameters, "illuminance", 1.0)
+        color = emission(parameters, "L", folder, files) * _scale(parameters, self._contents, "illuminance", 1.0)
         if color.any():
             self.suns.append(Sun(as_vector(direction), LightSizes.sun_angle, as_vector(color)))
             self._contents.lose(f"distant lights: discs of {LightSizes.sun_angle}°", parameters.place.short)
@@ -82,7 +82,7 @@ class Lights:
         cone, solid = None, 4.0 * math.pi
         if parameters.kind == "spot":
             cone, solid = self._cone(parameters, matrix, start)
-        intensity = emission(parameters, "I", folder, files) * _scale(parameters, "power", solid)
+        intensity = emission(parameters, "I", folder, files) * _scale(parameters, self._contents, "power", solid)
         if parameters.kind == "goniometric":
             intensity = intensity * self._goniometric(parameters)
         what = "spheres" if cone is None else "spheres with a cone"
@@ -117,18 +117,18 @@ class Lights:
         """The radiance `[H, W, 3]` of an infinite light in the scene's directions."""
         if "portal" in parameters:
             self._contents.lose("portals of infinite lights: light comes from all directions", parameters.place.short)
-        name, scale = parameters.text("filename"), parameters.number("scale", 1.0)
+        name = parameters.text("filename")
         if not name:
-            color = emission(parameters, "L", folder, files) * _scale(parameters, "illuminance", math.pi)
+            color = emission(parameters, "L", folder, files) * _scale(parameters, self._contents, "illuminance", math.pi)
             return color.reshape(1, 1, 3)
         image = self._map(name, parameters, folder, files)
         if len(image) != image.shape[1]:
             parameters.fail("filename", "is no square; pbrt-v4 needs an octahedral map, as imgtool makeequiarea makes it")
         wanted = parameters.number("illuminance", -1.0)
         found = upper_illuminance(image, LUMINANCE) if wanted > 0.0 else 0.0
-        scale *= wanted / found if found > 0.0 else 1.0
+        scale = _given_scale(parameters, self._contents) * (wanted / found if found > 0.0 else 1.0)
         turn = inverse(matrix, parameters.place, "the infinite light")[:3, :3]
-        return equirectangular(image, turn) * np.float32(max(scale, 0.0))
+        return equirectangular(image, turn) * np.float32(scale)
 
     def _map(self, name: str, parameters: Parameters, folder: Path, files: SceneFiles) -> np.ndarray:
         """The image of an infinite light, linear `[N, N, 3]`."""
@@ -138,18 +138,29 @@ class Lights:
         return self._textures.load(name, str(parameters.place), True).clip(min=0.0)
 
 
-def _scale(parameters: Parameters, key: str, unit: float) -> float:
+def _scale(parameters: Parameters, contents: Contents, key: str, unit: float) -> float:
     """The factor of a light's colour. The parameter `key`, if above 0, gives its total, of which colour 1 has `unit`."""
-    scale, total = parameters.number("scale", 1.0), parameters.number(key, -1.0)
-    return max(scale, 0.0) * (total / unit if total > 0.0 else 1.0)
+    total = parameters.number(key, -1.0)
+    return _given_scale(parameters, contents) * (total / unit if total > 0.0 else 1.0)
 
 
-def area_emission(parameters: Parameters, area: float, textures: Textures, folder: Path, files: SceneFiles) -> dict[str, Any]:
+def _given_scale(parameters: Parameters, contents: Contents) -> float:
+    """The parameter `scale` of a light; 0 for a negative one."""
+    scale = parameters.number("scale", 1.0)
+    if scale < 0.0:
+        contents.lose("negative scales of lights: 0 in their place", f"{printable(parameters.kind)}, {parameters.place.short}")
+    return max(scale, 0.0)
+
+
+def area_emission(
+    parameters: Parameters, area: float, contents: Contents, textures: Textures, folder: Path, files: SceneFiles
+) -> dict[str, Any]:
     """The fields of `Material` of an area light. area: of the shape, m²."""
     both = parameters.flag("twosided")
     name = parameters.text("filename")
     image = textures.load(name, str(parameters.place), True) if name else None
     unit = (2.0 if both else 1.0) * area * math.pi * (1.0 if image is None else max(float((image @ LUMINANCE).mean()), 1e-12))
-    color = (emission(parameters, "L", folder, files) if image is None else np.ones(3)) * _scale(parameters, "power", unit)
+    color = emission(parameters, "L", folder, files) if image is None else np.ones(3)
+    color = color * _scale(parameters, contents, "power", unit)
     fields: dict[str, Any] = {"emission": as_vector(np.minimum(color, LARGEST)), "double_sided": both}
     return fields if image is None else fields | {"emission_texture": textures.on_surface(Value(image))}

@@ -135,7 +135,7 @@ class _Shapes:
             if shape.light.kind != "diffuse":
                 shape.light.place.fail(f'an area light of the type {printable(shape.light.kind)!r}; give "diffuse"')
             area = surface_area(mesh) / max(read.count, 1)
-            emission = area_emission(shape.light, area, self.textures, self.path.parent, self.files)
+            emission = area_emission(shape.light, area, self.contents, self.textures, self.path.parent, self.files)
         index = self.materials.index(shape, opacity, emission)
         if index is None:
             return None

@@ -12,7 +12,7 @@ from bokehguide.errors import BokehguideError, printable
 from bokehguide.image.reading import read_channels
 from bokehguide.limits import LARGEST
 from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.images import load_texture, nearest_texels
+from bokehguide.scene.images import checks, load_texture, nearest_texels
 from bokehguide.scene.pbrt.contents import Contents
 from bokehguide.scene.pbrt.parameters import Parameters
 from bokehguide.scene.pbrt.pfm import read_pfm
@@ -21,8 +21,6 @@ from bokehguide.scene.tables import did_you_mean
 from bokehguide.scene.types import Texture
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-CHECK_TEXELS = 64
-"""Texels along the side of a check."""
 MAX_NESTING = 16
 """Textures that refer to each other; a cycle has more."""
 WRAPS = {"repeat": "repeat", "clamp": "clamp", "black": "clamp", "octahedralsphere": "clamp"}
@@ -170,10 +168,7 @@ class Textures:
         if int(parameters.number("dimension", 2)) != 2 or not (first.constant and second.constant):
             self._contents.lose("checkerboards in space or of images: their mean in their place", parameters.place.short)
             return Value((first.image.mean(axis=(0, 1)) + second.image.mean(axis=(0, 1))).reshape(1, 1, -1) / 2.0)
-        row = np.repeat([0, 1], CHECK_TEXELS)
-        odd = (row[::-1, None] + row) % 2 == 1
-        image = np.where(odd[..., None], second.image, first.image)
-        mapped = self._mapped(image, parameters, "repeat")
+        mapped = self._mapped(checks(second.image, first.image), parameters, "repeat")
         su, _, du, _, sv, dv = mapped.transform
         # The image holds two checks along each side: t of pbrt is at 1 - t / 2 of its height, in place of 1 - t.
         return replace(mapped, transform=(0.5 * su, 0.0, 0.5 * du, 0.0, 0.5 * sv, 0.5 + 0.5 * dv))

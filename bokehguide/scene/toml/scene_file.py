@@ -127,6 +127,7 @@ class _Objects:
     """Meshes, suns and materials of the objects of a scene file. Each model is loaded once.
 
     subdivisions: of spheres. models: by path, state and light group, each with the index of its first material in `materials`.
+    unlit: warnings for light groups of objects without lights.
     """
 
     materials: list[Material]
@@ -136,6 +137,7 @@ class _Objects:
     meshes: list[Mesh] = field(default_factory=list)
     suns: list[Sun] = field(default_factory=list)
     models: dict[tuple[Path, ModelState, str], tuple[Model, int]] = field(default_factory=dict)
+    unlit: list[str] = field(default_factory=list)
 
     def load(self, table: Table) -> tuple[Model, int]:
         """The model of an object's `file`, and the index of its first material."""
@@ -164,7 +166,7 @@ def _read_lights(root: Table) -> LightSizes:
 
 
 def _unused_lights(root: Table, objects: _Objects) -> list[str]:
-    """A warning for the dome lights of models, and for each size in `[lights]` that no light of a model uses."""
+    """Warnings for the dome lights of models, for light groups without lights, and for sizes in `[lights]` that no light uses."""
     models = [model for model, _ in objects.models.values()]
     takers = {"radius": (any(model.emitters for model in models), "point and spot lights")}
     takers["sun_angle"] = any(model.suns for model in models), "directional lights"
@@ -172,7 +174,7 @@ def _unused_lights(root: Table, objects: _Objects) -> list[str]:
     unused = [(key, kind) for key, (taken, kind) in takers.items() if key in given and not taken]
     domes = sum(model.environment is not None for model in models)
     left = [f"dome lights of models: {domes} left out, as [environment] lights the scene"] if domes else []
-    return left + [f"lights.{key}: has no effect, as no model has {kind}" for key, kind in unused]
+    return left + objects.unlit + [f"lights.{key}: has no effect, as no model has {kind}" for key, kind in unused]
 
 
 def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> _Objects:
@@ -197,10 +199,17 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
                 model, first = objects.load(table)
                 placed += place_emitters(model, first, matrix, objects.materials)
                 objects.suns += place_suns(model, matrix)
+                if (group := table.text("group")) and not model.suns and not _in_group(placed, objects.materials, group):
+                    objects.unlit.append(f"{table.path}.group: has no effect, as the object has no lights")
         objects.meshes += _named(placed, table)
         triangles += sum(len(mesh.triangles) for mesh in placed)
         check_triangles(triangles, f"{root.file}: {table.path}", files.most_triangles)
     return objects
+
+
+def _in_group(meshes: list[Mesh], materials: list[Material], group: str) -> bool:
+    """Whether any surface shines in a light group."""
+    return any(materials[mesh.material].light_group == group for mesh in meshes)
 
 
 def _named(meshes: list[Mesh], table: Table) -> list[Mesh]:

@@ -39,9 +39,9 @@ def load_isolated(path: Path, files: SceneFiles, state: ModelState) -> Model:
 
 
 def answer_of_process(request: bytes) -> tuple[int, bytes]:
-    """The exit code of a new process that runs `main`, and its answer to a request."""
+    """The exit code of a new process that runs `main`, and its answer to a request. No module comes from the working folder."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(part for part in sys.path if part), "OMP_NUM_THREADS": "1"}
-    finished = subprocess.run([sys.executable, "-c", PROGRAM], input=request, stdout=subprocess.PIPE, env=environment)
+    finished = subprocess.run([sys.executable, "-P", "-c", PROGRAM], input=request, stdout=subprocess.PIPE, env=environment)
     return finished.returncode, finished.stdout
 
 

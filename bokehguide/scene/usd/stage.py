@@ -14,6 +14,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.usd.documents import MISSING, SUFFIX, Documents
 from bokehguide.scene.usd.libraries import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils
 from bokehguide.stopping import default_signals
 
@@ -81,12 +82,13 @@ def open_stage(path: Path, files: SceneFiles, seconds: float | None, binary: boo
     if not binary and not _is_text(path):  # without importing the USD libraries
         raise BinaryLayer
     messages = UsdUtils.CoalescingDiagnosticDelegate()  # replaces the printing of messages to stderr
+    documents = Documents(path, files)
     try:
         with default_signals():
-            root = _checked_layers(path, files, binary)
+            root = _checked_layers(path, files, binary, documents)
             stage = _opened(path, lambda: Usd.Stage.Open(root))
         world, unit = _to_world(path, stage)
-        opened = Stage(path, files, stage, _time(stage, seconds), world, unit)
+        opened = Stage(path, files, stage, _time(stage, seconds), world, unit, documents.lost)
         try:
             yield opened
         except (Tf.ErrorException, TypeError, ValueError, ArithmeticError) as error:  # attributes of any type, on any prim
@@ -94,6 +96,7 @@ def open_stage(path: Path, files: SceneFiles, seconds: float | None, binary: boo
             raise BokehguideError(f"{place}: cannot be read ({_problem(error, path)}); repair the file") from None
         _note_messages(opened, messages)
     finally:
+        documents.restore()
         messages.TakeUncoalescedDiagnostics()
         del messages
 
@@ -120,8 +123,8 @@ def _problem(error: Exception, path: Path) -> str:
         return "text that is no UTF-8"
 
 
-def _checked_layers(path: Path, files: SceneFiles, binary: bool) -> Any:
-    """The root layer of `path`. Raises as `open_stage` does."""
+def _checked_layers(path: Path, files: SceneFiles, binary: bool, documents: Documents) -> Any:
+    """The root layer of `path`. documents: replace those of MaterialX. Raises as `open_stage` does."""
     seen, waiting, root, stored = set[str](), [str(path.resolve())], None, 0
     while waiting:
         name = waiting.pop()
@@ -141,6 +144,7 @@ def _checked_layers(path: Path, files: SceneFiles, binary: bool) -> Any:
             found = _layer_of(path, files, layer, asset)
             if found is not None:
                 waiting.append(found)
+        documents.replace(layer)
     files.add_geometry(stored)
     return root
 
@@ -194,7 +198,8 @@ def _time(stage: Any, seconds: float | None) -> Any:
 
 def _note_messages(opened: Stage, messages: Any) -> None:
     """Tell the messages of USD, such as of references to missing files."""
+    silent = (*SILENT, f"{SUFFIX}@") if MISSING in opened.lost else SILENT
     for message in messages.TakeUncoalescedDiagnostics():
         text = message.commentary.strip() or "an unknown problem"
-        if not any(part in text for part in SILENT):
+        if not any(part in text for part in silent):
             opened.lose("USD reports", text.splitlines()[0].replace(f"{opened.path.resolve().parent}/", ""))

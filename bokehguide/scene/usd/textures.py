@@ -1,9 +1,9 @@
-"""UsdUVTexture nodes as images."""
+"""Files of image nodes as images: UsdUVTexture, and the images of MaterialX."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -16,14 +16,13 @@ from bokehguide.image.reading import read_channels
 from bokehguide.limits import most_values
 from bokehguide.scene.images import decode_texture
 from bokehguide.scene.types import Texture
-from bokehguide.scene.usd.libraries import Ar, Sdf, UsdShade
+from bokehguide.scene.usd.coordinates import Affine, Constants, read_coordinates, valued
+from bokehguide.scene.usd.libraries import Ar, Sdf
 from bokehguide.scene.usd.stage import Stage
 
-UV = "st"
-"""The primvar of texture coordinates without a reader."""
-MAX_UV_SETS = 4
-"""Primvars of texture coordinates of a material."""
-WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp"}
+WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp", "periodic": "repeat"}
+BLACK = ("black", "constant")
+"""Addressing that the node's default fills."""
 DERIVED = 4
 """Values of images that are made of others, relative to the bound of the images of files."""
 CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
@@ -38,7 +37,7 @@ class Source:
     channel: int
     uv_name: str
     wrap: tuple[str, str]
-    transform: tuple[float, float, float, float, float, float]
+    transform: Affine
 
     def grey(self) -> np.ndarray:
         """The values `[H, W]` of an input that takes one number."""
@@ -46,7 +45,8 @@ class Source:
 
     def rgb(self) -> np.ndarray:
         """The values `[H, W, 3]` of an input that takes a colour."""
-        return self.image[..., :3] if self.channel == 0 else np.repeat(self.grey()[..., None], 3, axis=2)
+        whole = self.channel == 0 and self.image.shape[2] >= 3
+        return self.image[..., :3] if whole else np.repeat(self.grey()[..., None], 3, axis=2)
 
     def texture(self, image: np.ndarray, uv_names: list[str]) -> Texture:
         """A texture of `image`, addressed as this source. uv_names: primvars of the material, which gain that of the source."""
@@ -72,17 +72,27 @@ class Textures:
 
         normal: the texels are directions between -1 and 1, and become directions mapped to [0, 1].
         """
-        opened, prim = self._opened, shader.GetPrim()
-        attribute = _valued(shader, "file")
+        given = Constants(self._opened, shader)
+        space = str(given.value("sourceColorSpace", "auto"))
+        source = self.image(
+            shader, lambda data: space == "sRGB" or (space == "auto" and not normal and is_srgb(data)), ("st", "wrapS", "wrapT")
+        )
+        if source is None:
+            return None
+        return replace(source, image=self._scale(given, source.image, normal), channel=CHANNELS.get(output, 0))
+
+    def image(self, node: Any, srgb: Callable[[bytes], bool], inputs: tuple[str, str, str]) -> Source | None:
+        """The image of the input "file" of a node; None, with a note, without a file.
+
+        srgb: whether the bytes of a file are decoded from sRGB. inputs: names of the coordinates and of the addressing.
+        """
+        opened, attribute = self._opened, valued(node, "file")
         data = None if attribute is None else self.data(attribute)
         if attribute is None or data is None:
             return None
-        space = str(self._value(shader, "sourceColorSpace", "auto"))
-        srgb = space == "sRGB" or (space == "auto" and not normal and _is_srgb(data))
-        image = self._decode(data, str(attribute.Get(opened.time).path), opened.place(prim), srgb)
-        uv_name, transform = self._coordinates(shader)
-        wrap = self._wrap(shader, "wrapS"), self._wrap(shader, "wrapT")
-        return Source(self._scale(shader, image, normal), CHANNELS.get(output, 0), uv_name, wrap, transform)
+        image = self._decode(data, str(attribute.Get(opened.time).path), opened.place(node.GetPrim()), srgb(data))
+        uv_name, transform = read_coordinates(opened, node, inputs[0])
+        return Source(image, 0, uv_name, (self._wrap(node, inputs[1]), self._wrap(node, inputs[2])), transform)
 
     def data(self, attribute: Any) -> bytes | None:
         """The bytes of the file that an attribute names; None, with a note, without one.
@@ -107,7 +117,7 @@ class Textures:
                 asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(absolute if Path(outer).is_absolute() else str(path)))
                 found = bytes(asset.GetBuffer()) if asset else None
             if found is None:
-                opened.lose("missing textures: left out", name)
+                opened.lose("missing textures: left out", name.removeprefix(f"{opened.path.resolve().parent}/"))
             self._bytes[absolute] = found
         return self._bytes[absolute]
 
@@ -135,10 +145,10 @@ class Textures:
             return decode_texture(data, place, files, srgb, alpha=True)
         return files.image(data, srgb, True, lambda: read_floats(data, kind, place, files))
 
-    def _scale(self, shader: Any, image: np.ndarray, normal: bool) -> np.ndarray:
+    def _scale(self, given: Constants, image: np.ndarray, normal: bool) -> np.ndarray:
         """`image` times the node's scale, plus its bias; normals mapped from [-1, 1] to [0, 1]."""
-        scale = np.asarray(self._value(shader, "scale", (1.0, 1.0, 1.0, 1.0)), np.float32)
-        bias = np.asarray(self._value(shader, "bias", (0.0, 0.0, 0.0, 0.0)), np.float32)
+        scale = np.asarray(given.value("scale", (1.0, 1.0, 1.0, 1.0)), np.float32)
+        bias = np.asarray(given.value("bias", (0.0, 0.0, 0.0, 0.0)), np.float32)
         if normal:
             scale, bias = scale / 2.0, (bias + 1.0) / 2.0
         channels = slice(0, 3 if normal else image.shape[2])
@@ -153,42 +163,13 @@ class Textures:
             self._kept.append(image)
         return self._scaled[key]
 
-    def _coordinates(self, shader: Any) -> tuple[str, tuple[float, float, float, float, float, float]]:
-        """The primvar of the texture coordinates, and the transform of uvs with v downwards."""
-        node, matrix = _connected(shader, "st"), np.eye(3)
-        for _ in range(MAX_UV_SETS):  # transforms of transforms
-            if node is None or node.GetIdAttr().Get() != "UsdTransform2d":
-                break
-            matrix, node = matrix @ self._transform(node), _connected(node, "in")
-        name = UV
-        if node is not None:
-            name = str(self._value(node, "varname", UV) or UV)
-        flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, 1.0]])
-        turned = flip @ matrix @ flip
-        a, b, c, d, e, f = turned[:2].ravel().tolist()
-        return name, (a, b, c, d, e, f)
-
-    def _transform(self, node: Any) -> np.ndarray:
-        """The matrix `[3, 3]` of a UsdTransform2d: scale, then rotation anticlockwise, then translation."""
-        scale, move = self._value(node, "scale", (1.0, 1.0)), self._value(node, "translation", (0.0, 0.0))
-        angle = math.radians(float(self._value(node, "rotation", 0.0)))
-        cos, sin = math.cos(angle), math.sin(angle)
-        matrix = np.array([[cos * scale[0], -sin * scale[1], move[0]], [sin * scale[0], cos * scale[1], move[1]], [0, 0, 1]])
-        return np.nan_to_num(matrix, posinf=0.0, neginf=0.0)
-
     def _wrap(self, shader: Any, name: str) -> str:
         """The addressing outside [0, 1]."""
-        mode = str(self._value(shader, name, "useMetadata"))
-        if mode == "black":
+        mode = str(Constants(self._opened, shader).value(name, "useMetadata"))
+        if mode in BLACK:
             self._opened.lose("textures that are black outside of [0, 1]: their border is repeated", str(shader.GetPath()))
             return "clamp"
         return WRAPS.get(mode, "repeat")
-
-    def _value(self, shader: Any, name: str, default: Any) -> Any:
-        """The value of an input, which may be that of an interface."""
-        attribute = _valued(shader, name)
-        value = None if attribute is None else attribute.Get(self._opened.time)
-        return default if value is None else value
 
 
 def read_floats(data: bytes, kind: str, place: str, files: Any) -> np.ndarray:
@@ -206,7 +187,7 @@ def read_floats(data: bytes, kind: str, place: str, files: Any) -> np.ndarray:
     return np.nan_to_num(pixels, posinf=0.0, neginf=0.0).astype(np.float32)
 
 
-def _is_srgb(data: bytes) -> bool:
+def is_srgb(data: bytes) -> bool:
     """Whether a texture of the colour space "auto" is encoded in sRGB: with 8 bits and three or four channels."""
     from PIL import Image
 
@@ -216,24 +197,3 @@ def _is_srgb(data: bytes) -> bool:
             return image.mode not in ("1", "L", "LA", "F") and not image.mode.startswith("I") and not deep
     except Exception:  # no image that Pillow knows; the decoder tells what is wrong
         return False
-
-
-def _valued(shader: Any, name: str) -> Any:
-    """The attribute with the value of an input; None if the input is absent or fed by another node."""
-    given = shader.GetInput(name)
-    sources = given.GetValueProducingAttributes() if given else []
-    return sources[0] if sources and sources[0].GetName().startswith("inputs:") else None
-
-
-def _connected(shader: Any, name: str) -> Any:
-    """The shader that feeds an input, None without one."""
-    found = connected_output(shader.GetInput(name))
-    return None if found is None else found[0]
-
-
-def connected_output(given: Any) -> tuple[Any, str] | None:
-    """The shader that feeds an input, and the name of its output; None for an input without one."""
-    for attribute in given.GetValueProducingAttributes() if given else []:
-        if UsdShade.Output.IsOutput(attribute):
-            return UsdShade.Shader(attribute.GetPrim()), UsdShade.Output(attribute).GetBaseName()
-    return None

@@ -6,6 +6,7 @@ import { showAge, showPixel, showStats } from "./panels.js";
 import { Stage } from "./stage.js";
 
 const HOVER = 120; // milliseconds between two questions about the pixel under the pointer
+const AGAIN = 500; // the same, while the pointer rests and the picture changes
 const NAMES = { picture: "Picture", depth: "Depth", normal: "Normal", albedo: "Albedo", emission: "Emission", variance: "Variance", beta: "β", emitters: "Emitters" };
 const TOOLS = { orbit: "Orbit", pan: "Pan", dolly: "Dolly", look: "Look", inspect: "Inspect" };
 const LEGENDS = {
@@ -24,6 +25,7 @@ const send = (request) => connection.send(request);
 const stage = new Stage(send);
 const controls = new Controls(send);
 let asked = 0; // time of the open question about a pixel, 0 without one
+let inspected = null; // the latest question: its place, its time, and the picture that it was about
 let state = null;
 let facts = null;
 
@@ -142,11 +144,17 @@ find("copy").addEventListener("click", copy);
 
 setInterval(showAge, 1000);
 setInterval(() => {
-  if (!stage.place || stage.start || (asked && performance.now() - asked < 3000)) return;
-  const [x, y] = stage.place;
+  const now = performance.now();
+  if (stage.start || (asked && now - asked < 3000)) return;
+  // The values of a picture change when its state, its size, or its end does; the steps between are left out.
+  const picture = facts && [facts.revision, facts.reduction, facts.done].join();
+  const outdated = inspected && inspected.picture !== picture && now - inspected.time > AGAIN;
+  const place = stage.place ?? (outdated ? inspected.place : null);
+  if (!place) return;
   stage.place = null;
-  asked = performance.now();
-  send({ type: "hover", x, y });
+  inspected = { place, picture, time: now };
+  asked = now;
+  send({ type: "hover", x: place[0], y: place[1] });
 }, HOVER);
 
 connection = new Connection(handlers, (open) => {
