@@ -59,6 +59,7 @@ def _run(arguments: Sequence[str], own_process: bool) -> int:
     from bokehguide.cli.arguments import parse
     from bokehguide.cli.memory import explained
     from bokehguide.errors import BokehguideError
+    from bokehguide.scene.tables import of_command_line
 
     if own_process:
         terminal.open_streams()
@@ -70,7 +71,7 @@ def _run(arguments: Sequence[str], own_process: bool) -> int:
         with explained("the image" if options.command == "metrics" else "the scene"):
             return _module(options.command, own_process).run(options)
     except BokehguideError as error:
-        terminal.say(f"error: {error}")
+        terminal.say(f"error: {of_command_line(str(error))}")
         return USER_ERROR
     except KeyboardInterrupt:  # in a process of which the command is a part
         terminal.say("interrupted")

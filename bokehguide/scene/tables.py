@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -80,6 +81,11 @@ shown = _Short().repr
 def override_place(key: str) -> str:
     """An override in a message: the field of `Overrides`, and the option of the command line."""
     return f"{key} or --{key.replace('_', '-')}"
+
+
+def of_command_line(message: str) -> str:
+    """A message that begins with an override, with the option alone."""
+    return re.sub(r"^\w+ or (?=--[a-z])", "", message)
 
 
 def in_fractions(box: Iterable[float]) -> bool:

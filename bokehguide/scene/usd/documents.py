@@ -127,9 +127,7 @@ class _Reading:
             raise ValueError(f"more than {MAX_INCLUDES} documents include each other")
         path = self._files.find(Path(folders.asString()), name.asString(), str(self._path))
         if not path.is_file():
-            self._lost.setdefault("included MaterialX documents that are missing: left out", {})[
-                printable(name.asString(), 120)
-            ] = None
+            self._lost.setdefault(GONE, {})[printable(name.asString(), 120)] = None
             return
         found.setSourceUri(str(path))
         self._mx.readFromXmlString(found, _checked(path.read_bytes()), self._mx.FileSearchPath(str(path.parent)), options)
