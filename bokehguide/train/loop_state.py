@@ -64,7 +64,7 @@ def require_one_moment(place: str, state: Mapping[str, Any], open_pixels: Tensor
     counts = film["count"]
     every = counts if open_pixels is None else counts[open_pixels.to(counts.device)]
     absent = step * every.numel() - float(every.double().sum())
-    if not 0 <= absent <= film["bad_count"] or float(counts.max()) > step:
+    if absent > film["bad_count"] or float(counts.max()) > step:
         raise BokehguideError(
             f"{place}: the state is of step {step}, and its film has the samples of {float(counts.max()):g} steps. "
             "A loop shares the tensors of its state; keep copy.deepcopy(loop.state_dict())"
