@@ -16,6 +16,8 @@ SPHERE_SUBDIVISIONS = 3
 """1,280 triangles: the error of the projected area is 0.06 %, that of the silhouette 0.24 %."""
 MOST_SPHERES = (3000, 12000)
 """Spheres of a scene up to which each has 1,280 and 320 triangles; beyond, 80. Many spheres of a picture are small."""
+SIDES = 64
+"""Flat sides of cylinders, cones and capsules."""
 FEW_INSTANCES = 64
 """Instances below which each is transformed by itself."""
 
@@ -84,6 +86,25 @@ def unit_disc() -> Mesh:
     triangles = np.stack([np.zeros_like(corners), corners, np.roll(corners, -1)], axis=1)
     uvs = np.stack([0.5 + 0.5 * points[:, 0], 0.5 - 0.5 * points[:, 1]], axis=1)
     return Mesh(points.astype(np.float32), triangles.astype(np.int32), material=0, uvs=uvs.astype(np.float32)[:, None])
+
+
+def tube(radius: float, height: float, top: float) -> Mesh:
+    """The side of a cylinder or cone around z, in the middle of its height, with smooth normals. top: the radius at +z."""
+    angles = 2.0 * np.pi * np.arange(SIDES + 1) / SIDES
+    ring = np.stack([np.cos(angles), np.sin(angles), np.zeros(SIDES + 1)], axis=1)
+    low, high = ring * radius - (0, 0, height / 2.0), ring * top + (0, 0, height / 2.0)
+    normals = ring * height + (0, 0, radius - top)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    u = np.arange(SIDES + 1) / SIDES
+    uvs = np.concatenate([np.stack([u, np.full_like(u, v)], axis=1) for v in (1.0, 0.0)])
+    return Mesh(np.concatenate([low, high]), strip(2, SIDES + 1), 0, np.tile(normals, (2, 1)), uvs[:, None])
+
+
+def strip(rows: int, columns: int) -> np.ndarray:
+    """Triangles of a grid of vertices that turn anticlockwise around the row above."""
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    right, above = corner + 1, corner + columns
+    return np.concatenate([np.stack([corner, right, above + 1], 1), np.stack([corner, above + 1, above], 1)]).astype(np.int32)
 
 
 @lru_cache

@@ -58,7 +58,7 @@ def save_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop, seconds: 
     """Write the state of a render atomically; collective.
 
     seconds: of the render so far; kept: whether the file is to stay when the render has ended. Raises BokehguideError if the file
-    cannot be written, and for seconds that are no number of 0 or more.
+    cannot be written, and for negative seconds, NaN and other values than numbers.
     """
     if not (is_number(seconds) and NOT_NEGATIVE.contains(seconds)):
         raise BokehguideError(f"save_checkpoint: seconds: {shown(seconds)} is out of range; give {NOT_NEGATIVE.remedy}")

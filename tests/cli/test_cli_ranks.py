@@ -105,19 +105,25 @@ def ranks_of(job):
     return [int(child) for child in Path(f"/proc/{job.pid}/task/{job.pid}/children").read_text().split()]
 
 
+def log_of_restart(job, folder, file):
+    """Kill the second rank once `file` exists. Returns the log of the job, which goes on to its end."""
+    deadline = time.monotonic() + 60.0
+    while not (folder / file).exists():
+        assert job.poll() is None and time.monotonic() < deadline, (folder / "job.log").read_text()
+        time.sleep(0.01)
+    os.kill(ranks_of(job)[1], signal.SIGKILL)
+    assert job.wait(120) == 0, (folder / "job.log").read_text()
+    log = (folder / "job.log").read_text()
+    assert "another rank has ended" in log or "signal SIGTERM" in log
+    return log
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds the ranks in /proc")
 def test_a_rank_that_dies_is_told_of_and_the_restart_goes_on(lamps_file, bokehguide, tmp_path):
     options = (lamps_file, "--threads", 1, "--size", "320x180", "--spp", 24, "--checkpoint-every", 0.01)
     job = torchrun(tmp_path, 2, *options, "--out", "some.exr", restarts=1)
-    deadline = time.monotonic() + 60.0
-    while not (tmp_path / "some.ckpt").exists():
-        assert job.poll() is None and time.monotonic() < deadline, (tmp_path / "job.log").read_text()
-        time.sleep(0.01)
-    os.kill(ranks_of(job)[1], signal.SIGKILL)
-    assert job.wait(120) == 0, (tmp_path / "job.log").read_text()
-    log = (tmp_path / "job.log").read_text()
-    assert "another rank has ended" in log or "signal SIGTERM" in log
+    log = log_of_restart(job, tmp_path, "some.ckpt")
     assert "resuming some.ckpt" in log
     assert bokehguide("render", *options, "--out", "one.exr").returncode == 0
     assert_same(tmp_path / "one.exr", tmp_path / "some.exr")
@@ -131,13 +137,6 @@ def test_a_restart_before_the_first_save_leaves_the_checkpoint_of_another_render
     kept = (tmp_path / "some.ckpt").read_bytes()
     (tmp_path / "some.exr").unlink()
     job = torchrun(tmp_path, 2, *options, "--spp", 24, "--seed", 9, restarts=1)
-    deadline = time.monotonic() + 60.0
-    while not (tmp_path / "some.exr").exists():
-        assert job.poll() is None and time.monotonic() < deadline, (tmp_path / "job.log").read_text()
-        time.sleep(0.01)
-    os.kill(ranks_of(job)[1], signal.SIGKILL)
-    assert job.wait(120) == 0, (tmp_path / "job.log").read_text()
-    log = (tmp_path / "job.log").read_text()
-    assert "another rank has ended" in log or "signal SIGTERM" in log
+    log = log_of_restart(job, tmp_path, "some.exr")
     assert log.count("some.ckpt was of another render and is some-2.ckpt now") == 1
     assert (tmp_path / "some-2.ckpt").read_bytes() == kept

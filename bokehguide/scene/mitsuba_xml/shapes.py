@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,15 +20,13 @@ from bokehguide.scene.shapes import (
     reversed_mesh,
     transform,
     transformed,
+    tube,
     unit_disc,
     unit_normals,
     unit_rectangle,
     unit_sphere,
 )
 from bokehguide.scene.types import Mesh
-
-SEGMENTS = 128
-"""Flat sides of a cylinder."""
 
 
 def read_shape(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh] | None:
@@ -86,14 +83,9 @@ def _cylinder(shape: Plugin) -> Mesh:
         shape.fail("p1", "is no point beside p0; give x, y and z")
     with mitsuba(shape.place) as mi:
         sides = np.array(mi.coordinate_system(mi.ScalarVector3f(*(axis / np.linalg.norm(axis)))), np.float64)
-    angle = np.linspace(0.0, 2.0 * math.pi, SEGMENTS + 1)
-    circle = np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=1)
-    points = np.concatenate((circle, np.add(circle, (0.0, 0.0, 1.0)))).astype(np.float32)
-    corner = np.arange(SEGMENTS)[:, None]
-    low, high = np.add(corner, (0, 1)), np.add(corner, (SEGMENTS + 2, SEGMENTS + 1))
-    triangles = np.concatenate((np.c_[low, high[:, :1]], np.c_[high, low[:, :1]])).astype(np.int32)
-    uvs = np.stack((np.tile(angle / (2.0 * math.pi), 2), points[:, 2]), axis=1)[:, None].astype(np.float32)
-    unit = Mesh(points, triangles, 0, np.concatenate((circle, circle)).astype(np.float32), uvs)
+    unit = transformed(tube(1.0, 1.0, 1.0), transform((0.0, 0.0, 0.5)))
+    assert unit.uvs is not None
+    unit = replace(unit, uvs=unit.uvs * np.array((1.0, -1.0), np.float32) + np.array((0.0, 1.0), np.float32))
     matrix, radius = np.eye(4), max(shape.number("radius", 1.0), 1e-9)
     matrix[:3] = np.stack((radius * sides[0], radius * sides[1], axis, ends[0]), axis=1)
     return transformed(unit, matrix)

@@ -13,13 +13,13 @@ import numpy as np
 
 from bokehguide.limits import LARGEST
 from bokehguide.scene.checks import located
-from bokehguide.scene.shapes import surface_area, transform, transformed, unit_disc, unit_rectangle, unit_sphere
+from bokehguide.scene.shapes import surface_area, transform, transformed, tube, unit_disc, unit_rectangle, unit_sphere
 from bokehguide.scene.tables import CONE_ANGLE, SUN_ANGLE
 from bokehguide.scene.types import Cone, Material, Mesh, Sun, Texture, Vector, as_vector
 from bokehguide.scene.usd.images import light_image
 from bokehguide.scene.usd.libraries import UsdLux
 from bokehguide.scene.usd.prims import Placed
-from bokehguide.scene.usd.shapes import along, number, tube
+from bokehguide.scene.usd.shapes import along, number
 from bokehguide.scene.usd.stage import Stage
 from bokehguide.scene.usd.textures import Textures
 

@@ -8,12 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from bokehguide.scene.shapes import joined, transform, transformed, unit_box, unit_disc, unit_rectangle, unit_sphere
+from bokehguide.scene.shapes import (
+    SIDES,
+    joined,
+    strip,
+    transform,
+    transformed,
+    tube,
+    unit_box,
+    unit_disc,
+    unit_rectangle,
+    unit_sphere,
+)
 from bokehguide.scene.tables import NOT_NEGATIVE
 from bokehguide.scene.types import Mesh
 from bokehguide.scene.usd.stage import Stage
 
-SIDES = 64
 RINGS = 16
 """Rings of a hemisphere of a capsule."""
 Reader = Callable[[Stage, Any], Mesh]
@@ -37,25 +47,6 @@ def along(mesh: Mesh, axis: str) -> Mesh:
     """A shape around z, turned around the axis "X", "Y" or "Z"."""
     turns = {"X": [[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0]], "Y": [[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0]]}
     return transformed(mesh, np.array([*turns[axis], [0, 0, 0, 1]], np.float64)) if axis in turns else mesh
-
-
-def tube(radius: float, height: float, top: float) -> Mesh:
-    """The side of a cylinder or cone around z, in the middle of its height, with smooth normals. top: the radius at +z."""
-    angles = 2.0 * np.pi * np.arange(SIDES + 1) / SIDES
-    ring = np.stack([np.cos(angles), np.sin(angles), np.zeros(SIDES + 1)], axis=1)
-    low, high = ring * radius - (0, 0, height / 2.0), ring * top + (0, 0, height / 2.0)
-    normals = ring * height + (0, 0, radius - top)
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    u = np.arange(SIDES + 1) / SIDES
-    uvs = np.concatenate([np.stack([u, np.full_like(u, v)], axis=1) for v in (1.0, 0.0)])
-    return Mesh(np.concatenate([low, high]), _strip(2, SIDES + 1), 0, np.tile(normals, (2, 1)), uvs[:, None])
-
-
-def _strip(rows: int, columns: int) -> np.ndarray:
-    """Triangles of a grid of vertices that turn anticlockwise around the row above."""
-    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    right, above = corner + 1, corner + columns
-    return np.concatenate([np.stack([corner, right, above + 1], 1), np.stack([corner, above + 1, above], 1)]).astype(np.int32)
 
 
 def _cap(radius: float, z: float, up: bool) -> Mesh:
@@ -98,7 +89,7 @@ def _capsule(opened: Stage, prim: Any) -> Mesh:
     points = radius * normals + middle[:, None, None] * (0, 0, 1)
     u, v = np.meshgrid(np.arange(SIDES + 1) / SIDES, 1.0 - np.arange(len(tilt)) / (len(tilt) - 1))
     uvs = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
-    mesh = Mesh(points.reshape(-1, 3), _strip(len(tilt), SIDES + 1), 0, normals.reshape(-1, 3), uvs)
+    mesh = Mesh(points.reshape(-1, 3), strip(len(tilt), SIDES + 1), 0, normals.reshape(-1, 3), uvs)
     return along(mesh, prim.GetAttribute("axis").Get(opened.time))
 
 
