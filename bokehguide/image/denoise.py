@@ -21,6 +21,11 @@ A window has few pixels, and noise with rare bright samples makes the estimate o
 of the noisy picture remain. The weight is therefore (G + DOUBT · its standard error) / Q. The standard error falls with the
 noise, so that the mixture still tends to the truth.
 
+Bright samples that fall into both halves of a pixel by chance agree, and look like light that the denoiser removes. The
+variance of the pixel's samples tells chance from light. For noise of variance v, the evidence (D - N)² - G of a pixel against
+the denoiser has the variance 4 E (D - N)² v: 4 b² v + 4 v² for a bias b. Its standard error over the window counts in place of
+that of G where it is larger. Samples of the emission that the lens sees are stratified well, and their variance tells little.
+
 D(N) is the mean of two denoisers: with auxiliary layers, and without them on the mirrored picture. Their errors differ, so that
 the mean has less error (an ensemble, as of Zheng et al. 2021). The second denoiser also denoises the halves.
 
@@ -44,6 +49,8 @@ from bokehguide.image.oidn import Denoiser
 
 WINDOW = 3.0
 """Standard deviation in pixels of the windows over which errors are averaged."""
+PIXELS = 4.0 * np.pi * WINDOW**2
+"""Independent pixels in a window: the inverse of the sum of its squared weights."""
 LEVEL_WINDOW = 1.5
 """As WINDOW, of the brightness that errors are relative to."""
 FLOOR = 0.01
@@ -73,12 +80,14 @@ class Denoised(NamedTuple):
 class _Part(NamedTuple):
     """A part of the light of a picture, in two halves.
 
-    halves: `[H, W, 3]` each. noisy: their mean by their shares, `[H, W, 3]`. clean: the denoised mean, `[H, W, 3]`.
+    halves: `[H, W, 3]` each. noisy: their mean by their shares, `[H, W, 3]`. clean: the denoised mean, `[H, W, 3]`. variance: of
+    the mean luminance by its samples, `[H, W]`; None where it is unknown.
     """
 
     halves: Sequence[np.ndarray]
     noisy: np.ndarray
     clean: np.ndarray
+    variance: np.ndarray | None = None
 
 
 def denoise_halves(
@@ -88,12 +97,14 @@ def denoise_halves(
     albedo: np.ndarray,
     normal: np.ndarray,
     emission: Sequence[np.ndarray] = (),
+    variance: np.ndarray | None = None,
 ) -> Denoised:
     """The mixture for two halves `[H, W, 3]`, of which the first has the weight `share` `[H, W]` in the picture.
 
     albedo, normal: layers of the picture, `[H, W, 3]`. emission: the part of both halves that the lens sees directly from
-    emitters, `[H, W, 3]` each; none counts as black. A picture without a second half, as after one sample, is the denoised one
-    alone, by one denoiser for each part. Raises BokehguideError where Open Image Denoise is not installed.
+    emitters, `[H, W, 3]` each; none counts as black. variance: of the mean luminance by its samples, `[H, W]`. A picture without
+    a second half, as after one sample, is the denoised one alone, by one denoiser for each part. Raises BokehguideError where
+    Open Image Denoise is not installed.
     """
     both = bool(((share > 0.0) & (share < 1.0)).any())
     with_layers, plain = Denoiser(albedo, normal), mirrored(Denoiser())
@@ -109,6 +120,7 @@ def denoise_halves(
         parts = [part([half - its for half, its in zip(halves, seen)], with_layers, plain), part(seen, plain)]
     else:
         parts = [part(halves, with_layers, plain)]
+    parts[0] = parts[0]._replace(variance=None if variance is None else finite_pixels(variance))
     if not both:
         return Denoised(np.sum([part.clean for part in parts], 0), np.ones((len(parts), *share.shape), np.float32), None)
     return _mixed(parts, halves, share, plain)
@@ -121,7 +133,10 @@ def _mixed(parts: Sequence[_Part], halves: Sequence[np.ndarray], share: np.ndarr
     for part in parts:
         clean = [denoiser(half) for half in part.halves]
         gain, change, _ = error_terms([picture / level for picture in (*part.halves, *clean)], share)
-        weights.append(mixing_weight(windowed(gain) + DOUBT * standard_error(gain), windowed(change)))
+        doubt = DOUBT * standard_error(gain)
+        if part.variance is not None:
+            doubt = np.maximum(doubt, chance_error(change, part.variance[..., None] / level**2))
+        weights.append(mixing_weight(windowed(gain) + doubt, windowed(change)))
         mixed_halves += [mixture(*pair, weights[-1]) for pair in zip(part.halves, clean)]
     ratio = error_ratio([np.tanh(picture / level) for picture in (*halves, *mixed_halves)], share)
     mixed = np.sum([mixture(part.noisy, part.clean, weight) for part, weight in zip(parts, weights)], 0)
@@ -195,9 +210,17 @@ def windowed(values: np.ndarray) -> np.ndarray:
 
 
 def standard_error(values: np.ndarray) -> np.ndarray:
-    """Standard error `[H, W]` of `windowed` values `[H, W, C]` with independent pixels. A Gaussian window has 4 π σ² pixels."""
+    """Standard error `[H, W]` of `windowed` values `[H, W, C]` with independent pixels."""
     spread = windowed(values.mean(-1, keepdims=True) ** 2) - windowed(values) ** 2
-    return np.sqrt(spread.clip(min=0.0) / (4.0 * np.pi * WINDOW**2))
+    return np.sqrt(spread.clip(min=0.0) / PIXELS)
+
+
+def chance_error(change: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Standard error `[H, W]` of the windowed evidence Q - G by the variance of the pixels' noise.
+
+    change: (D - N)², `[H, W, C]`; variance: `[H, W, 1]`, relative to the same brightness.
+    """
+    return 2.0 * np.sqrt(windowed(change * variance) / PIXELS)
 
 
 def mixing_weight(gain: np.ndarray, change: np.ndarray) -> np.ndarray:

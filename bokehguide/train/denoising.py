@@ -32,7 +32,8 @@ def denoise_picture(picture: Film | HalvesFilm, layers: Mapping[str, np.ndarray]
     layers = picture.layers() if layers is None else layers
     first, second, share, *emission = (values.cpu() for values in picture.halves())
     seen = [half.numpy() for half in emission]
-    denoised = denoise_halves(first.numpy(), second.numpy(), share.numpy(), layers["albedo"], layers["normal"], seen)
+    features = layers["albedo"], layers["normal"]
+    denoised = denoise_halves(first.numpy(), second.numpy(), share.numpy(), *features, seen, layers["variance"])
     if denoised.error_ratio is None:
         return DenoisedPicture(denoised.radiance, None)
     noise = relative_error(first.permute(2, 0, 1), second.permute(2, 0, 1)).permute(1, 2, 0).numpy()

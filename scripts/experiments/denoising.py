@@ -86,7 +86,8 @@ def measured(kept: Mapping[str, np.ndarray], reference: np.ndarray) -> list[floa
     """MAPE of the noisy picture, of the denoised one alone, of both mixtures, and the estimate for the mixture of halves."""
     first, second, share, albedo, normal = (kept[name] for name in ("first", "second", "share", "albedo", "normal"))
     noisy = picture_of(kept)
-    mixed = denoise_halves(first, second, share, albedo, normal, (kept["first_emission"], kept["second_emission"]))
+    seen = kept["first_emission"], kept["second_emission"]
+    mixed = denoise_halves(first, second, share, albedo, normal, seen, kept["variance"])
     other = denoise_by_variance(noisy, kept["variance"], albedo, normal)
     pictures = (noisy, Denoiser(albedo, normal)(noisy), mixed.radiance, other.radiance)
     halves = (torch.from_numpy(half).permute(2, 0, 1) for half in (first, second))

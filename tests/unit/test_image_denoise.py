@@ -94,6 +94,48 @@ def test_rare_bright_samples_leave_few_specks(monkeypatch):
     assert np.abs(mixed.radiance - 0.5).mean() < 0.01 * np.abs(0.5 * (first + second) - 0.5).mean()
 
 
+@pytest.mark.parametrize("bias", [0.0, 0.5])
+def test_the_chance_error_is_the_spread_of_the_evidence_over_pictures(bias):
+    """Gaussian noise of independent pixels, and a denoiser that gives the truth and a bias."""
+    random, half = np.random.default_rng(8), np.full((HEIGHT, WIDTH), 0.5)
+    clean, variance, evidence, errors = np.full((HEIGHT, WIDTH, 1), bias), np.full((HEIGHT, WIDTH, 1), 0.5 * 0.3**2), [], []
+    for _ in range(100):
+        first, second = (0.3 * random.normal(size=(HEIGHT, WIDTH, 1)) for _ in "ab")
+        gain, _, _ = denoise.error_terms([first, second, clean, clean], half)
+        change = (clean - 0.5 * (first + second)) ** 2
+        evidence.append(denoise.windowed(change - gain)), errors.append(denoise.chance_error(change, variance) ** 2)
+    inner = np.s_[12:-12, 12:-12]
+    spread = np.var(evidence, axis=0)[inner].mean()
+    assert np.sqrt(np.mean(errors, axis=0)[inner].mean()) == pytest.approx(np.sqrt(spread), rel=0.05)
+
+
+def one_bright_pixel() -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+    """Halves of an even picture with little noise that agree in a single bright pixel, and the pixel."""
+    random, place = np.random.default_rng(15), (30, 40)
+    first, second = (0.5 + 0.02 * random.normal(size=(HEIGHT, WIDTH, 1)) * np.ones(3) for _ in "ab")
+    first[place], second[place] = 7.0, 5.0
+    return first.astype(np.float32), second.astype(np.float32), place
+
+
+def test_a_bright_sample_in_both_halves_of_a_pixel_is_noise(monkeypatch):
+    """One bright sample of four in each half: the window is denoised. Without the variance, its noise would remain."""
+    monkeypatch.setattr(denoise, "Denoiser", lambda *_: lambda picture: np.full(picture.shape, 0.5, np.float32))
+    first, second, place = one_bright_pixel()
+    variance = np.full((HEIGHT, WIDTH), 0.5 * 0.02**2)
+    bright = np.array([4.0 * 7.0, 4.0 * 5.0])
+    variance[place] = (np.sum(bright**2) / 8.0 - (np.sum(bright) / 8.0) ** 2) / 7.0
+    around = np.s_[place[0] - 4 : place[0] + 5, place[1] - 4 : place[1] + 5]
+    weights = [denoise.denoise_halves(first, second, SHARE, FLAT, FLAT, (), v).weights[0][around] for v in (variance, None)]
+    assert weights[0].min() > 0.95 and weights[1].min() < 0.1
+
+
+def test_a_pixel_whose_samples_are_all_bright_keeps_its_light(monkeypatch):
+    monkeypatch.setattr(denoise, "Denoiser", lambda *_: lambda picture: np.full(picture.shape, 0.5, np.float32))
+    first, second, place = one_bright_pixel()
+    mixed = denoise.denoise_halves(first, second, SHARE, FLAT, FLAT, (), np.full((HEIGHT, WIDTH), 0.02**2))
+    assert mixed.radiance[place].min() > 5.5
+
+
 def test_the_bias_of_the_denoiser_is_in_the_error_ratio(monkeypatch):
     """A denoiser without noise, whose pictures are a tenth too bright: both halves agree, and are wrong."""
     monkeypatch.setattr(denoise, "Denoiser", lambda *_: lambda picture: np.full(picture.shape, 0.55, np.float32))

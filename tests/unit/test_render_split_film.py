@@ -105,7 +105,8 @@ def test_emission_is_a_part_of_the_halves_and_is_denoised_apart(target_noise):
     torch.testing.assert_close(seen, torch.from_numpy(layers["emission"]))
     halves = [half.numpy() for half in (first, second, share)]
     arguments = *halves, layers["albedo"], layers["normal"]
-    apart, joint = denoise_halves(*arguments, [half.numpy() for half in emission]), denoise_halves(*arguments)
+    apart = denoise_halves(*arguments, [half.numpy() for half in emission], layers["variance"])
+    joint = denoise_halves(*arguments, (), layers["variance"])
     np.testing.assert_array_equal(denoise_picture(film).radiance, apart.radiance)
     assert not np.array_equal(apart.radiance, joint.radiance)
 
