@@ -455,17 +455,17 @@ struct Opaque {
         if (shines) value = value * sheen.beneath(towards) + sheen.evaluate(half, towards);
         Float pdf = specular_share * microfacet + diffuse_pdf(towards, above);
         value = value * (towards * above);
+        if (coated || transmits) pdf = pdf * one_if(half.z > all(0.0f));
         if (coated) {
             Float over, of_coat, beneath, above_coat;
             clearcoat.evaluate(incoming, half, grazing, over, of_coat, beneath, above_coat);
             value = value * beneath + grey(over);
-            pdf = pdf * one_if(half.z > all(0.0f));
             pdf = pdf + (of_coat - pdf) * clearcoat_share;
             above = max(above, above_coat);
         }
         if (!transmits) return {value, pdf * above};
         const Scattered through = transmitted(incoming);
-        return {value + through.value, pdf * one_if(half.z > all(0.0f)) + through.pdf};
+        return {value + through.value, pdf + through.pdf};
     }
 
     Vec3 sample(Float u0, Float u1, Float u2) const {

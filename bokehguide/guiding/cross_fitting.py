@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from bokehguide.guiding.control_variate import Regressions, summands
 from bokehguide.guiding.native_reuse import PixelGroups
@@ -94,16 +95,23 @@ def cross_fitted(
 
 
 def _without_own(sums: Tensor, reach: int) -> Tensor:
-    """Sums `[R, bands, rows, tiles, 2]` over the tiles of the band that are at most `reach` tiles away, without the own group."""
-    bands = sums.sum((2, 4))
-    near = torch.zeros_like(bands)
-    for shift in range(-reach, reach + 1):
+    """Sums `[R, bands, rows, tiles, 2]` over the tiles of the band that are at most `reach` tiles away, without the own group.
+
+    The own group is left out, and not subtracted: the difference from a large sum would have its rounding errors.
+    """
+    columns = sums.sum((2, 4))
+    beside = torch.zeros_like(columns)
+    for shift in (*range(-reach, 0), *range(1, reach + 1)):
         from_here, to_here = (
-            slice(max(0, -shift), bands.shape[-1] - max(0, shift)),
-            slice(max(0, shift), bands.shape[-1] - max(0, -shift)),
+            slice(max(0, -shift), columns.shape[-1] - max(0, shift)),
+            slice(max(0, shift), columns.shape[-1] - max(0, -shift)),
         )
-        near[..., to_here] += bands[..., from_here]
-    return near[:, :, None, :, None] - sums
+        beside[..., to_here] += columns[..., from_here]
+    of_column = sums.transpose(2, 3).flatten(3)
+    before = pad(of_column, (1, 0)).cumsum(-1)[..., :-1]
+    after = pad(of_column, (0, 1)).flip(-1).cumsum(-1).flip(-1)[..., 1:]
+    others = (before + after).unflatten(-1, (-1, 2)).transpose(2, 3)
+    return others + beside[:, :, None, :, None]
 
 
 def _parity(bits: Tensor) -> Tensor:

@@ -40,6 +40,13 @@ CASES = [
     (80.0, -50.0, wide(0.6, 0.3, roughness=0.9, metallic=1.0)),
 ]
 
+TRANSMITTING = [
+    (degrees, lean, parameters | {"diffuse_transmission": factor, "transmission_color": (0.8, 0.9, 0.2)})
+    for factor, numbers in ((0.0, (1, 3)), (0.7, (0, 3, 4, 5)))
+    for degrees, lean, parameters in (CASES[number] for number in numbers)
+]
+"""With diffuse transmission, of the surface or of another material of its scene."""
+
 
 def tilted_bsdf(case, count: int, outgoing: torch.Tensor | None = None) -> OpaqueBSDF:
     degrees, lean, parameters = case
@@ -100,7 +107,18 @@ def test_densities_and_the_share_of_lost_draws_add_up_to_1(case):
     assert z_test(GRID.integral(pdf) + lost - 1.0, error) > SIGNIFICANCE
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", TRANSMITTING)
+def test_draws_follow_the_density_on_both_sides_of_the_surface(case):
+    _, pdf = tilted_bsdf(case, POINTS).evaluate(GRID.directions)
+    bsdf = tilted_bsdf(case, DRAWS)
+    drawn = bsdf.sample(uniforms(DRAWS, seed=4))
+    assert bool((bsdf.evaluate(drawn)[1] > 1e-6).all())
+    cells = GRID.cell_integrals(pdf)
+    assert cells.sum() == pytest.approx(1.0, abs=3e-3)  # the quadrature's own
+    assert chi_square(GRID.histogram(drawn), cells / cells.sum()) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("case", CASES + TRANSMITTING)
 def test_the_mean_weight_of_draws_is_the_albedo_by_quadrature(case):
     albedo = GRID.integral(tilted_bsdf(case, POINTS).evaluate(GRID.directions)[0])
     bsdf = tilted_bsdf(case, DRAWS)

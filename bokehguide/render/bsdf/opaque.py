@@ -159,18 +159,18 @@ class OpaqueBSDF:
         share = self._specular_share
         pdf = share * microfacet + self._diffuse_pdf(cosine, above)
         value = value * (cosine * above)
+        if self._clearcoat is not None or surface.diffuse_transmission is not None:
+            # The density of a lobe includes directions below the lobe's own horizon, where other lobes scatter as well.
+            pdf = pdf * (half[2] > 0.0).to(torch.float32)
         if self._clearcoat is not None:
             over, microfacet, beneath, above_coat = self._clearcoat.evaluate(incoming, half, grazing)
             value = value * beneath + over
-            # Between the horizons of both normals, the density of a lobe includes directions below the lobe's own horizon.
-            pdf = pdf * (half[2] > 0.0).to(torch.float32)
             pdf = pdf + (microfacet - pdf) * self._clearcoat_share
             above = torch.maximum(above, above_coat)
         if surface.diffuse_transmission is None:
             return value, pdf * above
         through, density = self._transmitted(incoming)
-        # Below the surface, the densities of all lobes add up as well.
-        return value + through, pdf * (half[2] > 0.0).to(torch.float32) + density
+        return value + through, pdf + density
 
     def _diffuse_pdf(self, cosine: Tensor, above: Tensor) -> Tensor:
         """Density `[N]` of the lobes of sheen and base above the surface, without a clearcoat. above: 1 there, else 0."""
