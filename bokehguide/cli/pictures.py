@@ -14,10 +14,10 @@ from bokehguide.cli.tev import TevViewer
 from bokehguide.errors import BokehguideError
 from bokehguide.image import Display, drained, group_layers, write_exr, write_png
 from bokehguide.render import Film
+from bokehguide.render.halves_film import HalvesFilm
 from bokehguide.runtime.process import return_freed_memory
 from bokehguide.scene.overrides import OVERRIDES, option_text
 from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render, matte_attributes, matte_layers
-from bokehguide.train.adaptive import HalvesFilm
 
 
 class Pictures:

@@ -30,13 +30,13 @@ from bokehguide.image.cryptomatte import require_hash
 from bokehguide.image.oidn import require_denoiser
 from bokehguide.metrics import read_reference
 from bokehguide.render import Film
+from bokehguide.render.halves_film import HalvesFilm
 from bokehguide.runtime.device import check_device
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.overrides import OVERRIDES
 from bokehguide.train import LENS_MODES, MODES, AdaptiveLoop, Ranks, RenderLoop, RenderSettings, make_loop, restarts
-from bokehguide.train.adaptive import HalvesFilm
 from bokehguide.train.logger import run_folder
 from bokehguide.train.settings import crop_pixels
 
@@ -215,7 +215,8 @@ def print_summary(summary: dict[str, Any], picture: Film | HalvesFilm, end: int 
     errors = f", MAPE {summary['mape']:.5f}, relMSE {summary['relmse']:.5f}" if "mape" in summary else ""
     if "estimated_mape" in summary:
         mean = summary["samples"] / (picture.width * picture.height)
-        errors = f", {mean:.1f} per pixel, estimated MAPE {summary['estimated_mape']:.5f}{errors}"
+        per_pixel = f", {mean:.1f} per pixel" if mean != summary["spp"] else ""
+        errors = f"{per_pixel}, estimated MAPE {summary['estimated_mape']:.5f}{errors}"
     rate = summary["samples_per_second"] / 1e6
     print(f"{summary['spp']} SPP in {summary['seconds']:.1f} s, {rate:.2f} million samples/s{errors}")
     if isinstance(end, str):

@@ -15,9 +15,9 @@ from tqdm import tqdm
 from bokehguide.cli.forecast import Forecast
 from bokehguide.image import replacing
 from bokehguide.render.film import Film
+from bokehguide.render.halves_film import HalvesFilm
 from bokehguide.runtime.bars import on_terminal, terminal_size
 from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, StepStats
-from bokehguide.train.adaptive import HalvesFilm
 
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{left}, {rate_fmt}{postfix}]"
 """The format of the bar, that of tqdm with another time left."""

@@ -10,8 +10,8 @@ import numpy as np
 from bokehguide.errors import BokehguideError
 from bokehguide.image.denoise import denoise_halves
 from bokehguide.render.film import Film
+from bokehguide.render.halves_film import HalfFilm, HalvesFilm
 from bokehguide.render.split_film import SplitFilm, relative_error
-from bokehguide.train.adaptive import HalfFilm, HalvesFilm
 
 
 class DenoisedPicture(NamedTuple):

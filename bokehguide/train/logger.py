@@ -17,7 +17,8 @@ from bokehguide.train.metadata import describe_render
 
 if TYPE_CHECKING:
     from bokehguide.render.film import Film
-    from bokehguide.train.adaptive import AdaptiveLoop, HalvesFilm
+    from bokehguide.render.halves_film import HalvesFilm
+    from bokehguide.train.adaptive import AdaptiveLoop
     from bokehguide.train.loop import RenderLoop
     from bokehguide.train.settings import RenderSettings
     from bokehguide.train.step_stats import StepStats

@@ -15,7 +15,7 @@ from bokehguide.scene.types import Scene
 
 if TYPE_CHECKING:
     from bokehguide.render.film import Film
-    from bokehguide.train.adaptive import HalvesFilm
+    from bokehguide.render.halves_film import HalvesFilm
 
 
 def triangle_objects(scene: Scene) -> dict[str, Tensor]:

@@ -10,11 +10,11 @@ import torch
 
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
 from bokehguide.render.film import KEPT_BAD_SAMPLES, NO_DEPTH, BadSample, Film, FilmSamples
+from bokehguide.render.halves_film import HalfFilm, HalvesFilm
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.split_film import SplitFilm
 from bokehguide.render.vector import luminance
 from bokehguide.runtime.indexing import bands
-from bokehguide.train.adaptive import HalfFilm, HalvesFilm
 from tests.support.statistical import SIGNIFICANCE, z_test
 
 

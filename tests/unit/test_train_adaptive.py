@@ -12,6 +12,7 @@ from bokehguide.metrics import mape
 from bokehguide.render import split_film
 from bokehguide.render.features import MeanFeatures
 from bokehguide.render.film import NO_DEPTH, Film, FilmSamples
+from bokehguide.render.halves_film import HalfFilm, HalvesFilm
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.vector import luminance
 from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, adaptive, load_checkpoint, make_loop, save_checkpoint
@@ -202,7 +203,7 @@ def film_of(depths: list[float], light: tuple[float, float]) -> Film:
 
 def test_the_layers_of_both_halves_are_those_of_all_samples():
     one, two = film_of([1.0, 2.0, NO_DEPTH, NO_DEPTH], (1.0, 3.0)), film_of([3.0, NO_DEPTH, 5.0, NO_DEPTH], (2.0, 6.0))
-    layers = adaptive.HalvesFilm(one, two).layers()
+    layers = HalvesFilm(one, two).layers()
     np.testing.assert_allclose(layers["depth"], [[2.0, 2.0, 5.0, NO_DEPTH]])
     np.testing.assert_allclose(layers["beauty"], 3.0)
     np.testing.assert_allclose(layers["sample_count"], 4.0)
@@ -232,7 +233,7 @@ def test_blocks_at_the_right_edge_are_blocks_of_their_own():
 
 def test_a_half_of_a_denoised_render_has_no_halves():
     loop = AdaptiveLoop(scenes.emitters(32, 18), RenderSettings(threads=1, target_noise=0.01, denoise=True))
-    assert [type(half.film) for half in loop.halves] == [adaptive.HalfFilm, adaptive.HalfFilm]
+    assert [type(half.film) for half in loop.halves] == [HalfFilm, HalfFilm]
 
 
 def test_halves_share_nothing_random_but_all_else():
