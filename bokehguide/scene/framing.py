@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -33,6 +34,11 @@ GLOW = 1.0
 LEAST_LIGHT = 1e-3
 """Least sum of emission times area of the brighter meshes that counts as light, relative to the squared diagonal of the model.
 Smaller emitters, such as the landing lights of an aeroplane, give less than a thousandth of the light of the sky."""
+
+SKY_LINES = 500
+"""Lines of sight that look for the sky."""
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+"""Radians between neighbouring points of a Fibonacci lattice on the sphere."""
 
 FRAME = "frame"
 """Name of the framing camera for `--camera`."""
@@ -66,7 +72,27 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
     scene = _framed(scene, model, overrides, str(path)) if own is None else _photographed(scene, own, overrides)
     if under_sky and scene.film.exposure is None and _outside(scene.camera.position, model.meshes):
         scene = replace(scene, film=replace(scene.film, exposure=SKY_EXPOSURE))
+    elif under_sky:
+        scene = replace(scene, warnings=(*scene.warnings, *_hidden_sky(scene, path)))
     return scene, override_camera(asdict(scene.camera), overrides, str(path), files)
+
+
+def _hidden_sky(scene: Scene, path: Path) -> Iterator[str]:
+    """A warning if no line of sight leads from the camera of a model to the sky, its only light."""
+    clear = tuple(mesh for mesh in scene.meshes if scene.materials[mesh.material].transmission == 0.0)
+    if not clear:
+        return
+    turns = np.arange(SKY_LINES) + 0.5
+    height, angle = 1.0 - 2.0 * turns / SKY_LINES, GOLDEN_ANGLE * turns
+    flat = np.sqrt(1.0 - height**2)
+    directions = np.stack([flat * np.cos(angle), height, flat * np.sin(angle)], axis=1)
+    seen = Sight(clear, scene.materials).along(np.array(scene.camera.position), directions)
+    if (seen.mesh >= 0).all():
+        shell = printable(repr(clear[seen.mesh[seen.distance.argmax()]].name), 120)
+        yield (
+            f"{path.name}: surfaces such as {shell} hide the sky, the only light, from the camera; give the model a light, or "
+            "leave the surfaces out"
+        )
 
 
 def _lit(model: Model) -> bool:

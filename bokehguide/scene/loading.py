@@ -41,7 +41,7 @@ MODEL_OVERRIDES = ("camera", "variant", "time")
 def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> Scene:
     """The scene that `spec` names, ready to render.
 
-    spec: the name of a built-in scene, the path of a `.toml` scene file, of a Mitsuba `.xml` or a pbrt-v4 `.pbrt` file, the
+    spec: the name of a built-in scene, the path of a `.toml` scene file, of a Mitsuba `.xml` or a pbrt `.pbrt` file, the
     path of a model, or a scene itself. A model without a camera gets one that frames it; a model without lights gets a sky.
     overrides: replace the scene's own values. allow_outside: permits paths that leave the file's folder.
     The scene's `likely_mistakes` say what the user may not have meant.
@@ -146,7 +146,7 @@ def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0) ->
     problem = "exists, and is no scene of a known kind" if Path(spec).exists() else "no such scene"
     raise BokehguideError(
         f"{spec}: {problem}" + (f"; did you mean {near[0]!r}?" if near else "") + "\n"
-        f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, a Mitsuba .xml or pbrt-v4 .pbrt file, "
+        f"Give a built-in name ({', '.join(BUILTIN)}), a .toml scene file, a Mitsuba .xml or a pbrt .pbrt file, "
         f"or a model ({' '.join(MODEL_SUFFIXES)})"
     )
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
@@ -13,13 +15,13 @@ import numpy as np
 import trimesh
 from trimesh.resolvers import FilePathResolver
 
+from bokehguide.color import srgb_to_linear
 from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.images import texture_from_image
+from bokehguide.scene.mtl_materials import ignored_terms, mtl_material
 from bokehguide.scene.shapes import transformed, unit_normals
-from bokehguide.scene.tables import NOT_NEGATIVE, Table
-from bokehguide.scene.types import Material, Mesh, Model, Texture, as_vector
+from bokehguide.scene.types import Mesh, Model
 from bokehguide.stopping import default_signals
 
 # Without a handler, Python prints the log of trimesh, which includes tracebacks, to the terminal.
@@ -31,8 +33,13 @@ INDEXED = {
     b"vn": ("normal", "normals"),
 }
 """Statements of `.obj` files that faces have indices of, in the order of the indices, each with words for one and for many."""
-MTL_TERMS = {"kd", "ke", "map_kd"}
-"""Supported statements of `.mtl` files."""
+OPTIONS = re.compile(
+    r"^(?:-(?:(?:o|s|t)(?:\s+[-+.\deE]+(?=\s)){1,3}|mm\s+\S+\s+\S+|(?:blendu|blendv|bm|boost|cc|clamp|imfchan|texres|type)\s+\S+)\s+)+"
+)
+"""Options of an `.mtl` file before the name of a texture."""
+COLORED = ("vertex", "face")
+"""Kinds of visuals of trimesh with colours of vertices or faces."""
+WHITE = (1.0, 1.0, 1.0)
 
 
 class _Resolver(FilePathResolver):
@@ -51,7 +58,8 @@ class _Resolver(FilePathResolver):
         method keeps the first refusal.
         """
         refusal = None
-        for candidate in (name.strip(), PureWindowsPath(name.strip()).name):
+        plain = OPTIONS.sub("", name.strip(), count=1)
+        for candidate in (plain, PureWindowsPath(plain).name):
             try:
                 path = self.files.find(self.model.parent, candidate, str(self.model))
             except BokehguideError as error:
@@ -68,14 +76,16 @@ class _Resolver(FilePathResolver):
 
 def load_mesh_file(path: Path, files: SceneFiles) -> Model:
     """Read a model. Raises as `load_model` does."""
-    scene, warnings = _parsed(path, files)
+    scene, resolver = _parsed(path, files)
     materials, index, ignored = [], {}, set[str]()
     for name, geometry in scene.geometry.items():
         index[name] = len(materials)
-        materials.append(_material(geometry, printable(name), path, files))
-        if geometry.visual.kind in ("vertex", "face"):
-            warnings.append("vertex and face colours: have no effect")
-        ignored |= {*(getattr(getattr(geometry.visual, "material", None), "kwargs", None) or ())} - MTL_TERMS
+        source = getattr(geometry.visual, "material", None)
+        material = mtl_material(source, printable(name), str(path), files, resolver.get)
+        materials.append(replace(material, base_color=WHITE) if geometry.visual.kind in COLORED else material)
+        ignored |= ignored_terms(getattr(source, "kwargs", None) or ())
+    if resolver.refusal is not None:
+        raise resolver.refusal
     meshes = []
     for node in scene.graph.nodes_geometry:
         matrix, geometry_name = scene.graph[node]
@@ -88,29 +98,80 @@ def load_mesh_file(path: Path, files: SceneFiles) -> Model:
             if mesh.normals is not None:
                 mesh = replace(mesh, normals=unit_normals(mesh.normals, mesh.vertices, mesh.triangles))
             meshes.append(replace(transformed(mesh, matrix), name=printable(name)))
+    warnings = [f"{printable(name)}: no such file; left out" for name in dict.fromkeys(resolver.missing)]
     if ignored:
-        terms = printable(", ".join(sorted(map(str, ignored))), 200)
-        warnings.append(f".mtl file: {terms}: have no effect, only Kd, map_Kd and Ke do")
+        warnings.append(f".mtl file: {printable(', '.join(sorted(ignored)), 200)}: have no effect")
     return Model(tuple(meshes), tuple(materials), warnings=tuple(warnings))
 
 
-def _parsed(path: Path, files: SceneFiles) -> tuple[trimesh.Scene, list[str]]:
-    """The trimesh scene of the file, and a warning for each missing file that it names."""
+def _parsed(path: Path, files: SceneFiles) -> tuple[trimesh.Scene, _Resolver]:
+    """The trimesh scene of the file, and the reader of the files that it names."""
     resolver = _Resolver(path, files)
     files.add_file(path)
     try:
         # Parts of trimesh hold the interpreter's lock, and numbers of damaged files overflow.
         with default_signals(), np.errstate(all="ignore"):
-            scene = trimesh.load_scene(str(path), resolver=resolver, process=False)
+            source = _with_absolute_indices(path) if path.suffix.lower() == ".obj" else str(path)
+            kind = path.suffix[1:].lower()
+            scene = _with_strips(trimesh.load_scene(source, file_type=kind, resolver=resolver, process=False))
     except Exception as error:  # the parsers raise exceptions of any type for damaged files
         if path.suffix.lower() == ".obj" and not isinstance(error, OSError):
             _require_indices(path)
         raise BokehguideError(f"{path}: not a readable {path.suffix} model ({reason(error)})") from None
-    if resolver.refusal is not None:
-        raise resolver.refusal
     if path.suffix.lower() == ".obj" and _has_wrong_index(path.read_bytes()):
         _require_indices(path)
-    return scene, [f"{printable(name)}: no such file; left out" for name in resolver.missing]
+    return scene, resolver
+
+
+def _with_strips(scene: trimesh.Scene) -> trimesh.Scene:
+    """`scene`, or the mesh of a `.ply` file whose triangles are strips, of which trimesh makes a cloud of points."""
+    for name, cloud in scene.geometry.items():
+        raw = getattr(cloud, "metadata", {}).get("_ply_raw", {}) if isinstance(cloud, trimesh.PointCloud) else {}
+        if raw.get("tristrips", {}).get("length"):
+            rows = raw["tristrips"]["data"]
+            column = rows["vertex_indices"]
+            indices = column["f1"] if column.dtype.names else column
+            faces = [_strip_triangles(np.asarray(row).reshape(-1).astype(np.int64)) for row in indices]
+            return trimesh.Scene({name: trimesh.Trimesh(cloud.vertices, np.concatenate(faces), process=False)})
+    return scene
+
+
+def _strip_triangles(strip: np.ndarray) -> np.ndarray:
+    """Triangles `[T, 3]` of strips of indices, which -1 separates. Every second triangle of a strip is turned."""
+    starts = np.concatenate([[0], np.flatnonzero(strip < 0) + 1])
+    triangles = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1)
+    place = np.arange(len(triangles))
+    turned = (place - starts[np.searchsorted(starts, place, side="right") - 1]) % 2 == 1
+    triangles[turned] = triangles[turned][:, [1, 0, 2]]
+    return triangles[(triangles >= 0).all(axis=1)]
+
+
+def _with_absolute_indices(path: Path) -> str | BytesIO:
+    """The `.obj` file, or its text without negative indices, which trimesh counts from the end of the file.
+
+    A negative index counts back from the last statement above.
+    """
+    data = path.read_bytes()
+    face = re.search(rb"^[ \t]*f[ \t][^#\n]*-\d", data, re.MULTILINE)
+    if face is None or not re.compile(rb"^[ \t]*v", re.MULTILINE).search(data, face.end()):
+        return str(path)
+    lines, before = data.splitlines(), Counter[bytes]()
+    for number, line in enumerate(lines):
+        words = line.partition(b"#")[0].split()
+        before.update(words[:1])
+        if words[:1] == [b"f"] and b"-" in line:
+            lines[number] = b" ".join([b"f", *(_absolute(corner, before) for corner in words[1:])])
+    return BytesIO(b"\n".join(lines) + b"\n")
+
+
+def _absolute(corner: bytes, before: Mapping[bytes, int]) -> bytes:
+    """A corner of a face without negative indices. before: the number of each statement above the face."""
+    return b"/".join(
+        str(before[key] + 1 + int(index)).encode()
+        if re.fullmatch(rb"-\d{1,18}", index) and before[key] + int(index) >= 0
+        else index
+        for index, key in zip(corner.split(b"/"), INDEXED)
+    )
 
 
 def _require_indices(path: Path) -> None:
@@ -141,37 +202,30 @@ def _has_wrong_index(data: bytes) -> bool:
     return any(index.isdigit() and count > 0 and not 1 <= int(index) <= count for index, count in given)
 
 
-def _material(geometry: Any, name: str, path: Path, files: SceneFiles) -> Material:
-    """The material of an `.obj` geometry, or the default material for `.ply` and `.stl`."""
-    material = getattr(geometry.visual, "material", None)
-    terms = getattr(material, "kwargs", None) or {}
-    image = getattr(material, "image", None)
-    if image is not None and image.format is None:  # a placeholder of trimesh for uvs without an image
-        image = None
-    label = printable(getattr(material, "name", None) or name)
-    values = {key: _numbers(terms[key]) for key in ("kd", "ke") if key in terms}
-    table = Table(values, str(path), f"material {label}", values)
-    return Material(
-        name=name,
-        base_color=as_vector(min(channel, 1.0) for channel in table.vector("kd", Material.base_color, NOT_NEGATIVE)),
-        emission=table.vector("ke", Material.emission, NOT_NEGATIVE),
-        base_color_texture=None if image is None else Texture(texture_from_image(image, f"{path}: {label}", files)),
-    )
-
-
-def _numbers(words: Any) -> Any:
-    """`words` as numbers, or unchanged if they are none."""
-    try:
-        return [float(word) for word in words]
-    except (TypeError, ValueError):
-        return words
-
-
 def _mesh(geometry: trimesh.Trimesh, material: int) -> Mesh:
-    """A geometry as a Mesh with the file's normals."""
+    """A geometry as a Mesh with the file's normals, and colours of its vertices or faces, which are sRGB."""
     mesh = Mesh.from_trimesh(geometry, material)
     # trimesh computes missing normals on demand. At this point its cache holds only the file's.
     if "vertex_normals" in geometry._cache:
         normals = np.asarray(geometry.vertex_normals, dtype=np.float32)
-        return replace(mesh, normals=normals) if np.isfinite(normals).all() else mesh
-    return mesh
+        mesh = replace(mesh, normals=normals) if np.isfinite(normals).all() else mesh
+    visual: Any = geometry.visual
+    if visual.kind not in COLORED:
+        return mesh
+    if visual.kind == "vertex":
+        return replace(mesh, colors=_linear(visual.vertex_colors))
+    corners = mesh.triangles.reshape(-1)
+    normals = None if mesh.normals is None else mesh.normals[corners]
+    return Mesh(
+        vertices=mesh.vertices[corners],
+        triangles=np.arange(len(corners), dtype=np.int32).reshape(-1, 3),
+        material=material,
+        normals=normals,
+        colors=_linear(visual.face_colors).repeat(3, axis=0),
+    )
+
+
+def _linear(colors: np.ndarray) -> np.ndarray:
+    """sRGB colours with opacities, uint8 `[N, 4]`, as linear float32."""
+    encoded = np.asarray(colors, np.float32) / 255.0
+    return np.concatenate([srgb_to_linear(encoded[:, :3]), encoded[:, 3:]], axis=1)

@@ -29,9 +29,8 @@ def test_obj_materials(tmp_path):
     assert scene.environment is None
     assert scene.warnings == ()
     with (tmp_path / "m.mtl").open("a") as file:
-        file.write("Ns 20\nillum 2\n")
-    told = "m.obj: .mtl file: illum, ns: have no effect, only Kd, map_Kd and Ke do"
-    assert load_scene(str(tmp_path / "m.obj")).warnings == (told,)
+        file.write("Ka 1 1 1\nillum 2\n#Tf 1 1 1\nKm 1\nmap_Bump wood.png\n")
+    assert load_scene(str(tmp_path / "m.obj")).warnings == ("m.obj: .mtl file: km, map_bump: have no effect",)
 
 
 @pytest.mark.parametrize("term", ["Kd -0.5 0 0", "Kd nan 0 0", "Ke 1e39 0 0", "Ke inf 0 0"])
@@ -229,3 +228,140 @@ def test_real_models(name, triangles, meshes):
     assert sum(len(mesh.triangles) for mesh in scene.meshes) == triangles
     assert len(scene.meshes) == meshes
     assert scene.environment is not None
+
+
+def mtl(folder, statements: str):
+    """The material of a triangle with `statements` in its `.mtl` file."""
+    (folder / "m.mtl").write_text(f"newmtl a\n{statements}\n")
+    corners = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\n"
+    (folder / "m.obj").write_text(f"mtllib m.mtl\n{corners}usemtl a\nf 1/1 2/2 3/3\n")
+    return load_scene(str(folder / "m.obj"))
+
+
+@pytest.mark.parametrize(
+    ("statements", "wanted"),
+    [
+        (
+            "Kd 0.5 0.5 0.5",
+            {"base_color": (0.5, 0.5, 0.5), "roughness": 1.0, "specular": 1.0, "opacity": 1.0, "alpha_mode": "opaque"},
+        ),
+        ("Ns 250\nKs 0.25 0.25 0.25", {"roughness": 0.5, "specular": 0.5}),
+        ("Ns 2000\nKs 0 0 0", {"roughness": 0.0, "specular": 0.0}),
+        ("Ns 250\nPr 0.3\nPm 1", {"roughness": 0.3, "metallic": 1.0}),
+        ("Ni 1.7", {"ior": 1.7}),
+        ("Ni 1", {"ior": 1.5}),
+        ("d 0.25", {"opacity": 0.25, "alpha_mode": "blend"}),
+        ("d -halo 0.25", {"opacity": 0.25, "alpha_mode": "blend"}),
+        ("Tr 0.25", {"opacity": 0.75, "alpha_mode": "blend"}),
+        ("Tr 1", {"opacity": 1.0, "alpha_mode": "opaque"}),
+        ("d 1\nTr 1", {"opacity": 1.0, "alpha_mode": "opaque"}),
+        ("map_d lost.png", {"opacity": 1.0, "alpha_mode": "opaque"}),
+    ],
+)
+def test_gloss_and_opacity_of_obj_materials(tmp_path, statements, wanted):
+    found = mtl(tmp_path, statements).materials[0]
+    for key, value in wanted.items():
+        assert getattr(found, key) == (pytest.approx(value) if key != "alpha_mode" else value)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGBA"])
+def test_opacity_maps_of_obj_materials(tmp_path, mode):
+    """The alpha of map_d, or its grey, becomes the alpha of map_Kd."""
+    Image.new("RGB", (2, 2), (255, 0, 0)).save(tmp_path / "red.png")
+    Image.new(mode, (4, 1), 51 if mode == "L" else (255, 255, 255, 51)).save(tmp_path / "holes.png")
+    scene = mtl(tmp_path, "map_Kd red.png\nmap_d holes.png\nd 0.5")
+    found = scene.materials[0]
+    assert (found.alpha_mode, found.opacity, scene.warnings) == ("blend", 1.0, ())
+    np.testing.assert_allclose(found.base_color_texture.image, np.broadcast_to((1.0, 0.0, 0.0, 0.1), (2, 4, 4)), atol=1e-6)
+
+
+def test_an_opacity_map_outside_the_folder_is_refused(tmp_path):
+    (tmp_path / "model").mkdir()
+    Image.new("L", (1, 1)).save(tmp_path / "holes.png")
+    with pytest.raises(BokehguideError, match=r"'../holes\.png' lies outside the scene's folder"):
+        mtl(tmp_path / "model", "map_d ../holes.png")
+
+
+@pytest.mark.parametrize("options", ["-s 1 1 1 -o 0.5 0 -0.5", "-clamp on -bm 1", "-mm 0 1 -imfchan r -blendu off"])
+def test_options_before_a_texture(tmp_path, options):
+    Image.new("RGB", (2, 2), (255, 0, 0)).save(tmp_path / "-1 red.png")
+    scene = mtl(tmp_path, f"map_Kd {options} -1 red.png\nmap_d {options} -1 red.png")
+    assert scene.materials[0].base_color_texture.image.shape == (2, 2, 4) and scene.warnings == ()
+
+
+def test_a_missing_opacity_map_is_told(tmp_path):
+    assert mtl(tmp_path, "map_d lost.png").warnings == ("m.obj: lost.png: no such file; left out",)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj"])
+def test_vertex_colours_are_srgb(tmp_path, suffix):
+    points, colors = np.eye(3), [(255, 0, 0, 255), (0, 188, 0, 255), (0, 0, 0, 255)]
+    trimesh.Trimesh(points, [(0, 1, 2)], vertex_colors=colors, process=False).export(tmp_path / f"a.{suffix}")
+    scene = load_scene(str(tmp_path / f"a.{suffix}"))
+    np.testing.assert_allclose(scene.meshes[0].colors, [(1, 0, 0, 1), (0, 0.5029, 0, 1), (0, 0, 0, 1)], atol=1e-3)
+    assert scene.materials[0].base_color == (1.0, 1.0, 1.0) and scene.warnings == ()
+
+
+def test_face_colours_are_srgb(tmp_path):
+    points, faces = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]), [(0, 1, 2), (0, 2, 3)]
+    colors = [(255, 0, 0, 255), (0, 188, 0, 255)]
+    trimesh.Trimesh(points, faces, face_colors=colors, process=False).export(tmp_path / "a.ply")
+    (mesh,) = load_scene(str(tmp_path / "a.ply")).meshes
+    np.testing.assert_allclose(mesh.vertices[mesh.triangles], points[faces])
+    wanted = np.array([(1, 0, 0, 1), (0, 0.5029, 0, 1)])[:, None].repeat(3, axis=1)
+    np.testing.assert_allclose(mesh.colors[mesh.triangles], wanted, atol=1e-3)
+
+
+def test_negative_indices_count_back_from_their_face(tmp_path):
+    """Two triangles, each after its own vertices, normals and texture coordinates."""
+    corners = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (5.0, 0.0, 0.0), (6.0, 0.0, 0.0), (6.0, 1.0, 0.0)]
+    text = ""
+    for start in (0, 3):
+        text += "".join(f"v {x} {y} {z}\nvt {x} {y}\n" for x, y, z in corners[start : start + 3])
+        text += f"vn 0 0 {1 - 2 * (start == 3)}\nf -3/-3/-1 -2/-2/-1 -1/-1/-1 # v -1\n"
+    (tmp_path / "a.obj").write_text(text)
+    (mesh,) = load_scene(str(tmp_path / "a.obj")).meshes
+    np.testing.assert_allclose(mesh.vertices[mesh.triangles].reshape(-1, 3), corners)
+    np.testing.assert_allclose(mesh.uvs[mesh.triangles].reshape(-1, 2)[:, 0], [x for x, _, _ in corners])
+    np.testing.assert_allclose(mesh.normals[mesh.triangles][:, 0, 2], [1.0, -1.0])
+
+
+STRIP = "ply\nformat {order} 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+STRIP += "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+LADDER = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), (0, 2, 0)], np.float32)
+
+
+def lines(rows: np.ndarray) -> str:
+    """Rows of numbers as text."""
+    return "".join(" ".join(map(str, row)) + "\n" for row in rows.tolist())
+
+
+@pytest.mark.parametrize("order", ["ascii", "binary_little_endian"])
+def test_triangle_strips_of_ply_files(tmp_path, order):
+    """All triangles face +z: every second one of a strip is turned, and -1 begins another strip."""
+    strip = np.array([0, 1, 2, 3, -1, 2, 3, 4, -1], np.int32)
+    text = (lines(LADDER) + f"9 {' '.join(map(str, strip))}\n").encode()
+    body = text if order == "ascii" else LADDER.tobytes() + np.int32(9).tobytes() + strip.tobytes()
+    (tmp_path / "a.ply").write_bytes(STRIP.format(order=order).encode() + body)
+    (mesh,) = load_scene(str(tmp_path / "a.ply")).meshes
+    assert mesh.triangles.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4]] and mesh.name == "a.ply"
+
+
+def test_a_triangle_strip_beyond_the_vertices_is_refused(tmp_path):
+    (tmp_path / "a.ply").write_text(f"{STRIP.format(order='ascii')}{lines(LADDER)}3 0 1 7\n")
+    with pytest.raises(BokehguideError, match=r"a\.ply.*\[0, 1, 7\]"):
+        load_scene(str(tmp_path / "a.ply"))
+
+
+def test_a_model_that_hides_the_sky_is_told(tmp_path):
+    """A lamp would light the room, and outside the sky does."""
+    room = trimesh.creation.box((4, 4, 4))
+    room.invert()
+    room.export(tmp_path / "room.ply")
+    inside = Overrides(camera_position=(0.0, 0.0, 1.0), camera_target=(0.0, 0.0, 0.0))
+    (told,) = load_scene(str(tmp_path / "room.ply"), inside).warnings
+    assert told.startswith("room.ply: surfaces such as 'room.ply' hide the sky, the only light, from the camera; give the model")
+    assert load_scene(str(tmp_path / "room.ply")).warnings == ()
+    open_room = room.submesh([np.flatnonzero(room.face_normals[:, 1] > -0.5)], append=True)
+    open_room.export(tmp_path / "open.ply")
+    assert load_scene(str(tmp_path / "open.ply"), inside).warnings == ()

@@ -8,6 +8,7 @@ import pytest
 
 from bokehguide.cli import main
 from bokehguide.errors import BokehguideError
+from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.pbrt.transforms import look_at, rotation
@@ -166,7 +167,7 @@ def test_transforms_are_those_of_pbrt(tmp_path):
 ERRORS = [
     ('Shape "sphere', ["scene.pbrt:4", "closing quote"]),
     ("\n\nShap\n", ["scene.pbrt:6", "'Shap'", "did you mean 'Shape'?"]),
-    ("WorldEnd", ["older version", "pbrt --upgrade"]),
+    ("WorldEnds", ["'WorldEnds'", "did you mean 'WorldEnd'?"]),
     ("Translate 1 2", ["scene.pbrt", "the file ends", "Translate"]),
     ("Translate 1 2 x", ["scene.pbrt:4", "'x'", "Translate"]),
     ("Translate 1 2 1e30", ["1e30", "out of range"]),
@@ -198,6 +199,7 @@ ERRORS = [
     ("LookAt 0 0 0 0 1 0 0 1 0", ["scene.pbrt:4", "LookAt", "up"]),
     ('Shape "loopsubdiv" "integer levels" 30 "point3 P" [0 0 0 1 0 0 0 1 0] "integer indices" [0 1 2]', ["levels", "0 to 8"]),
     ("", ["holds no shapes"]),
+    ('Shape "curve"', ["holds no shapes", "shapes of the type curve: left out (scene.pbrt:4)"]),
 ]
 
 
@@ -254,3 +256,65 @@ def test_parameters_of_an_unknown_name_are_told(tmp_path):
     assert "refelctance; did you mean reflectance?" in line and "radios; did you mean radius?" in line and "split" not in line
     known = 'Material "diffuse" "rgb reflectance" [0.5 0.5 0.5]\nShape "sphere" "float radius" 2\n'
     assert not any("unknown name" in line for line in read(tmp_path, known).warnings)
+
+
+OLDER = 'Camera "perspective" "float fov" 90\nFilm "image" "integer xresolution" 32 "integer yresolution" 16\nWorldBegin\n'
+"""The head of a file of pbrt-v3."""
+
+
+def test_the_command_line_renders_a_scene_of_pbrt_v3(tmp_path, capsys):
+    lit = 'AttributeBegin\nAreaLightSource "area" "color L" [1 2 3]\nReverseOrientation\n' + SQUARE + "AttributeEnd\nWorldEnd\n"
+    (tmp_path / "scene.pbrt").write_text('SurfaceIntegrator "path" "integer maxdepth" 7\n' + OLDER + lit)
+    arguments = ["render", str(tmp_path / "scene.pbrt"), "--spp", "1", "--out", str(tmp_path / "a.exr"), "--mode", "uniform"]
+    assert main(arguments) == 0
+    assert "warning" not in capsys.readouterr().err
+    scene = load_scene(str(tmp_path / "scene.pbrt"))
+    assert scene.film.max_depth == 8 and scene.materials[0].emission == (1.0, 2.0, 3.0)
+
+
+def test_a_shutter_is_no_exposure_before_pbrt_v4(tmp_path):
+    camera = 'Camera "perspective" "float shutteropen" 0 "float shutterclose" 0.25\n'
+    assert read(tmp_path, SQUARE, camera + "WorldBegin\n").film.exposure == -2.0
+    assert read(tmp_path, SQUARE + "WorldEnd\n", camera + "WorldBegin\n").film.exposure is None
+
+
+def test_blocks_overlap_before_pbrt_v4(tmp_path):
+    """An end restores the state of the last begin, whatever its kind."""
+    body = 'AttributeBegin\nTranslate 0 0 1\nObjectBegin "a"\n' + SQUARE + "AttributeEnd\nObjectEnd\nTranslate 0 0 5\n"
+    scene = read(tmp_path, body + 'ObjectInstance "a"\nWorldEnd\n', OLDER)
+    np.testing.assert_allclose(scene.meshes[0].vertices[:, 2], 10.0)
+    assert "AttributeEnd without its AttributeBegin" in message(tmp_path, body)
+
+
+def test_the_end_of_a_transform_keeps_the_material_before_pbrt_v4(tmp_path):
+    body = 'TransformBegin\nTranslate 0 0 1\nMaterial "matte" "rgb Kd" [1 0 0]\nTransformEnd\n' + SQUARE
+    scene = read(tmp_path, body, OLDER)
+    assert scene.materials[scene.meshes[0].material].base_color == (1.0, 0.0, 0.0)
+    np.testing.assert_allclose(scene.meshes[0].vertices[:, 2], 4.0)
+
+
+def test_a_second_object_of_a_name_replaces_the_first_before_pbrt_v4(tmp_path):
+    twice = "".join(f'ObjectBegin "a"\nTranslate 0 0 {far}\n{SQUARE}ObjectEnd\nObjectInstance "a"\n' for far in (1, 2))
+    assert [mesh.vertices[0, 2] for mesh in read(tmp_path, twice, OLDER).meshes] == [5.0, 6.0]
+    assert "an object of this name exists" in message(tmp_path, twice)
+
+
+def test_an_unknown_named_material_is_told_before_pbrt_v4(tmp_path):
+    body = 'Material "matte" "rgb Kd" [1 0 0]\nNamedMaterial "lost"\n' + SQUARE
+    scene = read(tmp_path, body, OLDER)
+    assert scene.materials[scene.meshes[0].material].base_color == (1.0, 0.0, 0.0)
+    assert scene.warnings == (
+        "scene.pbrt: unknown names of materials: the material before stays, as in pbrt-v3 (lost, scene.pbrt:5)",
+    )
+
+
+def test_the_first_scene_of_a_file_counts_before_pbrt_v4(tmp_path):
+    scene = read(tmp_path, SQUARE + "WorldEnd\n" + OLDER + 'Shape "sphere"\nWorldEnd\n', OLDER)
+    assert len(scene.meshes) == 1 and scene.film.width == 32
+    assert scene.warnings == ("scene.pbrt: scenes after the first WorldEnd: left out (scene.pbrt:5)",)
+
+
+def test_distances_without_an_end(tmp_path):
+    camera = 'Camera "perspective" "float lensradius" 0.1 "float focaldistance" [1e30] "float yon" inf\nWorldBegin\n'
+    assert read(tmp_path, SQUARE, camera).camera.focus_distance == FARTHEST_FOCUS
+    assert "not finite" in message(tmp_path, SQUARE, camera.replace("1e30", "nan"))

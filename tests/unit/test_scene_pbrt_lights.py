@@ -269,3 +269,69 @@ def test_maps_in_pfm(tmp_path, order):
         (tmp_path / "sky.pfm").write_bytes(damage)
         with pytest.raises(BokehguideError, match=r"sky\.pfm"):
             load_scene(str(tmp_path / "scene.pbrt"))
+
+
+def older(folder, body: str) -> Scene:
+    """A scene of pbrt-v3."""
+    return read(folder, f"{body}\nWorldEnd\n")
+
+
+def test_colours_of_lights_before_pbrt_v4(tmp_path):
+    """A colour `scale` multiplies a colour; spectra keep their luminance, and black bodies have the peak 1."""
+
+    def emitted(parameters: str) -> tuple[float, ...]:
+        scene = older(tmp_path, f'AreaLightSource "diffuse" {parameters} Shape "sphere"')
+        return scene.materials[scene.meshes[-1].material].emission
+
+    assert emitted('"color L" [1 2 3] "color scale" [2 2 0.5]') == pytest.approx((2.0, 4.0, 1.5))
+    assert emitted('"rgb L" [1 2 3]') == pytest.approx((1.0, 2.0, 3.0))
+    assert LUMINANCE @ emitted('"spectrum L" [360 3 830 3]') == pytest.approx(3.0, rel=0.01)
+    wavelengths = np.arange(380.0, 781.0, 5.0)
+    planck = wavelengths**-5 / np.expm1(1.4388e7 / (wavelengths * 5200.0))
+    grid = np.linspace(300.0, 900.0, 6001)
+    peak = (grid**-5 / np.expm1(1.4388e7 / (grid * 5200.0))).max()
+    efficiency = np.exp(-0.5 * ((wavelengths - 559.0) / 42.0) ** 2)
+    wanted = 2.0 * float((planck / peak * efficiency).sum() / efficiency.sum())
+    assert LUMINANCE @ emitted('"blackbody L" [5200 2]') == pytest.approx(wanted, rel=0.01)
+
+
+def test_a_point_light_before_pbrt_v4(tmp_path):
+    """The intensity is a colour times a colour `scale`."""
+    scene = older(tmp_path, 'LightSource "point" "rgb I" [1 2 3] "rgb scale" [2 2 2] "point from" [0 3 0]')
+    radius = 0.5 * float(np.ptp(scene.meshes[-1].vertices, axis=0).max())
+    emission = np.array(scene.materials[scene.meshes[-1].material].emission)
+    np.testing.assert_allclose(emission * math.pi * radius**2, (2.0, 4.0, 6.0), rtol=0.01)
+
+
+@pytest.mark.parametrize("turn", ["", "Rotate 90 -1 0 0", "Scale -1 1 1 Rotate 90 0 0 1"])
+def test_maps_before_pbrt_v4_are_equirectangular(tmp_path, turn):
+    """The top of the map is +z, its left edge +x, and columns turn from +x to +y."""
+    image = np.zeros((64, 128, 3), np.float32)
+    image[16, 8] = 1.0
+    write_exr(tmp_path / "map.exr", {"beauty": image})
+    body = f'AttributeBegin {turn}\nLightSource "infinite" "string mapname" "map.exr" "rgb L" [2 2 2] AttributeEnd'
+    scene = older(tmp_path, body)
+    theta, phi = math.pi * 16.5 / 64.0, 2.0 * math.pi * 8.5 / 128.0
+    local = np.array((math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)))
+    matrix = {
+        "": np.eye(3),
+        "Rotate 90 -1 0 0": np.array([(1, 0, 0), (0, 0, 1), (0, -1, 0)]),
+        "Scale -1 1 1 Rotate 90 0 0 1": np.diag((-1.0, 1.0, 1.0)) @ np.array([(0, -1, 0), (1, 0, 0), (0, 0, 1)]),
+    }[turn]
+    assert radiance(scene, matrix @ local)[0] > 1.0
+    for other in (-local, local[[1, 2, 0]]):
+        assert radiance(scene, matrix @ other)[0] == 0.0
+    texels = scene.environment.radiance[..., 0]
+    weights = np.sin(math.pi * (np.arange(len(texels)) + 0.5) / len(texels))
+    found, wanted = (texels.mean(axis=1) * weights).sum() / weights.sum(), 2.0 * math.sin(theta) / 128.0
+    assert found == pytest.approx(wanted / np.sin(math.pi * (np.arange(64) + 0.5) / 64.0).sum(), rel=1e-3)
+
+
+def test_a_light_at_the_camera_is_behind_the_camera(tmp_path):
+    """The sphere of a headlight would hide the scene."""
+    scene = read(tmp_path, 'AttributeBegin CoordSysTransform "camera" LightSource "point" AttributeEnd')
+    radius = 0.5 * float(np.ptp(scene.meshes[-1].vertices, axis=0).max())
+    middle = 0.5 * (scene.meshes[-1].vertices.min(axis=0) + scene.meshes[-1].vertices.max(axis=0))
+    away = np.array(scene.camera.position) - np.array(scene.camera.target)
+    np.testing.assert_allclose(middle - scene.camera.position, 2.0 * radius * away / np.linalg.norm(away), atol=0.05 * radius)
+    assert scene.likely_mistakes == () and any("behind the camera" in line for line in scene.warnings)

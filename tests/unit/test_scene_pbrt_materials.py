@@ -267,3 +267,86 @@ def test_anisotropic_roughness_is_kept(tmp_path, u, v, rotation):
     np.testing.assert_allclose((most, least), (max(u, v) ** 0.5, min(u, v) ** 0.5), rtol=1e-6)
     assert metal.anisotropy_rotation == rotation and glass.anisotropy == 0.0
     assert any("anisotropic roughness of dielectrics" in line for line in scene.warnings) == (u != v)
+
+
+def older(folder, text: str, before: str = "", shape: str = 'Shape "sphere"') -> Material:
+    """A material of pbrt-v3."""
+    return material(folder, text, before, f"{shape}\nWorldEnd")
+
+
+def alpha_of(roughness: float) -> float:
+    """pbrt-v3's `TrowbridgeReitzDistribution::RoughnessToAlpha`."""
+    x = math.log(max(roughness, 1e-3))
+    return 1.62142 + 0.819955 * x + 0.1734 * x**2 + 0.0171201 * x**3 + 0.000640711 * x**4
+
+
+OLDER = {
+    '"matte"': {"base_color": (0.5, 0.5, 0.5), "specular": 0.0},
+    '"none"': {"emission": (1.0, 1.0, 1.0), "specular": 0.0},
+    '"plastic"': {"base_color": (0.25,) * 3, "specular_color": (0.25,) * 3, "roughness": math.sqrt(alpha_of(0.1))},
+    '"plastic" "float roughness" 0.04 "bool remaproughness" "false"': {"roughness": 0.2},
+    '"substrate" "rgb Ks" [0.04 0.08 1]': {"base_color": (0.5,) * 3, "specular_color": (1.0, 2.0, 25.0), "ior": 1.5},
+    '"metal"': {"base_color": (0.9553, 0.6376, 0.5382), "metallic": 1.0, "roughness": math.sqrt(alpha_of(0.01))},
+    '"metal" "spectrum eta" "spds/Au.eta.spd" "spectrum k" "spds/Au.k.spd"': {"base_color": (1.0, 0.7825, 0.3434)},
+    '"mirror"': {"base_color": (0.9,) * 3, "metallic": 1.0, "roughness": 0.0},
+    '"shinymetal" "color Ks" [0.1 0.2 0.3]': {"base_color": (0.1, 0.2, 0.3), "metallic": 1.0},
+    '"glass" "rgb Kt" [0.1 0.2 0.3] "float index" 1.7': {"base_color": (0.1, 0.2, 0.3), "transmission": 1.0, "ior": 1.7},
+    '"glass" "float eta" 1.6 "float uroughness" 0.3 "float vroughness" 0.3': {"roughness": math.sqrt(alpha_of(0.3)), "ior": 1.6},
+    '"uber" "rgb opacity" [0.5 0.5 0.5]': {"alpha_mode": "blend", "opacity": 0.5, "specular_color": (0.25,) * 3},
+    '"uber" "rgb Kr" [0.5 0.5 0.5] "rgb Ks" [0 0 0]': {"roughness": 0.0, "specular_color": (0.5,) * 3},
+    '"uber" "rgb Kd" [0.1 0.1 0.1] "rgb Kt" [0.3 0.3 0.3]': {"base_color": (0.4,) * 3, "transmission": 0.75},
+    '"translucent" "rgb Kd" [0.8 0.4 0.8]': {"base_color": (0.8, 0.4, 0.8), "diffuse_transmission": 0.5},
+    '"kdsubsurface" "rgb Kd" [0.1 0.2 0.3]': {"base_color": (0.1, 0.2, 0.3), "ior": 1.33},
+    '"hair" "rgb color" [0.1 0.2 0.3]': {"base_color": (0.1, 0.2, 0.3)},
+    '"disney" "rgb color" [0.1 0.2 0.3] "float metallic" 0.5 "float clearcoat" 1': {
+        "base_color": (0.1, 0.2, 0.3),
+        "metallic": 0.5,
+        "roughness": 0.5,
+        "clearcoat": 0.25,
+    },
+    '"velvet" "rgb Kd" [0.1 0.2 0.3]': {"base_color": (0.1, 0.2, 0.3)},
+    '"matte" "xyz Kd" [0.4124 0.2126 0.0193]': {"base_color": (1.0, 0.0, 0.0)},
+}
+
+
+@pytest.mark.parametrize("text", OLDER)
+def test_materials_of_pbrt_v3(tmp_path, text):
+    found = older(tmp_path, text, shape='AreaLightSource "diffuse"\nShape "sphere"' if "none" in text else 'Shape "sphere"')
+    for key, wanted in OLDER[text].items():
+        assert getattr(found, key) == pytest.approx(wanted, abs=1e-3) if key != "alpha_mode" else found.alpha_mode == wanted
+
+
+def test_losses_of_materials_of_pbrt_v3_are_told(tmp_path):
+    materials = (
+        '"matte" "float sigma" 20',
+        '"plastic" "texture bumpmap" "b"',
+        '"velvet"',
+        '"uber" "rgb Kr" [1 1 1]',
+        '"kdsubsurface"',
+    )
+    texture = 'Texture "b" "float" "constant" "float value" 1\n'
+    scene = read(tmp_path, texture + "".join(f'Material {text}\nShape "sphere"\n' for text in materials) + "WorldEnd\n")
+    told = "\n".join(scene.warnings)
+    for words in ("sigma of matte", "bump maps", "unknown type velvet", "Ks and Kr of uber", "subsurface scattering"):
+        assert words in told
+
+
+def test_mixtures_of_pbrt_v3(tmp_path):
+    """`amount` is the share of the first material."""
+    named = "".join(
+        f'MakeNamedMaterial "{name}" "string type" "matte" "rgb Kd" [{color}]\n'
+        for name, color in (("a", "1 0 0"), ("b", "0 1 0"))
+    )
+    mixture = '"mix" "string namedmaterial1" "a" "string namedmaterial2" "b" "rgb amount"'
+    assert older(tmp_path, f"{mixture} [0.8 0.8 0.8]", named).base_color == (1.0, 0.0, 0.0)
+    assert older(tmp_path, f"{mixture} [0.2 0.2 0.2]", named).base_color == (0.0, 1.0, 0.0)
+
+
+def test_textures_of_pbrt_v3(tmp_path):
+    """`scale` multiplies two colours, and `gamma` false reads linear texels."""
+    Image.new("RGB", (1, 1), (128, 128, 128)).save(tmp_path / "grey.png")
+    product = 'Texture "x" "color" "scale" "color tex1" [0.5 0.5 1] "color tex2" [0.5 1 1]'
+    assert older(tmp_path, '"matte" "texture Kd" "x"', product).base_color == (0.25, 0.5, 1.0)
+    for gamma, wanted in (("", 0.2158), ('"bool gamma" "false"', 0.502)):
+        texture = f'Texture "x" "color" "imagemap" "string filename" "grey.png" {gamma}'
+        assert older(tmp_path, '"matte" "texture Kd" "x"', texture).base_color == pytest.approx((wanted,) * 3, abs=1e-3)

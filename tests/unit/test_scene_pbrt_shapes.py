@@ -137,3 +137,26 @@ def test_ply_files_of_triangles_and_quadrilaterals(tmp_path, format_):
 def test_instances_are_bounded(tmp_path):
     body = 'ObjectBegin "ball"\nShape "sphere"\nObjectEnd\n' + 'ObjectInstance "ball"\n' * 40_000
     assert "triangles in all" in message(tmp_path, body)
+
+
+SURFACES = {
+    '"cone" "float radius" 2 "float height" 3': lambda x, y, z: np.hypot(x, y) - 2.0 * (1.0 - z / 3.0),
+    '"paraboloid" "float radius" 2 "float zmax" 3': lambda x, y, z: (x**2 + y**2) / 4.0 - z / 3.0,
+    '"hyperboloid" "point p1" [1 0.5 -1] "point p2" [1 -0.5 1]': lambda x, y, z: x**2 + y**2 - 1.0 - 0.25 * z**2,
+}
+
+
+@pytest.mark.parametrize("text", SURFACES)
+def test_quadrics_of_pbrt_v3(tmp_path, text):
+    """The vertices lie on the surface, and the normals and the faces point outwards, along the gradient."""
+    head = 'Scale -1 1 1\nCamera "perspective"\nFilm "image"\nWorldBegin\n'
+    (mesh,) = read(tmp_path, f"Shape {text}\nWorldEnd\n", head).meshes
+    surface, points = SURFACES[text], mesh.vertices.astype(np.float64)
+    np.testing.assert_allclose(surface(*points.T), 0.0, atol=1e-5)
+    assert np.ptp(points[:, 2]) == pytest.approx(2.0 if "hyper" in text else 3.0)
+    middles, normals = points[mesh.triangles].mean(axis=1), mesh.normals[mesh.triangles].mean(axis=1)
+    a, b, c = np.moveaxis(points[mesh.triangles], 1, 0)
+    faces = np.cross(b - a, c - a)
+    for outwards in (normals, faces / np.linalg.norm(faces, axis=1, keepdims=True)):
+        step = 1e-3 * outwards
+        assert (surface(*(middles + step).T) > surface(*(middles - step).T)).all()

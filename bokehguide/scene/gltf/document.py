@@ -256,8 +256,7 @@ def read_document(path: Path, files: SceneFiles) -> Document:
         raise BokehguideError(f"{path}: not a readable {path.suffix} model ({reason(error)})") from None
     document = Document(path, Part(values, str(path), ""), chunk, files)
     asset = document.root.part("asset")
-    version = asset.text("version") or "2.0"
-    if not version.startswith("2."):
+    if not str(asset.values.get("version", "2.0")).startswith("2."):
         asset.fail("version", "is not glTF 2; convert the file")
     return document
 

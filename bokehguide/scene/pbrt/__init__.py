@@ -1,4 +1,4 @@
-"""Scenes of pbrt-v4."""
+"""Scenes of pbrt."""
 
 from bokehguide.scene.pbrt.reading import read_pbrt
 

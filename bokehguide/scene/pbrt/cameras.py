@@ -51,8 +51,13 @@ SIZES = (("xresolution", 1280), ("yresolution", 720))
 
 
 def _exposure(contents: Contents) -> float | None:
-    """The exposure in EV of a sensor with an imaging ratio other than 1, which is exposure time × ISO / 100; else None."""
+    """The exposure in EV of a sensor with an imaging ratio other than 1, which is exposure time × ISO / 100; else None.
+
+    Sensors exist since pbrt-v4.
+    """
     film, camera = contents.film, contents.camera
+    if contents.older:
+        return None
     iso = 100.0 if film is None else film.number("iso", 100.0)
     time = 1.0 if camera is None else camera.number("shutterclose", 1.0) - camera.number("shutteropen", 0.0)
     ratio = max(iso, 0.0) * max(time, 0.0) / 100.0

@@ -63,7 +63,10 @@ class Instance:
 
 @dataclass
 class Contents:
-    """The entries of a scene. camera_matrix: camera from world. lost: losses in words, with a few names or places."""
+    """The entries of a scene. camera_matrix: camera from world. lost: losses in words, with a few names or places.
+
+    older: whether the file is of pbrt-v3 or older.
+    """
 
     camera: Parameters | None = None
     camera_matrix: np.ndarray = field(default_factory=lambda: np.eye(4))
@@ -76,6 +79,7 @@ class Contents:
     materials: dict[str, Parameters] = field(default_factory=dict)
     textures: dict[tuple[str, str], Texture] = field(default_factory=dict)
     lost: dict[str, dict[str, None]] = field(default_factory=dict)
+    older: bool = False
 
     def note_misspelt(self) -> None:
         """Note parameters that nothing has read, and whose names resemble those of parameters that were missing."""

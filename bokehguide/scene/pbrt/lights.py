@@ -1,4 +1,4 @@
-"""Light sources of pbrt-v4: suns, an environment map, and small spheres for points and spots."""
+"""Light sources of pbrt: suns, an environment map, and small spheres for points and spots."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bokehguide.scene.environments import load_environment_map
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.pbrt.contents import Contents, Light
 from bokehguide.scene.pbrt.materials import Materials
-from bokehguide.scene.pbrt.octahedral import equirectangular, upper_illuminance
+from bokehguide.scene.pbrt.octahedral import equirectangular, turned, upper_illuminance
 from bokehguide.scene.pbrt.parameters import Parameters
 from bokehguide.scene.pbrt.spectra import emission
 from bokehguide.scene.pbrt.textures import Textures, Value
@@ -91,9 +91,17 @@ class Lights:
             return
         radiance = as_vector(np.minimum(intensity / (math.pi * self._radius**2), LARGEST))
         material = Material(f"{parameters.kind} light", (0.0, 0.0, 0.0), specular=0.0, emission=radiance, emission_cone=cone)
-        position = (matrix @ (*start, 1.0))[None, :3]
-        sphere = spheres(position, self._radius, self._materials.add(material), self._subdivisions)
+        position = self._beside_camera(matrix @ (*start, 1.0), parameters)
+        sphere = spheres(position[None, :3], self._radius, self._materials.add(material), self._subdivisions)
         self.meshes.append(replace(sphere, name=material.name))
+
+    def _beside_camera(self, position: np.ndarray, parameters: Parameters) -> np.ndarray:
+        """The position `[4]` of a sphere, or one behind the camera for a sphere that would enclose the camera."""
+        matrix = self._world @ inverse(self._contents.camera_matrix, parameters.place, "the camera")
+        if np.linalg.norm(position - matrix[:, 3]) > 2.0 * self._radius:
+            return position
+        self._contents.lose("lights at the camera: behind the camera", parameters.place.short)
+        return matrix[:, 3] - 2.0 * self._radius * matrix[:, 2] / np.linalg.norm(matrix[:, 2])
 
     def _cone(self, parameters: Parameters, matrix: np.ndarray, start: np.ndarray) -> tuple[Cone, float]:
         """The cone of a spotlight, and the integral of its falloff over directions."""
@@ -122,16 +130,18 @@ class Lights:
             color = emission(parameters, "L", folder, files) * _scale(parameters, self._contents, "illuminance", math.pi)
             return color.reshape(1, 1, 3)
         image = self._map(name, parameters, folder, files)
+        turn = inverse(matrix, parameters.place, "the infinite light")[:3, :3]
+        if self._contents.older:
+            return turned(image * emission(parameters, "L", folder, files), turn)
         if len(image) != image.shape[1]:
             parameters.fail("filename", "is no square; pbrt-v4 needs an octahedral map, as imgtool makeequiarea makes it")
         wanted = parameters.number("illuminance", -1.0)
         found = upper_illuminance(image, LUMINANCE) if wanted > 0.0 else 0.0
         scale = _given_scale(parameters, self._contents) * (wanted / found if found > 0.0 else 1.0)
-        turn = inverse(matrix, parameters.place, "the infinite light")[:3, :3]
         return equirectangular(image, turn) * np.float32(scale)
 
     def _map(self, name: str, parameters: Parameters, folder: Path, files: SceneFiles) -> np.ndarray:
-        """The image of an infinite light, linear `[N, N, 3]`."""
+        """The image of an infinite light, linear `[H, W, 3]`."""
         if name.lower().endswith((".exr", ".hdr")):
             path = files.find(folder, name, str(parameters.place))
             return load_environment_map(path)[0].astype(np.float64)

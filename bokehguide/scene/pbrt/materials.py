@@ -1,4 +1,4 @@
-"""Materials of pbrt-v4 in the terms of `Material`."""
+"""Materials of pbrt in the terms of `Material`: those of pbrt-v4, and what all versions share."""
 
 from __future__ import annotations
 
@@ -86,14 +86,17 @@ class Materials:
             name = printable(source.kind)
         if source.kind in ("interface", "none", ""):
             return None
-        convert = KINDS.get(source.kind)
-        if convert is None:
-            known = "convert the file with pbrt --upgrade" if source.kind in OLDER_KINDS else did_you_mean(source.kind, KINDS)
-            source.place.fail(f"material {printable(source.kind)!r}: unknown in pbrt-v4; {known}")
         if depth > MAX_NESTING:
             source.place.fail("mixtures of materials refer to each other; break the chain")
-        material = convert(self, source, name, depth)
+        material = self._converted(source, name, depth)
         return None if material is None else self._bumped(source, material)
+
+    def _converted(self, source: Parameters, name: str, depth: int) -> Material | None:
+        """A material before its normal map. Raises BokehguideError for an unknown kind."""
+        if source.kind not in KINDS:
+            known = "convert the file with pbrt --upgrade" if source.kind in OLDER_NAMES else did_you_mean(source.kind, KINDS)
+            source.place.fail(f"material {printable(source.kind)!r}: unknown in pbrt-v4; {known}")
+        return KINDS[source.kind](self, source, name, depth)
 
     def _bumped(self, source: Parameters, material: Material) -> Material:
         """`material` with the normal map; displacement is lost."""
@@ -161,6 +164,13 @@ class Materials:
         channels = value.map(lambda texels: np.concatenate([np.ones_like(texels), texels, np.ones_like(texels)], axis=2))
         return {"roughness": 1.0, "metallic_roughness_texture": self._textures.on_surface(channels)}
 
+    def _isotropic(self, source: Parameters, name: str) -> dict[str, Any]:
+        """The fields of the roughness of a surface that transmits. name: of the material."""
+        rough = self._rough(source)
+        if rough.pop("anisotropy", 0.0) > 0.0:
+            self._contents.lose("anisotropic roughness of dielectrics: the smaller α counts", name)
+        return rough
+
     def _eta(self, source: Parameters) -> float:
         """The refractive index behind a surface, relative to that in front."""
         value = index(source, "eta", 1.5, self._folder, self._files)
@@ -200,21 +210,24 @@ class Materials:
         return Material(name, metallic=1.0, single_scattering=True, **coated, **rough, **color)
 
     def _dielectric(self, source: Parameters, name: str, depth: int) -> Material:
-        rough = self._rough(source)
-        if rough.pop("anisotropy", 0.0) > 0.0:
-            self._contents.lose("anisotropic roughness of dielectrics: the smaller α counts", name)
-        return Material(name, (1.0, 1.0, 1.0), transmission=1.0, ior=self._ior(source), **rough)
+        return Material(name, (1.0, 1.0, 1.0), transmission=1.0, ior=self._ior(source), **self._isotropic(source, name))
 
     def _thin_dielectric(self, source: Parameters, name: str, depth: int) -> Material:
         return Material(name, (1.0, 1.0, 1.0), transmission=1.0, roughness=0.0, thin=True, ior=self._ior(source))
 
     def _diffuse_transmission(self, source: Parameters, name: str, depth: int) -> Material:
         scale = min(max(source.number("scale", 1.0), 0.0), 1.0)
-        back, through = (self._textures.color(source, key, 0.25) for key in ("reflectance", "transmittance"))
+        back, through = (
+            self._textures.color(source, key, 0.25).map(lambda texels: texels * scale) for key in ("reflectance", "transmittance")
+        )
+        return self._two_sided(name, back, through, specular=0.0)
+
+    def _two_sided(self, name: str, back: Value, through: Value, **others: Any) -> Material:
+        """A surface with the diffuse reflectance `back` and the diffuse transmittance `through`. others: further fields."""
         share = float(through.image.max() / max(back.image.max() + through.image.max(), 1e-6))
-        base = self._colored(back.map(lambda texels: texels * (scale / max(1.0 - share, 1e-6))), name)
-        color = self._colored(through.map(lambda texels: texels * (scale / max(share, 1e-6))), name, "diffuse_transmission_color")
-        return Material(name, specular=0.0, diffuse_transmission=share, **base, **color)
+        base = self._colored(back.map(lambda texels: texels / max(1.0 - share, 1e-6)), name)
+        color = self._colored(through.map(lambda texels: texels / max(share, 1e-6)), name, "diffuse_transmission_color")
+        return Material(name, diffuse_transmission=share, **base, **color, **others)
 
     def _subsurface(self, source: Parameters, name: str, depth: int) -> Material:
         self._contents.lose("subsurface scattering: a coated diffuse surface in its place", name)
@@ -268,7 +281,7 @@ KINDS: dict[str, Convert] = {
     "mix": Materials._mix,
 }
 """Materials of pbrt-v4; `interface` is no surface."""
-OLDER_KINDS = {
+OLDER_NAMES = {
     *("disney", "fourier", "glass", "kdsubsurface", "matte", "metal"),
     *("mirror", "plastic", "substrate", "translucent", "uber"),
 }

@@ -1,17 +1,20 @@
-"""Environment maps of pbrt-v4: squares that show the sphere in equal areas, as equirectangular maps.
+"""Environment maps of pbrt as equirectangular maps.
 
-The map unfolds an octahedron: its centre is +z, its corners are -z (Clarberg 2008, Fast Equal-Area Mapping of the (Hemi)Sphere
-using SIMD).
+Those of pbrt-v4 are squares that show the sphere in equal areas. Such a map unfolds an octahedron: its centre is +z, its corners
+are -z (Clarberg 2008, Fast Equal-Area Mapping of the (Hemi)Sphere using SIMD).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 MAX_HEIGHT = 2048
 """Rows of an equirectangular map; that of a small one has twice the rows of the square, so that its peaks stay sharp."""
+SHARP_HEIGHT = 512
+"""Rows up to which the map of an equirectangular one has twice the rows, so that its peaks stay sharp."""
 STEPS = 2
 """Samples along the side of each texel."""
 
@@ -48,6 +51,33 @@ def equirectangular(image: np.ndarray, turn: np.ndarray) -> np.ndarray:
     turn: the matrix `[3, 3]` from directions of the world to those of the map.
     """
     height = min(max(2 * len(image), 16), MAX_HEIGHT)
+    return _resampled(lambda local: bilinear(image, square_from_sphere(local)), height, turn, image.mean(axis=(0, 1)))
+
+
+def turned(image: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """The equirectangular map float32 `[H, 2 H, 3]` of another `[h, w, 3]`, whose top is +z and whose left edge is +x.
+
+    The columns of the other map turn from +x to +y, as in pbrt-v3. The mean over the sphere stays. turn: as in `equirectangular`.
+    """
+    rows = np.sin(np.pi * (np.arange(len(image)) + 0.5) / len(image))
+    mean = np.average(image.mean(axis=1), axis=0, weights=rows)
+    height = min(max(len(image), min(2 * len(image), SHARP_HEIGHT), 16), MAX_HEIGHT)
+    return _resampled(lambda local: _nearest(image, local), height, turn, mean)
+
+
+def _nearest(image: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The nearest texels `[..., 3]` of an equirectangular map with +z at its top, at unit directions `[..., 3]`."""
+    height, width = image.shape[:2]
+    row = np.arccos(directions[..., 2].clip(-1.0, 1.0)) / np.pi * height
+    column = np.arctan2(directions[..., 1], directions[..., 0]) / (2.0 * np.pi) % 1.0 * width
+    return image[row.astype(np.int64).clip(0, height - 1), column.astype(np.int64) % width]
+
+
+def _resampled(sampled: Callable[[np.ndarray], np.ndarray], height: int, turn: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """An equirectangular map float32 `[height, 2 height, 3]`, scaled to the mean `wanted` `[3]` over the sphere.
+
+    sampled: the radiance `[..., 3]` at unit directions `[..., 3]` of another map, to which `turn` `[3, 3]` leads.
+    """
     found = np.zeros((height, 2 * height, 3), np.float64)
     offsets = (np.arange(STEPS) + 0.5) / STEPS
     phi = 2.0 * np.pi * (np.arange(2 * height)[:, None] + offsets).reshape(-1) / (2 * height) - np.pi
@@ -58,10 +88,9 @@ def equirectangular(image: np.ndarray, turn: np.ndarray) -> np.ndarray:
         )
         local = directions @ turn.T
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
-        found[row] = bilinear(image, square_from_sphere(local)).reshape(STEPS, 2 * height, STEPS, 3).mean(axis=(0, 2))
+        found[row] = sampled(local).reshape(STEPS, 2 * height, STEPS, 3).mean(axis=(0, 2))
     weights = np.sin(np.pi * (np.arange(height) + 0.5) / height)
     means = np.average(found.mean(axis=1), axis=0, weights=weights)
-    wanted = image.mean(axis=(0, 1))
     return (found * np.where(means > 0.0, wanted / np.where(means > 0.0, means, 1.0), 1.0)).astype(np.float32)
 
 

@@ -14,7 +14,7 @@ from bokehguide.limits import MAX_INT
 from bokehguide.scene.pbrt.tokens import Place, Tokens
 from bokehguide.scene.vectors import Vector, as_vector
 
-SIZES = {"point2": 2, "vector2": 2, "point3": 3, "vector3": 3, "normal": 3, "normal3": 3, "rgb": 3}
+SIZES = {"point2": 2, "vector2": 2, "point3": 3, "vector3": 3, "normal": 3, "normal3": 3, "rgb": 3, "xyz": 3}
 """Numbers of one value, by type."""
 SIZES |= {"point": 3, "vector": 3, "color": 3, "float": 1, "integer": 1, "blackbody": 1, "spectrum": 1}
 SIMILAR = 0.8

@@ -23,6 +23,8 @@ MAX_FILES = 10_000
 """Inclusions of a scene."""
 MAX_STATES = 1000
 """Nested AttributeBegin."""
+OLDER_OPTIONS = ("SurfaceIntegrator", "VolumeIntegrator", "Renderer")
+"""Directives of pbrt-v2 and older before WorldBegin."""
 TARGETS = ("shape", "light", "material", "medium", "texture")
 
 
@@ -43,6 +45,8 @@ class _Parser:
         self._stack: list[tuple[str, Place, State]] = []
         self._systems: dict[str, np.ndarray] = {}
         self._object: str | None = None
+        self._objects: dict[str, str] = {}
+        self._ended = False
         self._world, self._included, self._text, self._depth = False, 0, 0, 0
 
     def read(self, path: Path, place: str, depth: int) -> None:
@@ -54,13 +58,13 @@ class _Parser:
             tokens.place.fail(f"files include each other more than {MAX_DEPTH} deep; break the cycle")
         if self._included > MAX_FILES or self._text > MOST_TEXT:
             tokens.place.fail(f"the scene includes more than {MAX_FILES:,} files, or {MOST_TEXT:,} characters; include fewer")
-        while tokens.next is not None:
+        while tokens.next is not None and not self._ended:
             at = tokens.place
             word = tokens.take("a directive")
             self._depth = depth
             apply = DIRECTIVES.get(word)
             if apply is None:
-                at.fail(f"{printable(word)!r} is no directive of pbrt-v4; {_remedy(word)}")
+                at.fail(f"{printable(word)!r} is no directive of pbrt; {did_you_mean(word, DIRECTIVES)}")
             apply(self, tokens, at)
 
     def finish(self) -> None:
@@ -119,18 +123,23 @@ class _Parser:
         self._stack.append((kind, at, self._state))
 
     def end(self, kind: str, at: Place) -> None:
-        if not self._stack or self._stack[-1][0] != kind:
+        """Restore the state of the last begin. Before pbrt-v4, blocks may overlap, and TransformEnd restores the transform."""
+        if not self._stack or (self._stack[-1][0] != kind and not self.contents.older):
             at.fail(f"{kind}End without its {kind}Begin; remove one or add the other")
-        self._state = self._stack.pop()[2]
+        before, inside = self._stack.pop()[2], self._state
+        only_transform = kind == "Transform" and self.contents.older
+        self._state = replace(inside, matrix=before.matrix, active=before.active) if only_transform else before
 
     def object_begin(self, tokens: Tokens, at: Place) -> None:
         name = tokens.text("the name of an object")
         if self._object is not None:
             at.fail("ObjectBegin within another object; end the first one before")
-        if name in self.contents.objects:
+        if name in self.contents.objects and not self.contents.older:
             at.fail(f"ObjectBegin {printable(name)!r}: an object of this name exists; give another name")
         self.begin("Object", at)
-        self._object, self.contents.objects[name] = name, []
+        # Before pbrt-v4, another object of the same name replaces the first one for the instances that follow.
+        key = name if name not in self.contents.objects else f"{name} {len(self.contents.objects)}"
+        self._object, self._objects[name], self.contents.objects[key] = key, key, []
 
     def object_end(self, tokens: Tokens, at: Place) -> None:
         self.end("Object", at)
@@ -140,7 +149,7 @@ class _Parser:
         name = tokens.text("the name of an object")
         if self._object is not None:
             at.fail("ObjectInstance within an object; write it outside of ObjectBegin and ObjectEnd")
-        self.contents.instances.append(Instance(name, self._state.matrix, at))
+        self.contents.instances.append(Instance(self._objects.get(name, name), self._state.matrix, at))
         if len(self.contents.instances) > self._files.most_instances:
             at.fail(f"more than {self._files.most_instances:,} instances for files as small as these; give fewer")
 
@@ -178,7 +187,8 @@ class _Parser:
             self._systems["camera"] = inverse(self._state.matrix, at, "the camera")
         elif directive == "Film":
             self.contents.film = read
-        elif directive == "Integrator":
+            self.contents.older |= read.kind == "image"
+        elif directive in ("Integrator", "SurfaceIntegrator"):
             self.contents.integrator = read
 
     def world_begin(self, tokens: Tokens, at: Place) -> None:
@@ -187,6 +197,16 @@ class _Parser:
         self._world = True
         self._state = replace(self._state, matrix=np.eye(4), active=True)
         self._systems["world"] = np.eye(4)
+
+    def world_end(self, tokens: Tokens, at: Place) -> None:
+        """The end of a scene of pbrt-v3 and older, which another scene may follow."""
+        self.contents.older = self._ended = True
+        if tokens.next is not None:
+            self.contents.lose("scenes after the first WorldEnd: left out", at.short)
+
+    def volume(self, tokens: Tokens, at: Place) -> None:
+        """A medium of pbrt-v2 and older."""
+        self.contents.lose("media: left out", printable(self._parameters(tokens, at).kind))
 
     def material(self, tokens: Tokens, at: Place) -> None:
         self._state = replace(self._state, material=self._parameters(tokens, at, "material"))
@@ -198,7 +218,13 @@ class _Parser:
         self.contents.materials[read.kind] = replace(read, kind=read.text("type"))
 
     def named_material(self, tokens: Tokens, at: Place) -> None:
-        self._state = replace(self._state, material=tokens.text("the name of a material"))
+        name = tokens.text("the name of a material")
+        if self.contents.older and name not in self.contents.materials:
+            self.contents.lose(
+                "unknown names of materials: the material before stays, as in pbrt-v3", f"{printable(name)}, {at.short}"
+            )
+            return
+        self._state = replace(self._state, material=name)
 
     def texture(self, tokens: Tokens, at: Place) -> None:
         name, value = tokens.text("a name"), tokens.text("float or spectrum")
@@ -242,13 +268,6 @@ class _Parser:
         tokens.numbers(2, "TransformTimes")
 
 
-def _remedy(word: str) -> str:
-    """What to do about an unknown directive."""
-    if word in ("WorldEnd", "SurfaceIntegrator", "VolumeIntegrator", "Renderer", "Volume"):
-        return "the file may be of an older version; convert it with pbrt --upgrade"
-    return did_you_mean(word, DIRECTIVES)
-
-
 Directive = Callable[[_Parser, Tokens, Place], None]
 DIRECTIVES: dict[str, Directive] = {
     "Identity": _Parser.identity,
@@ -275,6 +294,8 @@ DIRECTIVES: dict[str, Directive] = {
     "ColorSpace": _Parser.color_space,
     "Option": _Parser.quiet_option,
     "WorldBegin": _Parser.world_begin,
+    "WorldEnd": _Parser.world_end,
+    "Volume": _Parser.volume,
     "Material": _Parser.material,
     "MakeNamedMaterial": _Parser.make_named_material,
     "NamedMaterial": _Parser.named_material,
@@ -288,5 +309,5 @@ DIRECTIVES: dict[str, Directive] = {
 }
 DIRECTIVES |= {
     name: lambda parser, tokens, at, name=name: parser.option(tokens, at, name)
-    for name in ("Camera", "Film", "Integrator", "Sampler", "PixelFilter", "Accelerator")
+    for name in ("Camera", "Film", "Integrator", "Sampler", "PixelFilter", "Accelerator", *OLDER_OPTIONS)
 }

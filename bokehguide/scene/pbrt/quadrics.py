@@ -1,4 +1,4 @@
-"""Spheres, discs and cylinders of pbrt as meshes: surfaces of revolution about z.
+"""Quadrics of pbrt as meshes: surfaces of revolution about z.
 
 u runs with the angle φ from x to y. v is 0 at the lower end of a sphere and a cylinder, and at the rim of a disc.
 """
@@ -48,6 +48,36 @@ def disk(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
     angle = _turn(parameters) / _steps(parameters, segments)
     flat = np.array((1.0, 1.0, 0.0)) * math.sqrt(angle / math.sin(angle)) + np.array((0.0, 0.0, 1.0))
     return Mesh((mesh.vertices * flat).astype(np.float32), mesh.triangles, 0, None, mesh.uvs)
+
+
+def cone(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
+    """A cone of pbrt-v3 from its `radius` at z = 0 to the tip at `height`."""
+    radius, height = _radius(parameters), parameters.number("height", 1.0)
+    return _drawn(np.array([(radius, 0.0), (0.0, height)]), parameters, segments)
+
+
+def paraboloid(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
+    """A paraboloid of pbrt-v3, which has its `radius` at zmax and its tip at the origin, from zmin to zmax."""
+    radius, top = _radius(parameters), parameters.number("zmax", 1.0)
+    if not top > 0.0:
+        parameters.fail("zmax", "is out of range; give a number above 0")
+    z = np.linspace(min(max(parameters.number("zmin", 0.0), 0.0), top), top, segments // 4 + 1)
+    return _drawn(np.stack([radius * np.sqrt(z / top), z], axis=1), parameters, segments)
+
+
+def hyperboloid(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
+    """A hyperboloid of pbrt-v3: the line from p1 to p2, turned about z."""
+    ends = np.array([parameters.vector(key, default) for key, default in (("p1", (0.0, 0.0, 0.0)), ("p2", (1.0, 1.0, 1.0)))])
+    share = np.linspace(0.0, 1.0, segments // 4 + 1)[:, None]
+    line = (1.0 - share) * ends[0] + share * ends[1]
+    return _drawn(np.stack([np.hypot(line[:, 0], line[:, 1]), line[:, 2]], axis=1), parameters, segments)
+
+
+def _drawn(profile: np.ndarray, parameters: Parameters, segments: int) -> Mesh:
+    """The surface of revolution of `profile` `[R, 2]`, with the normals of its slope to the right of its direction."""
+    slope = np.gradient(profile, axis=0)
+    normals = np.stack([slope[:, 1], -slope[:, 0]], axis=1)
+    return _revolved(profile, normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(min=1e-12), parameters, segments)
 
 
 def _radius(parameters: Parameters) -> float:

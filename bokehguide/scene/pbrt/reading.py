@@ -1,4 +1,4 @@
-"""pbrt-v4 files as scenes: shapes, materials, lights and the camera, as far as they have counterparts."""
+"""pbrt files as scenes: shapes, materials, lights and the camera, as far as they have counterparts."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from bokehguide.scene.pbrt.cameras import read_camera, read_film, world_matrix
 from bokehguide.scene.pbrt.contents import Contents, Shape
 from bokehguide.scene.pbrt.lights import Lights, area_emission
 from bokehguide.scene.pbrt.materials import Materials, Opacity
+from bokehguide.scene.pbrt.older import upgrade
+from bokehguide.scene.pbrt.older_materials import OlderMaterials
 from bokehguide.scene.pbrt.parser import parse
 from bokehguide.scene.pbrt.quadrics import SEGMENTS
 from bokehguide.scene.pbrt.shapes import QUADRICS, read_shape
@@ -37,11 +39,15 @@ def read_pbrt(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scen
     contents = parse(path, files)
     if contents.camera is None:
         raise BokehguideError(f'{path}: has no camera; add Camera "perspective" before WorldBegin')
+    if contents.older:
+        upgrade(contents, path.parent, files)
     world, film = world_matrix(contents), read_film(contents)
     shapes = _Shapes(path, contents, files)
     meshes = shapes.placed(world)
     if not meshes:
-        raise BokehguideError(f"{path}: holds no shapes that can be drawn; give a scene with some")
+        lost = loss_lines({line: names for line, names in contents.lost.items() if line.endswith("left out")})
+        known = f" ({lost[0]})" if lost else ""
+        raise BokehguideError(f"{path}: holds no shapes that can be drawn{known}; give a scene with some")
     lights = Lights(contents, shapes.materials, shapes.textures, world, default_radius(meshes))
     lights.read(path.parent, files)
     chosen = override_camera(read_camera(contents, film, path.parent, files), overrides, str(path), files, written=True)
@@ -70,7 +76,8 @@ class _Shapes:
     def __post_init__(self) -> None:
         folder = self.path.parent
         self.textures = Textures(self.contents, folder, self.files)
-        self.materials = Materials(self.contents, self.textures, folder, self.files)
+        kind = OlderMaterials if self.contents.older else Materials
+        self.materials = kind(self.contents, self.textures, folder, self.files)
         self._triangles = 0
         self._named: Counter[str] = Counter()
         uses = Counter(instance.name for instance in self.contents.instances)

@@ -11,7 +11,7 @@ import numpy as np
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.pbrt.parameters import Parameters
 from bokehguide.scene.pbrt.ply import read_ply
-from bokehguide.scene.pbrt.quadrics import cylinder, disk, sphere
+from bokehguide.scene.pbrt.quadrics import cone, cylinder, disk, hyperboloid, paraboloid, sphere
 from bokehguide.scene.shapes import facing_normals, unit_normals
 from bokehguide.scene.types import Mesh
 from bokehguide.scene.validation import check_triangles
@@ -139,4 +139,5 @@ READERS: dict[str, Reader] = {
 }
 """Readers of meshes by the name of the plugin, before their transform."""
 QUADRICS = {"sphere": sphere, "disk": disk, "cylinder": cylinder}
+QUADRICS |= {"cone": cone, "paraboloid": paraboloid, "hyperboloid": hyperboloid}
 """Makers of quadrics, which may have fewer triangles in scenes of many."""

@@ -6,6 +6,7 @@ colour space. The luminance of any emitter without a `scale` is therefore 1, or 
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,8 @@ GLASSES = {
     "glass-F11": 1.7903,
 }
 """Refractive indices, weighted by the luminous efficiency."""
+COLORS = ("rgb", "color", "xyz")
+"""Types of parameters with three numbers for a colour."""
 WAVELENGTHS = np.arange(360.0, 831.0, 1.0)
 """Nanometres."""
 
@@ -87,7 +90,7 @@ COLOR_SPACES = {name: _to_rec709(primaries) for name, primaries in PRIMARIES.ite
 """Matrices to linear Rec.709, by the names of the directive `ColorSpace`."""
 
 
-def _matching() -> np.ndarray:
+def matching() -> np.ndarray:
     """CIE 1931 colour matching functions `[3, N]`: sums of lobes (Wyman, Sloan and Shirley 2013, JCGT 2(2))."""
 
     def lobe(height: float, mean: float, below: float, above: float) -> np.ndarray:
@@ -99,9 +102,15 @@ def _matching() -> np.ndarray:
     return np.stack([x, y, z])
 
 
+def luminous_mean(values: np.ndarray) -> float:
+    """The mean of a spectrum at WAVELENGTHS, weighted by the luminous efficiency."""
+    weights = matching()[1]
+    return float(weights @ values / weights.sum())
+
+
 def emitted(values: np.ndarray) -> np.ndarray:
     """The colour of luminance 1 of a spectrum of power at WAVELENGTHS; channels outside Rec.709 are 0. Black stays 0."""
-    rgb = (XYZ_TO_RGB @ (_matching() @ values)).clip(min=0.0)
+    rgb = (XYZ_TO_RGB @ (matching() @ values)).clip(min=0.0)
     luminance = LUMINANCE @ rgb
     return rgb / luminance if luminance > 0.0 else np.zeros(3)
 
@@ -109,8 +118,8 @@ def emitted(values: np.ndarray) -> np.ndarray:
 def reflected(values: np.ndarray) -> np.ndarray:
     """The colour under D65 of reflectances at WAVELENGTHS; 1 is white."""
     power = np.interp(WAVELENGTHS, np.arange(360.0, 821.0, 20.0), D65)
-    white = XYZ_TO_RGB @ (_matching() @ power)
-    return ((XYZ_TO_RGB @ (_matching() @ (power * values))) / white).clip(0.0, 1.0)
+    white = XYZ_TO_RGB @ (matching() @ power)
+    return ((XYZ_TO_RGB @ (matching() @ (power * values))) / white).clip(0.0, 1.0)
 
 
 def sampled(parameters: Parameters, key: str, folder: Path, files: SceneFiles) -> np.ndarray | None:
@@ -122,10 +131,12 @@ def sampled(parameters: Parameters, key: str, folder: Path, files: SceneFiles) -
         pairs = parameters.numbers(key, 2)
     else:
         name = parameters.text(key)
-        if name in ILLUMINANTS or name in GLASSES or _metal(name) is not None:
+        if name in ILLUMINANTS or name in GLASSES or (_metal(name) is not None and name.startswith("metal-")):
             return None
         path = files.find(folder, name, str(found.place))
         if not path.is_file():
+            if _metal(name) is not None:
+                return None
             known = [*ILLUMINANTS, *GLASSES, *(f"metal-{metal}-{part}" for metal in METALS for part in ("eta", "k"))]
             found.place.fail(f"{printable(name)!r} is neither a spectrum nor a file; {did_you_mean(name, known)}")
         pairs = _pairs(path, parameters, key)
@@ -149,14 +160,17 @@ def _pairs(path: Path, parameters: Parameters, key: str) -> np.ndarray:
 
 
 def _metal(name: str) -> str | None:
-    """The metal of a spectrum such as "metal-Cu-eta"."""
-    parts = name.split("-")
-    return parts[1] if len(parts) == 3 and parts[0] == "metal" and parts[1] in METALS else None
+    """The metal of a spectrum such as "metal-Cu-eta", or of a file that pbrt-v3 comes with, such as "spds/Cu.eta.spd"."""
+    found = re.fullmatch(r"metal-(\w+)-(?:eta|k)|(?:.*/)?(\w+)\.(?:eta|k)\.spd", name)
+    metal = None if found is None else found[1] or found[2]
+    return metal if metal in METALS else None
 
 
 def _rgb(parameters: Parameters, key: str) -> np.ndarray:
-    """A colour of type `rgb` in linear Rec.709, not negative."""
+    """A colour of a type in COLORS in linear Rec.709, not negative."""
     color = np.array(parameters.vector(key, (0.0, 0.0, 0.0)))
+    if parameters.values[key].type == "xyz":
+        return (XYZ_TO_RGB @ color).clip(min=0.0)
     if (color < 0.0).any():
         parameters.fail(key, "has a negative channel; give 0 or more")
     return (COLOR_SPACES[parameters.values[key].space] @ color).clip(min=0.0)
@@ -167,7 +181,7 @@ def emission(parameters: Parameters, key: str, folder: Path, files: SceneFiles) 
     found = parameters.values.get(key)
     if found is None:
         return np.ones(3)
-    if found.type in ("rgb", "color"):
+    if found.type in COLORS:
         return _rgb(parameters, key)
     if found.type == "blackbody":
         kelvin = parameters.number(key, 6500.0)
@@ -185,7 +199,7 @@ def reflectance(parameters: Parameters, key: str, default: Vector, folder: Path,
     found = parameters.values.get(key)
     if found is None:
         return default
-    if found.type in ("rgb", "color"):
+    if found.type in COLORS:
         return as_vector(_rgb(parameters, key))
     if found.type == "float":
         return as_vector(np.full(3, max(parameters.number(key, 0.5), 0.0)))
@@ -200,12 +214,11 @@ def index(parameters: Parameters, key: str, default: float, folder: Path, files:
         return default
     if found.type == "float":
         return parameters.number(key, default)
-    if found.type in ("rgb", "color"):
+    if found.type in COLORS:
         return float(np.mean(_rgb(parameters, key)))
     values = sampled(parameters, key, folder, files)
     if values is not None:
-        weights = _matching()[1]
-        return float(weights @ values / weights.sum())
+        return luminous_mean(values)
     return GLASSES.get(parameters.text(key), default)
 
 
@@ -215,7 +228,7 @@ def metal(parameters: Parameters, prefix: str, folder: Path, files: SceneFiles) 
     for part in ("eta", "k"):
         key = prefix + part
         found = parameters.values.get(key)
-        if found is not None and found.type in ("rgb", "color"):
+        if found is not None and found.type in COLORS:
             optical.append(_rgb(parameters, key))
         elif found is not None and found.type == "float":
             optical.append(np.full(3, parameters.number(key, 1.0)))

@@ -155,6 +155,10 @@ class Textures:
         return self._mapped(image, parameters, WRAPS[wrap])
 
     def _scale(self, parameters: Parameters, value: str) -> Value:
+        """A product; of two textures of one type in pbrt-v3 and older."""
+        if "tex1" in parameters or "tex2" in parameters:
+            first, second = (self._part(parameters, key, value, 1.0) for key in ("tex1", "tex2"))
+            return self.combined(first, second, np.multiply)
         return self.combined(self._part(parameters, "tex", value, 1.0), self.scalar(parameters, "scale", 1.0), np.multiply)
 
     def _mix(self, parameters: Parameters, value: str) -> Value:

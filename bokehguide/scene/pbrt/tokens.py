@@ -21,6 +21,8 @@ from bokehguide.scene.files import SceneFiles, require_file
 TOKEN = re.compile(r'(?:[\s\ufeff]|#[^\n\r]*)*+("(?:[^"\\\n]|\\.)*"|[\[\]]|[^\s"\[\]]+|")')
 """Blanks and comments, then one token: a quoted text, a bracket or a word; a quote alone begins an unterminated text."""
 ESCAPED = re.compile(r"\\(.)")
+FAR = ("focaldistance", "yon")
+"""Distances for which files write numbers such as 1e30."""
 ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f"}
 LONG_TEXT = 1000
 """Characters of a list from which its numbers are read without strings."""
@@ -199,7 +201,9 @@ def _numbers(text: str) -> np.ndarray | None:
 
 
 def _in_range(values: np.ndarray, place: Place, what: str) -> np.ndarray:
-    """`values`. Raises BokehguideError, naming `place`, for one that is not finite or too large."""
+    """`values`. Raises BokehguideError, naming `place`, for one that is not finite or too large, except of distances in FAR."""
+    if what in FAR:
+        values = values.clip(-LARGEST, LARGEST)
     if values.size and not np.abs(values).max() <= LARGEST:
         place.fail(f"{what} has a number that is not finite or beyond {LARGEST:g}; repair it")
     return values
