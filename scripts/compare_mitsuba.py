@@ -34,7 +34,7 @@ if importlib.util.find_spec("mitsuba") is None:
     sys.exit("compare_mitsuba: error: Mitsuba is not installed; pip install '.[peers]'")
 
 from experiments.material_scenes import MATERIAL_SCENES
-from experiments.mean_tests import FINE, Outcome, Runs, at_least_two, brightness, independent_runs, judge, report
+from experiments.mean_tests import FINE, Outcome, Runs, at_least_two, brightness, finer, independent_runs, judge, report
 from experiments.mitsuba_scene import CHUNK_SAMPLES, MitsubaFilm, MitsubaRenderer, comparable, left_out
 from experiments.options import experiment_parser
 from experiments.retest_pixels import PixelRetest
@@ -161,8 +161,7 @@ def by_mitsuba(scene: Scene) -> Callable[[Scene, RenderSettings, tqdm], MitsubaF
 
 def our_runs(scene: Scene, mode: str, count: int, spp: int, threads: int | None = None) -> Runs:
     """Independent renders of `spp` samples per pixel, made with FINE × FINE finer pixels."""
-    film = replace(scene.film, width=FINE * scene.film.width, height=FINE * scene.film.height)
-    runs = independent_runs(replace(scene, film=film), RenderSettings(mode, spp // FINE**2, threads=threads), count)
+    runs = independent_runs(finer(scene), RenderSettings(mode, spp // FINE**2, threads=threads), count)
     return Runs(avg_pool2d(runs.mean, FINE), avg_pool2d(runs.variance, FINE) / FINE**2)
 
 

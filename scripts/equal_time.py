@@ -138,8 +138,9 @@ def race(scene: Scene, args: argparse.Namespace) -> Race:
     peer = mitsuba_runner(scene, args.denoise) if args.against == MITSUBA else mode_runner(scene, args.against, args)
     runners = [mode_runner(scene, args.mode, args), peer]
     with progress(f"{scene.name}, {args.seconds:g} s of each", round(args.seconds / TURN), unit="turn") as bar:
-        while any(runner.seconds < args.seconds for runner in runners):
-            for runner in (one for one in runners if one.seconds < args.seconds):
+        # A renderer whose start takes longer has one turn all the same.
+        while unfinished := [one for one in runners if one.seconds < args.seconds or not one.history]:
+            for runner in unfinished:
                 before = runner.seconds
                 runner.turn()
                 if not args.denoise or reached(before, runner.seconds, args.seconds):

@@ -12,16 +12,16 @@ Writes evaluation.md, evaluation.json and a folder of pictures for each scene in
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import Any
 
 import torch
-from experiments.options import experiment_parser, load_scenes
+from experiments.options import experiment_parser, load_scenes, numbers
 from torch import Tensor
 
 from bokehguide.cli.arguments import positive
+from bokehguide.cli.report import write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import LongRender, accumulate, between_halves, errors, markdown, progress, regions, warn_of_bad_samples
 from bokehguide.evaluation.long_renders import whole_step
@@ -55,9 +55,8 @@ def main() -> int:
         )
         facts = judge_reference(scene, first, second, reference, uniform)
         results[scene.name] = {"reference": facts, "modes": judge_modes(scene, reference.radiance, args)}
-        with replacing(args.out / "evaluation.json") as temporary:
-            settings = {name: str(value) for name, value in vars(args).items()}
-            temporary.write_text(json.dumps({"settings": settings, "scenes": results}, indent=2) + "\n")
+        settings = {name: str(value) for name, value in vars(args).items()}
+        write_json(args.out / "evaluation.json", {"settings": settings, "scenes": results})
     if results:
         text = "\n\n".join(tables(results, args))
         with replacing(args.out / "evaluation.md") as temporary:
@@ -78,10 +77,6 @@ def parse() -> argparse.Namespace:
     # All ratios are to uniform sampling.
     args.modes = ["uniform", *(mode for mode in args.modes if mode != "uniform")]
     return args
-
-
-def numbers(text: str) -> list[int]:
-    return sorted({positive(part) for part in text.split(",")})
 
 
 def long_renders(scene: Scene, args: argparse.Namespace, deadline: float) -> list[LongRender]:

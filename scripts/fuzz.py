@@ -75,12 +75,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--cases", type=int, default=2000, metavar="N", help="cases of each format (default: 2000)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--memory", type=int, default=2560, metavar="MB", help="memory of a process (default: 2560)")
-    parser.add_argument(
-        "--seconds", type=float, default=60.0, metavar="S", help="limit of one case, beyond which it hangs (default: 60)"
-    )
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/fuzz"), metavar="DIR", help="folder of the failures (default: out/fuzz)"
-    )
+    parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="longest time of one case (default: 60)")
+    parser.add_argument("--out", type=Path, default=Path("out/fuzz"), metavar="DIR", help="for failures (default: out/fuzz)")
     parser.add_argument("--json", type=Path, metavar="PATH", help="also write the numbers of the table here")
     parser.add_argument("--together", action="store_true", help="run all formats in one process, which is faster for few cases")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
@@ -100,16 +96,8 @@ def batch(formats: list[str], cases: int, seed: int, options: argparse.Namespace
         with tempfile.TemporaryDirectory() as folder:
             result = Path(folder) / "result.jsonl"
             command = [sys.executable, __file__, "--worker", *left, "--cases", str(cases), "--seed", str(seed)]
-            command += [
-                "--memory",
-                str(options.memory),
-                "--seconds",
-                str(options.seconds),
-                "--out",
-                str(options.out),
-                "--json",
-                str(result),
-            ]
+            command += ["--memory", str(options.memory), "--seconds", str(options.seconds)]
+            command += ["--out", str(options.out), "--json", str(result)]
             finished = subprocess.run(command, capture_output=True, text=True)
             lines = result.read_text().splitlines() if result.exists() else []
         done = {entry["name"]: Tally(**entry["tally"]) for entry in map(json.loads, lines)}
@@ -179,15 +167,12 @@ def limit_memory(megabytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (now + megabytes * 2**20,) * 2)
 
 
-def peak_memory() -> float:
-    """Peak memory of this process in MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10)
-
-
 def run_format(name: str, samples: list, folder: Path, options: argparse.Namespace) -> Tally:
     import hypothesis
     from fuzzing.damage import damaged, damages
     from hypothesis import strategies
+
+    from bokehguide.cli.report import peak_memory_mb
 
     tally, state, last = Tally(), {}, options.out / f"{name}-last"
     options.out.mkdir(parents=True, exist_ok=True)
@@ -210,7 +195,7 @@ def run_format(name: str, samples: list, folder: Path, options: argparse.Namespa
         (folder / file).write_bytes(sample.files[file])
 
     run()
-    tally.peak = peak_memory()
+    tally.peak = peak_memory_mb() or math.nan
     return tally
 
 

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import argparse
 import re
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import trimesh
+from pictures import render
 from PIL import Image
 
 ROOT = Path(__file__).parent.parent
@@ -45,23 +45,18 @@ def main() -> int:
     for name in options.names or PICTURES:
         picture = options.out.resolve() / f"{name}.webp"
         if options.names or not picture.exists():
-            render(PICTURES[name], picture, options.threads)
+            write_picture(PICTURES[name], picture, options.threads)
             print(f"wrote {picture} ({picture.stat().st_size / 1024:.0f} KiB)")
     return 0
 
 
-def render(arguments: str, picture: Path, threads: int | None) -> None:
-    """Run `bokehguide render` in an empty folder and convert the PNG."""
-    command = [sys.executable, "-m", "bokehguide", "render", *arguments.split()]
-    command += ["--out", "picture.exr", "--checkpoint-every", "0"]
-    command += ["--threads", str(threads)] if threads else []
+def write_picture(arguments: str, picture: Path, threads: int | None) -> None:
+    """Render in an empty folder and convert the PNG."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if "ring.toml" in arguments:
             write_ring(folder)
-        finished = subprocess.run(command, check=False, cwd=folder)
-        if finished.returncode:
-            sys.exit(finished.returncode)
+        render(*arguments.split(), "--out", "picture.exr", threads=threads, folder=folder)
         with Image.open(folder / "picture.png") as image:
             image.save(picture, quality=88, method=6)
 

@@ -10,19 +10,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-from PIL import Image, ImageDraw, ImageFont
+from pictures import MODES, labelled, render, side_by_side
 
 OUT = Path(__file__).parent.parent / "docs" / "images" / "hero.webp"
-MODES = {"uniform": "uniform lens sampling", "guided": "guided lens sampling"}
 MANY = 1_000_000
 """SPP of the uniform render, which its time limit ends."""
-GAP, BAR = 4, 26
-"""Pixels between the pictures, and of the text above each."""
 
 
 def main() -> int:
@@ -35,8 +31,8 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        guided = render("guided", folder, options, "--spp", str(options.spp))
-        uniform = render("uniform", folder, options, "--spp", str(MANY), "--time-limit", f"{guided['seconds']:.3f}")
+        guided = rendered("guided", folder, options, "--spp", options.spp)
+        uniform = rendered("uniform", folder, options, "--spp", MANY, "--time-limit", f"{guided['seconds']:.3f}")
         facts = {"uniform": uniform, "guided": guided}
         pictures = [labelled(folder / f"{mode}.png", caption(mode, facts[mode])) for mode in MODES]
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -47,39 +43,16 @@ def main() -> int:
     return 0
 
 
-def render(mode: str, folder: Path, options: argparse.Namespace, *more: str) -> dict:
-    """Run `bokehguide render`; returns the facts of its JSON."""
+def rendered(mode: str, folder: Path, options: argparse.Namespace, *more: object) -> dict:
+    """Render a mode; returns the facts of its JSON."""
     facts = folder / f"{mode}.json"
-    command = [sys.executable, "-m", "bokehguide", "render", options.scene, "--mode", mode, "--size", options.size]
-    command += ["--out", str(folder / f"{mode}.exr"), "--json", str(facts), "--checkpoint-every", "0", *more]
-    command += ["--threads", str(options.threads)] if options.threads else []
-    finished = subprocess.run(command, check=False)
-    if finished.returncode:
-        sys.exit(finished.returncode)
+    files = ("--out", folder / f"{mode}.exr", "--json", facts)
+    render(options.scene, "--mode", mode, "--size", options.size, *files, *more, threads=options.threads)
     return json.loads(facts.read_text())
 
 
 def caption(mode: str, facts: dict) -> str:
     return f"{MODES[mode]}: {facts['spp']} SPP, {facts['seconds']:.0f} s"
-
-
-def labelled(png: Path, text: str) -> Image.Image:
-    """The picture under a line of text."""
-    with Image.open(png) as image:
-        canvas = Image.new("RGB", (image.width, image.height + BAR))
-        canvas.paste(image, (0, BAR))
-    ImageDraw.Draw(canvas).text((6, 5), text, fill="white", font=ImageFont.load_default(15))
-    return canvas
-
-
-def side_by_side(pictures: list[Image.Image]) -> Image.Image:
-    width = sum(picture.width for picture in pictures) + GAP * (len(pictures) - 1)
-    row = Image.new("RGB", (width, max(picture.height for picture in pictures)))
-    left = 0
-    for picture in pictures:
-        row.paste(picture, (left, 0))
-        left += picture.width + GAP
-    return row
 
 
 if __name__ == "__main__":

@@ -45,19 +45,7 @@ FIELDS = {
 }
 """Ranges of the numbers that are typed; curvature and rotation without blades are refused, which the page tells."""
 KEYS = (
-    "w",
-    "a",
-    "s",
-    "d",
-    "q",
-    "e",
-    "p",
-    "+",
-    "-",
-    Keys.ARROW_LEFT,
-    Keys.ARROW_RIGHT,
-    Keys.ARROW_UP,
-    Keys.ARROW_DOWN,
+    *("w", "a", "s", "d", "q", "e", "p", "+", "-", Keys.ARROW_LEFT, Keys.ARROW_RIGHT, Keys.ARROW_UP, Keys.ARROW_DOWN),
     Keys.ENTER,
 )
 BUTTONS = ("infinity", "marked", "auto", "denoise", "render", "reset", "save_picture", "save_scene", "copy")

@@ -45,8 +45,6 @@ MODES: dict[str, Callable[[ModeContext], LensSampler]] = {
 """Lens samplers by mode. Virtual images need curvatures of surfaces, which other renderers do not tell."""
 BATCH = 1 << 14
 """Pixels of a batch: the tensors of a batch stay in the cache of a core."""
-
-
 LEARNED = 4
 """Steps of an epoch from which the lens learns. More of them would tell little that is new, and learning takes time."""
 MOST_SAMPLES = 1 << 21

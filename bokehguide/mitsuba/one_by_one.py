@@ -10,21 +10,19 @@ import numpy as np
 from bokehguide.mitsuba.emitters import EmitterScene, luminance
 from bokehguide.mitsuba.frame import Frame
 from bokehguide.mitsuba.lens import LensSamples, SeenLight
+from bokehguide.mitsuba.paths import Paths
 
 
-class OneByOne:
-    """Traces the paths of a nested integrator through given lens points."""
+class OneByOne(Paths):
+    """One path after the other."""
 
     def __init__(self, nested: Any, scene: Any, sensor: Any, frame: Frame, emitters: EmitterScene):
-        self._nested, self._scene, self._sensor, self._film, self._frame = nested, scene, sensor, sensor.film(), frame
-        self._to_sensor = np.linalg.inv(frame.to_world)
-        self._sampler = sensor.sampler().clone()
-        self._shapes = [(shape, int(first), bool(each)) for shape, first, each in _numbered(scene, emitters) if first >= 0]
+        super().__init__(nested, scene, sensor, frame, emitters)
+        numbered = zip(scene.shapes(), emitters.first_triangles, emitters.per_triangle)
+        self._shapes = [(shape, int(first), bool(each)) for shape, first, each in numbered if first >= 0]
         self._box = self._film.rfilter().is_box_filter()
 
     def trace(self, drawn: LensSamples, seed: int, spp: int, block: Any | None) -> SeenLight | None:
-        """Trace one path for each sample and put it on the block, if there is one. Returns the report, None if the lens does not
-        learn."""
         count = len(drawn.weight)
         light, place, number = np.zeros(count, np.float32), np.full((3, count), np.inf), np.full(count, -1)
         self._sampler.seed(seed)
@@ -39,10 +37,9 @@ class OneByOne:
                     place[:, index], number[index] = self._surface(ray)
             else:
                 self._splat(block, (x, y), mi.Color3f(0.0), 0.0, [0.0] * len(self._nested.aov_names()))
-        return SeenLight(light, self._distances(drawn, place), number) if drawn.learned else None
+        return SeenLight(light, self._distances(drawn, place, np.isfinite(place).all(axis=0)), number) if drawn.learned else None
 
     def trace_uniform(self, pixels: np.ndarray, count: int, seed: int, spp: int, block: Any) -> None:
-        """Trace `count` paths for each pixel of the frame through uniform lens points, and put them on the block."""
         self._sampler.seed(seed)
         for pixel in np.repeat(pixels, count).tolist():
             row, column = divmod(pixel, self._frame.width)
@@ -86,16 +83,3 @@ class OneByOne:
         position = mi.Vector2f(np.floor(at[0]), np.floor(at[1])) if self._box else mi.Vector2f(*at)
         opaque = [alpha] if mi.has_flag(self._film.flags(), mi.FilmFlags.Alpha) else []
         block.put(position, [float(color[0]), float(color[1]), float(color[2]), *opaque, 1.0, *channels])
-
-    def _distances(self, drawn: LensSamples, place: np.ndarray) -> np.ndarray:
-        """Distances `[N]` from the lens points to the surfaces at `place` `[3, N]`, world space."""
-        hit = np.isfinite(place).all(axis=0)
-        local = self._to_sensor[:3, :3] @ np.where(hit, place, 0.0) + self._to_sensor[:3, 3:]
-        points = self._frame.camera.aperture_radius * drawn.points.astype(np.float64)
-        away = local - np.stack((-points[0], points[1], np.zeros(points.shape[1])))
-        return np.where(hit, np.linalg.norm(away, axis=0), np.inf).astype(np.float32)
-
-
-def _numbered(scene: Any, emitters: EmitterScene) -> Any:
-    """The shapes of a scene with their first triangles, and whether each primitive is a triangle."""
-    return zip(scene.shapes(), emitters.first_triangles, emitters.per_triangle)

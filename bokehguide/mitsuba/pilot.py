@@ -9,8 +9,7 @@ import numpy as np
 
 from bokehguide.mitsuba.frame import Frame
 from bokehguide.mitsuba.lens import GuidedLens, LensSamples
-from bokehguide.mitsuba.one_by_one import OneByOne
-from bokehguide.mitsuba.wavefront import Wavefront
+from bokehguide.mitsuba.paths import Paths
 from bokehguide.render.random import hash_int
 from bokehguide.scene.types import FilmSettings, Scene
 
@@ -27,7 +26,7 @@ EPSILON = 0.01
 SEED = 0x91107
 
 
-def expected_gain(paths: Wavefront | OneByOne, emitters: Scene, frame: Frame, seed: int, spp: int) -> float:
+def expected_gain(paths: Paths, emitters: Scene, frame: Frame, seed: int, spp: int) -> float:
     """Ratio of the relative errors of the uniform and of the guided lens at equal SPP, averaged over the picture.
 
     emitters: the scene of the emitters, for the frame. The samples are independent of those of a render with the same seed.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 from bokehguide.errors import BokehguideError
 
 NAME = "guided_thinlens"
@@ -21,9 +23,15 @@ def register() -> None:
         raise BokehguideError(f"bokehguide.mitsuba: Mitsuba {mi.__version__} is installed; install a version from {wanted}")
     if mi.variant() is not None:
         _register_variant()
-    if not _registered:
-        mi.detail.add_variant_callback(lambda _, new: _register_variant())
-    _registered.add(True)
+    _follow_variants()
+
+
+@functools.cache
+def _follow_variants() -> None:
+    """Let Mitsuba register the integrator whenever its variant changes."""
+    import mitsuba as mi
+
+    mi.detail.add_variant_callback(lambda _, new: _register_variant())
 
 
 def _register_variant() -> None:
@@ -33,7 +41,3 @@ def _register_variant() -> None:
     from bokehguide.mitsuba.integrator import integrator_class
 
     mi.register_integrator(NAME, integrator_class())
-
-
-_registered: set[bool] = set()
-"""Whether Mitsuba calls back when its variant changes."""

@@ -11,6 +11,7 @@ from bokehguide.mitsuba.emitters import read_emitters
 from bokehguide.mitsuba.frame import read_frame
 from bokehguide.mitsuba.lens import GuidedLens
 from bokehguide.mitsuba.one_by_one import OneByOne
+from bokehguide.mitsuba.paths import Paths
 from bokehguide.mitsuba.pilot import expected_gain
 from bokehguide.mitsuba.variants import is_scalar
 from bokehguide.mitsuba.wavefront import Wavefront
@@ -33,7 +34,7 @@ class Rendering:
         to_sensor = np.linalg.inv(self._frame.to_world)
         self._emitters = read_emitters(scene, self._frame.camera, self._frame.width, self._frame.height, to_sensor)
         arguments = nested, scene, sensor, self._frame, self._emitters
-        self._paths = OneByOne(*arguments) if is_scalar() else Wavefront(*arguments)
+        self._paths: Paths = OneByOne(*arguments) if is_scalar() else Wavefront(*arguments)
 
     def picture(self, spp: int, develop: bool) -> Any:
         """The film after `spp` samples per pixel, 0 for those of the sensor; an empty tensor without `develop`."""

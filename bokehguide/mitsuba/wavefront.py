@@ -11,23 +11,20 @@ import numpy as np
 from bokehguide.mitsuba.emitters import EmitterScene, luminance
 from bokehguide.mitsuba.frame import Frame
 from bokehguide.mitsuba.lens import LensSamples, SeenLight
+from bokehguide.mitsuba.paths import Paths
 
 ALIGNMENT = 64
 """Bytes to which the largest vectors of a processor are aligned."""
 
 
-class Wavefront:
-    """Traces the paths of a nested integrator through given lens points."""
+class Wavefront(Paths):
+    """Many paths at once."""
 
     def __init__(self, nested: Any, scene: Any, sensor: Any, frame: Frame, emitters: EmitterScene):
-        self._nested, self._scene, self._sensor, self._film, self._frame = nested, scene, sensor, sensor.film(), frame
-        self._to_sensor = np.linalg.inv(frame.to_world)
-        self._sampler = sensor.sampler().clone()
+        super().__init__(nested, scene, sensor, frame, emitters)
         self._triangles = TriangleNumbers(scene, emitters.first_triangles, emitters.per_triangle)
 
     def trace(self, drawn: LensSamples, seed: int, spp: int, block: Any | None) -> SeenLight | None:
-        """Trace one path for each sample and put it on the block, if there is one. Returns the report, None if the lens does not
-        learn."""
         self._sampler.seed(dr.opaque(mi.UInt32, seed), len(drawn.weight))
         weight = shared(mi.Float, drawn.weight)
         active = weight > 0.0
@@ -40,7 +37,6 @@ class Wavefront:
         return self._seen(drawn, ray, value, active) if drawn.learned else None
 
     def trace_uniform(self, pixels: np.ndarray, count: int, seed: int, spp: int, block: Any) -> None:
-        """Trace `count` paths for each pixel of the frame through uniform lens points, and put them on the block."""
         size, sampler = len(pixels) * count, self._sampler
         sampler.seed(dr.opaque(mi.UInt32, seed), size)
         number = dr.arange(mi.UInt32, size) // dr.opaque(mi.UInt32, count)
@@ -92,10 +88,7 @@ class Wavefront:
         light, number = luminance(value, ray.wavelengths), self._triangles.of(surface)
         place, hit = ray(dr.select(surface.is_valid(), surface.t, 0.0)), dr.select(surface.is_valid(), 1.0, 0.0)
         dr.eval(light, place, number, hit)
-        local = self._to_sensor[:3, :3] @ np.array(place) + self._to_sensor[:3, 3:]
-        points = self._frame.camera.aperture_radius * drawn.points.astype(np.float64)
-        away = local - np.stack((-points[0], points[1], np.zeros(points.shape[1])))
-        distance = np.where(np.array(hit) > 0.0, np.linalg.norm(away, axis=0), np.inf).astype(np.float32)
+        distance = self._distances(drawn, np.array(place), np.array(hit) > 0.0)
         return SeenLight(np.broadcast_to(np.array(light), distance.shape), distance, np.array(number, np.int64))
 
 

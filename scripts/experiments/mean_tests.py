@@ -79,6 +79,11 @@ def at_least_two(text: str) -> int:
     return int(text)
 
 
+def finer(scene: Scene) -> Scene:
+    """The scene with FINE × FINE pixels for each of its pixels."""
+    return replace(scene, film=replace(scene.film, width=FINE * scene.film.width, height=FINE * scene.film.height))
+
+
 def independent_runs(scene: Scene, settings: RenderSettings, count: int) -> Runs:
     """Renders at the seeds 0 to `count` - 1."""
     films, title = [], f"{scene.name} {settings.mode}"

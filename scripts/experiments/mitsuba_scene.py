@@ -22,7 +22,7 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from bokehguide.errors import BokehguideError
-from bokehguide.export.mitsuba_materials import Bitmap, bitmap, color
+from bokehguide.export.mitsuba_materials import SMOOTH_GLASS, Bitmap, bitmap, mitsuba_bsdf
 from bokehguide.export.mitsuba_tree import environment_emitter, integrator, scene_tree
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Environment, Material, Scene, Texture
@@ -43,7 +43,6 @@ _choose_variant()
 METAL_ROUGHNESS = (0.05, 0.2)
 GLASS_ROUGHNESS = (0.1, 0.2)
 """Ranges to which roughness is clamped; glass below SMOOTH_GLASS is smooth."""
-SMOOTH_GLASS = 0.063
 FINE_MASK = 32
 """Texels of a cut-out's mask per texel of the texture, across and down."""
 LAYERS = "albedo:albedo,normal:sh_normal"
@@ -168,24 +167,11 @@ def _plain(value: Any) -> Any:
 
 
 def _bsdf(material: Material) -> dict[str, Any]:
+    """The exported BSDF, with the opacity of `_opacity`."""
     for texture in (material.base_color_texture, material.emission_texture):
         if texture is not None and len(set(texture.wrap)) > 1:
             raise BokehguideError(f"texture: Mitsuba wraps u and v alike, not {' and '.join(texture.wrap)}")
-    base = color(material.base_color, material.base_color_texture)
-    alpha = material.roughness**2
-    if material.transmission > 0.0:
-        index = {"int_ior": material.ior, "ext_ior": 1.0, "specular_transmittance": base}
-        if material.thin:
-            bsdf = {"type": "thindielectric"} | index
-        elif alpha == 0.0:
-            bsdf = {"type": "dielectric"} | index
-        else:
-            bsdf = {"type": "roughdielectric", "distribution": "ggx", "alpha": alpha} | index
-    elif material.metallic > 0.0:  # Schlick's Fresnel term, as in glTF
-        metal = {"type": "principled", "base_color": base, "metallic": 1.0, "roughness": material.roughness}
-        bsdf = {"type": "twosided", "bsdf": metal}
-    else:
-        bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": base}}
+    bsdf = mitsuba_bsdf(replace(material, alpha_mode="opaque"))
     return bsdf if material.alpha_mode == "opaque" else {"type": "mask", "bsdf": bsdf, "opacity": _opacity(material)}
 
 

@@ -68,10 +68,8 @@ class Mutation:
     def __enter__(self) -> None:
         if self.name:
             owner, attribute, mutate = MUTATIONS[self.name]
-            self.switch, os.environ[native.SWITCH] = (
-                os.environ.get(native.SWITCH, "1"),
-                "0",
-            )  # the native core has functions of its own
+            self.switch = os.environ.get(native.SWITCH, "1")
+            os.environ[native.SWITCH] = "0"  # the native core has functions of its own
             self.original = getattr(owner, attribute)
             setattr(owner, attribute, mutate(self.original))
 

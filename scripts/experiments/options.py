@@ -8,9 +8,8 @@ from collections.abc import Callable
 
 from real_scenes import SCENE_NAMES, load_any
 
-from bokehguide.cli.arguments import Parser, size, threads
+from bokehguide.cli.arguments import Parser, modes, positive, size, threads
 from bokehguide.scene import BUILTIN, Scene
-from bokehguide.train import MODES
 
 
 def known_scene(text: str) -> str:
@@ -35,12 +34,9 @@ def experiment_parser(doc: str | None, frame: str, default_modes: str, scene: Ca
     return parser
 
 
-def modes(text: str) -> list[str]:
-    chosen = text.split(",")
-    for mode in chosen:
-        if mode not in MODES:
-            raise argparse.ArgumentTypeError(f"{mode!r} is no mode; choose from {','.join(MODES)}")
-    return chosen
+def numbers(text: str) -> list[int]:
+    """Positive whole numbers between commas, in ascending order, each once."""
+    return sorted({positive(part) for part in text.split(",")})
 
 
 def load_scenes(args: argparse.Namespace) -> list[Scene]:

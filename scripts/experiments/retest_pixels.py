@@ -8,10 +8,10 @@ test that it passes in the limit. If the renderers disagree, more samples only c
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
-from experiments.mean_tests import FINE
+from experiments.mean_tests import FINE, finer
 from experiments.mitsuba_scene import CHUNK_SAMPLES, MitsubaRenderer
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
@@ -46,8 +46,7 @@ class PixelRetest:
         return *self._in_bokehguide(chosen), *self._in_mitsuba(chosen)
 
     def _in_bokehguide(self, chosen: Tensor) -> tuple[Tensor, Tensor]:
-        film = replace(self.scene.film, width=FINE * self.scene.film.width, height=FINE * self.scene.film.height)
-        scene = replace(self.scene, film=film)
+        scene = finer(self.scene)
         steps = LEARNING_STEPS + math.ceil(SAMPLES_FACTOR * self.spp / FINE**2)
         mask = interpolate(chosen[None, None].float(), scale_factor=FINE).flatten() > 0.0
         mean, variance = torch.zeros(2, int(chosen.sum()), dtype=torch.float64)

@@ -23,14 +23,18 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
-from bokehguide.cli.arguments import threads
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from experiments.options import numbers
+
+from bokehguide.cli.arguments import modes, threads
 from bokehguide.cli.report import peak_memory_mb, write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation.tables import markdown
 from bokehguide.image import check_writable, replacing
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import Camera, Environment, FilmSettings, Material, Mesh, Scene
-from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
+from bokehguide.train import RenderLoop, RenderSettings
 
 STEPS = 3
 """Number of measured steps; the table has their median."""
@@ -74,20 +78,6 @@ def main() -> None:
         temporary.write_text(text + "\n")
     print(text)
     draw(rows, args.out / "scaling.png")
-
-
-def numbers(text: str) -> list[int]:
-    values = [int(part) for part in text.split(",") if part.isdecimal()]
-    if len(values) != len(text.split(",")) or min(values, default=0) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a list of positive whole numbers")
-    return sorted(values)
-
-
-def modes(text: str) -> list[str]:
-    chosen = text.split(",")
-    if not set(chosen) <= set(LENS_MODES):
-        raise argparse.ArgumentTypeError(f"{text!r}: choose from {','.join(LENS_MODES)}")
-    return chosen
 
 
 def measured(mode: str, amounts: dict[str, int], workers: int | None) -> dict[str, float]:

@@ -74,7 +74,8 @@ def report(scene: Scene, args: argparse.Namespace) -> Iterator[str]:
     settings = RenderSettings(spp=args.spp, threads=args.threads)
     path = args.out / f"{scene.name}-reference.exr"
     reference = made_reference(scene, replace(settings, spp=REFERENCE_SHARE * args.spp), path, args.cache).radiance.float()
-    mask = regions(scene).get("insets", regions(scene)["frame"])
+    masks = regions(scene)
+    mask = masks.get("insets", masks["frame"])
     done = rendered(scene, settings, args)
     found = {mode: measured(renders.pictures, reference, mask) for mode, renders in done.items()}
     last = args.modes[-1]

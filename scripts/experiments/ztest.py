@@ -13,14 +13,13 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from torch.nn.functional import avg_pool2d
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from experiments.mean_tests import FINE, at_least_two, independent_runs, judge, report
+from experiments.mean_tests import FINE, at_least_two, finer, independent_runs, judge, report
 from experiments.mutations import MUTATIONS, Mutation
 from experiments.options import experiment_parser, load_scenes
 
@@ -74,10 +73,10 @@ def parse() -> argparse.Namespace:
 
 def uniform_render(scene: Scene, args: argparse.Namespace, deadline: float) -> LongRender:
     """The uniform render, begun or continued at FINE times the size, averaged over FINE × FINE pixels."""
-    film = replace(scene.film, width=FINE * scene.film.width, height=FINE * scene.film.height)
-    path = args.cache / f"{scene.name}-{film.width}x{film.height}-uniform.exr"
+    large = finer(scene)
+    path = args.cache / f"{scene.name}-{large.film.width}x{large.film.height}-uniform.exr"
     settings = RenderSettings("uniform", args.uniform_spp // FINE**2, UNIFORM_SEED, threads=args.threads)
-    fine = accumulate(path, replace(scene, film=film), settings, CHUNK, deadline)
+    fine = accumulate(path, large, settings, CHUNK, deadline)
     radiance = avg_pool2d(fine.radiance.permute(2, 0, 1), FINE).permute(1, 2, 0)
     return LongRender(radiance, avg_pool2d(fine.variance[None], FINE)[0] / FINE**2, fine.spp * FINE**2, fine.chunks)
 

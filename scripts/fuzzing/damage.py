@@ -26,47 +26,10 @@ VALUES = (
 )
 TOKENS = (
     *("0", "-1", "1", "0.0", "-0.0", "1e400", "nan", "inf", "-inf", "1e18", "1e-320", "9" * 30, "9" * 5000, "4294967295"),
-    *(
-        "2147483648",
-        "1000000000",
-        "99999999",
-        "x",
-        '""',
-        '"\\u001b\\n"',
-        "'../../x'",
-        "true",
-        "[]",
-        "{}",
-        "[" * 3000,
-        "{a=" * 300,
-    ),
-    *(
-        "[1, 2, 3]",
-        "[nan, 0, 0]",
-        "[[1]]",
-        "[1e18, 1e18, 1e18]",
-        "a.b.c.d = 1",
-        "1979-05-27",
-        "\ud83d\ude00",
-        "\0",
-        "=",
-        "\n",
-        "#",
-        '"' * 3,
-    ),
-    *(
-        "[materials.x]",
-        "[[object]]",
-        "[a]\n[a]",
-        "1/2/3",
-        "-1/-1/-1",
-        "9/9/9",
-        "list",
-        "property",
-        "element",
-        "vertex",
-        "end_header",
-    ),
+    *("2147483648", "1000000000", "99999999", "x", '""', '"\\u001b\\n"', "'../../x'", "true", "[]", "{}", "[" * 3000),
+    *("{a=" * 300, "[1, 2, 3]", "[nan, 0, 0]", "[[1]]", "[1e18, 1e18, 1e18]", "a.b.c.d = 1", "1979-05-27", "\ud83d\ude00"),
+    *("\0", "=", "\n", "#", '"' * 3, "[materials.x]", "[[object]]", "[a]\n[a]", "1/2/3", "-1/-1/-1", "9/9/9", "list"),
+    *("property", "element", "vertex", "end_header"),
 )
 
 
@@ -105,9 +68,8 @@ def repeat(data: bytes, where: int, what: int) -> bytes:
 def word(data: bytes, where: int, what: int) -> bytes:
     """A whole number or a float of four bytes in the place of others, more often near the start than anywhere."""
     at = where // 2 % (len(data) if where % 2 else min(len(data), 600))
-    kinds = [struct.pack(order + "i", value) for value in WORDS for order in "<>"] + [
-        struct.pack("<f", value) for value in FLOATS
-    ]
+    kinds = [struct.pack(order + "i", value) for value in WORDS for order in "<>"]
+    kinds += [struct.pack("<f", value) for value in FLOATS]
     return data[:at] + kinds[what % len(kinds)] + data[at + 4 :]
 
 
@@ -194,11 +156,8 @@ def png_checksums(data: bytes, where: int, what: int) -> bytes:
     length = struct.unpack_from(">I", data, start)[0]
     chunk = bytearray(data[start + 4 : start + 8 + length])
     if length:
-        chunk = (
-            bytearray(flip(bytes(chunk), 4 + where // 8 % length, what))
-            if what % 2
-            else chunk[:4] + word(bytes(chunk[4:]), where, what)[:length]
-        )
+        flipped = bytearray(flip(bytes(chunk), 4 + where // 8 % length, what))
+        chunk = flipped if what % 2 else chunk[:4] + word(bytes(chunk[4:]), where, what)[:length]
     return data[: start + 4] + bytes(chunk) + struct.pack(">I", zlib.crc32(chunk)) + data[start + 12 + length :]
 
 
@@ -215,15 +174,9 @@ def state_value(data: bytes, where: int, what: int) -> bytes:
 
 
 TENSORS = (
-    *(
-        torch.zeros(0),
-        torch.zeros(3),
-        torch.full((400,), torch.nan),
-        torch.full((4,), 2**40),
-        torch.tensor(7),
-        torch.full((4,), -1),
-    ),
-    *(torch.zeros(1).expand(10**9), torch.zeros(3, 3, dtype=torch.complex64), torch.zeros(9, dtype=torch.bool)),
+    *(torch.zeros(0), torch.zeros(3), torch.full((400,), torch.nan), torch.full((4,), 2**40), torch.tensor(7)),
+    *(torch.full((4,), -1), torch.zeros(1).expand(10**9), torch.zeros(3, 3, dtype=torch.complex64)),
+    torch.zeros(9, dtype=torch.bool),
 )
 CIRCLE: list = []
 CIRCLE.append(CIRCLE)

@@ -25,7 +25,7 @@ def trial(path: Path) -> bool:
     """Load a scene or a checkpoint, and trace; returns whether it was loaded. Raises Fault or any other exception."""
     try:
         if path.suffix == ".ckpt":
-            loop = sound_loop(path.with_name("scene.toml"), path.stem)
+            loop = RenderLoop(sound_scene(path.with_name("scene.toml")), RenderSettings(path.stem, threads=1))
             load_checkpoint(path, loop)
         else:
             scene = load_scene(str(path))
@@ -41,10 +41,6 @@ def trial(path: Path) -> bool:
     if loop.film.bad_count or not loop.film.radiance().isfinite().all():
         raise Fault(f"{loop.film.bad_count} samples are not finite, or the picture is not")
     return True
-
-
-def sound_loop(path: Path, mode: str) -> RenderLoop:
-    return RenderLoop(sound_scene(path), RenderSettings(mode, threads=1))
 
 
 @lru_cache(maxsize=1)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from bokehguide.runtime.indexing import Pixels, gather_pixels, scatter
+
 
 @dataclass
 class Reservoirs:
@@ -36,12 +38,11 @@ class Reservoirs:
         triangle = torch.full((count,), -1, dtype=torch.int32, device=device)
         return cls(two, two.clone(), one, three, triangle, one.clone(), one.clone())
 
-    def select(self, pixels: Tensor) -> Reservoirs:
-        """The samples of `pixels`, int64 `[M]`."""
-        return Reservoirs(*(getattr(self, name).index_select(-1, pixels) for name in self.__dataclass_fields__))
+    def select(self, pixels: Pixels) -> Reservoirs:
+        """The samples of M pixels, views if `pixels` is a slice."""
+        return Reservoirs(*(gather_pixels(getattr(self, name), pixels) for name in self.__dataclass_fields__))
 
-    def store(self, first: int, samples: Reservoirs) -> None:
-        """Replace the samples of the pixels from `first` on."""
+    def store(self, span: slice, samples: Reservoirs) -> None:
+        """Replace the samples of a span of pixels."""
         for name in self.__dataclass_fields__:
-            values = getattr(samples, name)
-            getattr(self, name)[..., first : first + values.shape[-1]] = values
+            scatter(getattr(self, name), span, getattr(samples, name))

@@ -63,7 +63,7 @@ class SpatialReuse:
         """
         pixels = pixel_numbers(span, points.device)
         good = (samples.radiance * samples.weight).sum(0).isfinite()
-        self._reservoirs.store(span.start, self.to_reservoirs(pixels, subpixel, points, path, samples, good))
+        self._reservoirs.store(span, self.to_reservoirs(pixels, subpixel, points, path, samples, good))
         self._initial[span.start] = samples
         return good
 
@@ -90,7 +90,7 @@ class SpatialReuse:
         with timer.measure("guiding"):
             pixels = pixel_numbers(span, self._copied.device)
             random = PixelRandom(self._seed, step, pixels)
-            own, initial = self._reservoirs.select(pixels), self._initial.pop(span.start)
+            own, initial = self._reservoirs.select(span), self._initial.pop(span.start)
             neighbours = self._neighbourhood.of(pixels, random.uniform(dimensions.NEIGHBOURS, 1)[0])
             count = (neighbours >= 0).sum(0).to(torch.float32)
             choice = _Choice(random, initial.radiance)
@@ -121,8 +121,7 @@ class SpatialReuse:
         reconnects = (slot >= self._copied.index_select(0, pixels)).repeat(2)
         random = PixelRandom(self._seed, step, source)
         shifted = self._shift(samples, random, source, target, reconnects, timer)
-        places = torch.arange(len(pixels), device=pixels.device)
-        return samples.select(places), *shifted.split(len(pixels))
+        return samples.select(slice(0, len(pixels))), *shifted.split(len(pixels))
 
 
 class _Choice:

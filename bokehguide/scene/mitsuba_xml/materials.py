@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
 from bokehguide.color import LUMINANCE
-from bokehguide.image.reading import read_channels
 from bokehguide.scene.anisotropy import from_alphas
 from bokehguide.scene.disney_sheen import from_disney
-from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.images import checks, load_texture, nearest_texels
+from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.images import nearest_texels
+from bokehguide.scene.mitsuba_xml.textures import GREY, Textures, color_of, is_image, kind_of, mean_of
 from bokehguide.scene.mitsuba_xml.tree import Plugin, as_dictionary, mitsuba
 from bokehguide.scene.types import Material, Texture, Vector, as_vector
 
-GREY = (0.5, 0.5, 0.5)
 REFRACTIVE_INDICES = {
     "vacuum": 1.0,
     "air": 1.000277,
@@ -39,14 +39,14 @@ GLASS = 1.5046
 ADAPTERS = ("twosided", "normalmap", "bumpmap", "mask")
 SOLIDS = ("dielectric", "roughdielectric", "principled")
 """BSDFs whose light is refracted inside."""
-WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp"}
 
 
 class Materials:
-    """The materials of a file, each converted once. lost: what they lose, in words, with the names of the BSDFs."""
+    """The materials of a file, each converted once. lost: what the file loses, in words, with the names of the objects."""
 
     def __init__(self, file: Path, files: SceneFiles):
         self._file, self._files = file, files
+        self.textures = Textures(file, files, self.lose)
         self._known: dict[int, int] = {}
         self.all: list[Material] = []
         self.lost: dict[str, dict[str, None]] = {}
@@ -74,32 +74,31 @@ class Materials:
         if bsdf is None or bsdf.type not in SOLIDS:
             return False
         if bsdf.type == "principled":
-            return _mean(bsdf.values.get("spec_trans", 0.0)) > 0.0 and bsdf.number("eta", 1.5) < 1.0
+            return mean_of(bsdf.values.get("spec_trans", 0.0)) > 0.0 and bsdf.number("eta", 1.5) < 1.0
         return self._ratio(bsdf, GLASS) < 1.0
 
     def convert(self, bsdf: Plugin) -> Material:
         """The closest material to a BSDF."""
-        name, inner = bsdf.name or bsdf.type, bsdf.inner("bsdf")
+        name, inner = bsdf.label, bsdf.inner("bsdf")
         if bsdf.type in ADAPTERS and len(inner) == 1:
             return self._wrapped(bsdf, replace(self.convert(inner[0]), name=name))
-        convert = getattr(self, f"_{bsdf.type}", None)
-        if convert is None or bsdf.type not in KNOWN:
+        if bsdf.type not in CONVERTERS:
             self.lose(f"BSDF {bsdf.type}: grey in its place", name)
             return Material(name, GREY, specular=0.0)
-        return convert(bsdf, name)
+        return CONVERTERS[bsdf.type](self, bsdf)
 
     def _wrapped(self, bsdf: Plugin, material: Material) -> Material:
         """`material` within an adapter."""
         if bsdf.type == "normalmap":
             textures = bsdf.inner("texture")
-            return replace(material, normal_texture=self.texture(textures[0], srgb=False) if textures else None)
+            return replace(material, normal_texture=self.textures.read(textures[0], srgb=False) if textures else None)
         if bsdf.type == "bumpmap":
             self.lose("bump maps: left out", material.name)
         if bsdf.type == "mask":
             opacity = bsdf.values.get("opacity", 0.5)
             if isinstance(opacity, Plugin):
-                return self._masked(material, self.texture(opacity))
-            return replace(material, alpha_mode="blend", opacity=min(max(_mean(opacity), 0.0), 1.0))
+                return self._masked(material, self.textures.read(opacity))
+            return replace(material, alpha_mode="blend", opacity=min(max(mean_of(opacity), 0.0), 1.0))
         return material
 
     def _masked(self, material: Material, mask: Texture | None) -> Material:
@@ -109,7 +108,7 @@ class Materials:
         color = material.base_color_texture or replace(mask, image=np.ones((1, 1, 3), np.float32))
         if (color.wrap, color.transform) != (mask.wrap, mask.transform):
             self.lose("opacity textures with other coordinates than the colour: those of the colour count", material.name)
-        alpha = (mask.image[..., :3] @ LUMINANCE.astype(np.float32)).clip(0.0, 1.0)[..., None]
+        alpha = _luminance(mask)[..., None]
         height, width = np.maximum(color.image.shape[:2], alpha.shape[:2])
         if height * width > max(color.image[..., 0].size, alpha.size):
             self.lose("opacity textures of another aspect ratio than the colour: left out", material.name)
@@ -118,72 +117,66 @@ class Materials:
         both = [nearest_texels(image, height, width) for image in (color.image[..., :3], alpha)]
         return replace(material, alpha_mode="blend", base_color_texture=replace(color, image=np.concatenate(both, axis=2)))
 
-    def _diffuse(self, bsdf: Plugin, name: str) -> Material:
-        return Material(name, specular=0.0, **self._color(bsdf, "reflectance"))
+    def _diffuse(self, bsdf: Plugin) -> Material:
+        return Material(bsdf.label, specular=0.0, **self._color(bsdf, "reflectance"))
 
-    def _roughdiffuse(self, bsdf: Plugin, name: str) -> Material:
-        self.lose("roughness of diffuse BSDFs: left out", name)
-        return self._diffuse(bsdf, name)
+    def _roughdiffuse(self, bsdf: Plugin) -> Material:
+        self.lose("roughness of diffuse BSDFs: left out", bsdf.label)
+        return self._diffuse(bsdf)
 
-    def _plastic(self, bsdf: Plugin, name: str) -> Material:
+    def _plastic(self, bsdf: Plugin) -> Material:
         rough = {"roughness": 0.0} if bsdf.type == "plastic" else self._roughness(bsdf, 0.1)
-        tint, ior = self._tint(bsdf, name), self._ior(bsdf, name, 1.49)
+        tint, ior = self._tint(bsdf), self._ior(bsdf, 1.49)
         color, most = self._color(bsdf, "diffuse_reflectance"), max(tint)
         if bsdf.flag("nonlinear"):
             color = _saturated(color, ior)
         if most > 0.0:
             color["specular_color"] = as_vector(channel / most for channel in tint)
-        return Material(name, ior=ior, specular=most, **rough, **color)
+        return Material(bsdf.label, ior=ior, specular=most, **rough, **color)
 
-    _roughplastic = _pplastic = _plastic
-
-    def _conductor(self, bsdf: Plugin, name: str) -> Material:
-        color = as_vector(min(max(float(each), 0.0), 1.0) for each in self._metal(bsdf, name))
+    def _conductor(self, bsdf: Plugin) -> Material:
+        color = as_vector(min(max(float(each), 0.0), 1.0) for each in self._metal(bsdf))
         if bsdf.type == "conductor":
-            return Material(name, color, metallic=1.0, roughness=0.0)
+            return Material(bsdf.label, color, metallic=1.0, roughness=0.0)
         alphas = [bsdf.values.get(key, bsdf.values.get("alpha", 0.1)) for key in ("alpha_u", "alpha_v")]
         textured = any(isinstance(alpha, Plugin) for alpha in alphas)
-        rough = self._roughness(bsdf, 0.1) if textured else from_alphas(*map(_mean, alphas))
-        return Material(name, color, metallic=1.0, single_scattering=True, **rough)
+        rough = self._roughness(bsdf, 0.1) if textured else from_alphas(*map(mean_of, alphas))
+        return Material(bsdf.label, color, metallic=1.0, single_scattering=True, **rough)
 
-    _roughconductor = _conductor
-
-    def _dielectric(self, bsdf: Plugin, name: str) -> Material:
+    def _dielectric(self, bsdf: Plugin) -> Material:
         rough = self._roughness(bsdf, 0.1) if bsdf.type == "roughdielectric" else {"roughness": 0.0}
         color = self._color(bsdf, "specular_transmittance", (1.0, 1.0, 1.0))
-        if self._tint(bsdf, name) != (1.0, 1.0, 1.0):
-            self.lose("specular_reflectance of dielectrics: 1.0 in its place", name)
+        if self._tint(bsdf) != (1.0, 1.0, 1.0):
+            self.lose("specular_reflectance of dielectrics: 1.0 in its place", bsdf.label)
         thin = bsdf.type == "thindielectric"
-        return Material(name, transmission=1.0, thin=thin, ior=self._ior(bsdf, name, GLASS), **rough, **color)
+        return Material(bsdf.label, transmission=1.0, thin=thin, ior=self._ior(bsdf, GLASS), **rough, **color)
 
-    _roughdielectric = _thindielectric = _dielectric
-
-    def _principled(self, bsdf: Plugin, name: str) -> Material:
+    def _principled(self, bsdf: Plugin) -> Material:
         def scalar(key: str, default: float) -> float:
             if isinstance(bsdf.values.get(key), Plugin):
-                self.lose(f"textures of {key}: {default} in their place", name)
+                self.lose(f"textures of {key}: {default} in their place", bsdf.label)
                 return default
-            return min(max(_mean(bsdf.values.get(key, default)), 0.0), 1.0)
+            return min(max(mean_of(bsdf.values.get(key, default)), 0.0), 1.0)
 
-        packed = self._packed(bsdf.values.get("roughness"), bsdf.values.get("metallic"), name)
+        packed = self._packed(bsdf.values.get("roughness"), bsdf.values.get("metallic"), bsdf.label)
         for key in ("spec_tint", "flatness"):
-            if isinstance(bsdf.values.get(key), Plugin) or _mean(bsdf.values.get(key, 0.0)) > 0.0:
-                self.lose(f"{key} of principled BSDFs: left out", name)
+            if isinstance(bsdf.values.get(key), Plugin) or mean_of(bsdf.values.get(key, 0.0)) > 0.0:
+                self.lose(f"{key} of principled BSDFs: left out", bsdf.label)
         color, sheen = self._color(bsdf, "base_color"), scalar("sheen", 0.0)
         metallic = 1.0 if is_image(bsdf.values.get("metallic")) else scalar("metallic", 0.0)
         if is_image(bsdf.values.get("roughness")):
             rough: dict[str, Any] = {"roughness": 1.0}
             if scalar("anisotropic", 0.0) > 0.0:
-                self.lose("anisotropic of principled BSDFs with a texture of roughness: left out", name)
+                self.lose("anisotropic of principled BSDFs with a texture of roughness: left out", bsdf.label)
         else:
             aspect, alpha = math.sqrt(1.0 - 0.9 * scalar("anisotropic", 0.0)), scalar("roughness", 0.5) ** 2
             rough = from_alphas(alpha / aspect, alpha * aspect)
         tint = scalar("sheen_tint", 0.0) if sheen > 0.0 else 0.0
         if tint > 0.0 and "base_color_texture" in color:
-            self.lose("sheen_tint of principled BSDFs with a texture: a white sheen", name)
+            self.lose("sheen_tint of principled BSDFs with a texture: a white sheen", bsdf.label)
         ior = _principled_ior(bsdf)
         return Material(
-            name,
+            bsdf.label,
             metallic=metallic,
             single_scattering=metallic > 0.0,
             ior=ior,
@@ -201,18 +194,18 @@ class Materials:
         """The fields of the roughness whose square is Mitsuba's α."""
         value = bsdf.values.get("alpha", bsdf.values.get("alpha_u", default))
         if "alpha_u" in bsdf.values and bsdf.values["alpha_u"] != bsdf.values.get("alpha_v"):
-            self.lose("anisotropic roughness: that along u counts", bsdf.name or bsdf.type)
+            self.lose("anisotropic roughness: that along u counts", bsdf.label)
         if is_image(value):
-            packed = self._packed(value, None, bsdf.name or bsdf.type)["metallic_roughness_texture"]
+            packed = self._packed(value, None, bsdf.label)["metallic_roughness_texture"]
             return {"roughness": 1.0, "metallic_roughness_texture": replace(packed, image=np.sqrt(packed.image))}
         if isinstance(value, Plugin):
-            self.lose("textures of roughness: left out", bsdf.name or bsdf.type)
+            self.lose("textures of roughness: left out", bsdf.label)
             value = default
-        return {"roughness": math.sqrt(min(max(_mean(value), 0.0), 1.0))}
+        return {"roughness": math.sqrt(min(max(mean_of(value), 0.0), 1.0))}
 
     def _packed(self, roughness: Any, metallic: Any, name: str) -> dict[str, Any]:
         """The texture of the luminances of two images, as glTF packs them; without images no field."""
-        given = {channel: self.texture(value) for channel, value in ((1, roughness), (2, metallic)) if is_image(value)}
+        given = {channel: self.textures.read(value) for channel, value in ((1, roughness), (2, metallic)) if is_image(value)}
         found = {channel: texture for channel, texture in given.items() if texture is not None}
         if not found:
             return {}
@@ -222,16 +215,14 @@ class Materials:
         for channel, texture in found.items():
             if (texture.wrap, texture.transform) != (first.wrap, first.transform):
                 self.lose("metallic of other texture coordinates than roughness: those of roughness count", name)
-            rows, columns = (np.arange(size) * old // size for size, old in zip((height, width), texture.image.shape))
-            luminance = texture.image[..., :3] @ np.array(LUMINANCE, np.float32)
-            image[..., channel] = luminance[rows[:, None], columns].clip(0.0, 1.0)
+            image[..., channel] = nearest_texels(_luminance(texture), height, width)
         return {"metallic_roughness_texture": replace(first, image=image)}
 
-    def _ior(self, bsdf: Plugin, name: str, default: float) -> float:
+    def _ior(self, bsdf: Plugin, default: float) -> float:
         """The refractive index of the denser medium, relative to that of the thinner one."""
         ratio = self._ratio(bsdf, default)
         if ratio < 1.0 and bsdf.type not in SOLIDS:
-            self.lose(f"{bsdf.type} with int_ior below ext_ior: both exchanged", name)
+            self.lose(f"{bsdf.type} with int_ior below ext_ior: both exchanged", bsdf.label)
         return max(ratio, 1.0 / ratio)
 
     def _ratio(self, bsdf: Plugin, default: float) -> float:
@@ -247,21 +238,21 @@ class Materials:
             return REFRACTIVE_INDICES[value]
         return max(bsdf.number(key, default), 1e-3)
 
-    def _tint(self, bsdf: Plugin, name: str) -> Vector:
+    def _tint(self, bsdf: Plugin) -> Vector:
         """The factor of the specular reflection."""
         value = bsdf.values.get("specular_reflectance", 1.0)
         color = color_of(value, bsdf.place)
         if color is None:
-            self.lose(f"specular_reflectance of the type {kind_of(value)}: 1.0 in its place", name)
+            self.lose(f"specular_reflectance of the type {kind_of(value)}: 1.0 in its place", bsdf.label)
             return 1.0, 1.0, 1.0
         return as_vector(min(max(channel, 0.0), 1.0) for channel in color)
 
-    def _metal(self, bsdf: Plugin, name: str) -> Any:
+    def _metal(self, bsdf: Plugin) -> Any:
         """The reflectance of a conductor at normal incidence, by Mitsuba itself."""
         given = {key: bsdf.values[key] for key in ("material", "eta", "k", "specular_reflectance") if key in bsdf.values}
         plain = {key: as_dictionary(value) for key, value in given.items()}
         for key in (key for key, value in plain.items() if value is None):
-            self.lose(f"{key} of the type {kind_of(given[key])}: left out", name)
+            self.lose(f"{key} of the type {kind_of(given[key])}: left out", bsdf.label)
         with mitsuba(bsdf.place) as mi:
             try:
                 metal = mi.load_dict({"type": "conductor"} | {key: value for key, value in plain.items() if value is not None})
@@ -276,52 +267,27 @@ class Materials:
         """Base colour and its texture from a colour or an image."""
         value = bsdf.values.get(key, default)
         if is_image(value):
-            return {"base_color": (1.0, 1.0, 1.0), "base_color_texture": self.texture(value, srgb=True)}
+            return {"base_color": (1.0, 1.0, 1.0), "base_color_texture": self.textures.read(value, srgb=True)}
         color = color_of(value, bsdf.place)
         if color is None:
-            self.lose(f"texture {kind_of(value)}: grey in its place", bsdf.name or bsdf.type)
+            self.lose(f"texture {kind_of(value)}: grey in its place", bsdf.label)
         return {"base_color": as_vector(min(max(channel, 0.0), 1.0) for channel in color or GREY)}
 
-    def texture(self, texture: Plugin, srgb: bool = True) -> Texture | None:
-        """A bitmap or a checkerboard; None for another texture."""
-        if not is_image(texture):
-            self.lose(f"texture {texture.type}: left out", texture.name or texture.type)
-            return None
-        image = self._checks(texture) if texture.type == "checkerboard" else self._bitmap(texture, srgb)
-        wrap, matrix = WRAPS.get(texture.text("wrap_mode", "repeat"), "repeat"), texture.matrix("to_uv")
-        return Texture(image, wrap=(wrap, wrap), transform=tuple(matrix[[0, 0, 0, 1, 1, 1], [0, 1, 3, 0, 1, 3]].tolist()))
 
-    def _bitmap(self, texture: Plugin, srgb: bool) -> np.ndarray:
-        """The pixels of a file, linear float32 `[H, W, 3]`."""
-        path = self._files.find(self._file.parent, texture.text("filename"), f"{texture.place}.filename")
-        require_file(path, "texture", f"{texture.place}.filename")
-        raw = not srgb or texture.flag("raw")
-        return self._floats(path) if path.suffix.lower() in (".exr", ".hdr") else load_texture(path, self._files, not raw)
-
-    def _checks(self, texture: Plugin) -> np.ndarray:
-        """A checkerboard, linear float32 `[H, W, 3]`."""
-        given = [texture.values.get(key, default) for key, default in (("color0", 0.4), ("color1", 0.2))]
-        colors = [color_of(value, texture.place) for value in given]
-        if None in colors:
-            self.lose("textures in a checkerboard: grey in their place", texture.name or texture.type)
-        image = checks(*(np.array(color or GREY, np.float32).clip(min=0.0) for color in colors))
-        self._files.reserve(image.size, 0, texture.place)
-        return image
-
-    def _floats(self, path: Path) -> np.ndarray:
-        """An image of linear floats, `[H, W, 3]`."""
-        read = read_channels(path, path.suffix.upper().removeprefix("."))
-        names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3
-        image = np.stack([read.pixels[..., read.names.index(name)] for name in names], axis=-1)
-        self._files.reserve(image.size, path.stat().st_size, str(path))
-        return np.nan_to_num(image, posinf=0.0, neginf=0.0).astype(np.float32)
-
-
-KNOWN = {
-    *("diffuse", "roughdiffuse", "plastic", "roughplastic", "pplastic", "conductor", "roughconductor", "principled"),
-    *("dielectric", "roughdielectric", "thindielectric"),
+CONVERTERS: dict[str, Callable[[Materials, Plugin], Material]] = {
+    "diffuse": Materials._diffuse,
+    "roughdiffuse": Materials._roughdiffuse,
+    **dict.fromkeys(("plastic", "roughplastic", "pplastic"), Materials._plastic),
+    **dict.fromkeys(("conductor", "roughconductor"), Materials._conductor),
+    **dict.fromkeys(("dielectric", "roughdielectric", "thindielectric"), Materials._dielectric),
+    "principled": Materials._principled,
 }
-"""BSDFs that have a counterpart."""
+"""Converters of BSDFs by the name of the plugin."""
+
+
+def _luminance(texture: Texture) -> np.ndarray:
+    """The luminance of the texels between 0 and 1, `[H, W]`."""
+    return (texture.image[..., :3] @ LUMINANCE.astype(np.float32)).clip(0.0, 1.0)
 
 
 def _saturated(color: dict[str, Any], ior: float) -> dict[str, Any]:
@@ -338,43 +304,6 @@ def _saturated(color: dict[str, Any], ior: float) -> dict[str, Any]:
     return color | {"base_color": as_vector(again(channel) for channel in color["base_color"])}
 
 
-def is_image(value: Any) -> TypeGuard[Plugin]:
-    """Whether a property is an image of a file or a checkerboard."""
-    if not isinstance(value, Plugin):
-        return False
-    return value.type == "checkerboard" or (value.type == "bitmap" and isinstance(value.values.get("filename"), str))
-
-
-def kind_of(value: Any) -> str:
-    """The plugin of a property that is a plugin or a spectrum."""
-    return value.type if isinstance(value, Plugin) else "spectrum"
-
-
-def color_of(value: Any, place: str, light: bool = False) -> Vector | None:
-    """A colour as linear RGB, that of spectra by Mitsuba itself. None for a texture, and for a spectrum without a colour there.
-
-    light: whether the colour is that of an emitter. place: of the plugin, for errors.
-    """
-    if isinstance(value, (int, float)):
-        return float(value), float(value), float(value)
-    if isinstance(value, tuple) and len(value) == 3:
-        return as_vector(value)
-    plain = as_dictionary(value)
-    if plain is None:
-        return None
-    with mitsuba(place) as mi:
-        at = mi.SurfaceInteraction3f()
-        at.wi = mi.Vector3f(0.0, 0.0, 1.0)
-        try:
-            if light:
-                found = mi.load_dict({"type": "constant", "radiance": plain}).eval(at)
-            else:
-                found = mi.load_dict({"type": "diffuse", "reflectance": plain}).eval_diffuse_reflectance(at)
-        except (RuntimeError, TypeError, ValueError):
-            return None
-        return as_vector(float(channel) for channel in np.ravel(np.array(found)))
-
-
 def _principled_ior(bsdf: Plugin) -> float:
     """The refractive index of a principled BSDF, at least 1. `specular` is a reflectance at normal incidence of 0.08."""
     if "eta" in bsdf.values:
@@ -382,14 +311,3 @@ def _principled_ior(bsdf: Plugin) -> float:
         return max(eta, 1.0 / eta)
     root = math.sqrt(min(max(0.08 * bsdf.number("specular", 0.5), 0.0), 0.99))
     return (1.0 + root) / (1.0 - root)
-
-
-def _mean(value: Any) -> float:
-    """The mean of a colour or of a spectrum, 0.5 for anything else."""
-    values = getattr(value, "values", value)
-    values = values() if callable(values) else values
-    try:
-        mean = float(np.mean(np.asarray(values, np.float64)))
-    except (TypeError, ValueError):
-        return 0.5
-    return mean if math.isfinite(mean) else 0.5

@@ -61,7 +61,7 @@ PROPERTIES = {
     "spot": (*PLACED, "intensity", "cutoff_angle", "beam_width", "texture"),
 }
 """Properties by plugin, also those without a counterpart. Other plugins are left out as a whole, or tell each loss."""
-ADAPTERS = ("normalmap", "bumpmap")
+TEXTURED = ("normalmap", "bumpmap")
 """Plugins whose textures may have any name."""
 
 
@@ -83,5 +83,5 @@ def _any_name(plugin: Plugin, key: str, value: object) -> bool:
     """Whether `value` is a nested plugin whose name in `plugin` does not matter."""
     if not isinstance(value, Plugin):
         return False
-    by_name = value.kind == "texture" and plugin.kind in ("bsdf", "emitter") and plugin.type not in ADAPTERS
+    by_name = value.kind == "texture" and plugin.kind in ("bsdf", "emitter") and plugin.type not in TEXTURED
     return not by_name or key.startswith("_arg_")

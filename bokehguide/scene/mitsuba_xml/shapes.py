@@ -12,9 +12,9 @@ from trimesh import Trimesh
 
 from bokehguide.errors import BokehguideError, reason
 from bokehguide.limits import MAX_INT
-from bokehguide.scene.files import SceneFiles, require_file
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.mesh_files import load_mesh_file
-from bokehguide.scene.mitsuba_xml.tree import Plugin, mitsuba
+from bokehguide.scene.mitsuba_xml.tree import Plugin, file_of, mitsuba
 from bokehguide.scene.shapes import (
     facing_normals,
     reversed_mesh,
@@ -50,9 +50,7 @@ def _mirrors(shape: Plugin) -> bool:
 
 
 def _sphere(shape: Plugin) -> Mesh:
-    center = shape.values.get("center", (0.0, 0.0, 0.0))
-    if not isinstance(center, tuple) or len(center) != 3:
-        shape.fail("center", "is no point; give x, y and z")
+    center = shape.vector("center", (0.0, 0.0, 0.0))
     # v grows from +z, and u about z from +x.
     pole = np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     return transformed(unit_sphere(), transform(center, scale=max(shape.number("radius", 1.0), 1e-9)) @ pole)
@@ -60,9 +58,7 @@ def _sphere(shape: Plugin) -> Mesh:
 
 def _rectangle(shape: Plugin) -> Mesh:
     """The square, whose texture stands on its head."""
-    square = unit_rectangle()
-    assert square.uvs is not None
-    return replace(square, uvs=square.uvs * np.array((1.0, -1.0), np.float32) + np.array((0.0, 1.0), np.float32))
+    return _turned_uvs(unit_rectangle())
 
 
 def _disk(shape: Plugin) -> Mesh:
@@ -77,17 +73,15 @@ def _disk(shape: Plugin) -> Mesh:
 
 def _cylinder(shape: Plugin) -> Mesh:
     """The side of a cylinder from `p0` to `p1`: u is the angle, v the height."""
-    ends = [np.array(shape.values.get(key, default), np.float64) for key, default in (("p0", (0, 0, 0)), ("p1", (0, 0, 1)))]
-    axis = ends[1] - ends[0]
-    if any(end.shape != (3,) for end in ends) or not np.linalg.norm(axis) > 0.0:
-        shape.fail("p1", "is no point beside p0; give x, y and z")
+    bottom = shape.vector("p0", (0.0, 0.0, 0.0))
+    axis = shape.vector("p1", (0.0, 0.0, 1.0)) - bottom
+    if not np.linalg.norm(axis) > 0.0:
+        shape.fail("p1", "is p0; give another point")
     with mitsuba(shape.place) as mi:
         sides = np.array(mi.coordinate_system(mi.ScalarVector3f(*(axis / np.linalg.norm(axis)))), np.float64)
-    unit = transformed(tube(1.0, 1.0, 1.0), transform((0.0, 0.0, 0.5)))
-    assert unit.uvs is not None
-    unit = replace(unit, uvs=unit.uvs * np.array((1.0, -1.0), np.float32) + np.array((0.0, 1.0), np.float32))
+    unit = _turned_uvs(transformed(tube(1.0, 1.0, 1.0), transform((0.0, 0.0, 0.5))))
     matrix, radius = np.eye(4), max(shape.number("radius", 1.0), 1e-9)
-    matrix[:3] = np.stack((radius * sides[0], radius * sides[1], axis, ends[0]), axis=1)
+    matrix[:3] = np.stack((radius * sides[0], radius * sides[1], axis, bottom), axis=1)
     return transformed(unit, matrix)
 
 
@@ -98,10 +92,13 @@ def _cube(shape: Plugin) -> Mesh:
 
 def _obj(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh]:
     """The triangles of an `.obj` file, whose v points upwards unless the shape says otherwise."""
-    meshes = [_shaded(mesh, shape) for mesh in load_mesh_file(_path(shape, file, files), files).meshes]
-    if shape.flag("flip_tex_coords", True):
-        return meshes
-    return [mesh if mesh.uvs is None else replace(mesh, uvs=mesh.uvs * (1, -1) + (0, 1)) for mesh in meshes]
+    meshes = [_shaded(mesh, shape) for mesh in load_mesh_file(file_of(shape, file, files, "model"), files).meshes]
+    return meshes if shape.flag("flip_tex_coords", True) else [_turned_uvs(mesh) for mesh in meshes]
+
+
+def _turned_uvs(mesh: Mesh) -> Mesh:
+    """A mesh whose v runs the other way."""
+    return mesh if mesh.uvs is None else replace(mesh, uvs=mesh.uvs * (1, -1) + (0, 1))
 
 
 def _shaded(mesh: Mesh, shape: Plugin) -> Mesh:
@@ -122,7 +119,7 @@ def _shaded(mesh: Mesh, shape: Plugin) -> Mesh:
 
 def _by_mitsuba(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh]:
     """The triangles of a `.ply` file or of Mitsuba's own format, read by Mitsuba. trimesh leaves out the uvs of `.ply` files."""
-    path = _path(shape, file, files)
+    path = file_of(shape, file, files, "model")
     files.add_file(path)
     values = {"type": shape.type, "filename": str(path), "face_normals": shape.flag("face_normals")}
     if shape.type == "ply":
@@ -145,13 +142,6 @@ def _mesh(mesh: Any) -> Mesh:
     uvs = np.array(mesh.vertex_texcoords_buffer(), np.float32).reshape(-1, 1, 2) if mesh.has_vertex_texcoords() else None
     normals = None if normals is None else unit_normals(normals, vertices, triangles)
     return Mesh(vertices, np.minimum(triangles, MAX_INT).astype(np.int32), 0, normals, uvs)
-
-
-def _path(shape: Plugin, file: Path, files: SceneFiles) -> Path:
-    """The path of a shape's file. Raises BokehguideError for a missing one, and for one outside the folder."""
-    path = files.find(file.parent, shape.text("filename"), f"{shape.place}.filename")
-    require_file(path, "model", f"{shape.place}.filename")
-    return path
 
 
 PRIMITIVES: dict[str, Callable[[Plugin], Mesh]] = {

@@ -29,7 +29,7 @@ def read_sunsky(emitter: Plugin, materials: Materials) -> tuple[Environment, lis
     values: dict[str, Any] = {}
     for key, value in emitter.values.items():
         if key not in KEYS or isinstance(value, Plugin):
-            materials.lose(f"{key} of sunsky: left out", emitter.name or emitter.type)
+            materials.lose(f"{key} of sunsky: left out", emitter.label)
         else:
             values[key] = value
     with mitsuba(emitter.place) as mi:

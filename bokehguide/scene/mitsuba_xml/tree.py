@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.limits import LARGEST
@@ -38,6 +39,11 @@ class Plugin:
     place: str
     values: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def label(self) -> str:
+        """The name for messages: the type where the object has no name."""
+        return self.name or self.type
+
     def number(self, key: str, default: float) -> float:
         """A number. Raises BokehguideError for another value."""
         value = self.values.get(key, default)
@@ -54,6 +60,13 @@ class Plugin:
         """A boolean. Raises BokehguideError for another value."""
         value = self.values.get(key, default)
         return value if isinstance(value, bool) else self.fail(key, "is neither true nor false; give one of them")
+
+    def vector(self, key: str, default: ArrayLike) -> np.ndarray:
+        """A point or a direction, float64 `[3]`. Raises BokehguideError for another value."""
+        value = self.values.get(key, default)
+        if np.shape(value) != (3,) or not (np.abs(value) <= LARGEST).all():
+            self.fail(key, "is not three numbers in range; give x, y and z")
+        return np.array(value, np.float64)
 
     def matrix(self, key: str = "to_world") -> np.ndarray:
         """A transform, float64 `[4, 4]`; the identity without one."""
@@ -117,6 +130,17 @@ def _check_names(path: Path, files: SceneFiles, seen: set[Path]) -> None:
             files.search_first(found)
         if tag == "include" and found.is_file() and found.resolve() not in seen:
             _check_names(found, files, seen)
+
+
+def file_of(plugin: Plugin, scene: Path, files: SceneFiles, what: str) -> Path:
+    """The file that a plugin names. scene: the scene's file. what: the kind of the file, for errors.
+
+    Raises BokehguideError for a missing file, and for one outside the scene's folder.
+    """
+    place = f"{plugin.place}.filename"
+    path = files.find(scene.parent, plugin.text("filename"), place)
+    require_file(path, what, place)
+    return path
 
 
 def as_dictionary(value: Any) -> Any:

@@ -1,5 +1,5 @@
 """USD files as models."""
 
-from bokehguide.scene.usd.loading import load_usd
+from bokehguide.scene.usd.isolation import load_usd
 
 __all__ = ["load_usd"]

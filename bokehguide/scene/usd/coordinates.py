@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bokehguide.scene.usd.libraries import UsdShade
+from bokehguide.scene.usd.networks import Constants, category_of, connected_output, kind_of
 from bokehguide.scene.usd.stage import Stage
 
 UV = "st"
@@ -18,37 +18,15 @@ FLIP = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, 1.0]])
 Affine = tuple[float, float, float, float, float, float]
 
 
-class Constants:
-    """The constant inputs of a node."""
-
-    def __init__(self, opened: Stage, node: Any):
-        self._time, self._node = opened.time, node
-
-    def value(self, name: str, default: Any) -> Any:
-        """The value of an input, which may be that of an interface."""
-        attribute = valued(self._node, name)
-        value = None if attribute is None else attribute.Get(self._time)
-        return default if value is None else value
-
-    def number(self, name: str, default: float) -> float:
-        """A finite number."""
-        value = float(self.value(name, default))
-        return value if math.isfinite(value) else default
-
-    def pair(self, name: str, default: tuple[float, float]) -> np.ndarray:
-        """Two finite numbers; a single one counts twice."""
-        value = np.broadcast_to(np.asarray(self.value(name, default), np.float64), 2)
-        return np.nan_to_num(value, posinf=0.0, neginf=0.0)
-
-
 def read_coordinates(opened: Stage, image: Any, name: str) -> tuple[str, Affine]:
     """The primvar of the texture coordinates, and the transform of uvs with v downwards. name: the input of the image node."""
-    matrix, node = _of_image(Constants(opened, image), _category(image)), _connected(image, name)
+    matrix, fed = _of_image(Constants(opened, image), category_of(kind_of(image))), connected_output(image, name)
     uv_name = UV
     for _ in range(MAX_LINKS):
-        if node is None:
+        if fed is None:
             break
-        category, given = _category(node), Constants(opened, node)
+        node, _ = fed
+        category, given = category_of(kind_of(node)), Constants(opened, node)
         if category in PRIMVARS:
             uv_name = PRIMVARS[category](given)
             break
@@ -57,7 +35,7 @@ def read_coordinates(opened: Stage, image: Any, name: str) -> tuple[str, Affine]
             opened.lose(f"texture coordinates of the type {category[:40]}: left out", str(node.GetPath()))
             break
         matrix = matrix @ step
-        node = next((found for each in FED if (found := _connected(node, each)) is not None), None)
+        fed = next((found for each in FED if (found := connected_output(node, each)) is not None), None)
     with np.errstate(all="ignore"):
         turned = np.nan_to_num(FLIP @ matrix @ FLIP, posinf=0.0, neginf=0.0)
     a, b, c, d, e, f = turned[:2].ravel().tolist()
@@ -81,7 +59,7 @@ def _of_image(given: Constants, category: str) -> np.ndarray:
         sizes = given.pair("realworldimagesize", (1.0, 1.0)), given.pair("realworldtilesize", (1.0, 1.0))
         ratio = sizes[1] / np.where(sizes[0] == 0.0, 1.0, sizes[0])
         return _scaled(ratio) @ _moved(-offset) @ _scaled(tiling)
-    if category == "gltf":
+    if category.startswith("gltf"):
         pivot, scale = given.pair("pivot", (0.0, 1.0)), given.pair("scale", (1.0, 1.0))
         offset = given.pair("offset", (0.0, 0.0)) * (-1.0, 1.0)
         order = int(given.number("operationorder", 0))
@@ -127,29 +105,3 @@ def _turned(degrees: float) -> np.ndarray:
     """A rotation anticlockwise."""
     cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _category(node: Any) -> str:
-    """The first part of the identifier of a node, such as "image" of ND_image_color3."""
-    return str(node.GetIdAttr().Get()).removeprefix("ND_").partition("_")[0]
-
-
-def _connected(node: Any, name: str) -> Any:
-    """The node that feeds an input, None without one."""
-    found = connected_output(node.GetInput(name))
-    return None if found is None else found[0]
-
-
-def valued(node: Any, name: str) -> Any:
-    """The attribute with the value of an input; None if the input is absent or fed by another node."""
-    given = node.GetInput(name)
-    sources = given.GetValueProducingAttributes() if given else []
-    return sources[0] if sources and sources[0].GetName().startswith("inputs:") else None
-
-
-def connected_output(given: Any) -> tuple[Any, str] | None:
-    """The shader that feeds an input, and the name of its output; None for an input without one."""
-    for attribute in given.GetValueProducingAttributes() if given else []:
-        if UsdShade.Output.IsOutput(attribute):
-            return UsdShade.Shader(attribute.GetPrim()), UsdShade.Output(attribute).GetBaseName()
-    return None

@@ -1,4 +1,4 @@
-"""Binary USD files in a process of their own, with bounded memory.
+"""USD files as models, binary files in a process of their own, with bounded memory.
 
 The reader of binary files trusts their tables: a damaged file can end the process, or ask for any amount of memory.
 """
@@ -11,9 +11,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from bokehguide.errors import BokehguideError
+from bokehguide.errors import BokehguideError, encoding_problem
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.tables import shown
 from bokehguide.scene.types import Model, ModelState
+from bokehguide.scene.usd.loading import read_usd
+from bokehguide.scene.usd.stage import BinaryLayer
 
 PROGRAM = "from bokehguide.scene.usd.isolation import main; main()"
 FREE_MEMORY, MEMORY_PER_BYTE = 2**31, 300
@@ -23,7 +26,24 @@ SHARE = 0.75
 MAX_FILES = 100_000
 
 
-def load_isolated(path: Path, files: SceneFiles, state: ModelState) -> Model:
+def load_usd(path: Path, files: SceneFiles, state: ModelState) -> Model:
+    """The stage of a USD file. Instances become triangles.
+
+    files: the files that the stage may name. state: the time. Raises BokehguideError, naming file and prim, for missing USD
+    libraries, damaged data, values out of range, a variant, and more triangles than the files allow.
+    """
+    whole = str(path.resolve())
+    if problem := encoding_problem(whole):
+        raise BokehguideError(f"{path}: {shown(whole)} {problem}")
+    if state.variant is not None:
+        raise BokehguideError(f"{path}: a USD file selects its variants itself; leave the variant out")
+    try:
+        return read_usd(path, files, state, binary=not sys.executable)
+    except BinaryLayer:
+        return _load_isolated(path, files, state)
+
+
+def _load_isolated(path: Path, files: SceneFiles, state: ModelState) -> Model:
     """As `read_usd` in another process. Raises BokehguideError also where this process dies."""
     code, answer = answer_of_process(pickle.dumps((path, files.folder, files.allow_outside, state)))
     if code or not answer:
@@ -47,8 +67,6 @@ def answer_of_process(request: bytes) -> tuple[int, bytes]:
 
 def main() -> None:
     """The work of the other process: a request on stdin, and the answer on stdout, which USD must not print to."""
-    from bokehguide.scene.usd.loading import read_usd
-
     path, folder, allow_outside, state = pickle.load(sys.stdin.buffer)
     answer, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 1)

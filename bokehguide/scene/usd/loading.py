@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError, encoding_problem
 from bokehguide.limits import MAX_SIDE
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.losses import loss_lines
 from bokehguide.scene.shapes import instanced, transformed
-from bokehguide.scene.tables import shown
 from bokehguide.scene.types import Environment, FilmSettings, Material, Mesh, Model, ModelCamera, ModelState, Sun
 from bokehguide.scene.usd.cameras import read_camera
 from bokehguide.scene.usd.domes import DOMES, read_dome
 from bokehguide.scene.usd.import_report import supported
-from bokehguide.scene.usd.isolation import load_isolated
 from bokehguide.scene.usd.libraries import UsdGeom, UsdLux, UsdRender, UsdSkel
 from bokehguide.scene.usd.lights import AREA_LIGHTS, read_area_light, read_sun
 from bokehguide.scene.usd.materials import Look, Looks
@@ -27,26 +24,9 @@ from bokehguide.scene.usd.meshes import read_mesh
 from bokehguide.scene.usd.prims import Placed, drawn_prims
 from bokehguide.scene.usd.shapes import read_shape
 from bokehguide.scene.usd.skeletons import pose
-from bokehguide.scene.usd.stage import BinaryLayer, Stage, open_stage
+from bokehguide.scene.usd.stage import Stage, open_stage
 from bokehguide.scene.usd.surfaces import Surface, common_level, read_surface, refinable
 from bokehguide.scene.validation import check_meshes, check_triangles
-
-
-def load_usd(path: Path, files: SceneFiles, state: ModelState) -> Model:
-    """The stage of a USD file. Instances become triangles.
-
-    files: the files that the stage may name. state: the time. Raises BokehguideError, naming file and prim, for missing USD
-    libraries, damaged data, values out of range, a variant, and more triangles than the files allow.
-    """
-    whole = str(path.resolve())
-    if problem := encoding_problem(whole):
-        raise BokehguideError(f"{path}: {shown(whole)} {problem}")
-    if state.variant is not None:
-        raise BokehguideError(f"{path}: a USD file selects its variants itself; leave the variant out")
-    try:
-        return read_usd(path, files, state, binary=not sys.executable)
-    except BinaryLayer:
-        return load_isolated(path, files, state)
 
 
 def read_usd(path: Path, files: SceneFiles, state: ModelState, binary: bool) -> Model:
@@ -73,7 +53,7 @@ def read_usd(path: Path, files: SceneFiles, state: ModelState, binary: bool) -> 
         environment=reader.environment,
         film=film,
         supported=tuple(supported(reader, opened)),
-        warnings=tuple(opened.warnings),
+        warnings=tuple(loss_lines(opened.lost)),
     )
 
 

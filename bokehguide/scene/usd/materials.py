@@ -11,6 +11,7 @@ from bokehguide.errors import printable
 from bokehguide.scene.types import Material, Vector, as_vector
 from bokehguide.scene.usd.libraries import UsdGeom, UsdShade
 from bokehguide.scene.usd.materialx_surfaces import SURFACES, MaterialXSurface
+from bokehguide.scene.usd.networks import kind_of
 from bokehguide.scene.usd.nodes import Nodes
 from bokehguide.scene.usd.preview_surface import DEFAULT_GREY, DEFAULT_ROUGHNESS, PreviewSurface
 from bokehguide.scene.usd.stage import Stage
@@ -72,7 +73,7 @@ class Looks:
         name = printable(str(material.GetPrim().GetName()), 120)
         for context in CONTEXTS:
             shader = material.ComputeSurfaceSource(context)[0]
-            kind = str(shader.GetIdAttr().Get()) if shader else ""
+            kind = kind_of(shader) if shader else ""
             if kind in PREVIEW:
                 return PreviewSurface(self._opened, shader, self.textures, self._nodes, name).look()
             if kind in SURFACES:

@@ -15,7 +15,7 @@ import numpy as np
 from bokehguide.limits import LARGEST
 from bokehguide.scene.anisotropy import from_alphas
 from bokehguide.scene.types import Material, as_vector
-from bokehguide.scene.usd.coordinates import connected_output
+from bokehguide.scene.usd.networks import connected_output
 from bokehguide.scene.usd.nodes import Nodes, Value
 from bokehguide.scene.usd.stage import Stage
 from bokehguide.scene.usd.surface_inputs import BLACK, WHITE, Look, SurfaceInputs, fractions
@@ -142,7 +142,7 @@ class MaterialXSurface(SurfaceInputs):
         fields |= self._opacity(color)
         for name in self._model.ignored:
             constant = self.constant(name)
-            if (constant is not None and constant.factor.any()) or connected_output(self.shader.GetInput(name)):
+            if (constant is not None and constant.factor.any()) or connected_output(self.shader, name):
                 self.opened.lose(f"{name}: left out", self.name)
         return Look(Material(self.name, **fields), tuple(self.uv_names), self.colors)
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from bokehguide.color import srgb_to_linear
 from bokehguide.limits import LARGEST
-from bokehguide.scene.usd.coordinates import connected_output, valued
+from bokehguide.scene.usd.networks import category_of, connected_output, kind_of, valued
 from bokehguide.scene.usd.stage import Stage
 from bokehguide.scene.usd.textures import Source, Textures, is_srgb
 
-PREFIX = "ND_"
 WIDTHS = {"float": 1, "integer": 1, "boolean": 1, "color3": 3, "vector2": 2, "vector3": 3, "color4": 4, "vector4": 4}
 IMAGES = ("image", "tiledimage", "gltf_image", "gltf_colorimage")
 SAME = ("dot", "convert", "constant")
@@ -95,7 +94,7 @@ class Nodes:
 
     def input(self, node: Any, name: str) -> Value | None:
         """The value of an input; None for one that is absent, and for one that cannot be read, with a note."""
-        found = connected_output(node.GetInput(name))
+        found = connected_output(node, name)
         if found is not None:
             return self.output(*found)
         attribute = valued(node, name)
@@ -127,11 +126,11 @@ class Nodes:
 
     def normal(self, node: Any, name: str) -> tuple[Source, float] | None:
         """The normal map at an input, and its scale; None without one."""
-        found, scale, value = connected_output(node.GetInput(name)), 1.0, None
+        found, scale, value = connected_output(node, name), 1.0, None
         if found is None:
             return None
         shader, output = found
-        kind = str(shader.GetIdAttr().Get())
+        kind = kind_of(shader)
         category = category_of(kind)
         if category == "UsdUVTexture":
             source = self._textures.read(shader, output, normal=True)
@@ -157,8 +156,7 @@ class Nodes:
         if operation == "multiply" and len(sources) <= 1 and all(len(each.factor) == width for each in values if each.source):
             return Value(np.prod(np.broadcast_arrays(*(each.factor for each in values)), axis=0), *sources)
         for other in sources[1:]:
-            same = (other.uv_name, other.wrap, other.transform) == (sources[0].uv_name, sources[0].wrap, sources[0].transform)
-            if not same or other.image.shape[:2] != sources[0].image.shape[:2]:
+            if other.coordinates != sources[0].coordinates or other.image.shape[:2] != sources[0].image.shape[:2]:
                 self._opened.lose("nodes that combine images of different coordinates or sizes: the first image counts", name)
                 return next(each for each in values if each.source is not None)
         with np.errstate(all="ignore"):
@@ -184,7 +182,7 @@ class Nodes:
 
     def _evaluate(self, node: Any, output: str) -> Value | None:
         """The value of an output that is not known yet."""
-        kind = str(node.GetIdAttr().Get())
+        kind = kind_of(node)
         category, width = category_of(kind), next((WIDTHS[part] for part in kind.split("_")[::-1] if part in WIDTHS), 0)
         if category == "UsdUVTexture":
             source = self._textures.read(node, output)
@@ -216,7 +214,7 @@ class Nodes:
 
     def _image(self, node: Any, category: str, output: str, width: int) -> Value | None:
         """The texels of an image node."""
-        attribute, colored = valued(node, "file"), "color" in str(node.GetIdAttr().Get())
+        attribute, colored = valued(node, "file"), "color" in kind_of(node)
         space = self._space(attribute, "auto") if colored and attribute is not None else "raw"
         source = self._textures.image(node, lambda data: space in SRGB or (space == "auto" and is_srgb(data)), ADDRESSED)
         if source is None:
@@ -250,10 +248,3 @@ def linear(rgb: np.ndarray, space: str) -> np.ndarray:
     if space in POWERS:
         return rgb.clip(0.0) ** POWERS[space]
     return rgb @ AP1.T if space in AP1_SPACES else rgb
-
-
-def category_of(kind: str) -> str:
-    """The category of a node by its identifier, such as "image" of ND_image_color3."""
-    name = kind.removeprefix(PREFIX)
-    known = [each for each in (*IMAGES, "UsdUVTexture", "gltf_normalmap") if name == each or name.startswith(f"{each}_")]
-    return known[0] if known else name.partition("_")[0]

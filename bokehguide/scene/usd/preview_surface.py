@@ -7,8 +7,7 @@ from typing import Any
 
 from bokehguide.limits import LARGEST
 from bokehguide.scene.types import Material, Vector, as_vector
-from bokehguide.scene.usd.coordinates import connected_output, valued
-from bokehguide.scene.usd.nodes import PREFIX
+from bokehguide.scene.usd.networks import PREFIX, connected_output, kind_of, valued
 from bokehguide.scene.usd.surface_inputs import BLACK, WHITE, Look, SurfaceInputs, fractions
 from bokehguide.scene.usd.textures import Source
 
@@ -29,7 +28,7 @@ class PreviewSurface(SurfaceInputs):
         fields: dict[str, Any] = {"base_color": fractions(color), "base_color_texture": self.whole(image)}
         fields |= self._specular() | self._clearcoat() | self._emission()
         fields |= self.normal_map("normal")
-        if connected_output(self.shader.GetInput("displacement")) or self.number("displacement", 0.0) != 0.0:
+        if connected_output(self.shader, "displacement") or self.number("displacement", 0.0) != 0.0:
             self.opened.lose("displacement: left out", self.name)
         fields |= self._opacity(fields, image)
         return Look(Material(self.name, **fields), tuple(self.uv_names), self.colors)
@@ -62,11 +61,11 @@ class PreviewSurface(SurfaceInputs):
 
     def image(self, name: str) -> Source | None:
         """The image that feeds an input; None without one."""
-        found = connected_output(self.shader.GetInput(name))
+        found = connected_output(self.shader, name)
         if found is None or (name == "diffuseColor" and self.primvar(name)):
             return None
         shader, output = found
-        kind = str(shader.GetIdAttr().Get())
+        kind = kind_of(shader)
         if kind == "UsdUVTexture":
             return self.textures.read(shader, output)
         if kind.startswith(PREFIX):

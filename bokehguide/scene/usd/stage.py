@@ -23,8 +23,6 @@ MAX_NESTING = 1000
 NOT_BRACKETS = re.compile(rb"#[^\n]*|\"(?:[^\"\\\n]|\\.)*\"|'(?:[^'\\\n]|\\.)*'|@[^@\n]*@|[^][(){}#\"'@]+|[\"'@]")
 SILENT = ("MaterialBindingAPI is not applied",)
 """Parts of messages of USD about files that are read all the same."""
-LISTED = 4
-"""Names that a warning lists."""
 
 
 @dataclass
@@ -55,14 +53,6 @@ class Stage:
     def fail(self, prim: Any, problem: str) -> None:
         """Raise the error that a prim has `problem`."""
         raise BokehguideError(f"{self.place(prim)}: {problem}")
-
-    @property
-    def warnings(self) -> list[str]:
-        """The losses, one a line, each with the first few names."""
-        return [
-            printable(f"{what} ({', '.join(list(names)[:LISTED])}{', …' if len(names) > LISTED else ''})", 400)
-            for what, names in self.lost.items()
-        ]
 
 
 class BinaryLayer(Exception):

@@ -11,8 +11,8 @@ import numpy as np
 from bokehguide.limits import LARGEST
 from bokehguide.scene.images import nearest_texels
 from bokehguide.scene.types import Material, Texture, Vector, as_vector
-from bokehguide.scene.usd.coordinates import connected_output
-from bokehguide.scene.usd.nodes import PREFIX, Nodes, Value
+from bokehguide.scene.usd.networks import PREFIX, connected_output, kind_of
+from bokehguide.scene.usd.nodes import Nodes, Value
 from bokehguide.scene.usd.stage import Stage
 from bokehguide.scene.usd.textures import Source, Textures
 
@@ -47,8 +47,8 @@ class SurfaceInputs:
 
     def constant(self, name: str) -> Value | None:
         """The constant of an input, also of one that nodes of MaterialX feed; None without one."""
-        found = connected_output(self.shader.GetInput(name))
-        if found is not None and not str(found[0].GetIdAttr().Get()).startswith(PREFIX):
+        found = connected_output(self.shader, name)
+        if found is not None and not kind_of(found[0]).startswith(PREFIX):
             return None
         value = self.nodes.input(self.shader, name)
         return value if value is not None and value.source is None else None
@@ -70,8 +70,8 @@ class SurfaceInputs:
 
     def primvar(self, name: str) -> str:
         """The primvar of colours that feeds an input, "" for none."""
-        found = connected_output(self.shader.GetInput(name))
-        kind = "" if found is None else str(found[0].GetIdAttr().Get()).removeprefix(PREFIX)
+        found = connected_output(self.shader, name)
+        kind = "" if found is None else kind_of(found[0]).removeprefix(PREFIX)
         for start, key in READERS.items():
             if found is not None and kind.startswith(start):
                 varname = found[0].GetInput(key) if key else None
@@ -120,7 +120,7 @@ class SurfaceInputs:
 
     def _compare(self, first: Source, other: Source) -> None:
         """Note a loss if two images that become one have different coordinates."""
-        if (first.uv_name, first.wrap, first.transform) != (other.uv_name, other.wrap, other.transform):
+        if first.coordinates != other.coordinates:
             self.opened.lose("textures with different coordinates that share one image: those of the first count", self.name)
 
 

@@ -14,10 +14,12 @@ import numpy as np
 from bokehguide.errors import BokehguideError
 from bokehguide.image.reading import read_channels
 from bokehguide.limits import most_values
+from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import decode_texture
 from bokehguide.scene.types import Texture
-from bokehguide.scene.usd.coordinates import Affine, Constants, read_coordinates, valued
+from bokehguide.scene.usd.coordinates import Affine, read_coordinates
 from bokehguide.scene.usd.libraries import Ar, Sdf
+from bokehguide.scene.usd.networks import Constants, valued
 from bokehguide.scene.usd.stage import Stage
 
 WRAPS = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp", "periodic": "repeat"}
@@ -38,6 +40,11 @@ class Source:
     uv_name: str
     wrap: tuple[str, str]
     transform: Affine
+
+    @property
+    def coordinates(self) -> tuple[str, tuple[str, str], Affine]:
+        """The primvar, the addressing and the transform."""
+        return self.uv_name, self.wrap, self.transform
 
     def grey(self) -> np.ndarray:
         """The values `[H, W]` of an input that takes one number."""
@@ -90,7 +97,9 @@ class Textures:
         data = None if attribute is None else self.data(attribute)
         if attribute is None or data is None:
             return None
-        image = self._decode(data, str(attribute.Get(opened.time).path), opened.place(node.GetPrim()), srgb(data))
+        name, place = str(attribute.Get(opened.time).path), opened.place(node.GetPrim())
+        image = decode(data, name, place, opened.files, srgb(data), alpha=True)
+        self.count += 1
         uv_name, transform = read_coordinates(opened, node, inputs[0])
         return Source(image, 0, uv_name, (self._wrap(node, inputs[1]), self._wrap(node, inputs[2])), transform)
 
@@ -137,14 +146,6 @@ class Textures:
             problem = f"materials make {self._derived:,} values of images; share textures between materials"
             raise BokehguideError(f"{self._opened.path}: {problem}")
 
-    def _decode(self, data: bytes, name: str, place: str, srgb: bool) -> np.ndarray:
-        """The texels of a file, linear float32 `[H, W, 3 or 4]`."""
-        files, self.count = self._opened.files, self.count + 1
-        kind = PurePosixPath(name.rstrip("]")).suffix.lower()
-        if kind not in (".exr", ".hdr"):
-            return decode_texture(data, place, files, srgb, alpha=True)
-        return files.image(data, srgb, True, lambda: read_floats(data, kind, place, files))
-
     def _scale(self, given: Constants, image: np.ndarray, normal: bool) -> np.ndarray:
         """`image` times the node's scale, plus its bias; normals mapped from [-1, 1] to [0, 1]."""
         scale = np.asarray(given.value("scale", (1.0, 1.0, 1.0, 1.0)), np.float32)
@@ -172,8 +173,19 @@ class Textures:
         return WRAPS.get(mode, "repeat")
 
 
-def read_floats(data: bytes, kind: str, place: str, files: Any) -> np.ndarray:
-    """An image of linear floats, `[H, W, 3]`. kind: ".exr" or ".hdr". Raises BokehguideError for an unreadable image."""
+def decode(data: bytes, name: str, place: str, files: SceneFiles, srgb: bool, alpha: bool) -> np.ndarray:
+    """The texels of a file, linear float32 `[H, W, 3 or 4]`. Raises BokehguideError for an unreadable image.
+
+    name: tells the format. place: for errors. srgb: whether integers are decoded from sRGB. alpha: whether to keep the alpha.
+    """
+    kind = PurePosixPath(name.rstrip("]")).suffix.lower()
+    if kind in (".exr", ".hdr"):
+        return files.image(data, srgb, alpha, lambda: _floats(data, kind, place, files))
+    return decode_texture(data, place, files, srgb, alpha)
+
+
+def _floats(data: bytes, kind: str, place: str, files: SceneFiles) -> np.ndarray:
+    """An image of linear floats, `[H, W, 3]`. kind: ".exr" or ".hdr"."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"image{kind}"
         path.write_bytes(data)

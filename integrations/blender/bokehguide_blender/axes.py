@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 Vector = tuple[float, float, float]
+Matrix = Sequence[Sequence[float]]
 
 
 def y_up(vector: Sequence[float]) -> Vector:
@@ -13,7 +14,7 @@ def y_up(vector: Sequence[float]) -> Vector:
     return float(x), float(z), -float(y)
 
 
-def column(matrix: Sequence[Sequence[float]], index: int) -> Vector:
+def column(matrix: Matrix, index: int) -> Vector:
     """A column of a 4 × 4 matrix, without its last element: axes 0 to 2, and the position 3."""
     return float(matrix[0][index]), float(matrix[1][index]), float(matrix[2][index])
 
@@ -30,6 +31,11 @@ def scaled(vector: Sequence[float], factor: float) -> Vector:
 def unit(vector: Sequence[float]) -> Vector:
     """The direction of a vector, which is not 0."""
     return scaled(vector, 1.0 / length(vector))
+
+
+def forward(matrix: Matrix) -> Vector:
+    """The direction in which a camera or a light looks: -z of its 4 × 4 matrix, of length 1."""
+    return scaled(unit(column(matrix, 2)), -1.0)
 
 
 def dot(a: Sequence[float], b: Sequence[float]) -> float:

@@ -7,8 +7,8 @@ from typing import Any
 
 import bpy
 
-from .axes import Vector, column, dot, scaled, unit, y_up
-from .framing import Framing, Matrix, aperture_radius, frame
+from .axes import Matrix, Vector, column, dot, forward, unit, y_up
+from .framing import Framing, aperture_radius, frame
 from .messages import RenderError
 
 RATIOS = (0.1, 10.0)
@@ -35,11 +35,11 @@ def read_camera(camera: bpy.types.Object, framing: Framing, warnings: list[str])
 
 def camera_table(matrix: Matrix, fov: float, back: float = 0.0) -> dict[str, Any]:
     """The `[camera]` table of a pinhole. matrix: rows, from the camera to the world. back: metres that the pinhole steps back."""
-    forward = scaled(unit(column(matrix, 2)), -1.0)
-    position = [a - back * b for a, b in zip(column(matrix, 3), forward)]
+    ahead = forward(matrix)
+    position = [a - back * b for a, b in zip(column(matrix, 3), ahead)]
     return {
         "position": y_up(position),
-        "target": y_up([a + b for a, b in zip(position, forward)]),
+        "target": y_up([a + b for a, b in zip(position, ahead)]),
         "up": y_up(unit(column(matrix, 1))),
         "fov": fov,
         "aperture_radius": 0.0,
@@ -52,26 +52,25 @@ def read_lens(camera: bpy.types.Object, warnings: list[str]) -> dict[str, Any]:
     matrix, lens = camera.matrix_world, camera.data
     if not lens.dof.use_dof:
         return {}
-    forward = scaled(unit(column(matrix, 2)), -1.0)
     return {
         "aperture_radius": aperture_radius(lens.lens, lens.dof.aperture_fstop),
-        "focus_distance": focus_distance(lens.dof, column(matrix, 3), forward),
+        "focus_distance": focus_distance(lens.dof, column(matrix, 3), forward(matrix)),
         "aperture": _aperture(lens.dof, warnings),
     }
 
 
 def in_frame(table: dict[str, Any], framing: Framing, position: Vector) -> bool:
     """Whether a position of Blender lies in the frame of a `[camera]` table, or within a tenth of its width around it."""
-    forward = [a - b for a, b in zip(table["target"], table["position"])]
+    ahead = [a - b for a, b in zip(table["target"], table["position"])]
     offset = [a - b for a, b in zip(y_up(position), table["position"])]
-    depth, up = dot(offset, forward), dot(offset, table["up"])
+    depth, up = dot(offset, ahead), dot(offset, table["up"])
     across = max(dot(offset, offset) - depth**2 - up**2, 0.0) ** 0.5
     half = 0.6 * depth * 2.0 * math.tan(0.5 * math.radians(framing.fov))
     return depth > 0.0 and across < half and abs(up) < half * framing.size[1] / framing.size[0]
 
 
-def focus_distance(dof: bpy.types.CameraDOFSettings, position: Vector, forward: Vector) -> float:
-    """Metres along the optical axis, of the focus object or of its bone where there is one."""
+def focus_distance(dof: bpy.types.CameraDOFSettings, position: Vector, ahead: Vector) -> float:
+    """Metres along the optical axis `ahead`, of the focus object or of its bone where there is one."""
     target = dof.focus_object
     if target is None:
         return max(dof.focus_distance, 1e-6)
@@ -79,7 +78,7 @@ def focus_distance(dof: bpy.types.CameraDOFSettings, position: Vector, forward: 
     if target.type == "ARMATURE" and dof.focus_subtarget in target.pose.bones:
         matrix = matrix @ target.pose.bones[dof.focus_subtarget].matrix
     offset = [a - b for a, b in zip(column(matrix, 3), position)]
-    return max(abs(dot(offset, forward)), 1e-6)
+    return max(abs(dot(offset, ahead)), 1e-6)
 
 
 def _aperture(dof: bpy.types.CameraDOFSettings, warnings: list[str]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,21 @@ class Stages(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         warning = record.levelno >= logging.WARNING
         tell(**{"warning" if warning else "stage": record.getMessage()})
+
+
+def start(*modules: str) -> bool:
+    """Import modules of bokehguide and tell its log; returns whether they can be imported."""
+    tell(stage="starting")
+    try:
+        for name in modules:
+            import_module(name)
+    except ImportError as error:
+        tell(error=f"{sys.executable}: bokehguide cannot be imported ({error}); install it from the add-on's preferences")
+        return False
+    log = logging.getLogger("bokehguide")
+    log.addHandler(Stages())
+    log.setLevel(logging.INFO)
+    return True
 
 
 class Pictures:
@@ -109,15 +125,10 @@ def _metadata(attributes: dict[str, Any], layer: str) -> dict[str, str]:
 def main(job_path: str) -> int:
     """Render the job; returns the exit code, 2 for a mistake of the user."""
     job = json.loads(Path(job_path).read_text(encoding="utf-8"))
-    tell(stage="starting")
-    try:
-        import bokehguide
-    except ImportError as error:
-        tell(error=f"{sys.executable}: bokehguide cannot be imported ({error}); install it from the add-on's preferences")
+    if not start("bokehguide"):
         return 2
-    log = logging.getLogger("bokehguide")
-    log.addHandler(Stages())
-    log.setLevel(logging.INFO)
+    import bokehguide
+
     warnings.showwarning = lambda message, *_, **__: tell(warning=str(message))
     warnings.simplefilter("always")
     pictures = Pictures(Path(job["folder"]), job["options"]["spp"])

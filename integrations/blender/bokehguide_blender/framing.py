@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+
+from .axes import Matrix
 
 Border = tuple[float, float, float, float]
 """Left, right, bottom and top edge, in fractions of the frame from its bottom left corner."""
 
-Matrix = Sequence[Sequence[float]]
 FARNESS = 100.0
 """Distance of the camera of a view without perspective, in halves of the view's width."""
 

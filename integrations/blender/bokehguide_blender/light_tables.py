@@ -10,14 +10,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from .axes import Vector, column, length, scaled, unit, y_up
+from .axes import Matrix, Vector, column, forward, length, scaled, unit, y_up
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 SMALLEST_RADIUS = 0.001
 """Metres; bokehguide's lights have a size."""
 SUN_ANGLES = (0.01, 90.0)
 """Degrees that bokehguide's suns may have."""
-Matrix = Sequence[Sequence[float]]
 Table = dict[str, Any]
 
 
@@ -41,14 +40,14 @@ def spot(
     inner = math.acos(min(math.cos(outer) + (1.0 - math.cos(outer)) * blend, 1.0))
     cone = {"inner": math.degrees(min(inner, 0.999 * outer)), "outer": math.degrees(outer), "smooth": True}
     table = point(name, matrix, color, watts, radius, normalized)
-    return table | {"direction": y_up(scaled(unit(column(matrix, 2)), -1.0)), "cone": cone}
+    return table | {"direction": y_up(forward(matrix)), "cone": cone}
 
 
 def area(
     name: str, matrix: Matrix, color: Vector, watts: float, shape: str, size: tuple[float, float], normalized: bool
 ) -> Table:
     """An area light. shape: "SQUARE", "RECTANGLE", "DISK" or "ELLIPSE"; size: before the scale of the matrix."""
-    right, up, back = (column(matrix, index) for index in range(3))
+    right, up = column(matrix, 0), column(matrix, 1)
     sides = size[0] * length(right), (size[1] if shape in ("RECTANGLE", "ELLIPSE") else size[0]) * length(up)
     round_shape = shape in ("DISK", "ELLIPSE")
     watts *= 1.0 if normalized else sides[0] * sides[1] * (0.25 * math.pi if round_shape else 1.0)
@@ -57,7 +56,7 @@ def area(
         "shape": "ellipse" if round_shape else "rectangle",
         "size": sides,
         "position": y_up(column(matrix, 3)),
-        "direction": y_up(scaled(unit(back), -1.0)),
+        "direction": y_up(forward(matrix)),
         "up": y_up(unit(up)),
     }
     return table | _power(color, watts)

@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 
 from . import light_tables
-from .axes import Vector, column, length
+from .axes import Matrix, Vector, column, length
 from .light_groups import LightGroups
 from .messages import Losses
 
@@ -47,7 +47,7 @@ def _shines(light: bpy.types.Light, color: Vector, name: str, losses: Losses) ->
     return min(power) >= 0.0 and max(power) > 0.0
 
 
-def _sun(light: bpy.types.Light, matrix: light_tables.Matrix, name: str, color: Vector, losses: Losses) -> dict[str, Any]:
+def _sun(light: bpy.types.Light, matrix: Matrix, name: str, color: Vector, losses: Losses) -> dict[str, Any]:
     """The table of a sun."""
     least, most = light_tables.SUN_ANGLES
     # The angle is in single precision.
@@ -56,7 +56,7 @@ def _sun(light: bpy.types.Light, matrix: light_tables.Matrix, name: str, color: 
     return light_tables.sun(matrix, color, light.energy, light.angle)
 
 
-def _light(light: bpy.types.Light, matrix: light_tables.Matrix, name: str, color: Vector, losses: Losses) -> dict[str, Any]:
+def _light(light: bpy.types.Light, matrix: Matrix, name: str, color: Vector, losses: Losses) -> dict[str, Any]:
     """The table of a light with a size."""
     watts, normalized = light.energy, getattr(light, "normalize", True)  # Blender 4.2 has normalised lights only
     if light.type == "AREA":
@@ -97,7 +97,7 @@ def _emission_node(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
     return node if node is not None and node.type == "EMISSION" else None
 
 
-def _uneven(matrix: light_tables.Matrix) -> bool:
+def _uneven(matrix: Matrix) -> bool:
     """Whether a matrix scales its axes by different factors."""
     sizes = [length(column(matrix, index)) for index in range(3)]
     return max(sizes) - min(sizes) > ROUNDING * max(sizes)

@@ -38,22 +38,19 @@ INPUT_LOSS = "inputs of shader nodes are ignored"
 def material_warnings(depsgraph: bpy.types.Depsgraph) -> list[str]:
     """Warnings with the names of the materials that are not exported whole."""
     losses = Losses()
-    for material, tree in _trees(depsgraph):
-        output = tree.get_output_node("CYCLES")
+    for material, output, node in _surfaces(depsgraph):
         if output is not None:
             for name in ("Volume", "Displacement"):
                 if output.inputs[name].is_linked:
                     losses.add("inputs of Material Output nodes are ignored", f"{material} ({name})")
-        _check_surface(material, source(output.inputs["Surface"]) if output else None, losses)
+        _check_surface(material, node, losses)
     return losses.lines()
 
 
 def simple_materials(depsgraph: bpy.types.Depsgraph) -> dict[str, dict[str, Any]]:
     """The keys of glTF materials that replace those of the exporter, or join them, by name."""
     found = {}
-    for material, tree in _trees(depsgraph):
-        output = tree.get_output_node("CYCLES")
-        node = source(output.inputs["Surface"]) if output else None
+    for material, _, node in _surfaces(depsgraph):
         if node is not None and is_simple(node):
             found[material] = gltf_material(node)
         if node is not None and getattr(node, "distribution", "") == "GGX":
@@ -64,19 +61,20 @@ def simple_materials(depsgraph: bpy.types.Depsgraph) -> dict[str, dict[str, Any]
 def converted_textures(depsgraph: bpy.types.Depsgraph) -> dict[str, dict[str, bytes]]:
     """PNG files that replace textures of the exporter, by material and glTF texture."""
     found = {}
-    for material, tree in _trees(depsgraph):
-        output = tree.get_output_node("CYCLES")
-        node = source(output.inputs["Surface"]) if output else None
+    for material, _, node in _surfaces(depsgraph):
         if node is not None and node.type == "BSDF_PRINCIPLED":
             found[material] = {slot: srgb_png(image) for slot, image in converted_images(node).items() if min(image.size) > 0}
     return found
 
 
-def _trees(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, bpy.types.NodeTree]]:
-    """The name and the node tree of each material of the rendered objects."""
+def _surfaces(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, bpy.types.Node | None, bpy.types.Node | None]]:
+    """The name of each material of the rendered objects, its output node, and the shader node there; None without one."""
     slots = (slot for instance in depsgraph.object_instances for slot in instance.object.material_slots)
     materials = {slot.material.name: slot.material for slot in slots if slot.material is not None}
-    return ((name, each.node_tree) for name, each in materials.items() if each.use_nodes and each.node_tree is not None)
+    for name, each in materials.items():
+        if each.use_nodes and each.node_tree is not None:
+            output = each.node_tree.get_output_node("CYCLES")
+            yield name, output, source(output.inputs["Surface"]) if output else None
 
 
 def _check_surface(material: str, node: bpy.types.Node | None, losses: Losses) -> None:

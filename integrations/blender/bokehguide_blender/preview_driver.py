@@ -9,7 +9,6 @@ A picture is a .npy file of linear RGBA, bottom row first, which the reader remo
 from __future__ import annotations
 
 import json
-import logging
 import os
 import sys
 import threading
@@ -17,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from driver import Stages, tell
+from driver import start, tell
 
 if TYPE_CHECKING:
     from bokehguide.view.live import LivePicture, LiveView
@@ -78,16 +77,11 @@ def view_of(request: dict[str, Any]) -> LiveView:
 def main(folder: str) -> int:
     """Render the views from stdin; returns the exit code, 2 for a mistake of the user."""
     requests = Requests()
-    tell(stage="starting")
-    try:
-        import bokehguide
-        from bokehguide.view.live import Live
-    except ImportError as error:
-        tell(error=f"{sys.executable}: bokehguide cannot be imported ({error}); install it from the add-on's preferences")
+    if not start("bokehguide", "bokehguide.view.live"):
         return 2
-    log = logging.getLogger("bokehguide")
-    log.addHandler(Stages())
-    log.setLevel(logging.INFO)
+    import bokehguide
+    from bokehguide.view.live import Live
+
     pictures = Pictures(Path(folder))
     live = Live(pictures.write, lambda view, reason: tell(failure=reason))
     threading.Thread(target=live.run, daemon=True).start()

@@ -70,7 +70,7 @@ class Viewport:
             self.close()
             return None
         news = self._receive()
-        if self.scene.due and not bpy.app.is_job_running("RENDER"):
+        if not self.closed and self.scene.due and not bpy.app.is_job_running("RENDER"):
             with bpy.context.temp_override(**place):
                 news |= self._export(bpy.context)
         if news:

@@ -12,6 +12,7 @@ import numpy as np
 
 from .light_groups import LightGroups
 from .messages import RenderError
+from .node_chains import source
 from .radiance_hdr import write_hdr
 
 MAP_ROTATION = -90.0
@@ -37,7 +38,7 @@ def read_world(scene: bpy.types.Scene, folder: Path, groups: LightGroups, warnin
 def _from_nodes(tree: bpy.types.NodeTree, folder: Path, warnings: list[str]) -> dict[str, Any] | None:
     """The table of a Background node whose colour is constant or an Environment Texture."""
     output = tree.get_output_node("CYCLES")
-    node = _source(output.inputs["Surface"]) if output else None
+    node = source(output.inputs["Surface"]) if output else None
     if node is None:
         return None
     if node.type not in ("BACKGROUND", "EMISSION"):
@@ -48,7 +49,7 @@ def _from_nodes(tree: bpy.types.NodeTree, folder: Path, warnings: list[str]) -> 
         warnings.append("world: the linked strength becomes 1; give a constant")
     factor = 1.0 if strength.is_linked else max(strength.default_value, 0.0)
     color = node.inputs["Color"]
-    texture = _source(color)
+    texture = source(color)
     if texture is None:
         return {"color": tuple(max(channel, 0.0) * factor for channel in tuple(color.default_value)[:3])}
     if texture.type != "TEX_ENVIRONMENT":
@@ -65,7 +66,7 @@ def _map(texture: bpy.types.Node, folder: Path, warnings: list[str]) -> dict[str
         raise RenderError("world: the Environment Texture has no image; open one")
     if texture.projection != "EQUIRECTANGULAR":
         warnings.append("world: the mirror ball becomes an equirectangular map")
-    mapping, turn = _source(texture.inputs["Vector"]), 0.0
+    mapping, turn = source(texture.inputs["Vector"]), 0.0
     if mapping is not None and mapping.type == "MAPPING":
         turn = _turn(mapping, warnings)
     elif mapping is not None and mapping.type != "TEX_COORD":
@@ -85,16 +86,6 @@ def _turn(mapping: bpy.types.Node, warnings: list[str]) -> float:
     if moved or stretched or tilted or any(socket.is_linked for socket in mapping.inputs if socket.name != "Vector"):
         warnings.append("world: of the Mapping node, only a constant rotation about Z is used")
     return sign * math.degrees(rotation.default_value[2])
-
-
-def _source(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
-    """The node that is linked to an input, beyond reroutes."""
-    while socket.is_linked and socket.links:
-        node = socket.links[0].from_node
-        if node.type != "REROUTE":
-            return node
-        socket = node.inputs[0]
-    return None
 
 
 def _file(image: bpy.types.Image, folder: Path, warnings: list[str]) -> Path:

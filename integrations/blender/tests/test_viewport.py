@@ -250,10 +250,16 @@ def test_transparent_world(scene, running):
     assert alpha.min() == 0.0 and alpha.max() == 1.0
 
 
-def test_an_environment_without_bokehguide_is_told(scene):
+@pytest.mark.parametrize("changed", [False, True])
+def test_an_environment_without_bokehguide_is_told(scene, changed):
     scenes.camera()
     bpy.context.preferences.addons["bokehguide_blender"].preferences.python = sys.executable
     started = Running()
+    if changed:  # while the process ends
+        started.viewport.tick()
+        started.viewport.process.failure()
+        time.sleep(0.5)
+        started.viewport.scene.waiting = True
     while started.viewport.tick() is not None:
         time.sleep(0.05)
     started.close()
