@@ -98,6 +98,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--width", type=int, default=192, help="pixels (default: 192)")
     parser.add_argument("--out", type=Path, help="folder for uniform.png and guided.png")
     options = parser.parse_args(arguments)
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
     toy = ToyRenderer(options.width, options.width * 9 // 16)
     reference = render(toy, 8 * options.spp, guided=True, seed=1)
     for name, guided in (("uniform", False), ("guided", True)):

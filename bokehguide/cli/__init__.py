@@ -12,6 +12,8 @@ from types import ModuleType
 from bokehguide.stopping import stop_at_signals
 
 SUCCESS, USER_ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
+SETTINGS = ("crop", "device", "light_groups", "reuse_radius", "target_noise")
+"""Fields of `RenderSettings` that the parser does not check wholly. Each is an option as well."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,12 +56,19 @@ def _discard_lost_output() -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
+def _with_option(message: str) -> str:
+    """A message that begins with the name of an override or a setting, with the option of the command line in its place."""
+    from bokehguide.scene.tables import of_command_line
+
+    name, colon, problem = message.partition(":")
+    return f"--{name.replace('_', '-')}{colon}{problem}" if name in SETTINGS else of_command_line(message)
+
+
 def _run(arguments: Sequence[str], own_process: bool) -> int:
     from bokehguide.cli import terminal
     from bokehguide.cli.arguments import parse
     from bokehguide.cli.memory import explained
     from bokehguide.errors import BokehguideError
-    from bokehguide.scene.tables import of_command_line
 
     if own_process:
         terminal.open_streams()
@@ -71,7 +80,7 @@ def _run(arguments: Sequence[str], own_process: bool) -> int:
         with explained("the image" if options.command == "metrics" else "the scene"):
             return _module(options.command, own_process).run(options)
     except BokehguideError as error:
-        terminal.say(f"error: {of_command_line(str(error))}")
+        terminal.say(f"error: {_with_option(str(error))}")
         return USER_ERROR
     except KeyboardInterrupt:  # in a process of which the command is a part
         terminal.say("interrupted")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -16,7 +17,7 @@ from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SI
 from bokehguide.scene.tables import did_you_mean, in_fractions, leaves_frame
 
 SCENE_HELP = (
-    "a built-in scene (see `bokehguide scenes`), a .toml, Mitsuba .xml or pbrt-v4 .pbrt file, a .usd .usda .usdc .usdz stage, "
+    "a built-in scene (see `bokehguide scenes`), a .toml, Mitsuba .xml or pbrt .pbrt file, a .usd .usda .usdc .usdz stage, "
     "or a .glb .gltf .obj .ply .stl model"
 )
 REUSE_HELP = "radius in pixels in which area-restir reuses samples (default: 50, for images 1920 wide)"
@@ -128,7 +129,7 @@ def _add_render_options(render: argparse.ArgumentParser) -> None:
     add = render.add_argument
     add("scene", metavar="SCENE", help=SCENE_HELP)
     add("--mode", choices=MODES, default="guided", help="how the lens is sampled (default: guided)")
-    add("--reuse-radius", type=float, metavar="PX", help=REUSE_HELP)
+    add("--reuse-radius", type=number, metavar="PX", help=REUSE_HELP)
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
     add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
     add("--seed", type=natural, default=0, metavar="N", help="seed of the random numbers (default: 0)")
@@ -148,7 +149,7 @@ def _add_render_options(render: argparse.ArgumentParser) -> None:
     limit = "stop before a step that would exceed this time, loading included; at least one step is taken"
     add("--time-limit", type=duration, metavar="SECONDS", help=limit)
     noise = "stop each block of 32 x 32 pixels at this estimated relative error; --spp is the limit"
-    add("--target-noise", type=float, metavar="X", help=noise)
+    add("--target-noise", type=number, metavar="X", help=noise)
     every = "save the state in PATH.ckpt at this interval and keep the file; 0: never (default: 60, removed at a regular end)"
     add("--checkpoint-every", type=seconds, metavar="SECONDS", help=every)
     add("--resume", action="store_true", help="continue from PATH.ckpt, if it exists, up to --spp in total")
@@ -168,7 +169,7 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
         help="default: uniform,lis,lis-b,lis-o,guided",
     )
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel of each mode (default: 256)")
-    add("--reuse-radius", type=float, metavar="PX", help=REUSE_HELP)
+    add("--reuse-radius", type=number, metavar="PX", help=REUSE_HELP)
     add("--out", type=Path, required=True, metavar="DIR", help="output folder; finished modes in it are not rendered again")
     reference = compare.add_mutually_exclusive_group()
     reference.add_argument(
@@ -214,12 +215,12 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     group = command.add_argument_group("camera and light of a model, or overrides of a scene file")
     add = group.add_argument
     add("--environment", metavar="MAP|R,G,B", help="a .hdr or .exr map, or a constant radiance")
-    add("--environment-rotation", type=float, metavar="DEG", help="rotation of the map about +y, anticlockwise from above")
+    add("--environment-rotation", type=number, metavar="DEG", help="rotation of the map about +y, anticlockwise from above")
     lens = group.add_mutually_exclusive_group()
-    lens.add_argument("--f-number", type=float, metavar="N", help="focal length / diameter of the lens, on the scene's sensor")
-    lens.add_argument("--aperture-radius", type=float, metavar="M", help="metres; 0: a pinhole")
+    lens.add_argument("--f-number", type=number, metavar="N", help="focal length / diameter of the lens, on the scene's sensor")
+    lens.add_argument("--aperture-radius", type=number, metavar="M", help="metres; 0: a pinhole")
     focus = group.add_mutually_exclusive_group()
-    focus.add_argument("--focus-distance", type=float, metavar="M", help="metres along the optical axis; inf: infinity")
+    focus.add_argument("--focus-distance", type=number, metavar="M", help="metres along the optical axis; inf: infinity")
     at = "focus on the surface at this point, in pixels from the top left, or in fractions of the frame if both are at most 1"
     focus.add_argument("--focus-at", type=point, metavar="X,Y", help=at)
     focus.add_argument("--focus-on", metavar="NAME", help="focus on the visible part of an object, a glTF node or a material")
@@ -227,20 +228,20 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     add("--variant", metavar="NAME", help="a material variant of a glTF model (default: its own materials)")
     add(
         "--time",
-        type=float,
+        type=number,
         metavar="SECONDS",
         help="time of a glTF or USD model's animations (default: the pose at rest, or a stage's start)",
     )
     add("--camera-position", type=vector, metavar="X,Y,Z", help="metres")
     add("--camera-target", type=vector, metavar="X,Y,Z", help="metres")
-    add("--fov", type=float, metavar="DEG", help="horizontal field of view in degrees")
+    add("--fov", type=number, metavar="DEG", help="horizontal field of view in degrees")
     add("--max-depth", type=depth, metavar="N", help="longest path in segments; glass needs more (default: the scene's, or 6)")
     add("--aperture-blades", type=natural, metavar="N", help="blades of the iris; 0: round")
-    add("--aperture-rotation", type=float, metavar="DEG", help="rotation of the blades or of the mask, anticlockwise")
-    add("--aperture-curvature", type=float, metavar="X", help="curvature of the blades: 0 straight, 1 a circle")
-    add("--aperture-ratio", type=float, metavar="X", help="divides the width of the opening, as anamorphic lenses do")
-    add("--aperture-cat-eye", type=float, metavar="X", help="vignetting towards the corners, 0 to 1.5")
-    add("--aperture-edge", type=float, metavar="X", help="bright rim, up to 1, or bright centre, down to -1")
+    add("--aperture-rotation", type=number, metavar="DEG", help="rotation of the blades or of the mask, anticlockwise")
+    add("--aperture-curvature", type=number, metavar="X", help="curvature of the blades: 0 straight, 1 a circle")
+    add("--aperture-ratio", type=number, metavar="X", help="divides the width of the opening, as anamorphic lenses do")
+    add("--aperture-cat-eye", type=number, metavar="X", help="vignetting towards the corners, 0 to 1.5")
+    add("--aperture-edge", type=number, metavar="X", help="bright rim, up to 1, or bright centre, down to -1")
     add("--aperture-image", metavar="PATH", help="a grey mask in place of blades")
 
 
@@ -303,12 +304,24 @@ def modes(text: str) -> tuple[str, ...]:
     return names
 
 
+def number(text: str) -> float:
+    """A number. The field of the option decides on its range, and on infinity and NaN."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number; give one, such as 0.5") from None
+
+
 def exposure(text: str) -> float | str:
     if text == "auto":
         return text
-    value = _numbers(text, "EV")[0]
-    if abs(value) > MAX_EXPOSURE:
-        raise argparse.ArgumentTypeError(f"{text!r} is out of range; give EV from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= MAX_EXPOSURE:
+        limits = f"from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}"
+        raise argparse.ArgumentTypeError(f"{text!r} is not EV; give a finite number {limits}, or auto")
     return value
 
 
@@ -364,6 +377,8 @@ def png(text: str) -> Path:
 
 def json(text: str) -> Path:
     path = Path(text)
+    if text == "-":
+        raise argparse.ArgumentTypeError("'-' is no path; give the path of a file, such as a.json")
     if path.suffix.lower() in (".exr", ".png", ".ckpt"):
         raise argparse.ArgumentTypeError(f"{text!r} is the name of a picture or a checkpoint; give another path, such as a.json")
     return path

@@ -15,6 +15,7 @@ from bokehguide.evaluation import compare, given_reference, made_reference, repo
 from bokehguide.evaluation.comparison import METRICS, SEED
 from bokehguide.evaluation.crops_figure import write_crops
 from bokehguide.evaluation.curves_figure import write_convergence
+from bokehguide.evaluation.references import Reference, half_files
 from bokehguide.evaluation.runs import read_runs
 from bokehguide.evaluation.tables import describe_reference
 from bokehguide.image import Display, check_writable, replacing
@@ -50,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     note_at_stop("finished modes are kept; the same command continues")
     if reference is None:
         spp = options.reference_spp or REFERENCE_SHARE * options.spp
-        reference = made_reference(scene, replace(every[0], spp=spp), options.out / REFERENCE, options.cache)
+        reference = cached_reference(scene, replace(every[0], spp=spp), options)
     clear_stage()
     print_folders(created)
     print(describe_reference(reference), flush=True)
@@ -62,6 +63,17 @@ def run(options: argparse.Namespace) -> int:
     write_crops(options.out / CROPS, [comparison], display)
     print(f"\n{text}\n\nwrote {METRICS}, {TABLE}, {CURVES}, {CROPS}, the images and logs into {options.out}")
     return 0
+
+
+def cached_reference(scene: Scene, settings: RenderSettings, options: argparse.Namespace) -> Reference:
+    """A reference from the halves in the cache. Raises BokehguideError, with the option, if the cache cannot be written."""
+    try:
+        return made_reference(scene, settings, options.out / REFERENCE, options.cache)
+    except BokehguideError as error:
+        cached = str(error).startswith(tuple(map(str, half_files(scene, options.cache))))
+        if cached and "cannot be written" in str(error):
+            raise BokehguideError(f"{error} for references, with --cache") from error
+        raise
 
 
 def check_outputs(scene: Scene, every: Sequence[RenderSettings], options: argparse.Namespace) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.pictures import chosen_exposure
+from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.image import Display, check_writable, read_layers, write_png
 from bokehguide.image.views import VIEW_ATTRIBUTE
@@ -31,6 +32,8 @@ def run(options: argparse.Namespace) -> int:
     radiance = denoised(layers, options) if options.denoise else layers["beauty"]
     display = display_of(options, header).metered(radiance, layers.get("alpha"))
     write_png(out, display.show(radiance))
+    if "denoised" in layers and not options.denoise:
+        say(f"the PNG shows the noisy picture of {options.picture}; --denoise shows the denoised one")
     print(f"wrote {out}, exposure {display.exposure:+g} EV, view {display.view}")
     return 0
 

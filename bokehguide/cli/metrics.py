@@ -18,8 +18,8 @@ from bokehguide.scene.types import Inset
 def run(options: argparse.Namespace) -> int:
     """Print the metrics of the frame and of each inset, one line each; SSIM is "-" for a box smaller than its window."""
     image = torch.from_numpy(read_rgb(options.image))
-    require_same_crop(options.image, options.reference)
     reference = read_reference(options.reference)
+    require_same_crop(options.image, options.reference)
     try:
         rows = {"frame": compare(image, reference)}
         rows |= {_label(box): _compare_inset(image, reference, Inset(*box)) for box in options.inset}
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def require_same_crop(image: Path, reference: Path) -> None:
-    """Raise BokehguideError if the files have different parts of a frame. A whole frame may stand for a crop of its size."""
+    """Raise BokehguideError if intact files have different parts of a frame. A whole frame may stand for a crop of its size."""
     crops = [read_crop(path) for path in (image, reference)]
     if None not in crops and crops[0] != crops[1]:
         one, other = ("{},{},{},{} of {}x{}".format(*crop) for crop in crops if crop is not None)

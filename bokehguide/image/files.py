@@ -15,6 +15,7 @@ from bokehguide.errors import BokehguideError, printable
 from bokehguide.stopping import removed_at_stop
 
 REMEDIES = {
+    os.strerror(errno.ENOENT): "create the folder, or choose another",
     os.strerror(errno.ENAMETOOLONG): "choose a shorter name",
     os.strerror(errno.ENOSPC): "free some space, or choose another folder",
     os.strerror(errno.EDQUOT): "free some space, or choose another folder",

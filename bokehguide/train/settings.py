@@ -22,7 +22,7 @@ LENS_MODES = tuple(name for name, entry in MODES.items() if not entry.whole_fram
 
 WHOLE = {
     "spp": Limits(f"a whole number of samples per pixel from 1 to {MAX_INT}", low=1, high=MAX_INT),
-    "seed": Limits("a whole number", low=-(2**63), high=2**63),
+    "seed": Limits(f"a whole number from {-(2**31)} to {2**32 - 1}", low=-(2**31), high=2**32 - 1),
     "threads": Limits(f"a whole number of threads from 1 to {MAX_THREADS}", low=1, high=MAX_THREADS),
 }
 NUMBERS = {
@@ -43,7 +43,7 @@ class RenderSettings:
     """Settings of one render.
 
     mode: a name of the registry `bokehguide.guiding.modes.MODES`. spp: samples per pixel; one step renders one sample per pixel.
-    seed: of all random numbers.
+    seed: of all random numbers, 32 bits: negative seeds stand for seeds above 2^31.
     device: "cpu" or "cuda" (shading, guiding and learning; Embree runs on the CPU). A `torch.device` of these becomes its name.
     threads: worker threads; None: one for each core.
     reuse_radius: radius in pixels of the neighbourhood in which Area ReSTIR reuses samples. The paper's 50 is for a width of

@@ -19,7 +19,7 @@ from bokehguide.scene.cameras import focal_length
 from bokehguide.scene.loading import base_of, override_scene
 from bokehguide.scene.model_files import MODEL_SUFFIXES
 from bokehguide.scene.overrides import APERTURE, NO_OVERRIDES
-from bokehguide.scene.tables import EXPOSURE, Table, did_you_mean
+from bokehguide.scene.tables import ANGLE_OF_VIEW, EXPOSURE, Table, did_you_mean
 from bokehguide.scene.toml.derived import derived_text
 from bokehguide.scene.types import Vector
 from bokehguide.train import MODES
@@ -185,14 +185,16 @@ def _set_fov(state: ViewState, source: Source, value: Any) -> ViewState:
     camera = source.scene_of(state.overrides).camera
     if source.is_model and camera.up == WORLD_UP:
         state = moved(state, source, camera.position, camera.target)
-    opening = {"aperture_radius": 0.0} if camera.aperture_radius == 0.0 else {"f_number": camera.f_number}
+    f_number = state.overrides.f_number or camera.f_number  # a given number stays as it was typed
+    opening = {"aperture_radius": 0.0} if camera.aperture_radius == 0.0 else {"f_number": f_number}
     return with_overrides(state, fov=_number(value, "field of view"), focus_distance=camera.focus_distance, **opening)
 
 
 def _set_focal_length(state: ViewState, source: Source, value: Any) -> ViewState:
     length, width = _number(value, "focal length"), source.scene_of(state.overrides).camera.sensor_width
-    if not length > 0.0:
-        raise BokehguideError(f"focal length: {length:g} is not positive; give millimetres")
+    low, high = (focal_length(angle, width) for angle in (ANGLE_OF_VIEW.high, ANGLE_OF_VIEW.low))
+    if not low <= length <= high:
+        raise BokehguideError(f"focal length: {length:g} is out of range; give millimetres from {low:.3g} to {high:.3g}")
     return _set_fov(state, source, float(np.degrees(2.0 * np.arctan(width / (2.0 * length)))))
 
 

@@ -274,7 +274,7 @@ MISTAKES = {
     "--modes lis,lis": ["--modes", "twice"],
     "--modes lis,": ["--modes: invalid choice: ''; known are uniform, lis, "],
     "--spp 0": ["--spp", "'0'"],
-    "--reuse-radius 0": ["reuse_radius", "0"],
+    "--reuse-radius 0": ["error: --reuse-radius: 0.0 is out of range"],
     "--reuse-radius 8 --modes uniform,lis": ["--reuse-radius: 8 has no effect in uniform, lis; leave it out, or choose area-"],
     "--reference good.exr --cache c": ["--cache: 'c' has no effect with --reference"],
     "--inset 0.8,0,0.5,0.5": ["--inset", "leaves the frame"],
@@ -287,7 +287,7 @@ MISTAKES = {
     "--out other": ["other/metrics.json", "no file of `compare`", "another folder"],
     "--out ragged": ["ragged/metrics.json", "damaged"],
     "--out blocked": ["blocked/insets.png", "is a folder"],
-    "--cache emitters.toml": ["emitters.toml", "cannot be written"],
+    "--cache emitters.toml": ["emitters.toml", "cannot be written", "choose another folder for references, with --cache\n"],
 }
 
 

@@ -72,6 +72,15 @@ def test_the_scene_file_sets_the_exposure_and_the_option_wins(tmp_path, monkeypa
     assert "film.exposure: 'bright' is not a number; give EV from -100 to 100, or \"auto\"" in capsys.readouterr().err
 
 
+def test_a_picture_that_was_denoised_is_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_exr("a.exr", {"beauty": np.full((4, 6, 3), 0.5, np.float32), "denoised": np.full((4, 6, 3), 0.4, np.float32)})
+    assert main(["develop", "a.exr"]) == 0
+    assert capsys.readouterr().err == "bokehguide: the PNG shows the noisy picture of a.exr; --denoise shows the denoised one\n"
+    assert main(["develop", "a.exr", "--denoise"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 @pytest.mark.slow
 def test_a_denoised_render_has_both_pictures(tmp_path, monkeypatch, capsys):
     pytest.importorskip("mitsuba_oidn")

@@ -208,4 +208,4 @@ def test_a_scene_without_groups_is_told(folder, capsys):
     assert 'no light of lit has a group; give a light or a material one, as in group = "lamps"' in capsys.readouterr().err
     assert not Path("a.exr").exists()
     assert render("--spp", 1, "--mode", "area-restir", "--light-groups", "--out", "a.exr") == 2
-    assert "light_groups: area-restir reuses samples of the whole frame" in capsys.readouterr().err
+    assert "error: --light-groups: area-restir reuses samples of the whole frame" in capsys.readouterr().err

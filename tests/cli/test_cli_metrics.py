@@ -61,6 +61,8 @@ def test_a_reference_of_few_spp_is_clamped_with_a_warning(bokehguide, lamps_file
 MISTAKES = {
     "none.exr reference.exr": "none.exr: cannot be read (No such file or directory); check the path",
     "cut.exr reference.exr": "cut.exr: is damaged",
+    "image.exr none.exr": "none.exr: cannot be read (No such file or directory); check the path",
+    "image.exr cut.exr": "cut.exr: is damaged",
     "small.exr reference.exr": "small.exr against reference.exr: the image is 40x10 and",
     "crop.exr other.exr": "crop 8,4,40,20 of 64x48 pixels, and the reference is the crop 9,4,40,20 of 64x48",
     "crop.exr larger.exr": "crop 8,4,40,20 of 64x48 pixels, and the reference is the crop 8,4,40,20 of 128x96",

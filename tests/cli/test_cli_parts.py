@@ -44,7 +44,7 @@ def test_a_crop_has_the_bits_of_the_frame(crop, box, bokehguide, lamps_file, tmp
     if box is None:
         assert (
             finished.returncode == 2
-            and "crop: 31,19,2,1 leaves the frame; give X,Y,W,H within its 32 x 20 pixels" in finished.stderr
+            and "error: --crop: 31,19,2,1 leaves the frame; give X,Y,W,H within its 32 x 20 pixels" in finished.stderr
         )
         return
     assert finished.returncode == 0, finished.stderr
@@ -157,11 +157,11 @@ def test_a_target_ends_a_render(bokehguide, lamps_file, tmp_path):
         (("--crop", "1,2,3"), "argument --crop: '1,2,3' is not X,Y,W,H"),
         (("--crop", "1.5,2,3,4"), "argument --crop: '1.5,2,3,4' is in pixels and not whole"),
         (("--crop", "0.5,0.5,0.6,0.5"), "argument --crop: '0.5,0.5,0.6,0.5' leaves the frame"),
-        (("--crop", "-1,0,5,5"), "crop: -1,0,5,5 leaves the frame"),
-        (("--crop", "1,1,5,5", "--mode", "area-restir"), "crop: area-restir reuses samples of the whole frame"),
+        (("--crop", "-1,0,5,5"), "error: --crop: -1,0,5,5 leaves the frame"),
+        (("--crop", "1,1,5,5", "--mode", "area-restir"), "error: --crop: area-restir reuses samples of the whole frame"),
         (("--time-limit", "0"), "argument --time-limit: '0' is not positive"),
-        (("--target-noise", "-1"), "target_noise: -1.0 is out of range; give a relative error from 1e-06 to 1"),
-        (("--target-noise", "nan"), "target_noise: nan is out of range"),
+        (("--target-noise", "-1"), "error: --target-noise: -1.0 is out of range; give a relative error from 1e-06 to 1"),
+        (("--target-noise", "nan"), "error: --target-noise: nan is out of range"),
     ],
 )
 def test_mistakes_are_told_in_a_line(options, message, bokehguide, lamps_file):

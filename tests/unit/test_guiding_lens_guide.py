@@ -278,9 +278,9 @@ def test_values_of_another_type_are_named(guide):
 
 
 def test_the_example(capsys, tmp_path):
-    EXAMPLE["main"](["--spp", "2", "--width", "32", "--out", str(tmp_path)])
+    EXAMPLE["main"](["--spp", "2", "--width", "32", "--out", str(tmp_path / "new")])
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == ["uniform", "guided"]
-    assert (tmp_path / "uniform.png").exists() and (tmp_path / "guided.png").exists()
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {"uniform.png", "guided.png"}
 
 
 @pytest.mark.slow

@@ -79,7 +79,7 @@ def test_the_target_of_a_link_is_written_and_the_link_stays(old, tmp_path):
 
 def test_a_link_into_a_missing_folder_is_told_at_once(tmp_path):
     (tmp_path / "a.txt").symlink_to("missing/b.txt")
-    with pytest.raises(BokehguideError, match=r"/a\.txt: cannot be written \(No such file or directory\)"):
+    with pytest.raises(BokehguideError, match=r"/a\.txt: cannot be written \(No such file or directory\); create the folder, or"):
         check_writable(tmp_path / "a.txt")
 
 

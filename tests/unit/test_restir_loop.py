@@ -164,4 +164,4 @@ def test_the_command_line_from_end_to_end(bokehguide, lamps_file, tmp_path, monk
 
     capsys.readouterr()
     assert main(["render", str(lamps_file), "--mode", "area-restir", "--reuse-radius", "0.5"]) == 2
-    assert capsys.readouterr().err == "bokehguide: error: reuse_radius: 0.5 is out of range; give pixels from 1 to 65536\n"
+    assert capsys.readouterr().err == "bokehguide: error: --reuse-radius: 0.5 is out of range; give pixels from 1 to 65536\n"

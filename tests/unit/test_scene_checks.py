@@ -81,6 +81,7 @@ IMAGE = np.ones((2, 3, 3), np.float32)
         (RenderSettings(), {"spp": 2.5}, "spp: 2.5 is out of range; give a whole number of samples per pixel from 1 to"),
         (RenderSettings(), {"spp": 2**40}, "spp: 1099511627776 is out of range; give a whole number of samples per pixel from"),
         (RenderSettings(), {"threads": 1025}, "threads: 1025 is out of range; give a whole number of threads from 1 to 1024"),
+        (RenderSettings(), {"seed": 2**32}, "seed: 4294967296 is out of range; give a whole number from -2147483648 to 42949"),
         (RenderSettings(), {"crop": (1.5, 2, 3, 4)}, "crop: (1.5, 2.0, 3.0, 4.0) is in pixels and not whole; give whole pixels"),
         (RenderSettings(), {"crop": (0.5, 0, 0.75, 1)}, "crop: (0.5, 0.0, 0.75, 1.0) leaves the frame; give X,Y,W,H as"),
         (RenderSettings(), {"device": torch.device("meta")}, "device: 'meta' is unknown; choose cpu or cuda"),

@@ -480,6 +480,7 @@ def test_the_variant_of_the_process_stays(tmp_path):
         ('<shape type="obj"><string name="filename" value="none.obj"/></shape>', r"filename: .*none\.obj: no such file"),
         ('<shape type="ply"><string name="filename" value="../a.ply"/></shape>', r"filename: '\.\./a\.ply' lies outside"),
         ('<shape type="sphere"><float name="radius" value="1e30"/></shape>', "radius: 1e.30 is not a number in range"),
+        ('<shape type="sphere"><point name="center" value="1e999, 2, 0"/></shape>', r"center: \(inf, 2\.0, .* not three numbers"),
         (BALL.format("dielectric", "int_ior", "tar"), "int_ior: tar is no medium"),
         (BALL.format("conductor", "material", "Xx"), "material: Xx is no conductor"),
         ('<include filename="../outside.xml"/><shape type="sphere"/>', "<include>: .* lies outside the scene's folder"),

@@ -227,6 +227,13 @@ def test_the_exposure_of_the_page_replaces_that_of_the_scene(exposure, sources, 
     (folder / "box.toml").write_text(FILE)
 
 
+@pytest.mark.parametrize("number", [1.1, 2.8, 201.4])
+def test_a_typed_f_number_stays_as_it_was_typed(number, sources, folder):
+    source = sources["file"]
+    state = changed(changed(state_of(source), source, "f_number", number), source, "fov", 39.6)
+    assert f"f_number = {number}\n" in scene_file(state, source, folder, "saved.toml")
+
+
 def test_edits_change_the_scene(sources):
     """Otherwise the comparisons above would prove nothing."""
     for source in sources.values():
@@ -254,7 +261,8 @@ def test_another_field_of_view_keeps_the_f_number_and_the_focus(sources):
         ("f_number", "2", "no number"),
         ("focus_distance", 0.0, "focus-distance"),
         ("fov", 200.0, "fov"),
-        ("focal_length", 0.0, "not positive"),
+        ("focal_length", 0.0, "focal length: 0 is out of range; give millimetres from 0.000157 to 2.06e"),
+        ("focal_length", 1e9, "focal length: .* is out of range; give millimetres from"),
         ("blades", 2, "blades"),
         ("blades", 2.5, "blades"),
         ("ratio", 100.0, "ratio"),

@@ -96,7 +96,7 @@ const handlers = {
   note: (message) => note(message.note),
   failure(message) {
     asked = 0;
-    note(message.failure, true);
+    note(controls.labelled(message.failure), true);
     if (state) controls.show(state);
     controls.refuse();
   },

@@ -4,9 +4,10 @@ const log = { to: (value) => Math.log(value), from: (place) => Math.exp(place) }
 const even = { to: (value) => value, from: (place) => place };
 
 // Ranges of the sliders; the fields take what the server takes. `about` spreads a range about the first value of a scene.
+// `empty` tells what an empty field means.
 const CONTROLS = {
-  focus_distance: { label: "Focus", unit: "m", scale: log, digits: 4, about: [0.1, 20] },
-  f_number: { label: "f-number", unit: "", scale: log, digits: 3, low: 0.7, high: 32, about: [0.25, 16] },
+  focus_distance: { label: "Focus", unit: "m", scale: log, digits: 4, about: [0.1, 20], empty: "∞" },
+  f_number: { label: "f-number", unit: "", scale: log, digits: 3, low: 0.7, high: 32, about: [0.25, 16], empty: "pinhole" },
   focal_length: { label: "Focal length", unit: "mm", scale: log, digits: 3, low: 12, high: 300 },
   fov: { label: "Field of view", unit: "°", scale: even, digits: 3, low: 5, high: 110 },
   blades: { label: "Blades", unit: "", scale: even, step: 1, whole: true, low: 0, high: 12, digits: 2 },
@@ -16,7 +17,7 @@ const CONTROLS = {
   cat_eye: { label: "Cat’s eye", unit: "", scale: even, digits: 3, low: 0, high: 1.5 },
   edge: { label: "Edge", unit: "", scale: even, digits: 3, low: -1, high: 1 },
   environment_rotation: { label: "Sky rotation", unit: "°", scale: even, digits: 4, low: -180, high: 180 },
-  exposure: { label: "Exposure", unit: "EV", scale: even, digits: 3, low: -8, high: 8 },
+  exposure: { label: "Exposure", unit: "EV", scale: even, digits: 3, low: -8, high: 8, empty: "auto" },
   spp: { label: "Samples", unit: "SPP", scale: log, whole: true, low: 1, high: 4096, digits: 5 },
 };
 
@@ -49,6 +50,7 @@ export class Controls {
     field.addEventListener("change", () => {
       this.edited = this.parts[name];
       if (field.value !== "") this.set(name, Number(field.value));
+      else if (kind.empty && !field.validity.badInput) this.set(name, null);
     });
     field.addEventListener("blur", () => this.write(this.parts[name]));
   }
@@ -96,7 +98,7 @@ export class Controls {
       part.text = value === null ? "" : String(Number(value.toPrecision(part.kind.digits)));
       part.slider.setAttribute("aria-valuetext", value === null ? "none" : `${part.text} ${part.kind.unit}`);
       if (document.activeElement !== part.field || part.field.value === "") this.write(part);
-      part.field.placeholder = value === null ? { focus_distance: "∞", f_number: "pinhole", exposure: "auto" }[name] ?? "" : "";
+      part.field.placeholder = value === null ? part.kind.empty ?? "" : "";
     }
     const round = !values.blades && !values.has_mask;
     this.enable("rotation", !round);
@@ -115,6 +117,11 @@ export class Controls {
   write({ field, text }) {
     field.value = text ?? "";
     field.removeAttribute("aria-invalid");
+  }
+
+  // A message that begins with an option, with the label of its field instead.
+  labelled(text) {
+    return text.replace(/^(?:aperture_)?(\w+) or --[\w-]+(?=:)/, (option, name) => CONTROLS[name]?.label ?? option);
   }
 
   // Mark the field whose value the server refuses, until it is left.
