@@ -36,6 +36,8 @@ def load_model(
     finite, indices out of range, and a state that the file does not have.
     """
     refuse_format(path, str(path))
+    if path.suffix.lower() not in MODEL_SUFFIXES:
+        raise BokehguideError(f"{path}: is no model; give a file with one of the suffixes {' '.join(MODEL_SUFFIXES)}")
     require_file(path, "model")
     files = files or SceneFiles(path.parent)
     if path.suffix.lower() in (".glb", ".gltf"):

@@ -238,8 +238,9 @@ def read_radiance(text: str) -> tuple[np.ndarray, list[str]]:
     try:
         color = [float(part) for part in parts]
     except ValueError:
-        if len(parts) == 3 and Path(text).suffix.lower() not in (".hdr", ".exr"):
-            raise BokehguideError(f"{override_place('environment')}: {text!r} is not three numbers R,G,B") from None
+        if Path(text).suffix.lower() not in (".hdr", ".exr"):
+            kinds = "three numbers R,G,B nor a .hdr or .exr map; give one of them"
+            raise BokehguideError(f"{override_place('environment')}: {text!r} is neither {kinds}") from None
         return load_environment_map(Path(text))
     if len(color) != 3 or not all(NOT_NEGATIVE.contains(channel) for channel in color):
         raise BokehguideError(f"{override_place('environment')}: {text!r}; give R,G,B, each {NOT_NEGATIVE.remedy}")

@@ -58,6 +58,7 @@ MISTAKES = {
     "--f-number 2 --aperture-radius 1": ["--f-number", "--aperture-radius"],
     "--environment 1,2": ["--environment", "1,2"],
     "--environment none.hdr": ["none.hdr"],
+    "--environment red": ["--environment: 'red' is neither three numbers R,G,B nor a .hdr or .exr map; give one of them"],
     "--device tpu": ["--device", "'tpu'", "cpu", "cuda"],
     "--out a.png": ["--out", "a.png", ".exr"],
     "--out emitters.toml/a.exr": ["emitters.toml/a.exr", "cannot be written", "another folder"],

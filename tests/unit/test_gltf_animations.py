@@ -174,6 +174,13 @@ def test_pointers_are_told_as_ignored(tmp_path):
     np.testing.assert_allclose(scene.meshes[0].vertices, SQUARE + [2, 0, 0], atol=1e-6)
 
 
+def test_a_time_without_animations_is_told(tmp_path):
+    builder = animated("translation", [[2, 0, 0], [2, 0, 0]])
+    builder.gltf.animations = []
+    scene = load_scene(builder.save(tmp_path / "m.glb"), Overrides(time=1.0))
+    assert scene.warnings == ("m.glb: time: has no effect, as the model has no animations",)
+
+
 def test_the_report_names_the_animations(tmp_path):
     builder = animated("translation", [[2, 0, 0], [2, 0, 0]], times=(0.0, 2.5))
     builder.gltf.animations[0].name = "Walk"

@@ -31,6 +31,17 @@ def test_overrides_replace_values_of_the_base(derive):
     assert (scene.camera.focus_distance, len(scene.meshes), scene.film.max_depth) == (3.0, 2, 3)
 
 
+@pytest.mark.parametrize("key", ["light", "camera"])
+def test_tables_of_a_whole_scene_have_no_place_beside_a_base(derive, key):
+    with pytest.raises(BokehguideError, match=rf"derived.toml: {key}: has no place beside base; give \[overrides\] only"):
+        derive(f'base = "box.toml"\n[{key}]\nfov = 40.0\n')
+
+
+def test_a_byte_order_mark_changes_nothing(derive, tmp_path):
+    scene = derive("\ufeff" + 'base = "box.toml"\n[overrides]\nwidth = 16\n')
+    assert scene.film.width == 16
+
+
 def test_an_override_may_meter_the_exposure(derive, tmp_path):
     (tmp_path / "box.toml").write_text(BOX_AND_EMITTER.replace("[film]", "[film]\nexposure = 2.0"))
     assert derive('base = "box.toml"\n').film.exposure == 2.0
@@ -81,7 +92,7 @@ def test_a_base_may_have_a_base(derive, tmp_path):
         ('base = "box.toml"\n[overrides]\ncamera = "a"', "--camera: 'a': selects a camera of a model"),
         ('base = "daylight"\n[overrides]\ncamera = "a"', "--camera: 'a': selects a camera of a model"),
         ('base = "box.toml"\n[overrides]\ncamera_position = [1.0, 2.0]', "--camera-position"),
-        ('base = "box.toml"\n[camera]\nfov = 3.0', "camera: unknown key"),
+        ('base = "box.toml"\n[camera]\nfov = 3.0', "camera: has no place beside base"),
         ('base = "box.toml"\noverrides = 3', "overrides: 3 is not a table"),
     ],
 )

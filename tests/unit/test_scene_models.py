@@ -7,6 +7,7 @@ from PIL import Image
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import Overrides, load_scene, summarize
+from bokehguide.scene.model_files import load_model
 from tests.support.gltf_square import write_gltf
 from tests.support.paths import ASSETS
 
@@ -365,3 +366,9 @@ def test_a_model_that_hides_the_sky_is_told(tmp_path):
     open_room = room.submesh([np.flatnonzero(room.face_normals[:, 1] > -0.5)], append=True)
     open_room.export(tmp_path / "open.ply")
     assert load_scene(str(tmp_path / "open.ply"), inside).warnings == ()
+
+
+def test_a_file_that_is_no_model_is_refused(tmp_path):
+    (tmp_path / "a.toml").write_text("")
+    with pytest.raises(BokehguideError, match=r"a.toml: is no model; give a file with one of the suffixes .glb .gltf .obj"):
+        load_model(tmp_path / "a.toml")

@@ -43,6 +43,8 @@ def note_ignored(document: Document, at_rest: bool) -> None:
         document.note(f"{name}: has no effect")
     if at_rest and document.items("animations"):
         document.note("animations: the model is drawn in its rest pose; give a time to draw another")
+    if not at_rest and not document.items("animations"):
+        document.note("time: has no effect, as the model has no animations")
 
 
 def warnings(document: Document) -> list[str]:

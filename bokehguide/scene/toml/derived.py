@@ -32,6 +32,11 @@ def read_derived(path: Path, tables: dict[str, Any], files: SceneFiles) -> Deriv
 
     files: the files that the scene may name. Raises BokehguideError naming file, field, value and remedy for invalid input.
     """
+    from bokehguide.scene.toml.scene_file import SCENE_KEYS  # takes long to import, and most commands need none
+
+    for key in tables:
+        if key in SCENE_KEYS:
+            raise BokehguideError(f"{path}: {key}: has no place beside base; give [overrides] only, or a scene without base")
     root = Table(tables, str(path), "", ("base", "overrides"))
     base = _base(root, files)
     table = Table(root.values.get("overrides", {}), str(path), "overrides", (*KEYS, "exposure"))

@@ -62,7 +62,7 @@ def parse_scene_file(path: Path, files: SceneFiles) -> dict[str, Any]:
     """The tables of a TOML file. Raises BokehguideError for a file that is missing, unreadable or no TOML."""
     require_file(path, "scene")
     try:
-        text = files.read(path).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+        text = files.read(path).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
         if DEEP_KEY.search(text):
             raise BokehguideError(f"{path}: not valid TOML: a key of more than {MAX_KEY_DEPTH} parts; give at most so many")
         return tomllib.loads(text)
