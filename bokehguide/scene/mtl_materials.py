@@ -100,7 +100,7 @@ def _image(material: Any, place: str, files: SceneFiles) -> np.ndarray | None:
 def _opacity(
     table: Table, terms: Mapping[str, Any], place: str, files: SceneFiles, get: Callable[[str], bytes]
 ) -> float | np.ndarray:
-    """The opacity d, or 1 - Tr, as a number; an image `[H, W]` of map_d. Surfaces with a Tr of 1 are opaque, as in MeshLab."""
+    """The opacity d, or 1 - Tr, as a number; an image `[H, W]` of map_d. A Tr of 1 alone is opaque: some exporters write it."""
     opacity = table.number("d", 1.0, NOT_NEGATIVE) if "d" in table else 1.0 - table.number("tr", 0.0, FRACTION) % 1.0
     opacity = min(max(opacity, 0.0), 1.0)
     if "map_d" not in terms:
