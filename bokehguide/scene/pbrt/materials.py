@@ -1,4 +1,4 @@
-"""Materials of pbrt in the terms of `Material`: those of pbrt-v4, and what all versions share."""
+"""Materials of pbrt-v4 in the terms of `Material`, with the parts that materials of all versions share."""
 
 from __future__ import annotations
 
