@@ -16,6 +16,8 @@ import numpy as np
 
 from bokehguide.color import srgb_to_linear
 from bokehguide.errors import BokehguideError, reason
+from bokehguide.image.reading import read_channels
+from bokehguide.limits import LARGEST
 from bokehguide.scene.files import SceneFiles, require_file
 from bokehguide.scene.ktx2 import Ktx2, is_ktx2
 
@@ -28,6 +30,8 @@ BITS_PER_SAMPLE = 258
 """Tag of TIFF files."""
 CHECK_TEXELS = 64
 """Texels along the side of a check: textures are sampled bilinearly, so that a check ends within one texel."""
+FLOATS = (".exr", ".hdr")
+"""Suffixes of images of floats, which `float_texture` reads."""
 REMEDY = "give a PNG, a JPEG or a WebP; BMP, TGA, and TIFF of 8 or 16 bits are read too"
 
 
@@ -35,6 +39,19 @@ def load_texture(path: Path, files: SceneFiles, srgb: bool, alpha: bool = False)
     """Read an image file as `decode_texture` does. Raises BokehguideError for a missing or unreadable file."""
     require_file(path, "texture")
     return decode_texture(path.read_bytes(), str(path), files, srgb, alpha)
+
+
+def float_texture(path: Path, files: SceneFiles, place: str) -> np.ndarray:
+    """The pixels of an `.exr` or `.hdr` file, linear float32 `[H, W, 3]`; the first channel three times without R, G and B.
+
+    files: the scene's decoded images, with their budget. Texels that are no finite numbers become 0. Raises BokehguideError for
+    an unreadable file, and, naming `place`, for a too large one.
+    """
+    read = read_channels(path, path.suffix.upper().removeprefix("."))
+    names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3
+    image = np.stack([read.pixels[..., read.names.index(name)] for name in names], axis=-1)
+    files.reserve(image.size, path.stat().st_size, place)
+    return np.nan_to_num(image, posinf=0.0, neginf=0.0).clip(-LARGEST, LARGEST)
 
 
 def decode_texture(data: bytes, place: str, files: SceneFiles, srgb: bool, alpha: bool = False) -> np.ndarray:

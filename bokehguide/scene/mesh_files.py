@@ -19,6 +19,7 @@ from bokehguide.color import srgb_to_linear
 from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.losses import Losses
 from bokehguide.scene.mtl_materials import ignored_terms, mtl_material
 from bokehguide.scene.shapes import transformed, unit_normals
 from bokehguide.scene.types import Mesh, Model
@@ -77,11 +78,11 @@ class _Resolver(FilePathResolver):
 def load_mesh_file(path: Path, files: SceneFiles) -> Model:
     """Read a model. Raises as `load_model` does."""
     scene, resolver = _parsed(path, files)
-    materials, index, ignored = [], {}, set[str]()
+    materials, index, ignored, lost = [], {}, set[str](), Losses()
     for name, geometry in scene.geometry.items():
         index[name] = len(materials)
         source = getattr(geometry.visual, "material", None)
-        material = mtl_material(source, printable(name), str(path), files, resolver.get)
+        material = mtl_material(source, printable(name), str(path), files, resolver.get, lost)
         materials.append(replace(material, base_color=WHITE) if geometry.visual.kind in COLORED else material)
         ignored |= ignored_terms(getattr(source, "kwargs", None) or ())
     if resolver.refusal is not None:
@@ -99,6 +100,7 @@ def load_mesh_file(path: Path, files: SceneFiles) -> Model:
                 mesh = replace(mesh, normals=unit_normals(mesh.normals, mesh.vertices, mesh.triangles))
             meshes.append(replace(transformed(mesh, matrix), name=printable(name)))
     warnings = [f"{printable(name)}: no such file; left out" for name in dict.fromkeys(resolver.missing)]
+    warnings += lost.lines(".mtl file")
     if ignored:
         warnings.append(f".mtl file: {printable(', '.join(sorted(ignored)), 200)}: have no effect")
     return Model(tuple(meshes), tuple(materials), warnings=tuple(warnings))
@@ -117,7 +119,8 @@ def _parsed(path: Path, files: SceneFiles) -> tuple[trimesh.Scene, _Resolver]:
     except Exception as error:  # the parsers raise exceptions of any type for damaged files
         if path.suffix.lower() == ".obj" and not isinstance(error, OSError):
             _require_indices(path)
-        raise BokehguideError(f"{path}: not a readable {path.suffix} model ({reason(error)})") from None
+        problem = reason(error) if isinstance(error, OSError | ValueError) else "damaged"
+        raise BokehguideError(f"{path}: not a readable {path.suffix} model ({problem}); export it or fetch it again") from None
     if path.suffix.lower() == ".obj" and _has_wrong_index(path.read_bytes()):
         _require_indices(path)
     return scene, resolver

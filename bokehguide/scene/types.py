@@ -39,6 +39,7 @@ from bokehguide.scene.tables import (
 )
 from bokehguide.scene.vectors import Vector as Vector
 from bokehguide.scene.vectors import as_vector as as_vector
+from bokehguide.scene.vectors import turned_uvs
 
 SENSOR_WIDTH = 36.0
 """Millimetres; the default sensor for focal lengths and f-numbers."""
@@ -384,7 +385,7 @@ class Mesh:
             )
         uvs = getattr(getattr(mesh, "visual", None), "uv", None)
         if uvs is not None:  # v points upwards in trimesh
-            uvs = (np.asarray(uvs, dtype=np.float32)[:, :2] * (1, -1) + (0, 1)).astype(np.float32)[:, None]
+            uvs = turned_uvs(np.asarray(uvs, dtype=np.float32)[:, None, :2])
         normals = np.asarray(mesh.vertex_normals) if smooth else None
         return cls(np.asarray(vertices), np.asarray(faces), material, normals, uvs)
 

@@ -53,14 +53,17 @@ def check_meshes(count: int, place: str, most: int) -> None:
 
 def _without_degenerate(mesh: Mesh) -> Mesh:
     """`mesh` without triangles of zero area."""
-    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.triangles], 1, 0)
-    doubled_area = np.sqrt(_squares(np.cross(b - a, c - a)))
-    longest = np.maximum(np.maximum(_squares(b - a), _squares(c - b)), _squares(a - c))
+    a, b, c = np.moveaxis(mesh.vertices.T.astype(np.float64)[:, mesh.triangles], 2, 0)
+    one, other = b - a, c - a
+    (x, y, z), (u, v, w) = one, other
+    doubled_area = np.sqrt((y * w - z * v) ** 2 + (z * u - x * w) ** 2 + (x * v - y * u) ** 2)
+    longest = np.maximum(np.maximum(_squares(one), _squares(c - b)), _squares(other))
     # A smaller area gives a normal that is rounding noise, or whose square underflows, in single precision.
     kept = doubled_area > np.maximum(1e-7 * longest, 1e-18)
     return mesh if kept.all() else replace(mesh, triangles=mesh.triangles[kept])
 
 
 def _squares(vectors: np.ndarray) -> np.ndarray:
-    """Squared lengths `[N]` of `[N, 3]`."""
-    return np.einsum("ij,ij->i", vectors, vectors)
+    """Squared lengths `[N]` of `[3, N]`."""
+    x, y, z = vectors
+    return x * x + y * y + z * z

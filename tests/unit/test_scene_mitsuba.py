@@ -315,6 +315,42 @@ def test_glass_refracts_as_in_mitsuba(tmp_path, kind, mirror):
     assert z_test(np.array([ours.mean() - theirs.mean()]), np.array([error + 2e-3])) > SIGNIFICANCE, (ours.mean(), theirs.mean())
 
 
+BLEND = '<bsdf type="blendbsdf" id="mix">{}{}{}</bsdf>'
+RED, BLUE = (f'<bsdf type="diffuse"><rgb name="reflectance" value="{c}"/></bsdf>' for c in ("0.8,0,0", "0,0,0.4"))
+METAL = '<bsdf type="roughconductor"><string name="material" value="Au"/></bsdf>'
+
+
+def test_blended_bsdfs_of_one_kind_have_the_mean_colour(tmp_path):
+    """Mitsuba's albedo of the mixture; its default weight is 0.5."""
+    for given, weight in (('<float name="weight" value="0.25"/>', 0.25), ("", 0.5)):
+        text = BLEND.format(given, RED, BLUE)
+        scene = load_scene(written(tmp_path, f'<shape type="sphere">{text}</shape><emitter type="constant"/>'))
+        plain = {"type": "blendbsdf", "weight": weight}
+        plain |= {
+            name: {"type": "diffuse", "reflectance": {"type": "rgb", "value": c}}
+            for name, c in (("a", [0.8, 0, 0]), ("b", [0, 0, 0.4]))
+        }
+        at = mi.SurfaceInteraction3f()
+        at.wi = mi.Vector3f(0.0, 0.0, 1.0)
+        mi.set_variant(MITSUBA_VARIANT)
+        wanted = np.ravel(np.array(mi.load_dict(plain).eval_diffuse_reflectance(at)))
+        np.testing.assert_allclose(scene.materials[0].base_color, wanted, atol=1e-6)
+        assert scene.materials[0].name == "mix" and scene.warnings == ()
+
+
+@pytest.mark.parametrize(("weight", "metallic"), [("0.7", 1.0), ("0.3", 0.0), ("1", 1.0), ("image", 1.0)])
+def test_the_larger_part_of_other_blended_bsdfs_counts(tmp_path, weight, metallic):
+    Image.new("L", (2, 2), 200).save(tmp_path / "weight.png")
+    file = '<string name="filename" value="weight.png"/><boolean name="raw" value="true"/>'
+    image = f'<texture type="bitmap" name="weight">{file}</texture>'
+    given = image if weight == "image" else f'<float name="weight" value="{weight}"/>'
+    body = f'<shape type="sphere">{BLEND.format(given, RED, METAL)}</shape><emitter type="constant"/>'
+    scene = load_scene(written(tmp_path, body))
+    assert scene.materials[0].metallic == metallic
+    told = "scene.xml: mixtures of BSDFs: the larger part counts (mix)"
+    assert scene.warnings == (() if weight == "1" else (told,))
+
+
 def test_losses_of_reflectances_and_of_indices(tmp_path):
     grey = '<rgb name="specular_reflectance" value="0.5 0.25 0"/>'
     found, warnings = sole(tmp_path, f'<bsdf type="plastic">{grey}</bsdf>')

@@ -31,7 +31,10 @@ def test_obj_materials(tmp_path):
     assert scene.warnings == ()
     with (tmp_path / "m.mtl").open("a") as file:
         file.write("Ka 1 1 1\nillum 2\n#Tf 1 1 1\nKm 1\nmap_Bump wood.png\n")
-    assert load_scene(str(tmp_path / "m.obj")).warnings == ("m.obj: .mtl file: km, map_bump: have no effect",)
+    assert load_scene(str(tmp_path / "m.obj")).warnings == (
+        "m.obj: .mtl file: map_bump with a height map: left out; give a normal map (wood)",
+        "m.obj: .mtl file: km: have no effect",
+    )
 
 
 @pytest.mark.parametrize("term", ["Kd -0.5 0 0", "Kd nan 0 0", "Ke 1e39 0 0", "Ke inf 0 0"])
@@ -290,8 +293,39 @@ def test_options_before_a_texture(tmp_path, options):
     assert scene.materials[0].base_color_texture.image.shape == (2, 2, 4) and scene.warnings == ()
 
 
-def test_a_missing_opacity_map_is_told(tmp_path):
-    assert mtl(tmp_path, "map_d lost.png").warnings == ("m.obj: lost.png: no such file; left out",)
+@pytest.mark.parametrize("key", ["map_d", "map_Ke", "map_Bump", "norm"])
+def test_a_missing_map_is_told(tmp_path, key):
+    assert mtl(tmp_path, f"{key} lost.png").warnings == ("m.obj: lost.png: no such file; left out",)
+
+
+@pytest.mark.parametrize(
+    ("factor", "wanted"), [("", (1.0, 1.0, 1.0)), ("Ke 0 0 0\n", (1.0, 1.0, 1.0)), ("Ke 3 2 1\n", (3.0, 2.0, 1.0))]
+)
+def test_emission_maps_of_obj_materials(tmp_path, factor, wanted):
+    """map_Ke is sRGB, and multiplies a Ke above 0."""
+    Image.new("RGB", (2, 2), (255, 188, 0)).save(tmp_path / "glow.png")
+    scene = mtl(tmp_path, f"{factor}map_Ke glow.png")
+    found = scene.materials[0]
+    assert found.emission == wanted and found.emits and not any("map_ke" in line for line in scene.warnings)
+    np.testing.assert_allclose(found.emission_texture.image[0, 0], (1.0, 0.503, 0.0), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("key", "scale"), [("norm", 1.0), ("map_Bump", 1.0), ("bump", 1.0), ("map_Bump -bm 0.5", 0.5), ("bump -bm x", 1.0)]
+)
+def test_normal_maps_of_obj_materials(tmp_path, key, scale):
+    Image.new("RGB", (2, 2), (128, 100, 250)).save(tmp_path / "normals.png")
+    scene = mtl(tmp_path, f"{key} normals.png")
+    found = scene.materials[0]
+    np.testing.assert_allclose(found.normal_texture.image[0, 0], np.array((128, 100, 250)) / 255.0, atol=1e-6)
+    assert found.normal_scale == scale and scene.warnings == ()
+
+
+def test_height_maps_of_obj_materials_are_told(tmp_path):
+    Image.new("L", (2, 2), 128).save(tmp_path / "heights.png")
+    scene = mtl(tmp_path, "map_Bump heights.png")
+    assert scene.materials[0].normal_texture is None
+    assert scene.warnings == ("m.obj: .mtl file: map_bump with a height map: left out; give a normal map (a)",)
 
 
 @pytest.mark.parametrize("suffix", ["ply", "obj"])

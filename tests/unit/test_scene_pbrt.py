@@ -87,6 +87,13 @@ def test_lens_film_and_integrator(tmp_path):
     assert read(tmp_path, SQUARE).film.exposure is None and read(tmp_path, SQUARE).film.max_depth == 6
 
 
+@pytest.mark.parametrize("kind", ["whitted", "directlighting"])
+def test_integrators_without_interreflection_are_told(tmp_path, kind):
+    head = f'Camera "perspective"\nFilm "image"\nIntegrator "{kind}"\nWorldBegin\n'
+    told = f"scene.pbrt: integrator {kind}: interreflection is added; --max-depth 2 leaves direct light (scene.pbrt:3)"
+    assert told in read(tmp_path, SQUARE, head).warnings
+
+
 def test_realistic_cameras_become_thin_lenses(tmp_path):
     """A biconvex lens of index 1.5 and radii of 50 mm has f = 50 mm (lensmaker's equation); then a telephoto pair."""
     head = (
@@ -199,7 +206,7 @@ ERRORS = [
     ("LookAt 0 0 0 0 1 0 0 1 0", ["scene.pbrt:4", "LookAt", "up"]),
     ('Shape "loopsubdiv" "integer levels" 30 "point3 P" [0 0 0 1 0 0 0 1 0] "integer indices" [0 1 2]', ["levels", "0 to 8"]),
     ("", ["holds no shapes"]),
-    ('Shape "curve"', ["holds no shapes", "shapes of the type curve: left out (scene.pbrt:4)"]),
+    ('Shape "heightfield"', ["holds no shapes", "shapes of the type heightfield: left out (scene.pbrt:4)"]),
 ]
 
 

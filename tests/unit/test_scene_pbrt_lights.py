@@ -132,6 +132,61 @@ def test_the_cone_of_a_spot_is_that_of_pbrt(tmp_path):
         assert mean_test(samples, expected, 5e-3) > SIGNIFICANCE
 
 
+def test_the_cone_of_a_spot_before_pbrt_v4_is_quartic(tmp_path):
+    """pbrt-v3's lights/spot.cpp: t⁴ of t in the cosine. The cone has its flux, and its intensity within 5 % of the greatest."""
+    cone = '"float coneangle" 40 "float conedeltaangle" 30'
+    scene = older(tmp_path, f'LightSource "spot" "rgb I" [1 1 1] "point from" [0 2 0] "point to" [0 0 0] {cone}')
+    material = scene.materials[scene.meshes[-1].material]
+    inside, outside = math.cos(math.radians(10.0)), math.cos(math.radians(40.0))
+    cosines = np.linspace(0.0, 1.0, 100001)
+    wanted = ((cosines - outside) / (inside - outside)).clip(0.0, 1.0) ** 4
+    inner, outer = (math.cos(math.radians(getattr(material.emission_cone, key))) for key in ("inner", "outer"))
+    t = ((cosines - outer) / (inner - outer)).clip(0.0, 1.0)
+    found = t * t * (3.0 - 2.0 * t) if material.emission_cone.smooth else t * t
+    assert found.mean() == pytest.approx(wanted.mean(), rel=1e-3)
+    assert np.abs(found - wanted).max() < 0.05
+
+
+@pytest.mark.parametrize(("size", "kind"), [((8, 4), ""), ((4, 8), ""), ((8, 4), "power")])
+def test_projections_are_spots_of_the_same_flux(tmp_path, size, kind):
+    """The flux of the image by integration over its window: dω = cos³θ dA, as in pbrt-v4's ProjectionLight."""
+    texels = np.random.default_rng(1).integers(20, 255, (size[1], size[0], 3)).astype(np.uint8)
+    Image.fromarray(texels).save(tmp_path / "slide.png")
+    power = '"float power" 100' if kind else ""
+    light = f'LightSource "projection" "string filename" "slide.png" "float fov" 50 "float scale" 2 {power}'
+    scene = read(tmp_path, f"Translate 0 1 0 {light}")
+    radius = 0.5 * float(np.ptp(scene.meshes[-1].vertices[:, 0]))
+    material = scene.materials[scene.meshes[-1].material]
+    cone = material.emission_cone
+    found = np.array(material.emission) * math.pi * radius**2 * 2.0 * math.pi * (1.0 - math.cos(math.radians(cone.outer)))
+    linear = ((texels / 255.0 + 0.055) / 1.055) ** 2.4
+    tangent, steps = math.tan(math.radians(25.0)), 100
+    x, y = (tangent * (side / min(size)) * ((np.arange(side * steps) + 0.5) / (side * steps) * 2.0 - 1.0) for side in size)
+    area = (x[1] - x[0]) * (y[1] - y[0])
+    solid = area * (1.0 + x**2 + y[:, None] ** 2) ** -1.5
+    flux = (linear.repeat(steps, 0).repeat(steps, 1) * solid[..., None]).sum(axis=(0, 1))
+    wanted = 2.0 * flux if not kind else 200.0 * flux / (flux @ LUMINANCE)
+    np.testing.assert_allclose(found, wanted, rtol=0.04)
+    np.testing.assert_allclose(cone.axis, (0.0, 0.0, 1.0), atol=1e-6)
+    assert any("images of projection lights: a round spot of their mean colour (slide.png)" in line for line in scene.warnings)
+
+
+def test_images_of_lights_before_pbrt_v4_are_linear(tmp_path):
+    """pbrt-v3 decodes sRGB in textures alone, and its goniometric maps are equirectangular."""
+    texels = np.zeros((8, 16), np.uint8)
+    texels[:4] = 128
+    texels[0] = 255
+    Image.fromarray(texels).save(tmp_path / "map.png")
+    rows = np.cos(math.pi * np.arange(9) / 8.0)
+    wanted = float((texels[:, 0] / 255.0 * -np.diff(rows)).sum() / 2.0)
+    scene = older(tmp_path, 'LightSource "goniometric" "rgb I" [1 2 3] "string mapname" "map.png" "point from" [0 3 0]')
+    radius = 0.5 * float(np.ptp(scene.meshes[-1].vertices, axis=0).max())
+    emitted = np.array(scene.materials[scene.meshes[-1].material].emission) * math.pi * radius**2
+    np.testing.assert_allclose(emitted, wanted * np.array((1.0, 2.0, 3.0)), rtol=0.02)
+    sky = older(tmp_path, 'LightSource "infinite" "string mapname" "map.png"').environment
+    assert sky is not None and np.median(sky.radiance[sky.radiance > 0.0]) == pytest.approx(128.0 / 255.0, rel=0.01)
+
+
 def emission(folder, text: str) -> np.ndarray:
     scene = read(folder, f'AreaLightSource "diffuse" {text}\n{square(1.0, 2.0)}')
     return np.array(scene.materials[scene.meshes[-1].material].emission)
@@ -247,12 +302,10 @@ def test_shapes_with_the_same_light_share_a_material(tmp_path):
 def test_losses_are_told(tmp_path):
     hidden = f'AreaLightSource "diffuse"\nAttribute "shape" "float alpha" 0\n{square(1.0, 2.0)}'
     assert read(tmp_path, hidden).warnings == ("scene.pbrt: invisible area lights: visible ones in their place (scene.pbrt:10)",)
-    scene = read(
-        tmp_path, 'LightSource "projection"\nMakeNamedMedium "fog" "string type" "homogeneous"\nMediumInterface "fog" ""\n'
-    )
+    scene = read(tmp_path, 'LightSource "laser"\nMakeNamedMedium "fog" "string type" "homogeneous"\nMediumInterface "fog" ""\n')
     assert scene.warnings == (
         "scene.pbrt: media: left out (fog)",
-        "scene.pbrt: light sources of the type projection: left out (scene.pbrt:8)",
+        "scene.pbrt: light sources of the type laser: left out (scene.pbrt:8)",
     )
 
 

@@ -128,14 +128,14 @@ def test_substitutes_are_told(tmp_path):
         'Material "hair"\nShape "sphere"\nMaterial "measured" "string filename" "x.bsdf"\nShape "sphere"\n'
         'Material "subsurface"\nShape "sphere"\nMaterial "diffusetransmission"\nShape "disk"\n'
         'Material "interface"\nShape "sphere"\n'
-        'Shape "curve"\n',
+        'Shape "heightfield"\n',
     )
     assert len(scene.meshes) == 4
     assert [line.removeprefix("scene.pbrt: ") for line in scene.warnings] == [
         "material hair: a diffuse surface in its place (hair)",
         "material measured: a diffuse surface in its place (measured)",
         "subsurface scattering: a coated diffuse surface in its place (subsurface)",
-        "shapes of the type curve: left out (scene.pbrt:13)",
+        "shapes of the type heightfield: left out (scene.pbrt:13)",
     ]
     leaf = scene.materials[scene.meshes[3].material]
     assert (leaf.base_color, leaf.diffuse_transmission, leaf.transmission) == ((0.5, 0.5, 0.5), 0.5, 0.0)
@@ -349,4 +349,13 @@ def test_textures_of_pbrt_v3(tmp_path):
     assert older(tmp_path, '"matte" "texture Kd" "x"', product).base_color == (0.25, 0.5, 1.0)
     for gamma, wanted in (("", 0.2158), ('"bool gamma" "false"', 0.502)):
         texture = f'Texture "x" "color" "imagemap" "string filename" "grey.png" {gamma}'
+        assert older(tmp_path, '"matte" "texture Kd" "x"', texture).base_color == pytest.approx((wanted,) * 3, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["grey.tga", "grey.png"])
+def test_gamma_of_images_before_pbrt_v4(tmp_path, name):
+    """A flag in pbrt-v3 for all files of 8 bits, and an exponent in pbrt-v2."""
+    Image.new("RGB", (1, 1), (128, 128, 128)).save(tmp_path / name)
+    for gamma, wanted in (('"bool gamma" "false"', 0.502), ('"bool gamma" "true"', 0.2158), ('"float gamma" [3]', 0.1265)):
+        texture = f'Texture "x" "color" "imagemap" "string filename" "{name}" {gamma}'
         assert older(tmp_path, '"matte" "texture Kd" "x"', texture).base_color == pytest.approx((wanted,) * 3, abs=1e-3)

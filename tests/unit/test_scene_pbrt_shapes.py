@@ -7,7 +7,12 @@ import struct
 import numpy as np
 import pytest
 
+from bokehguide.scene.pbrt.quadrics import _unit_sphere
+from bokehguide.scene.shapes import surface_area
 from tests.support.pbrt_text import HEAD, SQUARE, message, read
+
+LOOK = "Scale -1 1 1\n" + HEAD
+"""A right-handed world, in which the scene has the coordinates of the file."""
 
 
 def test_front_faces_stay_on_their_side(tmp_path):
@@ -160,3 +165,109 @@ def test_quadrics_of_pbrt_v3(tmp_path, text):
     for outwards in (normals, faces / np.linalg.norm(faces, axis=1, keepdims=True)):
         step = 1e-3 * outwards
         assert (surface(*(middles + step).T) > surface(*(middles - step).T)).all()
+
+
+@pytest.mark.parametrize("part", [(-1.0, 1.0, 360.0), (-0.1, 1.0, 360.0), (-1.0, 1.0, 120.0)])
+def test_spheres_of_one_form_are_tessellated_once(tmp_path, part):
+    """Each has the vertices of its own radius: rings of equal angles, and the area of the sphere or of the whole turn."""
+    radii, (low, high, phimax) = (0.25, 1.0, 7.5), part
+    ends = '"float zmin" {} "float zmax" {} "float phimax" {}'
+    body = "".join(f'Shape "sphere" "float radius" {r} {ends.format(low * r, high * r, phimax)}\n' for r in radii)
+    _unit_sphere.cache_clear()
+    meshes = read(tmp_path, body).meshes
+    assert _unit_sphere.cache_info().misses == 1
+    whole = low == -1.0
+    theta = np.linspace(math.acos(low), math.acos(high), 33 if whole else math.ceil(32 * math.acos(low) / math.pi) + 1)
+    for mesh, radius in zip(meshes, radii):
+        lengths = np.linalg.norm(mesh.vertices, axis=1)
+        np.testing.assert_allclose(lengths, lengths[0], rtol=1e-6)
+        assert lengths[0] == pytest.approx(radius, rel=2e-3 if whole else 1e-6)
+        np.testing.assert_allclose(np.unique((mesh.vertices[:, 2] / lengths[0]).round(5)), np.sort(np.cos(theta)), atol=2e-5)
+        np.testing.assert_allclose(mesh.normals, mesh.vertices / lengths[:, None], atol=1e-6)
+        if whole:
+            assert surface_area(mesh) == pytest.approx(4.0 * math.pi * radius**2 * phimax / 360.0, rel=1e-5)
+        np.testing.assert_allclose(mesh.vertices * (radii[0] / radius), meshes[0].vertices, rtol=1e-5, atol=1e-6 * radii[0])
+        assert np.array_equal(mesh.triangles, meshes[0].triangles) and np.array_equal(mesh.uvs, meshes[0].uvs)
+
+
+CIRCLE = 4.0 / 3.0 * math.tan(math.pi / 8.0)
+"""Length of the handles of a Bézier segment that is a quarter of the unit circle, within 0.03 %."""
+
+
+@pytest.mark.parametrize("kind", ["flat", "cylinder", "ribbon"])
+def test_a_curve_is_a_tube_or_a_ribbon_of_its_width(tmp_path, kind):
+    """A quarter of the unit circle. A ribbon in the plane of z faces z."""
+    points = f"1 0 0 1 {CIRCLE} 0 {CIRCLE} 1 0 0 1 0"
+    facing = '"normal N" [0 0 1 0 0 1]' if kind == "ribbon" else ""
+    scene = read(tmp_path, f'Shape "curve" "string type" "{kind}" "float width" 0.02 "point3 P" [{points}] {facing}', LOOK)
+    mesh = scene.meshes[0]
+    wanted = math.pi * 0.02 if kind != "ribbon" else 0.02
+    assert surface_area(mesh) == pytest.approx(0.5 * math.pi * wanted, rel=0.01)
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    front, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
+    if kind == "ribbon":
+        assert (front[:, 2] > 0.0).all() and np.abs(mesh.vertices[:, 2]).max() < 1e-6
+        np.testing.assert_allclose(np.unique(np.linalg.norm(mesh.vertices, axis=1).round(3)), (0.99, 1.01), atol=1e-3)
+    else:
+        spine = middle * (1.0, 1.0, 0.0)
+        spine /= np.linalg.norm(spine, axis=1, keepdims=True)
+        assert ((front * (middle - spine)).sum(axis=1) > 0.0).all()
+        spines = mesh.vertices * (1.0, 1.0, 0.0) / np.linalg.norm(mesh.vertices[:, :2], axis=1)[:, None]
+        np.testing.assert_allclose(np.linalg.norm(mesh.vertices - spines, axis=1), 0.01, atol=5e-4 + 3e-4)
+    told = any("flat curves: tubes in their place" in line for line in scene.warnings)
+    assert told == (kind == "flat")
+
+
+BASES = {
+    "bezier 3": ([(0, 0, 0), (1, 3, 0), (2, -1, 0), (3, 1, 0)], (0, 0, 0), (3, 1, 0)),
+    "bezier 2": ([(0, 0, 0), (1, 2, 0), (2, 0, 0), (3, -2, 0), (4, 1, 0)], (0, 0, 0), (4, 1, 0)),
+    "bspline 3": ([(0, 0, 0), (1, 3, 0), (2, -1, 0), (3, 1, 0), (5, 2, 0)], (1, 11 / 6, 0), (19 / 6, 5 / 6, 0)),
+    "bspline 2": ([(0, 0, 0), (1, 2, 0), (2, 0, 0), (3, -2, 0)], (0.5, 1, 0), (2.5, -1, 0)),
+}
+"""Control points of curves by basis and degree, with their ends: of B-splines, by the formula of the uniform basis at a knot."""
+MIDDLES = {"bezier 3": (1, 3, 3, 1), "bezier 2": (1, 2, 1), "bspline 3": (1, 23, 23, 1), "bspline 2": (1, 6, 1)}
+"""Weights of the control points in the middle of the first segment."""
+
+
+@pytest.mark.parametrize("kind", BASES)
+def test_the_ends_and_widths_of_curves(tmp_path, kind):
+    points, start, end = BASES[kind]
+    basis, degree = kind.split()
+    given = " ".join(str(number) for point in points for number in point)
+    curve = f'"string basis" "{basis}" "integer degree" {degree} "float width0" 0.1 "float width1" 0.02 "point3 P" [{given}]'
+    mesh = read(tmp_path, f'Translate 1 0 0 Scale 2 2 2 Shape "curve" {curve}', LOOK).meshes[0]
+    for place, width, ring in ((start, 0.1, mesh.vertices[:6]), (end, 0.02, mesh.vertices[-7:-1])):
+        np.testing.assert_allclose(ring.mean(axis=0), 2.0 * np.array(place) + (1.0, 0.0, 0.0), atol=1e-3)
+        np.testing.assert_allclose(np.linalg.norm(ring - ring.mean(axis=0), axis=1), width, rtol=0.06)
+    weights = np.array(MIDDLES[kind])
+    middle = weights @ np.array(points[: len(weights)]) / weights.sum()
+    np.testing.assert_allclose(mesh.vertices[28:34].mean(axis=0), 2.0 * middle + (1.0, 0.0, 0.0), atol=1e-3)
+
+
+def test_many_curves_are_one_mesh_for_each_material(tmp_path):
+    strands = "".join(f'Shape "curve" "float width" 0.01 "point3 P" [{x} 0 0 {x} 1 0 {x} 2 0 {x} 3 0]\n' for x in range(50))
+    red, blue = ('Material "diffuse" "rgb reflectance" ' + color for color in ("[1 0 0]\n", "[0 0 1]\n"))
+    scene = read(tmp_path, f"{red}{strands}{blue}{strands}" + SQUARE, LOOK)
+    assert len(scene.meshes) == 3 and len(scene.meshes[0].triangles) == 50 * 2 * 8 * 6
+    assert [scene.materials[mesh.material].base_color for mesh in scene.meshes[:2]] == [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)]
+    body = f'ObjectBegin "tuft"\n{strands}ObjectEnd\n' + "".join('Translate 0 0 5\nObjectInstance "tuft"\n' for _ in range(2))
+    tufts = read(tmp_path, body, LOOK).meshes[0].vertices
+    np.testing.assert_allclose(np.unique(tufts[:, 2].round()), (5.0, 10.0))
+
+
+@pytest.mark.parametrize(
+    ("curve", "named"),
+    [
+        (
+            '"point3 P" [0 0 0 1 0 0 2 0 0]',
+            "has 3 points; a bezier of degree 3 needs 4 and multiples of 3 more",
+        ),
+        ('"integer degree" 4 "point3 P" [0 0 0 1 0 0 2 0 0]', "degree: 4.0 is no degree of a curve; give 2 or 3"),
+        ('"string basis" "catmull" "point3 P" [0 0 0 1 0 0 2 0 0]', "basis: catmull is unknown"),
+        ('"string type" "tube" "point3 P" [0 0 0 1 0 0 2 0 0 3 0 0]', "type: tube is unknown"),
+        ('"string type" "ribbon" "point3 P" [0 0 0 1 0 0 2 0 0 3 0 0]', "a ribbon of 1 segments needs 2 normals"),
+        ("", 'curve without control points; give "point3 P"'),
+    ],
+)
+def test_wrong_curves_are_refused(tmp_path, curve, named):
+    assert named in message(tmp_path, f'Shape "curve" {curve}')

@@ -6,7 +6,8 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.limits import MAX_INT
-from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.document import Document
+from bokehguide.scene.gltf.parts import Part
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from bokehguide.scene.gltf.accessors import as_floats, read_raw
-from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.document import Document
+from bokehguide.scene.gltf.parts import Part
 
 KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights": "SCALAR"}
 """Animated properties of nodes, and the types of their values."""

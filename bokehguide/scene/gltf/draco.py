@@ -6,7 +6,8 @@ import DracoPy
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.document import Document
+from bokehguide.scene.gltf.parts import Part
 from bokehguide.stopping import default_signals
 
 DRACO = "KHR_draco_mesh_compression"

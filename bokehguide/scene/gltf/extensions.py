@@ -12,7 +12,6 @@ from bokehguide.scene.gltf.nodes import INSTANCING
 from bokehguide.scene.gltf.specular_glossiness import EXTENSION as GLOSSINESS
 from bokehguide.scene.gltf.textures import FORMATS, TRANSFORM
 from bokehguide.scene.gltf.variants import EXTENSION as VARIANTS
-from bokehguide.scene.losses import loss_lines
 
 MATERIAL_EXTENSIONS = (
     *("KHR_materials_emissive_strength", "KHR_materials_transmission", "KHR_materials_ior"),
@@ -49,4 +48,4 @@ def note_ignored(document: Document, at_rest: bool) -> None:
 
 def warnings(document: Document) -> list[str]:
     """The notes of `document`, one a line, each with the first few names of its objects."""
-    return loss_lines(document.notes)
+    return document.notes.lines()

@@ -27,6 +27,23 @@ def supported(
     state: ModelState,
 ) -> Iterator[str]:
     """Lines on compression, materials and variants, textures, vertex colours, instances, poses, lights and cameras."""
+    yield from _surfaces(document, meshes, materials, textures, state)
+    if any(INSTANCING in node.extensions for node in document.items("nodes")):
+        yield f"instances of {INSTANCING}, as separate triangles"
+    yield from _poses(document, state)
+    spots = sum(emitter.emission_cone is not None for emitter in emitters)
+    lights = {"point": len(emitters) - spots, "spot": spots, "sun": len(suns)}
+    if emitters or suns:
+        size = f"; point and spot lights as spheres of radius {radius:.3g} m" if emitters else ""
+        yield f"lights: {_counted({kind: count for kind, count in lights.items() if count})}{size}"
+    if cameras:
+        yield "cameras: " + ", ".join(f"{number} {camera.name}" for number, camera in enumerate(cameras))
+
+
+def _surfaces(
+    document: Document, meshes: Sequence[Mesh], materials: Sequence[Material], textures: Textures, state: ModelState
+) -> Iterator[str]:
+    """Lines on compression, materials and variants, textures and vertex colours."""
     packed = sum(compression(view) is not None for view in document.items("bufferViews"))
     if packed:
         yield f"buffer views compressed by meshoptimizer: {packed}"
@@ -50,8 +67,10 @@ def supported(
     colored = sum(mesh.colors is not None for mesh in meshes)
     if colored:
         yield f"vertex colours: {colored} of {len(meshes)} meshes"
-    if any(INSTANCING in node.extensions for node in document.items("nodes")):
-        yield f"instances of {INSTANCING}, as separate triangles"
+
+
+def _poses(document: Document, state: ModelState) -> Iterator[str]:
+    """Lines on skins, morph targets and animations."""
     skins = sum("skin" in node for node in document.items("nodes"))
     if skins:
         yield f"skins: {skins}, {'at rest' if state.time is None else f'at {state.time:g} s'}"
@@ -61,13 +80,6 @@ def supported(
     animations = [f"{each.label}{_until(duration(document, each))}" for each in document.items("animations")]
     if animations:
         yield f"animations: {', '.join(animations)}; drawn: {'none' if state.time is None else f'{state.time:g} s'}"
-    spots = sum(emitter.emission_cone is not None for emitter in emitters)
-    lights = {"point": len(emitters) - spots, "spot": spots, "sun": len(suns)}
-    if emitters or suns:
-        size = f"; point and spot lights as spheres of radius {radius:.3g} m" if emitters else ""
-        yield f"lights: {_counted({kind: count for kind, count in lights.items() if count})}{size}"
-    if cameras:
-        yield "cameras: " + ", ".join(f"{number} {camera.name}" for number, camera in enumerate(cameras))
 
 
 def _until(seconds: float | None) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.document import Document
+from bokehguide.scene.gltf.parts import Part
 from bokehguide.scene.gltf.specular_glossiness import EXTENSION as GLOSSINESS
 from bokehguide.scene.gltf.specular_glossiness import specular_glossiness
 from bokehguide.scene.gltf.textures import Textures

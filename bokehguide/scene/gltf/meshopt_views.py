@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Container
-from typing import TYPE_CHECKING
 
 import meshopt
 
 from bokehguide.errors import BokehguideError, reason
 from bokehguide.limits import MAX_INT
+from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.gltf.parts import Part
 from bokehguide.stopping import default_signals
-
-if TYPE_CHECKING:
-    from bokehguide.scene.gltf.document import Document, Part
 
 EXTENSIONS = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 """The second is the older one: its bitstream is a subset, and it has no filter COLOR."""
@@ -37,8 +35,8 @@ def compression(view: Part) -> Part | None:
     return None if name is None else view.extension(name)
 
 
-def decode_view(document: Document, view: Part, packed: Part, data: memoryview) -> bytes:
-    """The plain bytes of a buffer view. packed: its extension; data: the compressed bytes.
+def decode_view(files: SceneFiles, view: Part, packed: Part, data: memoryview) -> bytes:
+    """The plain bytes of a buffer view. files: of the scene. packed: the extension of the view; data: the compressed bytes.
 
     Raises BokehguideError for values that the extension does not permit, for damaged data, and for more decoded bytes than
     the scene may have.
@@ -58,7 +56,7 @@ def decode_view(document: Document, view: Part, packed: Part, data: memoryview) 
     if count * stride > MAX_RATIO[mode] * len(data):
         packed.fail("count", f"needs more than the {len(data)} bytes of compressed data; fetch the file again")
     place = f"{view.file}: {packed.path}"
-    document.files.reserve_decoded(count * stride, len(data), place)
+    files.reserve_decoded(count * stride, len(data), place)
     if not count:
         return b""
     try:

@@ -9,7 +9,8 @@ import numpy as np
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.gltf.accessors import as_floats, read_raw
 from bokehguide.scene.gltf.animations import Pose
-from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.document import Document
+from bokehguide.scene.gltf.parts import Part
 
 KINDS = {"POSITION": ("VEC3",), "NORMAL": ("VEC3",), "TANGENT": ("VEC3",), "COLOR_0": ("VEC3", "VEC4")}
 """Attributes that targets change, with the types of the differences; texture coordinates are VEC2."""

@@ -10,7 +10,8 @@ import numpy as np
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.gltf.accessors import read_floats
 from bokehguide.scene.gltf.animations import Pose
-from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.document import Document
+from bokehguide.scene.gltf.parts import Part
 
 INSTANCING = "EXT_mesh_gpu_instancing"
 TRANSFORM = ("matrix", "rotation", "translation", "scale")

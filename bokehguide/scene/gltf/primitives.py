@@ -8,9 +8,10 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.gltf.accessors import as_floats, read_indices, read_raw
-from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.document import Document
 from bokehguide.scene.gltf.draco import DRACO, read_draco
 from bokehguide.scene.gltf.morphs import morph
+from bokehguide.scene.gltf.parts import Part
 from bokehguide.scene.gltf.skins import SKINNING, blended, skinned
 from bokehguide.scene.gltf.textures import uv_sets
 from bokehguide.scene.shapes import unit_normals

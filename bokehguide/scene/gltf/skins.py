@@ -12,8 +12,9 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.gltf.accessors import read_floats
-from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.document import Document
 from bokehguide.scene.gltf.nodes import Placed
+from bokehguide.scene.gltf.parts import Part
 
 INFLUENCES = 8
 """Maximum number of joint sets; each has four joints."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bokehguide.scene.gltf.document import Part
+from bokehguide.scene.gltf.parts import Part
 from bokehguide.scene.gltf.textures import Textures
 from bokehguide.scene.tables import FRACTION
 from bokehguide.scene.types import Texture, as_vector

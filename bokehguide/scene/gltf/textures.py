@@ -8,7 +8,8 @@ from dataclasses import fields
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.document import Document
+from bokehguide.scene.gltf.parts import Part
 from bokehguide.scene.images import decode_texture
 from bokehguide.scene.types import Material, Texture
 

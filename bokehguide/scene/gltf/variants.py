@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from bokehguide.errors import BokehguideError, printable
-from bokehguide.scene.gltf.document import Document, Part
+from bokehguide.scene.gltf.document import Document
+from bokehguide.scene.gltf.parts import Part
 
 EXTENSION = "KHR_materials_variants"
 

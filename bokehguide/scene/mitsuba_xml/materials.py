@@ -15,9 +15,11 @@ from bokehguide.scene.anisotropy import from_alphas
 from bokehguide.scene.disney_sheen import from_disney
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.images import nearest_texels
+from bokehguide.scene.losses import Losses
 from bokehguide.scene.mitsuba_xml.textures import GREY, Textures, color_of, is_image, kind_of, mean_of
 from bokehguide.scene.mitsuba_xml.tree import Plugin, as_dictionary, mitsuba
 from bokehguide.scene.types import Material, Texture, Vector, as_vector
+from bokehguide.scene.vectors import fractions
 
 REFRACTIVE_INDICES = {
     "vacuum": 1.0,
@@ -42,18 +44,18 @@ SOLIDS = ("dielectric", "roughdielectric", "principled")
 
 
 class Materials:
-    """The materials of a file, each converted once. lost: what the file loses, in words, with the names of the objects."""
+    """The materials of a file, each converted once. lost: with the names of the objects."""
 
     def __init__(self, file: Path, files: SceneFiles):
         self._file, self._files = file, files
         self.textures = Textures(file, files, self.lose)
         self._known: dict[int, int] = {}
         self.all: list[Material] = []
-        self.lost: dict[str, dict[str, None]] = {}
+        self.lost = Losses()
 
     def lose(self, what: str, name: str) -> None:
         """Note a loss of an object."""
-        self.lost.setdefault(what, {})[name] = None
+        self.lost.add(what, name)
 
     def index(self, bsdf: Plugin | None, emission: dict[str, Any]) -> int:
         """The index of the material of a BSDF that has the given fields of emission."""
@@ -117,6 +119,23 @@ class Materials:
         both = [nearest_texels(image, height, width) for image in (color.image[..., :3], alpha)]
         return replace(material, alpha_mode="blend", base_color_texture=replace(color, image=np.concatenate(both, axis=2)))
 
+    def _blend(self, bsdf: Plugin) -> Material:
+        """A mixture of two BSDFs, `weight` of the second: one of the mean colour where only constant colours differ."""
+        parts = [self.convert(each) for each in bsdf.inner("bsdf")]
+        if len(parts) != 2:
+            bsdf.fail("bsdf", f"are {len(parts)} BSDFs; give two")
+        value = bsdf.values.get("weight", 0.5)
+        image = self.textures.read(value) if is_image(value) else None
+        weight = min(max(mean_of(value) if image is None else float(_luminance(image).mean()), 0.0), 1.0)
+        larger = replace(parts[weight > 0.5], name=bsdf.label)
+        colors = np.array([part.base_color for part in parts])
+        plain = [replace(part, name=bsdf.label, base_color=GREY) for part in parts]
+        if image is None and plain[0] == plain[1] and larger.base_color_texture is None:
+            return replace(larger, base_color=as_vector((1.0 - weight) * colors[0] + weight * colors[1]))
+        if 0.0 < weight < 1.0:
+            self.lose("mixtures of BSDFs: the larger part counts", bsdf.label)
+        return larger
+
     def _diffuse(self, bsdf: Plugin) -> Material:
         return Material(bsdf.label, specular=0.0, **self._color(bsdf, "reflectance"))
 
@@ -135,7 +154,7 @@ class Materials:
         return Material(bsdf.label, ior=ior, specular=most, **rough, **color)
 
     def _conductor(self, bsdf: Plugin) -> Material:
-        color = as_vector(min(max(float(each), 0.0), 1.0) for each in self._metal(bsdf))
+        color = fractions(self._metal(bsdf))
         if bsdf.type == "conductor":
             return Material(bsdf.label, color, metallic=1.0, roughness=0.0)
         alphas = [bsdf.values.get(key, bsdf.values.get("alpha", 0.1)) for key in ("alpha_u", "alpha_v")]
@@ -245,7 +264,7 @@ class Materials:
         if color is None:
             self.lose(f"specular_reflectance of the type {kind_of(value)}: 1.0 in its place", bsdf.label)
             return 1.0, 1.0, 1.0
-        return as_vector(min(max(channel, 0.0), 1.0) for channel in color)
+        return fractions(color)
 
     def _metal(self, bsdf: Plugin) -> Any:
         """The reflectance of a conductor at normal incidence, by Mitsuba itself."""
@@ -271,10 +290,11 @@ class Materials:
         color = color_of(value, bsdf.place)
         if color is None:
             self.lose(f"texture {kind_of(value)}: grey in its place", bsdf.label)
-        return {"base_color": as_vector(min(max(channel, 0.0), 1.0) for channel in color or GREY)}
+        return {"base_color": fractions(color or GREY)}
 
 
 CONVERTERS: dict[str, Callable[[Materials, Plugin], Material]] = {
+    "blendbsdf": Materials._blend,
     "diffuse": Materials._diffuse,
     "roughdiffuse": Materials._roughdiffuse,
     **dict.fromkeys(("plastic", "roughplastic", "pplastic"), Materials._plastic),

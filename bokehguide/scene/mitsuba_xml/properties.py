@@ -49,6 +49,7 @@ PROPERTIES = {
     "principled": PRINCIPLED,
     "twosided": ("allow_transmission",),
     "mask": ("opacity",),
+    "blendbsdf": ("weight",),
     "normalmap": BUMPS,
     "bumpmap": (*BUMPS, "scale"),
     "bitmap": ("filename", "bitmap", "data", "filter_type", "wrap_mode", "format", "raw", "to_uv", "accel"),

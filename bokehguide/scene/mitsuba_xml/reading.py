@@ -11,7 +11,7 @@ import numpy as np
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.losses import UNKNOWN_NAMES, loss_lines, unknown_name
+from bokehguide.scene.losses import UNKNOWN_NAMES, unknown_name
 from bokehguide.scene.mitsuba_xml.cameras import SENSORS, read_camera, read_film
 from bokehguide.scene.mitsuba_xml.lights import read_emission, read_lights
 from bokehguide.scene.mitsuba_xml.materials import Materials
@@ -55,7 +55,7 @@ def read_mitsuba(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[S
         film=film,
         environment=environment,
         suns=tuple(suns),
-        warnings=tuple(loss_lines(materials.lost, path.name)),
+        warnings=tuple(materials.lost.lines(path.name)),
         supported=(f"{path.name}: {TURNED}",) if turned else (),
     )
     return scene, chosen

@@ -27,6 +27,7 @@ from bokehguide.scene.shapes import (
     unit_sphere,
 )
 from bokehguide.scene.types import Mesh
+from bokehguide.scene.vectors import turned_uvs
 
 
 def read_shape(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh] | None:
@@ -58,7 +59,7 @@ def _sphere(shape: Plugin) -> Mesh:
 
 def _rectangle(shape: Plugin) -> Mesh:
     """The square, whose texture stands on its head."""
-    return _turned_uvs(unit_rectangle())
+    return _turned(unit_rectangle())
 
 
 def _disk(shape: Plugin) -> Mesh:
@@ -79,7 +80,7 @@ def _cylinder(shape: Plugin) -> Mesh:
         shape.fail("p1", "is p0; give another point")
     with mitsuba(shape.place) as mi:
         sides = np.array(mi.coordinate_system(mi.ScalarVector3f(*(axis / np.linalg.norm(axis)))), np.float64)
-    unit = _turned_uvs(transformed(tube(1.0, 1.0, 1.0), transform((0.0, 0.0, 0.5))))
+    unit = _turned(transformed(tube(1.0, 1.0, 1.0), transform((0.0, 0.0, 0.5))))
     matrix, radius = np.eye(4), max(shape.number("radius", 1.0), 1e-9)
     matrix[:3] = np.stack((radius * sides[0], radius * sides[1], axis, bottom), axis=1)
     return transformed(unit, matrix)
@@ -93,12 +94,12 @@ def _cube(shape: Plugin) -> Mesh:
 def _obj(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh]:
     """The triangles of an `.obj` file, whose v points upwards unless the shape says otherwise."""
     meshes = [_shaded(mesh, shape) for mesh in load_mesh_file(file_of(shape, file, files, "model"), files).meshes]
-    return meshes if shape.flag("flip_tex_coords", True) else [_turned_uvs(mesh) for mesh in meshes]
+    return meshes if shape.flag("flip_tex_coords", True) else [_turned(mesh) for mesh in meshes]
 
 
-def _turned_uvs(mesh: Mesh) -> Mesh:
+def _turned(mesh: Mesh) -> Mesh:
     """A mesh whose v runs the other way."""
-    return mesh if mesh.uvs is None else replace(mesh, uvs=mesh.uvs * (1, -1) + (0, 1))
+    return mesh if mesh.uvs is None else replace(mesh, uvs=turned_uvs(mesh.uvs))
 
 
 def _shaded(mesh: Mesh, shape: Plugin) -> Mesh:

@@ -9,9 +9,8 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from bokehguide.image.reading import read_channels
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.images import checks, load_texture
+from bokehguide.scene.images import FLOATS, checks, float_texture, load_texture
 from bokehguide.scene.mitsuba_xml.tree import Plugin, as_dictionary, file_of, mitsuba
 from bokehguide.scene.types import Texture, Vector, as_vector
 
@@ -39,7 +38,9 @@ class Textures:
         """The pixels of a file, linear float32 `[H, W, 3]`."""
         path = file_of(texture, self._file, self._files, "texture")
         raw = not srgb or texture.flag("raw")
-        return self._floats(path) if path.suffix.lower() in (".exr", ".hdr") else load_texture(path, self._files, not raw)
+        if path.suffix.lower() in FLOATS:
+            return float_texture(path, self._files, str(path))
+        return load_texture(path, self._files, not raw)
 
     def _checks(self, texture: Plugin) -> np.ndarray:
         """A checkerboard, linear float32 `[H, W, 3]`."""
@@ -50,14 +51,6 @@ class Textures:
         image = checks(*(np.array(color or GREY, np.float32).clip(min=0.0) for color in colors))
         self._files.reserve(image.size, 0, texture.place)
         return image
-
-    def _floats(self, path: Path) -> np.ndarray:
-        """An image of linear floats, `[H, W, 3]`."""
-        read = read_channels(path, path.suffix.upper().removeprefix("."))
-        names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3
-        image = np.stack([read.pixels[..., read.names.index(name)] for name in names], axis=-1)
-        self._files.reserve(image.size, path.stat().st_size, str(path))
-        return np.nan_to_num(image, posinf=0.0, neginf=0.0).astype(np.float32)
 
 
 def is_image(value: Any) -> TypeGuard[Plugin]:

@@ -18,6 +18,8 @@ from bokehguide.scene.pbrt.realistic import ThinLens, thin_lens
 from bokehguide.scene.pbrt.transforms import MIRROR, inverse
 from bokehguide.scene.types import FilmSettings
 
+DIRECT = ("whitted", "directlighting")
+"""Integrators of pbrt-v3 and older without interreflection."""
 MOST_BOUNCES = 1000
 """Bounces of a path."""
 
@@ -41,6 +43,11 @@ def read_film(contents: Contents) -> FilmSettings:
     if film is not None and film.text("sensor", "cie1931") != "cie1931":
         contents.lose("sensors: that of the CIE 1931 observer in their place", printable(film.text("sensor")))
     bounces = 5 if integrator is None else int(min(max(integrator.number("maxdepth", 5), 0), MOST_BOUNCES))
+    if integrator is not None and integrator.kind in DIRECT:
+        contents.lose(
+            f"integrator {integrator.kind}: interreflection is added; --max-depth 2 leaves direct light",
+            integrator.place.short,
+        )
     place = "film" if film is None else str(film.place)
     with located(place):
         return FilmSettings(width, height, bounces + 1, _exposure(contents))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bokehguide.scene.losses import UNKNOWN_NAMES, unknown_name
+from bokehguide.scene.losses import UNKNOWN_NAMES, Losses, unknown_name
 from bokehguide.scene.pbrt.parameters import Parameter, Parameters
 from bokehguide.scene.pbrt.tokens import Place
 
@@ -63,7 +63,7 @@ class Instance:
 
 @dataclass
 class Contents:
-    """The entries of a scene. camera_matrix: camera from world. lost: losses in words, with a few names or places.
+    """The entries of a scene. camera_matrix: camera from world. lost: with a few names or places.
 
     older: whether the file is of pbrt-v3 or older.
     """
@@ -78,7 +78,7 @@ class Contents:
     lights: list[Light] = field(default_factory=list)
     materials: dict[str, Parameters] = field(default_factory=dict)
     textures: dict[tuple[str, str], Texture] = field(default_factory=dict)
-    lost: dict[str, dict[str, None]] = field(default_factory=dict)
+    lost: Losses = field(default_factory=Losses)
     older: bool = False
 
     def note_misspelt(self) -> None:
@@ -93,4 +93,4 @@ class Contents:
 
     def lose(self, what: str, name: str) -> None:
         """Note a loss of an object."""
-        self.lost.setdefault(what, {})[name] = None
+        self.lost.add(what, name)

@@ -24,6 +24,11 @@ from bokehguide.scene.pbrt.transforms import inverse, linear
 from bokehguide.scene.shapes import sphere_subdivisions, spheres
 from bokehguide.scene.types import Cone, Environment, LightSizes, Material, Mesh, Sun, as_vector
 
+POINTS = ("point", "spot", "goniometric", "projection")
+"""Light sources at a point."""
+QUARTIC = 0.6
+"""Width in the cosine of the falloff t² that has the flux of t⁴, which is that of spots before pbrt-v4, per width of t⁴."""
+
 
 class Lights:
     """The light sources of a scene, converted. world: the matrix from pbrt's world to that of the scene.
@@ -47,7 +52,7 @@ class Lights:
                 self._maps.append(self._infinite(parameters, matrix, folder, files))
             elif parameters.kind == "distant":
                 self._distant(parameters, matrix, folder, files)
-            elif parameters.kind in ("point", "spot", "goniometric"):
+            elif parameters.kind in POINTS:
                 self._point(light, matrix, folder, files)
             else:
                 self._contents.lose(f"light sources of the type {printable(parameters.kind)}: left out", parameters.place.short)
@@ -76,15 +81,18 @@ class Lights:
             self._contents.lose(f"distant lights: discs of {LightSizes.sun_angle}°", parameters.place.short)
 
     def _point(self, light: Light, matrix: np.ndarray, folder: Path, files: SceneFiles) -> None:
-        """A point, a spot or a goniometric light as a small sphere of the same intensity."""
+        """A light at a point as a small sphere of the same intensity, within a cone for a spot and a projection."""
         parameters = light.parameters
         start = np.array(parameters.vector("from", (0.0, 0.0, 0.0)))
-        cone, solid = None, 4.0 * math.pi
+        cone, solid, image = None, 4.0 * math.pi, np.ones(3)
         if parameters.kind == "spot":
-            cone, solid = self._cone(parameters, matrix, start)
-        intensity = emission(parameters, "I", folder, files) * _scale(parameters, self._contents, "power", solid)
-        if parameters.kind == "goniometric":
-            intensity = intensity * self._goniometric(parameters)
+            cone, solid = self._spot(parameters, matrix, start)
+        elif parameters.kind == "projection":
+            cone, solid, image = self._projection(parameters, matrix)
+        elif parameters.kind == "goniometric":
+            image = self._goniometric(parameters)
+        unit = max(solid * float(image @ LUMINANCE), 1e-12)
+        intensity = emission(parameters, "I", folder, files) * _scale(parameters, self._contents, "power", unit) * image
         what = "spheres" if cone is None else "spheres with a cone"
         self._contents.lose(f"{parameters.kind} lights: {what} of radius {self._radius:.3g} m", parameters.place.short)
         if not intensity.any():
@@ -103,23 +111,57 @@ class Lights:
         self._contents.lose("lights at the camera: behind the camera", parameters.place.short)
         return matrix[:, 3] - 2.0 * self._radius * matrix[:, 2] / np.linalg.norm(matrix[:, 2])
 
-    def _cone(self, parameters: Parameters, matrix: np.ndarray, start: np.ndarray) -> tuple[Cone, float]:
-        """The cone of a spotlight, and the integral of its falloff over directions."""
+    def _spot(self, parameters: Parameters, matrix: np.ndarray, start: np.ndarray) -> tuple[Cone, float]:
+        """The cone of a spotlight, and the integral of pbrt-v4's falloff over directions.
+
+        The falloff of pbrt-v4 is a smoothstep in the cosine. Before pbrt-v4 it is t⁴; a narrower t² is within 0.041 of t⁴.
+        """
         axis = linear(matrix, np.array(parameters.vector("to", (0.0, 0.0, 1.0))) - start)
         if not np.linalg.norm(axis) > 0.0:
             parameters.place.fail('spot: "from" equals "to", so there is no direction; move one of them')
         outer, delta = parameters.number("coneangle", 30.0), parameters.number("conedeltaangle", 5.0)
-        high, low = math.cos(math.radians(max(outer - delta, 0.0))), math.cos(math.radians(outer))
-        outer = min(max(outer, 0.1), 90.0)
-        cone = Cone(as_vector(axis), min(max(outer - delta, 0.0), outer - 0.05), outer, smooth=True)
-        return cone, max(2.0 * math.pi * ((1.0 - high) + 0.5 * (high - low)), 1e-6)
+        low, high = math.cos(math.radians(outer)), math.cos(math.radians(outer - delta))
+        solid = max(2.0 * math.pi * ((1.0 - high) + 0.5 * (high - low)), 1e-6)
+        inner, outer = abs(outer - delta), min(max(outer, 0.1), 90.0)
+        older = self._contents.older
+        if older and inner < outer:
+            outer = math.degrees(math.acos(high - QUARTIC * (high - math.cos(math.radians(outer)))))
+        return Cone(as_vector(axis), min(inner, outer - 0.05), outer, smooth=not older), solid
 
-    def _goniometric(self, parameters: Parameters) -> float:
-        """The mean of the image of a goniometric light, 1 for a light of a given power, which includes the mean."""
+    def _goniometric(self, parameters: Parameters) -> np.ndarray:
+        """The mean `[3]` over all directions of the image of a goniometric light."""
+        image = self._light_image(parameters, "images of goniometric lights: their mean")
+        if not self._contents.older:  # grey maps of equal area
+            return np.full(3, (image @ LUMINANCE).mean())
+        weights = np.sin(math.pi * (np.arange(len(image)) + 0.5) / len(image))
+        return (image.mean(axis=1) * weights[:, None]).sum(axis=0) / weights.sum()
+
+    def _projection(self, parameters: Parameters, matrix: np.ndarray) -> tuple[Cone, float, np.ndarray]:
+        """The cone around the axis of a projection with the solid angle of its window, this angle, and the mean colour in it."""
+        image = self._light_image(parameters, "images of projection lights: a round spot of their mean colour")
+        height, width = image.shape[:2]
+        fov = parameters.number("fov", 45.0 if self._contents.older else 90.0)
+        if not 0.0 < fov < 180.0:
+            parameters.fail("fov", "is out of range; give degrees between 0 and 180")
+        sides = math.tan(math.radians(fov) / 2.0) * np.array([max(width, height) / each for each in (height, width)])
+        x, y = (side * ((2.0 * np.arange(count) + 1.0) / count - 1.0) for side, count in zip(sides, (width, height)))
+        weights = (1.0 + x**2 + y[:, None] ** 2) ** -1.5
+        mean = (image * weights[..., None]).sum(axis=(0, 1)) / weights.sum()
+        solid = 4.0 * math.asin(float(sides.prod() / np.sqrt(1.0 + sides**2).prod()))
+        outer = max(math.degrees(math.acos(1.0 - solid / (2.0 * math.pi))), 0.1)
+        axis = linear(matrix, np.array((0.0, 0.0, 1.0)))
+        return Cone(as_vector(axis), outer - 0.05, outer), solid, mean
+
+    def _light_image(self, parameters: Parameters, loss: str) -> np.ndarray:
+        """The image of a light at a point, linear `[H, W, 3]`; one white texel without one.
+
+        Before pbrt-v4, files hold linear light.
+        """
         name = parameters.text("filename")
-        self._contents.lose("images of goniometric lights: their mean", printable(name))
-        mean = float((self._textures.load(name, str(parameters.place), True) @ LUMINANCE).mean()) if name else 1.0
-        return 1.0 if parameters.number("power", -1.0) > 0.0 else mean
+        if not name:
+            return np.ones((1, 1, 3))
+        self._contents.lose(loss, printable(name))
+        return self._textures.load(name, str(parameters.place), not self._contents.older).clip(min=0.0).astype(np.float64)
 
     def _infinite(self, parameters: Parameters, matrix: np.ndarray, folder: Path, files: SceneFiles) -> np.ndarray:
         """The radiance `[H, W, 3]` of an infinite light in the scene's directions."""
@@ -145,7 +187,7 @@ class Lights:
         if name.lower().endswith((".exr", ".hdr")):
             path = files.find(folder, name, str(parameters.place))
             return load_environment_map(path)[0].astype(np.float64)
-        return self._textures.load(name, str(parameters.place), True).clip(min=0.0)
+        return self._textures.load(name, str(parameters.place), not self._contents.older).clip(min=0.0)
 
 
 def _scale(parameters: Parameters, contents: Contents, key: str, unit: float) -> float:

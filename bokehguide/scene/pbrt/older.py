@@ -36,9 +36,16 @@ def upgrade(contents: Contents, folder: Path, files: SceneFiles) -> None:
     for shape in shapes:
         _rename(shape.parameters)
     for texture in contents.textures.values():
-        gamma = texture.parameters.values.get("gamma")
-        if gamma is not None and gamma.type == "bool" and not texture.parameters.flag("gamma"):
-            texture.parameters.values["encoding"] = Parameter("string", ["linear"], gamma.place)
+        _fold_gamma(texture.parameters)
+
+
+def _fold_gamma(texture: Parameters) -> None:
+    """Replace `gamma`, a flag in pbrt-v3 and an exponent before, by the `encoding` of pbrt-v4."""
+    gamma = texture.values.get("gamma")
+    if gamma is not None:
+        numeric = gamma.type == "float"
+        encoding = f"gamma {texture.number('gamma', 1.0):g}" if numeric else "sRGB" if texture.flag("gamma") else "linear"
+        texture.values["encoding"] = Parameter("string", [encoding], gamma.place)
 
 
 def _rename(parameters: Parameters) -> None:

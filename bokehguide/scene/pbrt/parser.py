@@ -14,7 +14,8 @@ from bokehguide.scene.pbrt.contents import Contents, Instance, Light, Shape, Sta
 from bokehguide.scene.pbrt.parameters import Parameters, read_parameters
 from bokehguide.scene.pbrt.spectra import COLOR_SPACES
 from bokehguide.scene.pbrt.tokens import MOST_TEXT, Place, Tokens, read_source
-from bokehguide.scene.pbrt.transforms import inverse, look_at, rotation, translation
+from bokehguide.scene.pbrt.transform_directives import TRANSFORMS, TransformDirective
+from bokehguide.scene.pbrt.transforms import inverse
 from bokehguide.scene.tables import did_you_mean
 
 MAX_DEPTH = 16
@@ -73,32 +74,8 @@ class _Parser:
             begin, place, _ = self._stack[-1]
             place.fail(f"{begin}Begin without {begin}End; add the end")
 
-    def _move(self, matrix: np.ndarray) -> None:
-        """Multiply the transform by `matrix`."""
-        if self._state.active:
-            self._state = replace(self._state, matrix=self._state.matrix @ matrix)
-
-    def transform(self, tokens: Tokens, at: Place, concatenate: bool) -> None:
-        matrix = np.reshape(tokens.numbers(16, "a transform"), (4, 4)).T
-        if not concatenate and self._state.active:
-            self._state = replace(self._state, matrix=np.eye(4))
-        self._move(matrix)
-
-    def identity(self, tokens: Tokens, at: Place) -> None:
-        if self._state.active:
-            self._state = replace(self._state, matrix=np.eye(4))
-
-    def translate(self, tokens: Tokens, at: Place) -> None:
-        self._move(translation(*tokens.numbers(3, "Translate")))
-
-    def scale(self, tokens: Tokens, at: Place) -> None:
-        self._move(np.diag((*tokens.numbers(3, "Scale"), 1.0)))
-
-    def rotate(self, tokens: Tokens, at: Place) -> None:
-        self._move(rotation(*tokens.numbers(4, "Rotate")))
-
-    def look_at(self, tokens: Tokens, at: Place) -> None:
-        self._move(look_at(tokens.numbers(9, "LookAt"), at))
+    def transform(self, tokens: Tokens, at: Place, change: TransformDirective) -> None:
+        self._state = change(self._state, tokens, at)
 
     def coordinate_system(self, tokens: Tokens, at: Place) -> None:
         self._systems[tokens.text("a name")] = self._state.matrix
@@ -270,13 +247,6 @@ class _Parser:
 
 Directive = Callable[[_Parser, Tokens, Place], None]
 DIRECTIVES: dict[str, Directive] = {
-    "Identity": _Parser.identity,
-    "Translate": _Parser.translate,
-    "Scale": _Parser.scale,
-    "Rotate": _Parser.rotate,
-    "LookAt": _Parser.look_at,
-    "Transform": lambda parser, tokens, at: parser.transform(tokens, at, False),
-    "ConcatTransform": lambda parser, tokens, at: parser.transform(tokens, at, True),
     "CoordinateSystem": _Parser.coordinate_system,
     "CoordSysTransform": _Parser.coord_sys_transform,
     "ActiveTransform": _Parser.active_transform,
@@ -306,6 +276,9 @@ DIRECTIVES: dict[str, Directive] = {
     "ReverseOrientation": _Parser.reverse_orientation,
     "MediumInterface": _Parser.medium,
     "MakeNamedMedium": _Parser.named_medium,
+}
+DIRECTIVES |= {
+    name: lambda parser, tokens, at, change=change: parser.transform(tokens, at, change) for name, change in TRANSFORMS.items()
 }
 DIRECTIVES |= {
     name: lambda parser, tokens, at, name=name: parser.option(tokens, at, name)

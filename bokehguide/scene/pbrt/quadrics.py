@@ -6,6 +6,8 @@ u runs with the angle φ from x to y. v is 0 at the lower end of a sphere and a 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,12 +25,18 @@ def sphere(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
     high = min(max(parameters.number("zmax", radius), -radius), radius)
     if low > high:
         low, high = high, low
-    start, end = math.acos(low / radius), math.acos(high / radius)
+    unit = _unit_sphere(low / radius, high / radius, _turn(parameters), segments)
+    return replace(unit, vertices=unit.vertices * np.float32(radius))
+
+
+@lru_cache(maxsize=64)
+def _unit_sphere(low: float, high: float, turn: float, segments: int) -> Mesh:
+    """The part of a sphere of radius 1 from the height `low` to `high`, up to the angle `turn`, radians."""
+    start, end = math.acos(low), math.acos(high)
     rings = max(1, math.ceil(0.5 * segments * (start - end) / math.pi))
     theta = np.linspace(start, end, rings + 1)
     profile = np.stack([np.sin(theta), np.cos(theta)], axis=1)
-    mesh = _revolved(radius * profile, profile, parameters, segments)
-    return _with_area(mesh, radius * _turn(parameters) * (high - low), profile)
+    return _with_area(_revolved(profile, profile, turn, segments), turn * (high - low), profile)
 
 
 def cylinder(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
@@ -36,16 +44,16 @@ def cylinder(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
     radius = _radius(parameters)
     low, high = parameters.number("zmin", -1.0), parameters.number("zmax", 1.0)
     profile = np.array([(radius, min(low, high)), (radius, max(low, high))])
-    return _revolved(profile, np.array([(1.0, 0.0)] * 2), parameters, segments)
+    return _revolved(profile, np.array([(1.0, 0.0)] * 2), _turn(parameters), segments)
 
 
 def disk(parameters: Parameters, segments: int = SEGMENTS) -> Mesh:
     """A disc, or a ring, at `height`, facing +z."""
     radius, height = _radius(parameters), parameters.number("height", 0.0)
     inner = min(max(parameters.number("innerradius", 0.0), 0.0), radius)
-    profile = np.array([(radius, height), (inner, height)])
-    mesh = _revolved(profile, np.array([(0.0, 1.0)] * 2), parameters, segments)
-    angle = _turn(parameters) / _steps(parameters, segments)
+    profile, turn = np.array([(radius, height), (inner, height)]), _turn(parameters)
+    mesh = _revolved(profile, np.array([(0.0, 1.0)] * 2), turn, segments)
+    angle = turn / _steps(turn, segments)
     flat = np.array((1.0, 1.0, 0.0)) * math.sqrt(angle / math.sin(angle)) + np.array((0.0, 0.0, 1.0))
     return Mesh((mesh.vertices * flat).astype(np.float32), mesh.triangles, 0, None, mesh.uvs)
 
@@ -77,7 +85,8 @@ def _drawn(profile: np.ndarray, parameters: Parameters, segments: int) -> Mesh:
     """The surface of revolution of `profile` `[R, 2]`, with the normals of its slope to the right of its direction."""
     slope = np.gradient(profile, axis=0)
     normals = np.stack([slope[:, 1], -slope[:, 0]], axis=1)
-    return _revolved(profile, normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(min=1e-12), parameters, segments)
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(min=1e-12)
+    return _revolved(profile, normals, _turn(parameters), segments)
 
 
 def _radius(parameters: Parameters) -> float:
@@ -92,15 +101,18 @@ def _turn(parameters: Parameters) -> float:
     return math.radians(min(max(parameters.number("phimax", 360.0), 0.01), 360.0))
 
 
-def _steps(parameters: Parameters, segments: int) -> int:
-    """Segments of the turn up to phimax, of `segments` of a full turn."""
-    return max(3, math.ceil(segments * _turn(parameters) / (2.0 * math.pi)))
+def _steps(turn: float, segments: int) -> int:
+    """Segments up to the angle `turn`, radians, of `segments` of a full turn."""
+    return max(3, math.ceil(segments * turn / (2.0 * math.pi)))
 
 
-def _revolved(profile: np.ndarray, normals: np.ndarray, parameters: Parameters, segments: int) -> Mesh:
-    """The surface of revolution of `profile` `[R, 2]`, (distance from the axis, z), with `normals` `[R, 2]` in the same plane."""
-    steps, rows = _steps(parameters, segments), len(profile)
-    phi = np.linspace(0.0, _turn(parameters), steps + 1)
+def _revolved(profile: np.ndarray, normals: np.ndarray, turn: float, segments: int) -> Mesh:
+    """The surface of revolution of `profile` `[R, 2]`, (distance from the axis, z), with `normals` `[R, 2]` in the same plane.
+
+    turn: the angle that it covers, radians.
+    """
+    steps, rows = _steps(turn, segments), len(profile)
+    phi = np.linspace(0.0, turn, steps + 1)
     circle = np.stack([np.cos(phi), np.sin(phi), np.ones_like(phi)], axis=1)
     points, directions = (each[:, None, [0, 0, 1]] * circle for each in (profile, normals))
     u, v = np.meshgrid(np.linspace(0.0, 1.0, steps + 1), np.linspace(1.0, 0.0, rows))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,22 +13,25 @@ from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.gltf.lights import default_radius
-from bokehguide.scene.losses import loss_lines
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
 from bokehguide.scene.pbrt.cameras import read_camera, read_film, world_matrix
 from bokehguide.scene.pbrt.contents import Contents, Shape
+from bokehguide.scene.pbrt.curves import curves_mesh, detail, segment_count, triangle_count
 from bokehguide.scene.pbrt.lights import Lights, area_emission
 from bokehguide.scene.pbrt.materials import Materials, Opacity
 from bokehguide.scene.pbrt.older import upgrade
 from bokehguide.scene.pbrt.older_materials import OlderMaterials
 from bokehguide.scene.pbrt.parser import parse
 from bokehguide.scene.pbrt.quadrics import SEGMENTS
-from bokehguide.scene.pbrt.shapes import QUADRICS, read_shape
+from bokehguide.scene.pbrt.shapes import QUADRICS, Read, read_shape
 from bokehguide.scene.pbrt.textures import Textures, constant
 from bokehguide.scene.shapes import MOST_SPHERES, instanced, reversed_mesh, surface_area, transformed
 from bokehguide.scene.tables import did_you_mean
 from bokehguide.scene.types import Mesh, Scene
 from bokehguide.scene.validation import check_meshes, check_triangles
+
+SPLIT_DEPTH = 3
+"""Logarithm of the pieces of a segment of a curve, each of which is a shape of pbrt."""
 
 
 def read_pbrt(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
@@ -45,7 +49,7 @@ def read_pbrt(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scen
     shapes = _Shapes(path, contents, files)
     meshes = shapes.placed(world)
     if not meshes:
-        lost = loss_lines({line: names for line, names in contents.lost.items() if line.endswith("left out")})
+        lost = contents.lost.lines(end="left out")
         known = f" ({lost[0]})" if lost else ""
         raise BokehguideError(f"{path}: holds no shapes that can be drawn{known}; give a scene with some")
     lights = Lights(contents, shapes.materials, shapes.textures, world, default_radius(meshes))
@@ -60,7 +64,7 @@ def read_pbrt(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scen
         film=film,
         environment=lights.environment,
         suns=tuple(lights.suns),
-        warnings=tuple(loss_lines(contents.lost, path.name)),
+        warnings=tuple(contents.lost.lines(path.name)),
     )
     return scene, chosen
 
@@ -84,17 +88,19 @@ class _Shapes:
         used = [(self.contents.shapes, 1), *((shapes, uses[name]) for name, shapes in self.contents.objects.items())]
         quadrics = sum(number * sum(shape.parameters.kind in QUADRICS for shape in shapes) for shapes, number in used)
         self._segments = SEGMENTS >> sum(quadrics > most for most in MOST_SPHERES)
+        self._detail = detail(sum(number * _segments_of(shapes) for shapes, number in used))
 
     def placed(self, world: np.ndarray) -> list[Mesh]:
         """All shapes and instances in the scene's space. world: from pbrt's world."""
         meshes: list[Mesh] = []
-        for shape in self.contents.shapes:
-            self._add(meshes, self._mesh(shape, world @ shape.matrix, shape.light is not None), shape)
+        for shapes in _groups(self.contents.shapes):
+            self._add(meshes, self._mesh(shapes, world, shapes[0].light is not None), shapes[0])
         for name, matrices in self._uses(world).items():
-            for shape in self.contents.objects[name]:
+            for shapes in _groups(self.contents.objects[name]):
+                shape = shapes[0]
                 if shape.light is not None:
                     self.contents.lose("emission of instances: pbrt has none either", printable(name))
-                mesh = self._mesh(shape, shape.matrix, False, printable(name))
+                mesh = self._mesh(shapes, np.eye(4), False, printable(name))
                 if mesh is not None:
                     total = self._triangles + len(mesh.triangles) * len(matrices)
                     check_triangles(total, str(shape.parameters.place), self.files.most_triangles)
@@ -119,8 +125,12 @@ class _Shapes:
             uses.setdefault(instance.name, []).append(world @ instance.matrix)
         return {name: np.stack(matrices) for name, matrices in uses.items()}
 
-    def _mesh(self, shape: Shape, matrix: np.ndarray, emits: bool, instanced_as: str = "") -> Mesh | None:
-        """A shape under `matrix`, None for one that cannot be seen. instanced_as: the name of its object, "" without one."""
+    def _mesh(self, shapes: Sequence[Shape], outer: np.ndarray, emits: bool, instanced_as: str = "") -> Mesh | None:
+        """A shape, or curves that share all but their points, under `outer` and their own matrices; None for invisible ones.
+
+        instanced_as: the name of the object, "" without one.
+        """
+        shape = shapes[0]
         parameters = shape.parameters
         opacity = self._opacity(shape)
         if opacity is not None and opacity.value.constant and not opacity.value.image.max() > 0.0:
@@ -129,7 +139,7 @@ class _Shapes:
             self.contents.lose("invisible area lights: visible ones in their place", parameters.place.short)
             opacity = None
         with located(str(parameters.place)):
-            read = read_shape(parameters, self.path.parent, self.files, self._segments)
+            read, matrix = self._read(shapes, outer)
             if read is None:
                 self.contents.lose(f"shapes of the type {printable(parameters.kind)}: left out", parameters.place.short)
                 return None
@@ -148,6 +158,17 @@ class _Shapes:
             return None
         name, groups = self._names(shape, instanced_as)
         return replace(mesh, material=index, name=name, groups=groups)
+
+    def _read(self, shapes: Sequence[Shape], outer: np.ndarray) -> tuple[Read | None, np.ndarray]:
+        """A shape, or curves as one mesh, and the matrix under which they are; None for a kind without a counterpart."""
+        parameters, segments = shapes[0].parameters, _segments_of(shapes)
+        if not segments:
+            return read_shape(parameters, self.path.parent, self.files, self._segments), outer @ shapes[0].matrix
+        total = self._triangles + triangle_count(segments, *self._detail)
+        check_triangles(total, str(parameters.place), self.files.most_triangles)
+        if any(shape.parameters.text("type", "flat") == "flat" for shape in shapes):
+            self.contents.lose("flat curves: tubes in their place", parameters.place.short)
+        return Read(curves_mesh(shapes, *self._detail), segments << SPLIT_DEPTH), outer
 
     def _names(self, shape: Shape, instanced_as: str) -> tuple[str, tuple[str, ...]]:
         """The name of a mesh, and names that it shares with other meshes.
@@ -171,3 +192,21 @@ class _Shapes:
             return Opacity(self.textures.scalar(parameters, "alpha", 1.0), name)
         alpha = min(max(parameters.number("alpha", 1.0), 0.0), 1.0)
         return None if alpha == 1.0 else Opacity(constant(alpha), alpha)
+
+
+def _segments_of(shapes: Iterable[Shape]) -> int:
+    """The segments of all curves among `shapes`."""
+    return sum(segment_count(shape.parameters) for shape in shapes if shape.parameters.kind == "curve")
+
+
+def _groups(shapes: Iterable[Shape]) -> list[list[Shape]]:
+    """Each shape by itself, and curves that share material, light, side and opacity together."""
+    groups: dict[object, list[Shape]] = {}
+    for shape in shapes:
+        key: object = id(shape)
+        if shape.parameters.kind == "curve":
+            source = shape.material if isinstance(shape.material, str) else id(shape.material)
+            alpha = shape.parameters.values.get("alpha")
+            key = (source, id(shape.light), shape.reverse, None if alpha is None else tuple(alpha.values))
+        groups.setdefault(key, []).append(shape)
+    return list(groups.values())

@@ -15,6 +15,7 @@ from bokehguide.scene.pbrt.quadrics import cone, cylinder, disk, hyperboloid, pa
 from bokehguide.scene.shapes import facing_normals, unit_normals
 from bokehguide.scene.types import Mesh
 from bokehguide.scene.validation import check_triangles
+from bokehguide.scene.vectors import turned_uvs
 
 MAX_LEVELS = 8
 """Subdivisions of a mesh; each makes four times the triangles."""
@@ -56,7 +57,7 @@ def triangles_mesh(
     points = points.astype(np.float32)
     if normals is not None:
         normals = unit_normals(normals.astype(np.float32), points, triangles)
-    downwards = None if uvs is None else (uvs * (1.0, -1.0) + (0.0, 1.0)).astype(np.float32)[:, None]
+    downwards = None if uvs is None else turned_uvs(uvs)[:, None]
     return facing_normals(Mesh(points, triangles.astype(np.int32), 0, normals, downwards))
 
 

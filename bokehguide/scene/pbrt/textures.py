@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from bokehguide.errors import BokehguideError, printable
-from bokehguide.image.reading import read_channels
-from bokehguide.limits import LARGEST
 from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.images import checks, load_texture, nearest_texels
+from bokehguide.scene.images import FLOATS, checks, float_texture, load_texture, nearest_texels
 from bokehguide.scene.pbrt.contents import Contents
 from bokehguide.scene.pbrt.parameters import Parameters
 from bokehguide.scene.pbrt.pfm import read_pfm
@@ -82,15 +80,10 @@ class Textures:
         path = self._files.find(self._folder, name, place)
         if path.suffix.lower() == ".pfm":
             return read_pfm(path, self._files, place)
-        if path.suffix.lower() not in (".exr", ".hdr"):
-            require_file(path, "texture", place)
-            return load_texture(path, self._files, srgb)
         require_file(path, "texture", place)
-        read = read_channels(path, path.suffix.upper().removeprefix("."))
-        names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3
-        image = np.stack([read.pixels[..., read.names.index(channel)] for channel in names], axis=-1)
-        self._files.reserve(image.size, path.stat().st_size, str(path))
-        return np.nan_to_num(image, posinf=0.0, neginf=0.0).clip(-LARGEST, LARGEST)
+        if path.suffix.lower() in FLOATS:
+            return float_texture(path, self._files, str(path))
+        return load_texture(path, self._files, srgb)
 
     def _named(self, value: str, name: str, parameters: Parameters) -> Value:
         """A texture by name."""
@@ -135,10 +128,9 @@ class Textures:
     def _imagemap(self, parameters: Parameters, value: str) -> Value:
         name = parameters.text("filename")
         encoding = parameters.text("encoding", "sRGB").lower().split()
-        png = name.lower().endswith(".png")
-        srgb = not png or encoding[:1] == ["srgb"]
-        image = self.load(name, str(parameters.place), srgb)
-        if png and encoding[:1] == ["gamma"] and len(encoding) == 2:
+        encoded = self._contents.older or name.lower().endswith(".png")
+        image = self.load(name, str(parameters.place), not encoded or encoding[:1] == ["srgb"])
+        if encoded and encoding[:1] == ["gamma"] and len(encoding) == 2:
             try:
                 image = image ** min(max(float(encoding[1]), 0.1), 10.0)
             except ValueError:

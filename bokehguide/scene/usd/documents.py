@@ -15,6 +15,7 @@ from xml.parsers import expat
 
 from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.losses import Losses
 from bokehguide.scene.usd.libraries import Ar, Sdf, Tf, Usd, UsdShade
 
 SUFFIX = ".mtlx"
@@ -45,13 +46,13 @@ LINEAR = "lin_rec709"
 
 
 class Documents:
-    """The MaterialX documents of a stage. lost: what is lost, in words, with the names of documents and nodes."""
+    """The MaterialX documents of a stage. lost: with the names of documents and nodes."""
 
     def __init__(self, path: Path, files: SceneFiles):
         self._path, self._files = path, files
         self._layers: dict[str, Any] = {}
         self._replaced: list[tuple[Any, str, str]] = []
-        self.lost: dict[str, dict[str, None]] = {}
+        self.lost = Losses()
 
     def replace(self, layer: Any) -> None:
         """Replace the documents that a layer names.
@@ -68,7 +69,7 @@ class Documents:
             place = f"{self._path}: {printable(name, 200)}"
             self._files.find(self._path.parent, Ar.SplitPackageRelativePathOuter(resolved or absolute)[0], place)
             if resolved and find_spec("MaterialX") is None:
-                self.lost.setdefault(MISSING, {})[printable(name, 120)] = None
+                self.lost.add(MISSING, printable(name, 120))
             elif resolved:
                 self._put(layer, asset, self._layer(layer, name, resolved))
 
@@ -99,7 +100,7 @@ class Documents:
 class _Reading:
     """The reading of a document and of the documents that it includes. path: of the stage."""
 
-    def __init__(self, path: Path, files: SceneFiles, lost: dict[str, dict[str, None]]):
+    def __init__(self, path: Path, files: SceneFiles, lost: Losses):
         self._path, self._files, self._lost, self._mx = path, files, lost, import_module("MaterialX")
         self._options = self._mx.XmlReadOptions()
         self._options.readXIncludeFunction = self._include
@@ -127,7 +128,7 @@ class _Reading:
             raise ValueError(f"more than {MAX_INCLUDES} documents include each other")
         path = self._files.find(Path(folders.asString()), name.asString(), str(self._path))
         if not path.is_file():
-            self._lost.setdefault(GONE, {})[printable(name.asString(), 120)] = None
+            self._lost.add(GONE, printable(name.asString(), 120))
             return
         found.setSourceUri(str(path))
         self._mx.readFromXmlString(found, _checked(path.read_bytes()), self._mx.FileSearchPath(str(path.parent)), options)
@@ -156,7 +157,7 @@ def _checked(data: bytes) -> str:
 class _Conversion:
     """The conversion of a document. locate: the path of a file that the document names."""
 
-    def __init__(self, document: Any, locate: Callable[[str], str], lost: dict[str, dict[str, None]]):
+    def __init__(self, document: Any, locate: Callable[[str], str], lost: Losses):
         self._document, self._locate, self._lost = document, locate, lost
         self.layer = Sdf.Layer.CreateAnonymous(".usda")
         self._stage = Usd.Stage.Open(self.layer)
@@ -272,7 +273,7 @@ class _Conversion:
         return float(units[name].getAttribute("scale")) if name in units else 1.0
 
     def _lose(self, what: str, element: Any) -> None:
-        self._lost.setdefault(what, {})[printable(element.getNamePath(), 120)] = None
+        self._lost.add(what, printable(element.getNamePath(), 120))
 
 
 def _name(element: Any) -> str:

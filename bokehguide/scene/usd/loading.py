@@ -11,7 +11,6 @@ import numpy as np
 from bokehguide.limits import MAX_SIDE
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.losses import loss_lines
 from bokehguide.scene.shapes import instanced, transformed
 from bokehguide.scene.types import Environment, FilmSettings, Material, Mesh, Model, ModelCamera, ModelState, Sun
 from bokehguide.scene.usd.cameras import read_camera
@@ -53,7 +52,7 @@ def read_usd(path: Path, files: SceneFiles, state: ModelState, binary: bool) -> 
         environment=reader.environment,
         film=film,
         supported=tuple(supported(reader, opened)),
-        warnings=tuple(loss_lines(opened.lost)),
+        warnings=tuple(opened.lost.lines()),
     )
 
 

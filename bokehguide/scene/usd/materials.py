@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import printable
-from bokehguide.scene.types import Material, Vector, as_vector
+from bokehguide.scene.types import Material, Vector
 from bokehguide.scene.usd.libraries import UsdGeom, UsdShade
 from bokehguide.scene.usd.materialx_surfaces import SURFACES, MaterialXSurface
 from bokehguide.scene.usd.networks import kind_of
@@ -17,6 +17,7 @@ from bokehguide.scene.usd.preview_surface import DEFAULT_GREY, DEFAULT_ROUGHNESS
 from bokehguide.scene.usd.stage import Stage
 from bokehguide.scene.usd.surface_inputs import DISPLAY_COLOR, WHITE, Look
 from bokehguide.scene.usd.textures import Textures
+from bokehguide.scene.vectors import fractions
 
 PREVIEW = ("UsdPreviewSurface", "ND_UsdPreviewSurface_surfaceshader")
 PURPOSES = ("full", "preview")
@@ -65,7 +66,7 @@ class Looks:
             return DEFAULT
         if len(values) > 1 and not constant:
             return COLORED
-        color = as_vector(np.nan_to_num(np.asarray(values[0], np.float64).reshape(3)).clip(0.0, 1.0))
+        color = fractions(np.nan_to_num(np.asarray(values[0], np.float64).reshape(3)))
         return self._plain.setdefault(color, Look(replace(DEFAULT.material, base_color=color)))
 
     def _look(self, material: Any) -> Look | None:

@@ -18,8 +18,9 @@ from bokehguide.scene.types import Material, as_vector
 from bokehguide.scene.usd.networks import connected_output
 from bokehguide.scene.usd.nodes import Nodes, Value
 from bokehguide.scene.usd.stage import Stage
-from bokehguide.scene.usd.surface_inputs import BLACK, WHITE, Look, SurfaceInputs, fractions
+from bokehguide.scene.usd.surface_inputs import BLACK, WHITE, Look, SurfaceInputs
 from bokehguide.scene.usd.textures import Source, Textures
+from bokehguide.scene.vectors import fractions
 
 GREY = (0.8, 0.8, 0.8)
 COAT_IOR = 1.5

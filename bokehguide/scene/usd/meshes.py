@@ -12,6 +12,7 @@ from bokehguide.scene.usd.materials import Look
 from bokehguide.scene.usd.primvars import OF_VERTICES, Primvar, Topology, read_primvar
 from bokehguide.scene.usd.stage import Stage
 from bokehguide.scene.usd.surfaces import Surface
+from bokehguide.scene.vectors import turned_uvs
 
 
 def read_mesh(opened: Stage, prim: Any, surface: Surface, faces: np.ndarray | None, look: Look) -> Mesh:
@@ -38,7 +39,7 @@ def read_mesh(opened: Stage, prim: Any, surface: Surface, faces: np.ndarray | No
         triangles=triangles,
         material=0,
         normals=normals,
-        uvs=np.stack([spread(each)[used] * (1, -1) + (0, 1) for each in uvs], axis=1) if uvs else None,
+        uvs=np.stack([turned_uvs(spread(each)[used]) for each in uvs], axis=1) if uvs else None,
         colors=None if tint is None else spread(tint)[used],
     )
 

@@ -8,8 +8,9 @@ from typing import Any
 from bokehguide.limits import LARGEST
 from bokehguide.scene.types import Material, Vector, as_vector
 from bokehguide.scene.usd.networks import PREFIX, connected_output, kind_of, valued
-from bokehguide.scene.usd.surface_inputs import BLACK, WHITE, Look, SurfaceInputs, fractions
+from bokehguide.scene.usd.surface_inputs import BLACK, WHITE, Look, SurfaceInputs
 from bokehguide.scene.usd.textures import Source
+from bokehguide.scene.vectors import fractions
 
 F0 = 0.04
 """Reflectance at normal incidence for the refractive index 1.5, by which the specular colour is divided."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.losses import Losses
 from bokehguide.scene.usd.documents import MISSING, SUFFIX, Documents
 from bokehguide.scene.usd.libraries import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils
 from bokehguide.stopping import default_signals
@@ -30,7 +31,7 @@ class Stage:
     """An open stage.
 
     stage: of `pxr.Usd`. time: a `pxr.Usd.TimeCode`. world: the matrix `[4, 4]` from scene units to metres with y up. unit:
-    metres of a scene unit. lost: what is lost, in words, with the names of the prims. current: the prim that is read.
+    metres of a scene unit. lost: with the names of the prims. current: the prim that is read.
     """
 
     path: Path
@@ -39,12 +40,12 @@ class Stage:
     time: Any
     world: np.ndarray
     unit: float
-    lost: dict[str, dict[str, None]] = field(default_factory=dict)
+    lost: Losses = field(default_factory=Losses)
     current: Any = None
 
     def lose(self, what: str, name: str) -> None:
         """Note a loss at a prim."""
-        self.lost.setdefault(what, {})[printable(name, 120)] = None
+        self.lost.add(what, printable(name, 120))
 
     def place(self, prim: Any) -> str:
         """The file and the path of a prim, for errors."""

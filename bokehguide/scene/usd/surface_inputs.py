@@ -10,7 +10,7 @@ import numpy as np
 
 from bokehguide.limits import LARGEST
 from bokehguide.scene.images import nearest_texels
-from bokehguide.scene.types import Material, Texture, Vector, as_vector
+from bokehguide.scene.types import Material, Texture
 from bokehguide.scene.usd.networks import PREFIX, connected_output, kind_of
 from bokehguide.scene.usd.nodes import Nodes, Value
 from bokehguide.scene.usd.stage import Stage
@@ -122,8 +122,3 @@ class SurfaceInputs:
         """Note a loss if two images that become one have different coordinates."""
         if first.coordinates != other.coordinates:
             self.opened.lose("textures with different coordinates that share one image: those of the first count", self.name)
-
-
-def fractions(color: Any) -> Vector:
-    """A colour within 0 and 1."""
-    return as_vector(min(max(float(channel), 0.0), 1.0) for channel in color)

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.image.reading import read_channels
 from bokehguide.limits import most_values
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.images import decode_texture
+from bokehguide.scene.images import FLOATS, decode_texture, float_texture
 from bokehguide.scene.types import Texture
 from bokehguide.scene.usd.coordinates import Affine, read_coordinates
 from bokehguide.scene.usd.libraries import Ar, Sdf
@@ -179,7 +178,7 @@ def decode(data: bytes, name: str, place: str, files: SceneFiles, srgb: bool, al
     name: tells the format. place: for errors. srgb: whether integers are decoded from sRGB. alpha: whether to keep the alpha.
     """
     kind = PurePosixPath(name.rstrip("]")).suffix.lower()
-    if kind in (".exr", ".hdr"):
+    if kind in FLOATS:
         return files.image(data, srgb, alpha, lambda: _floats(data, kind, place, files))
     return decode_texture(data, place, files, srgb, alpha)
 
@@ -190,13 +189,9 @@ def _floats(data: bytes, kind: str, place: str, files: SceneFiles) -> np.ndarray
         path = Path(folder) / f"image{kind}"
         path.write_bytes(data)
         try:
-            read = read_channels(path, kind[1:].upper())
+            return float_texture(path, files, str(path))
         except BokehguideError as error:
             raise BokehguideError(f"{place}: {str(error).replace(str(path), 'the image')}") from None
-    names = "RGB" if set("RGB") <= set(read.names) else (read.names[0],) * 3
-    pixels = np.stack([read.pixels[..., read.names.index(name)] for name in names], axis=-1)
-    files.reserve(pixels.size, len(data), place)
-    return np.nan_to_num(pixels, posinf=0.0, neginf=0.0).astype(np.float32)
 
 
 def is_srgb(data: bytes) -> bool:
