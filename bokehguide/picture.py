@@ -21,6 +21,7 @@ import numpy as np
 from PIL import Image
 
 from bokehguide.errors import BokehguideError
+from bokehguide.guiding.config import GaussianConfig, GuidedConfig
 from bokehguide.image import Display, group_layers, to_8_bit, write_exr, write_png
 from bokehguide.image.cryptomatte import LAYERS, manifest, mask, require_hash
 from bokehguide.image.oidn import require_denoiser
@@ -114,10 +115,12 @@ class Picture:
         """The picture for a display, uint8 `[H, W, 3]` in sRGB; the denoised one where there is one."""
         return to_8_bit(self._shown())
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
+    def save(self, path: str | os.PathLike[str], *, alpha: bool = False, bits: int = 8) -> Path:
         """Write an EXR with all layers, or a PNG, by the suffix of the path, as the command line does; returns the path.
 
-        Raises BokehguideError for another suffix and for a path that cannot be written.
+        alpha: make the PNG transparent where the picture is, with straight alpha. bits: per channel of the PNG, 8 or 16. An EXR
+        always has alpha and 32 bits. Raises BokehguideError for another suffix or number of bits, and for a path that cannot be
+        written.
         """
         if not isinstance(path, str | os.PathLike):
             raise BokehguideError(f"Picture.save: path: {shown(path)} is no path; give one that ends in .exr or .png")
@@ -125,7 +128,9 @@ class Picture:
         if path.suffix.lower() == ".exr":
             write_exr(path, self.layers, self.metadata, corner=self.corner, frame=self.frame)
         elif path.suffix.lower() == ".png":
-            write_png(path, self._shown())
+            if bits not in (8, 16):
+                raise BokehguideError(f"Picture.save: bits: {shown(bits)} is no depth of a PNG; give 8 or 16")
+            write_png(path, self.display.show_straight(self._delivered(), self.alpha) if alpha else self._shown(), bits)
         else:
             raise BokehguideError(f"Picture.save: {shown(str(path))} has another suffix; give .exr or .png")
         return path
@@ -264,7 +269,16 @@ def require_known(function: Callable[..., object], options: Iterable[str], field
             hint = did_you_mean(SYNONYMS.get(name, name), [*keywords, *fields])
             if name in DISPLAY and function is render:
                 hint = 'give it to the result, as in picture.developed(exposure=1.0, view="srgb")'
+            if function is render and (configs := _configs_with(name)):
+                hint = f"give {configs}, from bokehguide.guiding.config"
             raise BokehguideError(f"{function.__name__}: {name}: no such option; {hint}")
+
+
+def _configs_with(name: str) -> str:
+    """The keywords of `render` whose dataclass has a field of this name, as Python code; empty where none has."""
+    configs = {"gaussian": GaussianConfig, "guided": GuidedConfig}
+    owners = {keyword: config for keyword, config in configs.items() if name in config.__dataclass_fields__}
+    return " or ".join(f"{keyword}={config.__name__}({name}=...)" for keyword, config in owners.items())
 
 
 def size_pair(size: tuple[int, int] | None, caller: str) -> tuple[int | None, int | None]:

@@ -22,7 +22,8 @@ SCENE_HELP = (
 )
 REUSE_HELP = "radius in pixels in which area-restir reuses samples (default: 50, for images 1920 wide)"
 
-
+STDOUT = "-"
+"""The value of --json for the standard output; a file of this name is ./-."""
 TEV_PORT = 14158
 """Port on which tev listens by default."""
 
@@ -91,7 +92,8 @@ def make_parser() -> Parser:
 def _add_render(commands: argparse._SubParsersAction) -> None:
     render = commands.add_parser("render", help="render a scene to an EXR and a PNG")
     _add_render_options(render)
-    render.add_argument("--json", type=json, metavar="PATH", help="write speed, memory, errors and times as a JSON object")
+    facts = "write speed, memory, errors and times as a JSON object; -: to stdout, and the text to stderr"
+    render.add_argument("--json", type=json_output, metavar="PATH|-", help=facts)
     live = f"show the picture during the render in the image viewer tev (default port: {TEV_PORT})"
     render.add_argument("--tev", type=address, metavar="HOST[:PORT]", help=live)
 
@@ -120,7 +122,8 @@ def _add_view(commands: argparse._SubParsersAction) -> None:
 def _add_info(commands: argparse._SubParsersAction) -> None:
     info = commands.add_parser("info", help="print a scene as `render` with the same options sees it, and likely mistakes")
     _add_render_options(info)
-    info.add_argument("--json", type=json, metavar="PATH", help="write the facts as a JSON object")
+    facts = "write the facts as a JSON object; -: to stdout, and the text to stderr"
+    info.add_argument("--json", type=json_output, metavar="PATH|-", help=facts)
     view = "write a quick pinhole view in which the plane of focus is marked"
     info.add_argument("--picture", type=png, metavar="PATH.png", help=view)
 
@@ -139,6 +142,7 @@ def _add_render_options(render: argparse.ArgumentParser) -> None:
     add("--device", choices=("cpu", "cuda"), default="cpu", help="device of the tensors (default: cpu)")
     add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
     _add_display(add)
+    _add_png(add)
     add("--denoise", action="store_true", help="also write a denoised picture into the EXR, and show it in the PNG")
     mattes = "also write mattes of objects and materials through the lens into the EXR, as Cryptomatte layers"
     add("--cryptomatte", action="store_true", help=mattes)
@@ -195,6 +199,11 @@ def _add_display(add: Callable[..., object]) -> None:
     add("--view", choices=VIEWS, default=VIEWS[0], help=views)
 
 
+def _add_png(add: Callable[..., object]) -> None:
+    add("--alpha", action="store_true", help="make the PNG transparent where the picture is: RGBA with straight alpha")
+    add("--bits", type=bits, default=8, metavar="8|16", help="bits per channel of the PNG (default: 8)")
+
+
 def _add_develop(commands: argparse._SubParsersAction) -> None:
     develop = commands.add_parser("develop", help="make a new PNG from an EXR")
     add = develop.add_argument
@@ -202,6 +211,7 @@ def _add_develop(commands: argparse._SubParsersAction) -> None:
     stops = "exposure, or auto to meter the picture (default: the exposure in the file, or auto)"
     add("--exposure", type=exposure, metavar="auto|EV", help=stops)
     add("--view", choices=VIEWS, help="display transform (default: the view in the file, or photo)")
+    _add_png(add)
     add("--denoise", action="store_true", help="show the denoised picture in the file, or denoise")
     add("--out", type=png, metavar="PATH.png", help="output file (default: PICTURE.png)")
 
@@ -263,6 +273,8 @@ def _add_metrics(commands: argparse._SubParsersAction) -> None:
     add("reference", type=Path, metavar="REFERENCE.exr")
     insets = "also compare this box, in fractions of the frame from its top left; may be repeated"
     add("--inset", type=inset, action="append", default=[], metavar="X,Y,W,H", help=insets)
+    facts = "write the measures as a JSON object; -: to stdout, and the text to stderr"
+    add("--json", type=json_output, metavar="PATH|-", help=facts)
 
 
 def positive(text: str) -> int:
@@ -279,6 +291,12 @@ def depth(text: str) -> int:
 
 def threads(text: str) -> int:
     return _whole(text, 1, MAX_THREADS)
+
+
+def bits(text: str) -> int:
+    if text not in ("8", "16"):
+        raise argparse.ArgumentTypeError(f"{text!r} is no depth of a PNG; give 8 or 16")
+    return int(text)
 
 
 def port(text: str) -> int:
@@ -375,10 +393,13 @@ def png(text: str) -> Path:
     return path
 
 
+def json_output(text: str) -> Path | str:
+    """The path of a JSON file, or STDOUT."""
+    return text if text == STDOUT else json(text)
+
+
 def json(text: str) -> Path:
     path = Path(text)
-    if text == "-":
-        raise argparse.ArgumentTypeError("'-' is no path; give the path of a file, such as a.json")
     if path.suffix.lower() in (".exr", ".png", ".ckpt"):
         raise argparse.ArgumentTypeError(f"{text!r} is the name of a picture or a checkpoint; give another path, such as a.json")
     return path

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bokehguide.cli.folders import make_folders, print_folders
-from bokehguide.cli.pictures import chosen_exposure
+from bokehguide.cli.pictures import chosen_exposure, png_values, warn_if_opaque
 from bokehguide.cli.terminal import say
 from bokehguide.errors import BokehguideError, printable
 from bokehguide.image import Display, check_writable, read_layers, write_png
@@ -26,12 +26,16 @@ def run(options: argparse.Namespace) -> int:
     layers, header = read_layers(options.picture)
     if "beauty" not in layers:
         raise BokehguideError(f"{options.picture}: has no channels R, G and B; give an EXR of a picture")
+    if options.alpha and "alpha" not in layers:
+        raise BokehguideError(f"--alpha: {options.picture} has no channel A; leave --alpha out, or give an EXR with alpha")
     out = options.out or options.picture.with_suffix(".png")
     print_folders(make_folders([out.parent]))
     check_writable(out)
     radiance = denoised(layers, options) if options.denoise else layers["beauty"]
     display = display_of(options, header).metered(radiance, layers.get("alpha"))
-    write_png(out, display.show(radiance))
+    alpha = layers["alpha"] if options.alpha else None
+    write_png(out, png_values(display, radiance, alpha), options.bits)
+    warn_if_opaque(alpha)
     if "denoised" in layers and not options.denoise:
         say(f"the PNG shows the noisy picture of {options.picture}; --denoise shows the denoised one")
     print(f"wrote {out}, exposure {display.exposure:+g} EV, view {display.view}")

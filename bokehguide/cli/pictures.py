@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from torch import Tensor
 
 from bokehguide.cli.terminal import say
 from bokehguide.cli.tev import TevViewer
@@ -24,7 +25,8 @@ class Pictures:
     """Writes the images of one render. path: the EXR; the PNG goes beside it.
 
     display: of the PNG. viewer: also shows the radiance, None for no viewer. Of the last images: `delivered`, the radiance
-    `[H, W, 3]` of the PNG, denoised or not; its `estimated_mape`, None where unknown; `exposure` in EV.
+    `[H, W, 3]` of the PNG, denoised or not; its `estimated_mape`, None where unknown; `exposure` in EV; the `alpha` of the PNG
+    `[H, W]`, None without one.
     """
 
     def __init__(self, path: Path, options: argparse.Namespace, display: Display, viewer: TevViewer | None = None):
@@ -33,6 +35,7 @@ class Pictures:
         self.delivered: np.ndarray | None = None
         self.estimated_mape: float | None = None
         self.exposure = 0.0
+        self.alpha: np.ndarray | None = None
 
     def write(self, loop: RenderLoop | AdaptiveLoop, picture: Film | HalvesFilm) -> None:
         """Write the EXR with its metadata, and the PNG. Raises BokehguideError if they cannot be written."""
@@ -53,10 +56,16 @@ class Pictures:
             layers |= matte_layers(loop.scene, picture)
             facts |= matte_attributes(loop.scene)
         layers |= group_layers(picture.light_groups())
+        self.alpha = layers["alpha"] if self._options.alpha else None
         frame = (loop.camera.width, loop.camera.height)
         write_exr(self.path, drained(layers), facts, corner=picture.corner, frame=frame)
-        write_png(self.png, display.show(self.delivered))
+        write_png(self.png, png_values(display, self.delivered, self.alpha), self._options.bits)
         return_freed_memory()
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """The exposure and the paths of the last images, ready for JSON."""
+        return {"exposure": self.exposure, "exr": str(self.path), "png": str(self.png)}
 
     def due(self) -> bool:
         """Whether the viewer should get a new picture now."""
@@ -79,6 +88,18 @@ class Pictures:
                 say(f"warning: {error}")
 
 
+def png_values(display: Display, radiance: np.ndarray, alpha: np.ndarray | None) -> Tensor:
+    """Display values of a PNG, with alpha if it is given. display: metered."""
+    return display.show(radiance) if alpha is None else display.show_straight(radiance, alpha)
+
+
+def warn_if_opaque(alpha: np.ndarray | None) -> None:
+    """Warn on stderr where the alpha of a PNG has no effect. alpha: None without one."""
+    if alpha is not None and (alpha >= 1.0).all():
+        hint = "`visible = false` in [environment] of a scene file hides the environment"
+        say(f"warning: --alpha: the picture is opaque everywhere; {hint}")
+
+
 def chosen_exposure(given: float | str | None, stored: float | None) -> float | None:
     """Exposure in EV: the option's, or where it is absent the stored one; None to meter."""
     return stored if given is None else None if given == "auto" else float(given)
@@ -86,12 +107,13 @@ def chosen_exposure(given: float | str | None, stored: float | None) -> float | 
 
 def command_line(options: argparse.Namespace, spp: int) -> str:
     """The command that renders this image again."""
-    size = {"size": "x".join(map(str, options.size))} if options.size else {}
+    given = {"size": "x".join(map(str, options.size))} if options.size else {}
+    given |= {"bits": options.bits} if options.bits != 8 else {}
     names = ("mode", "reuse_radius", "seed", "device", "exposure", "view", "crop", "target_noise", *OVERRIDES)
     kept = {name: getattr(options, name) for name in names}
     words = ["bokehguide", "render", options.scene]
-    for name, value in (kept | size | {"spp": spp}).items():
+    for name, value in (kept | given | {"spp": spp}).items():
         if value is not None:
             words.append(f"--{name.replace('_', '-')}={option_text(value)}")
-    flags = ("denoise", "cryptomatte", "light_groups", "allow_outside")
+    flags = ("alpha", "denoise", "cryptomatte", "light_groups", "allow_outside")
     return shlex.join(words + [f"--{name.replace('_', '-')}" for name in flags if getattr(options, name)])

@@ -18,8 +18,8 @@ from torch import Tensor
 from bokehguide.cli.checkpoints import Checkpoints
 from bokehguide.cli.folders import make_folders, print_folders
 from bokehguide.cli.memory import check_memory, describe, explained
-from bokehguide.cli.pictures import Pictures, chosen_exposure
-from bokehguide.cli.report import write_json
+from bokehguide.cli.pictures import Pictures, chosen_exposure, warn_if_opaque
+from bokehguide.cli.report import json_file, text_beside, write_json
 from bokehguide.cli.sole_writer import sole_writer
 from bokehguide.cli.steps import measure, take_steps
 from bokehguide.cli.terminal import say
@@ -89,11 +89,13 @@ def render(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, referen
                 if not isinstance(end, int):
                     checkpoints.remove(loop)
                 if options.json:
-                    write_summary(options.json, summary)
-                print_summary(summary, picture, end)
-                print(f"exposure {pictures.exposure:+g} EV{' (metered)' * (display.exposure is None)}, view {display.view}")
-                print_files(loop, pictures, checkpoints)
+                    write_summary(options.json, summary | pictures.facts)
+                with text_beside(options.json):
+                    print_summary(summary, picture, end)
+                    print(f"exposure {pictures.exposure:+g} EV{' (metered)' * (display.exposure is None)}, view {display.view}")
+                    print_files(loop, pictures, checkpoints)
                 print_problems(loop, picture, checkpoints, end)
+                warn_if_opaque(pictures.alpha)
     number = end if isinstance(end, int) else interrupt.signal
     return 0 if number is None or loop.complete else 128 + number
 
@@ -136,7 +138,7 @@ def write_pictures(
         raise BokehguideError(f"{failure}{kept}") from failure
 
 
-def write_summary(path: Path, summary: dict[str, Any]) -> None:
+def write_summary(path: Path | str, summary: dict[str, Any]) -> None:
     """Write the summary as JSON. Warns if it cannot be written, as the picture is there."""
     try:
         write_json(path, summary)
@@ -187,18 +189,18 @@ def overrides_from(options: argparse.Namespace) -> Overrides:
 
 def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> None:
     """Raise BokehguideError if an output cannot be written or is an input."""
-    png, checkpoint = out.with_suffix(".png"), out.with_suffix(".ckpt")
-    for option, path in (("--reference", options.reference), ("--json", options.json)):
+    png, checkpoint, json = out.with_suffix(".png"), out.with_suffix(".ckpt"), json_file(options.json)
+    for option, path in (("--reference", options.reference), ("--json", json)):
         if path is not None and path.resolve() in (out.resolve(), png.resolve(), checkpoint.resolve()):
             raise BokehguideError(f"{option}: {str(path)!r} is an output of this command; give another path")
-    if options.json and options.reference and options.json.resolve() == options.reference.resolve():
-        raise BokehguideError(f"--json: {str(options.json)!r} is the reference; give another path")
-    created = make_folders([path.parent for path in (out, options.json) if path] + ([options.logdir] if options.logdir else []))
+    if json and options.reference and json.resolve() == options.reference.resolve():
+        raise BokehguideError(f"--json: {str(json)!r} is the reference; give another path")
+    created = make_folders([path.parent for path in (out, json) if path] + ([options.logdir] if options.logdir else []))
     for path in (out, png, checkpoint):
         check_writable(path)
         remove_abandoned(path)
-    if options.json:
-        check_writable(options.json)
+    if json:
+        check_writable(json)
     if options.logdir:
         check_writable(log_folder / "events")
     print_folders(created)

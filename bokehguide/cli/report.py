@@ -7,11 +7,13 @@ import re
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
+from bokehguide.cli.arguments import STDOUT
 from bokehguide.cli.forecast import Forecast
 from bokehguide.image import replacing
 from bokehguide.render.film import Film
@@ -110,10 +112,24 @@ class Report:
         }
 
 
-def write_json(path: Path, facts: Mapping[str, object]) -> None:
-    """Write one JSON object. Raises BokehguideError if the folder cannot be written."""
+def write_json(path: Path | str, facts: Mapping[str, object]) -> None:
+    """Write one JSON object to a file or to STDOUT. Raises BokehguideError if the folder cannot be written."""
+    text = json.dumps(facts, indent=2)
+    if path == STDOUT:
+        print(text)
+        return
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(facts, indent=2) + "\n")
+        temporary.write_text(text + "\n")
+
+
+def text_beside(output: Path | str | None) -> AbstractContextManager[object]:
+    """Within the block, print to stderr if `output`, the value of --json, is STDOUT."""
+    return redirect_stdout(sys.stderr) if output == STDOUT else nullcontext()
+
+
+def json_file(output: Path | str | None) -> Path | None:
+    """The file of a value of --json, None without a file."""
+    return output if isinstance(output, Path) else None
 
 
 def peak_memory_mb() -> float | None:

@@ -69,6 +69,8 @@ class Stages(logging.Handler):
             width = shutil.get_terminal_size().columns - 1
             print(f"\r\x1b[K{f'bokehguide: {text} …'[:width]}", end="", file=sys.stderr, flush=True)
             Stages.shown = True
+        elif "tqdm" in sys.modules:  # a bar may stand in the last line
+            say(text)
         else:
             print(f"bokehguide: {text}", file=sys.stderr, flush=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import webbrowser
 from pathlib import Path
 
@@ -30,6 +31,7 @@ PAGE_OPTIONS = ("command", "started", "watch", "host", "port", "no_browser")
 def run(options: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C or SIGTERM; returns the exit code."""
     require_websockets()
+    refuse_picture(options.scene)
     require_address(options.host, options.port)  # before the scene is loaded, which may take long
     if options.watch:
         refuse_scene_options(options)
@@ -41,6 +43,13 @@ def run(options: argparse.Namespace) -> int:
     with explained(describe(scene)):
         session = make_session(options, Source(scene, overrides_from(options), options.scene, options.allow_outside))
         return serve(session, options)
+
+
+def refuse_picture(scene: str | None) -> None:
+    """Raise BokehguideError for the name of a picture in place of a scene."""
+    if scene is not None and Path(scene).suffix.lower() == ".exr":
+        remedy = f"bokehguide view --watch {shlex.quote(scene)} shows a picture"
+        raise BokehguideError(f"{scene}: is a picture, and no scene; {remedy}")
 
 
 def refuse_scene_options(options: argparse.Namespace) -> None:

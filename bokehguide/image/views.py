@@ -32,6 +32,9 @@ BAND, ROWS = 1 << 20, 32
 Fewer pixels need less memory, but each call of OpenColorIO takes time of its own. PyTorch rounds powers and logarithms otherwise
 in the last values of an array, which do not fill its vectors."""
 
+LEAST_ALPHA = 1e-6
+"""Alpha that divides radiance at least, so that quotients stay finite; a PNG of 16 bits has 0 below 7.6e-6."""
+
 VIEW_ATTRIBUTE = "display_view"
 """Header attribute of an EXR that holds the view: `view` is the standard attribute for the eye of a stereo picture."""
 
@@ -57,6 +60,17 @@ class Display:
     def show(self, radiance: Tensor | np.ndarray, alpha: np.ndarray | None = None) -> Tensor:
         """Display values as of `to_display`."""
         return to_display(radiance, self.metered(radiance, alpha).exposure or 0.0, self.view)
+
+    def show_straight(self, radiance: Tensor | np.ndarray, alpha: Tensor | np.ndarray) -> Tensor:
+        """Display values `[H, W, 4]` with straight alpha, of radiance premultiplied by `alpha` `[H, W]`.
+
+        The colour of a pixel is that of its covered part, black where alpha is 0. Noisy alpha is clipped to 0 … 1.
+        """
+        linear = torch.as_tensor(radiance).detach().cpu().float()
+        cover = torch.as_tensor(alpha).detach().cpu().float().nan_to_num(0.0).clamp(0.0, 1.0)[..., None]
+        straight = torch.where(cover > 0.0, linear / cover.clamp(min=LEAST_ALPHA), 0.0)
+        exposure = self.metered(linear, cover[..., 0].numpy()).exposure or 0.0
+        return torch.cat((to_display(straight, exposure, self.view), cover), dim=-1)
 
 
 def to_display(radiance: Tensor | np.ndarray, exposure: float = 0.0, view: str = VIEWS[0]) -> Tensor:

@@ -2,8 +2,10 @@
 
 import colorsys
 import json
+from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 from PIL import Image
 
@@ -70,6 +72,54 @@ def test_the_scene_file_sets_the_exposure_and_the_option_wins(tmp_path, monkeypa
     capsys.readouterr()
     assert main(["render", "a.toml"]) == 2
     assert "film.exposure: 'bright' is not a number; give EV from -100 to 100, or \"auto\"" in capsys.readouterr().err
+
+
+def test_a_transparent_png_of_8_and_16_bits(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    hidden = RED_LAMP.replace("[environment]", "[environment]\nvisible = false").replace("scale = 6.0", "scale = 1.0")
+    (tmp_path / "red.toml").write_text(hidden)
+    command = ["render", "red.toml", "--mode", "uniform", "--spp", "4", "--exposure", "1"]
+    assert main([*command, "--alpha", "--out", "a.exr"]) == 0
+    assert "--alpha" in read_metadata("a.exr")["command"] and "--bits" not in read_metadata("a.exr")["command"]
+    with Image.open("a.png") as picture:
+        assert picture.mode == "RGBA"
+    shown, alpha = png("a.png"), read_exr("a.exr")["A"]
+    edge = (alpha > 0.0) & (alpha < 1.0)
+    assert edge.any() and (alpha == 0.0).any() and (alpha == 1.0).any()
+    np.testing.assert_allclose(shown[..., 3], alpha, atol=0.5 / 255 + 1e-6)
+    assert main(["develop", "a.exr", "--out", "opaque.png"]) == 0
+    opaque = png("opaque.png")
+    assert opaque.shape[2] == 3
+    np.testing.assert_array_equal(shown[alpha == 1.0][:, :3], opaque[alpha == 1.0])
+    assert not shown[alpha == 0.0].any() and (shown[edge][:, :3].mean() > opaque[edge].mean())
+    assert main(["develop", "a.exr", "--alpha", "--out", "b.png"]) == 0
+    assert Path("b.png").read_bytes() == Path("a.png").read_bytes()
+    assert main([*command, "--alpha", "--bits", "16", "--out", "c.exr"]) == 0
+    assert "--bits=16" in read_metadata("c.exr")["command"]
+    assert main(["develop", "a.exr", "--alpha", "--bits", "16", "--out", "d.png"]) == 0
+    assert Path("c.png").read_bytes() == Path("d.png").read_bytes()
+    fine = oiio.ImageBuf("d.png")
+    assert fine.spec().nchannels == 4 and fine.spec().format == oiio.UINT16
+
+
+def test_a_transparent_png_that_is_opaque_is_told(rendered, capsys):
+    told = "bokehguide: warning: --alpha: the picture is opaque everywhere; `visible = false` in [environment] of a scene file"
+    assert main(["develop", "a.exr", "--alpha"]) == 0
+    assert capsys.readouterr().err == f"{told} hides the environment\n"
+    assert main(["render", "red.toml", "--spp", "1", "--alpha", "--out", "b.exr"]) == 0
+    assert capsys.readouterr().err.count(told) == 1
+    assert main(["render", "red.toml", "--spp", "1", "--out", "b.exr"]) == 0
+    assert told not in capsys.readouterr().err
+
+
+def test_a_transparent_png_needs_alpha(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_exr("a.exr", {"beauty": np.full((4, 6, 3), 0.5, np.float32)})
+    assert main(["develop", "a.exr", "--alpha"]) == 2
+    assert "error: --alpha: a.exr has no channel A; leave --alpha out, or" in capsys.readouterr().err
+    assert main(["develop", "a.exr", "--bits", "12"]) == 2
+    assert "argument --bits: '12' is no depth of a PNG; give 8 or 16" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 
 
 def test_a_picture_that_was_denoised_is_told(tmp_path, monkeypatch, capsys):

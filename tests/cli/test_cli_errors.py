@@ -72,7 +72,6 @@ MISTAKES = {
     "--json good.exr": ["--json", "'good.exr'", "picture or a checkpoint", "another path"],
     "--json good.PNG": ["--json", "'good.PNG'", "another path"],
     "--json a.ckpt": ["--json", "'a.ckpt'", "another path"],
-    "--json -": ["argument --json: '-' is no path; give the path of a file, such as a.json"],
     "--json emitters.toml/a.json": ["emitters.toml/a.json", "cannot be written", "another folder"],
     "--logdir emitters.toml": ["emitters.toml", "cannot be written", "another folder"],
     "--reference none.exr": ["none.exr", "cannot be read"],

@@ -55,6 +55,14 @@ def test_a_folder_is_created_in_an_existing_one_alone(bokehguide, lamps_file, tm
     assert made.returncode == 0 and "created the folder new" in made.stderr and (tmp_path / "new/facts.json").exists()
 
 
+def test_json_goes_to_stdout_alone(bokehguide, lamps_file, tmp_path):
+    finished = bokehguide("info", lamps_file, "--json", "-", "--picture", "view.png")
+    assert finished.returncode == 0, finished.stderr
+    assert json.loads(finished.stdout)["film"]["width"] == 32
+    assert "  film:  " in finished.stderr and "wrote view.png" in finished.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["emitters.toml", "view.png"]
+
+
 def test_files_are_written_where_nobody_reads_the_text(lamps_file, tmp_path):
     command = [sys.executable, "-m", "bokehguide", "info", str(lamps_file), "--json", "facts.json", "--picture", "view.png"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE) as process:

@@ -1,5 +1,7 @@
 """`bokehguide metrics`."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,22 @@ def test_frame_and_insets(bokehguide, images):
     assert table["frame"][:2] == [0.25, 0.125]
     assert table["inset 0,0,0.5,1"][:2] == [0.5, 0.25]
     assert table["inset 0.5,0,0.5,1"] == [0.0, 0.0, 1.0, float("inf")]
+
+
+def test_the_measures_as_json(bokehguide, images, tmp_path):
+    command = ("metrics", *images, "--inset", "0,0,0.5,1", "--inset", "0.9,0,0.1,0.5", "--json")
+    piped = bokehguide(*command, "-")
+    assert piped.returncode == 0, piped.stderr
+    found = json.loads(piped.stdout)
+    assert list(found) == ["frame", "inset 0,0,0.5,1", "inset 0.9,0,0.1,0.5"]
+    assert found["frame"].keys() == {"mape", "relmse", "ssim", "psnr"}
+    assert found["frame"]["mape"] == pytest.approx(0.25) and found["inset 0,0,0.5,1"]["relmse"] == pytest.approx(0.25)
+    assert found["inset 0.9,0,0.1,0.5"] == {"mape": 0.0, "relmse": 0.0, "ssim": None, "psnr": None}
+    assert rows(piped.stderr)["frame"][:2] == [0.25, 0.125]
+    written = bokehguide(*command, "made/a.json")
+    assert json.loads((tmp_path / "made/a.json").read_text()) == found and list(rows(written.stdout)) == list(found)
+    refused = bokehguide(*command, "image.exr")
+    assert refused.returncode == 2 and "'image.exr' is the name of a picture" in refused.stderr
 
 
 @pytest.mark.slow

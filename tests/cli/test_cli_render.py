@@ -59,6 +59,19 @@ def test_files_and_reports(bokehguide, lamps_file, tmp_path):
     assert len(list((tmp_path / "logs/emitters/guided").iterdir())) == 1
 
 
+def test_json_goes_to_stdout_alone(bokehguide, lamps_file, tmp_path):
+    finished = bokehguide("render", lamps_file, "--spp", 2, "--exposure", 1.5, "--json", "-")
+    assert finished.returncode == 0, finished.stderr
+    report = json.loads(finished.stdout)
+    assert (report["spp"], report["exposure"]) == (2, 1.5)
+    assert (report["exr"], report["png"]) == ("emitters-guided.exr", "emitters-guided.png")
+    assert "2 SPP in " in finished.stderr and "wrote emitters-guided.exr and emitters-guided.png" in finished.stderr
+    names = {"emitters.toml", "emitters-guided.exr", "emitters-guided.png"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    refused = bokehguide("render", lamps_file, "--spp", 0, "--json", "-")
+    assert refused.returncode == 2 and refused.stdout == ""
+
+
 @pytest.mark.slow
 def test_the_command_in_the_header_renders_the_same_bits(bokehguide, lamps_file, tmp_path):
     options = ("--mode", "lis", "--spp", 3, "--camera-position", "-0.5,0.1,4", "--size", "24x16", "--f-number", 90.5)

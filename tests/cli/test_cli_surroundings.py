@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+import logging
 import os
 import pty
 import re
@@ -14,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tqdm import tqdm
 
-from bokehguide.cli import main, render
+from bokehguide.cli import main, render, terminal
 from bokehguide.cli.arguments import parse
 from bokehguide.cli.pictures import Pictures
 from bokehguide.image import read_metadata, write_exr
@@ -191,6 +193,12 @@ def test_stages_are_told_as_they_begin(lamps_file, tmp_path):
         "building the tracing structure of 1,292 triangles",
     ]
     assert re.findall("bokehguide: (.*)\n", told)[:3] == stages
+
+
+def test_a_stage_beside_a_bar_has_a_line_of_its_own(capsys):
+    with tqdm(total=2, file=sys.stderr):
+        terminal.Stages().emit(logging.LogRecord("bokehguide", logging.INFO, "", 0, "preparing triangles", None, None))
+    assert "bokehguide: preparing triangles" in re.split("[\r\n]", capsys.readouterr().err)
 
 
 @pytest.mark.slow

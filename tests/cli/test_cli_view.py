@@ -30,6 +30,7 @@ def folder(tmp_path, monkeypatch):
         (["--watch", "a.exr", "--focus-distance", "3"], "--focus-distance: has no effect with --watch; leave it out"),
         (["--watch", "a.exr", "--noisy"], "--noisy: has no effect with --watch"),
         (["box.tom"], "no such scene"),
+        (["my box.EXR"], "my box.EXR: is a picture, and no scene; bokehguide view --watch 'my box.EXR' shows a picture"),
         (["box.toml", "--port", "70000"], "from 0 to 65535"),
         (["box.toml", "--host", "not a host"], "cannot listen on not a host:8737"),
         (["box.toml", "--mode", "magic"], "argument --mode: invalid choice: 'magic'"),

@@ -12,6 +12,7 @@ import threading
 import warnings
 from dataclasses import replace
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -55,6 +56,18 @@ def test_the_files_are_those_of_the_command_line(lamps_file, tmp_path, monkeypat
     assert (tmp_path / "cli.png").read_bytes() == (tmp_path / "api.png").read_bytes()
     facts = read_metadata("cli.exr")
     assert all(facts[key] == pytest.approx(value) for key, value in picture.metadata.items())
+
+
+def test_a_transparent_png_is_that_of_the_command_line(lamps_file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    picture = bokehguide.render(lamps_file, **SMALL)
+    picture.save("a.exr")
+    for name, options, keywords in (("c", [], {}), ("d", ["--bits", "16"], {"bits": 16})):
+        assert main(["develop", "a.exr", "--alpha", *options, "--out", f"{name}.png"]) == 0
+        picture.save("b.png", alpha=True, **keywords)
+        assert Path("b.png").read_bytes() == Path(f"{name}.png").read_bytes()
+    with pytest.raises(BokehguideError, match=r"Picture\.save: bits: 12 is no depth of a PNG; give 8 or 16"):
+        picture.save("b.png", bits=12)
 
 
 def test_the_picture_after_each_step_is_that_of_a_shorter_render(lamps_file):
@@ -221,6 +234,8 @@ def test_a_process_without_stderr_renders(lamps_file, tmp_path):
         ({"environment": np.ones((4, 4, 3))}, "environment or --environment: ndarray is no radiance; give three numbers, or the"),
         ({"environment": 3}, "environment or --environment: int is no radiance; give three numbers, or the path"),
         ({"exposure": 1}, "render: exposure: no such option; give it to the result, as in picture.developed(exposure=1.0"),
+        ({"blend_rate": 0.1}, "render: blend_rate: no such option; give gaussian=GaussianConfig(blend_rate=...), from bokeh"),
+        ({"highlights": 1}, "give gaussian=GaussianConfig(highlights=...) or guided=GuidedConfig(highlights=...), from bokeh"),
         ({"view": "srgb"}, "render: view: no such option; give it to the result, as in picture.developed("),
     ],
 )
