@@ -27,7 +27,7 @@ from bokehguide.guiding.protocols import ModeContext
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
 from bokehguide.runtime.distributed import ROWS_PER_BAND, RankSums
-from bokehguide.runtime.indexing import Pixels, gather_pixels, pixel_numbers
+from bokehguide.runtime.indexing import Pixels, core_pixels, gather_pixels, pixel_numbers
 from bokehguide.scene.light_groups import find_light_groups
 
 CELL = 4
@@ -114,14 +114,14 @@ class ControlVariate(RankSums):
 
     def corrected(self, places: Pixels, radiance: Tensor, weight: Tensor) -> Tensor:
         """Radiance less c (weight - 1), `[3, N]`; the samples are added to the sums."""
-        core = native.core()
-        if core is not None and radiance.device.type == "cpu":
+        core = native.core_on(radiance.device)
+        if core is not None:
             return self._corrected_by_core(core, places, radiance.contiguous(), weight.contiguous())
         self.add(places, radiance, weight)
         return radiance - self.coefficient(places) * (weight - 1.0)
 
     def _corrected_by_core(self, core: ModuleType, places: Pixels, radiance: Tensor, weight: Tensor) -> Tensor:
-        first, pixels = (places.start, None) if isinstance(places, slice) else (0, places.contiguous())
+        first, pixels = core_pixels(places)
         corrected = torch.empty_like(radiance)
         geometry, learned = (first, self._width, CELL), (self.coefficients, self.bound)
         core.correct_samples(self.mine, pixels, *geometry, radiance, weight, *learned, corrected)

@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from bokehguide.guiding.control_variate import Regressions, summands
-from bokehguide.guiding.native_reuse import PixelGroups
+from bokehguide.guiding.pixel_groups import PixelGroups
 from bokehguide.render.vector import luminance
 from bokehguide.runtime.distributed import ROWS_PER_BAND
 from bokehguide.runtime.indexing import Pixels, pixel_numbers

@@ -171,19 +171,19 @@ class EmitterGuide(Guide):
     ) -> DrawnEmitters:
         """`learn_from` by the native core."""
         assert drawn.at is not None and drawn.candidate is not None
-        first, numbers, count = core_pixels(pixels)
+        first, numbers = core_pixels(pixels)
         draws = {"beta": mixture.beta, "mixture": drawn.at.mixture, "density": drawn.at.density, "ratio": ratio}
         draws |= {"candidate": drawn.candidate, "weight": mixture.weight, "slots": slots}
         draws["contribution"] = mixture.expected_contribution
-        of_draws, squares = torch.empty(count, dtype=torch.int32), torch.empty(count)
+        of_draws, squares = torch.empty(len(ratio), dtype=torch.int32), torch.empty(len(ratio))
         area = mixture.lens.area * float(self.unit)
         found = core.learn_emitters(self.moments, first, numbers, draws, area, MAX_RATIO, of_draws, squares)
         return DrawnEmitters(of_draws[:found], squares[:found])
 
     def recorded_light(self, paths: PathSamples, good: Tensor) -> Tensor:
         """See `Guide`: without the light that comes directly from emitters with proposals."""
-        core, known = native.core(), self._proposals.triangles
-        if core is not None and good.device.type == "cpu":
+        core, known = native.core_on(good.device), self._proposals.triangles
+        if core is not None:
             light = torch.empty(len(good))
             emission = paths.emission.contiguous(), paths.triangle, known, self._proposals.whole_environment
             core.recorded_light(paths.radiance.contiguous(), good, *emission, light)
@@ -257,8 +257,8 @@ class EmitterGuide(Guide):
         self._numbers = pad(torch.stack((shapes.environment_index, shapes.parallelogram_index)), (0, found), value=-1)
         """Number of each component among the map's emitters and among the parallelograms, -1 for none, int64 `[2, G]`."""
         self._core_field: CoreField | None = None
-        core = native.core()
-        if core is not None and self.beta.device.type == "cpu" and len(self.field):
+        core = native.core_on(self.beta.device)
+        if core is not None and len(self.field):
             environment, parallelogram = self._numbers
             numbered = shapes._replace(environment_index=environment, parallelogram_index=parallelogram)
             weight = self.field.lens_weights(self.camera.lens.focus_distance)

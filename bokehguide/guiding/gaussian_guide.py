@@ -81,8 +81,8 @@ class GaussianGuide(Guide):
     @torch.no_grad()
     def mixture(self, pixels: Pixels, raster: Tensor, focus: Tensor, start: Tensor, gaussian: Tensor) -> AnyGaussianMixture:
         """The mixture of N pixels at raster positions `[2, N]`; start, gaussian: candidates (see `CandidateList.batch`)."""
-        lens, beta, core = self.camera.lens, self.blend(pixels), native.core()
-        if core is not None and focus.device.type == "cpu":
+        lens, beta, core = self.camera.lens, self.blend(pixels), native.core_on(focus.device)
+        if core is not None:
             return NativeGaussianMixture(lens, focus, beta, start, self._field_of(core), gaussian, raster)
         weight = self.field.lens_weights(lens.focus_distance)
         mean, sigma = self.field.mean.index_select(1, gaussian), self.field.sigma.index_select(0, gaussian)

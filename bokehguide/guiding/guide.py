@@ -74,11 +74,11 @@ class Guide(LensSampler):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Weights `[N]` of the samples, 0 for those that are not on the film; ratios `[N]` as `learn_from` takes them; and
         `LensRecord.figures`. Without a mixture, the ratios are undefined and the figures are 0."""
-        weight, radiance, core = samples.drawn.weight, samples.paths.radiance, native.core()
+        weight, radiance, core = samples.drawn.weight, samples.paths.radiance, native.core_on(samples.drawn.weight.device)
         figures = torch.zeros(4, dtype=torch.float64, device=weight.device)
         # The unit of radiance is the frame's mean luminance. While the mean is 0, the ratio is 0.
         unit, area = samples.batch.mean_luminance or math.inf, self.camera.lens.area
-        if core is not None and weight.device.type == "cpu":
+        if core is not None:
             weights, ratio, mixture = torch.empty_like(weight), torch.empty_like(weight), (None, None, None)
             if query is not None:
                 mixture = query.own_pdf(samples.drawn), query.mixture.beta, query.mixture.guided
@@ -101,8 +101,8 @@ class Guide(LensSampler):
 
     def recorded_light(self, paths: PathSamples, good: Tensor) -> Tensor:
         """Luminance `[N]` of the samples for the record, 0 for samples that are not on the film."""
-        core = native.core()
-        if core is None or good.device.type != "cpu":
+        core = native.core_on(good.device)
+        if core is None:
             return finite(luminance(paths.radiance), good)
         light = torch.empty(len(good))
         core.recorded_light(paths.radiance.contiguous(), good, None, None, None, False, light)
@@ -115,8 +115,8 @@ class Guide(LensSampler):
     def records(self, points: Tensor, directions: Tensor, distance: Tensor, light: Tensor, weight: Tensor) -> Records:
         """Records of `light` `[N]` at `distance` `[N]`, metres, along rays from lens points `[2, N]` in world directions
         `[3, N]`; weight: of the samples, `[N]`, 0 for samples to leave out."""
-        core, far = native.core(), FAR * self.camera.lens.focus_distance
-        if core is not None and distance.device.type == "cpu":
+        core, far = native.core_on(distance.device), FAR * self.camera.lens.focus_distance
+        if core is not None:
             cells, position = self._hits_by_core(core, points, directions, distance, weight, far)
             return Records(cells, position, light)
         directions = self.camera.axes.T @ directions

@@ -14,7 +14,7 @@ from bokehguide.render.vector import length
 
 
 def find_highlights(
-    record: RecordBuffer | VoxelRecord, camera: ThinLensCamera, mean_luminance: float, config: HighlightConfig = HighlightConfig()
+    record: RecordBuffer | VoxelRecord, camera: ThinLensCamera, mean_luminance: float, config: HighlightConfig
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Bright cells of the record that are out of focus: cells `[K]`, positions `[3, K]` and mean luminance `[K]`."""
     cells, points, light = record.bright(config.radiance_threshold * mean_luminance)
@@ -22,9 +22,7 @@ def find_highlights(
     return cells[defocused], points[:, defocused], light[defocused]
 
 
-def label_patches(
-    record: Raster, cells: Tensor, depth: Tensor, width: Tensor, depth_gap: float = HighlightConfig.depth_gap
-) -> Tensor:
+def label_patches(record: Raster, cells: Tensor, depth: Tensor, width: Tensor, depth_gap: float) -> Tensor:
     """Patch number of each highlight cell, int64 `[K]` from 0 without gaps.
 
     Cells that touch on the raster form a patch. One emitter may lie behind another, so gaps between the sorted depths of its
@@ -57,7 +55,7 @@ def _close_gaps(places: Tensor) -> Tensor:
 
 
 def fit_ellipsoids(
-    record: VoxelRecord, camera: ThinLensCamera, mean_luminance: float, config: GuidedConfig = GuidedConfig()
+    record: VoxelRecord, camera: ThinLensCamera, mean_luminance: float, config: GuidedConfig
 ) -> tuple[Tensor, ...]:
     """Fit one ellipsoid to each of G patches of highlight cells.
 
@@ -93,7 +91,7 @@ def fit_gaussians(
     record: RecordBuffer,
     camera: ThinLensCamera,
     mean_luminance: float,
-    config: GaussianConfig = GaussianConfig(),
+    config: GaussianConfig,
 ) -> Tensor:
     """Replace the field by one Gaussian for each patch of highlight cells; returns the cells `[K]`.
 

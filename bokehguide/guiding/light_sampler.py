@@ -22,7 +22,7 @@ from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lights.base import DirectLight, LightDistribution, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.power_sampler import PowerLightSampler
-from bokehguide.render.native import cluster_lights
+from bokehguide.render.native_tables import cluster_lights
 from bokehguide.render.observer import CoreReport, PathObserver
 from bokehguide.render.vector import divisor, luminance
 from bokehguide.runtime import native
@@ -187,8 +187,8 @@ class LearnedLightSampler(RankSums, LightSampler):
         """Add the light samples of a batch. For the probabilities of clusters, samples of cluster -1 are ignored."""
         tiles, clusters, contribution_rms, visibility, moments = batch
         self.factors.add(moments)
-        core = native.core()
-        if core is not None and self.mine.device.type == "cpu":
+        core = native.core_on(self.mine.device)
+        if core is not None:
             core.add_light_samples(
                 self.mine, tiles, clusters, contribution_rms, visibility, self.probability.shape[1], MAX_CONTRIBUTION
             )

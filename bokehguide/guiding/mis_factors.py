@@ -43,8 +43,8 @@ class MisFactors(RankSums):
 
     def moments(self, tiles: Tensor, difference: Tensor, reflected: Tensor) -> Tensor:
         """Sums `[2, tiles]` over paths: tile, int32, luminance of D and luminance of X, `[P]` each."""
-        found, core = torch.zeros_like(self.sums), native.core()
-        if core is not None and found.device.type == "cpu":
+        found, core = torch.zeros_like(self.sums), native.core_on(self.sums.device)
+        if core is not None:
             core.add_mis_moments(found, self.factor, tiles, difference, reflected, MAX_RADIANCE)
             return found
         change, light = (_finite(values) for values in (difference, reflected))

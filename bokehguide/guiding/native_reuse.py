@@ -12,67 +12,18 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from bokehguide.guiding.pixel_groups import PixelGroups
 from bokehguide.guiding.protocols import BatchSamples, LensQuery
+from bokehguide.guiding.reuse_weights import Reused
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.light_groups import GroupRadiance
 from bokehguide.render.native import NativeTracer
 from bokehguide.render.primary_hits import CoreRecord
-from bokehguide.runtime.distributed import ROWS_PER_BAND
 from bokehguide.runtime.indexing import Pixels, scatter
 from bokehguide.runtime.timer import PhaseTimer
 
 NOWHERE = 1e15
 """Coordinate of lens points for pixels without a view."""
-
-
-class PixelGroups(NamedTuple):
-    """Groups of neighbouring pixels on a film of this `width`: the pixels of a tile form two groups.
-
-    A tile has `across` x `down` pixels, both powers of two. Tiles are shifted by `right` and `below`. All lengths are in pixels.
-    `mask` selects bits of a pixel's number in its tile. The parity of the selected bits is the group. With the highest bit of the
-    longer side alone, the groups are the two halves of the tile. With the lowest bits of both sides and random others, most
-    adjacent pixels are in different groups, in a pattern like a chessboard.
-    """
-
-    width: int
-    across: int
-    down: int
-    right: int
-    below: int
-    mask: int
-
-    @staticmethod
-    def of(width: int, size: int, key: int, scattered: bool) -> PixelGroups:
-        """Groups of a step. size: number of pixels of a group, a power of two. key: random bits that turn and shift the tiles,
-        and choose the pattern of `scattered` groups; other groups are halves of tiles."""
-        bits = size.bit_length()
-        sides = 1 << -(-bits // 2), 1 << bits // 2  # of 2 size pixels
-        across, down = sides if key & 1 else sides[::-1]
-        if scattered:
-            below = (key >> 16) % down if down < ROWS_PER_BAND else 0  # a band contains whole tiles
-            mask = (key >> 24) % (2 * size) | (across > 1) | across * (down > 1)
-        else:
-            below = (key >> 16) % min(sides)
-            mask = across // 2 if key & 1 else size
-        return PixelGroups(width, across, down, (key >> 8) % across, below, mask)
-
-    def offsets(self) -> list[tuple[int, int]]:
-        """Members of a group, as (x, y) to combine with the place of a pixel in its tile by exclusive or. The first member is
-        the pixel itself."""
-        places = range(self.across * self.down)
-        return [(at % self.across, at // self.across) for at in places if (at & self.mask).bit_count() % 2 == 0]
-
-
-class Reused(NamedTuple):
-    """The samples of N pixels after reuse.
-
-    radiance: sum of weighted radiance over all hits that a pixel uses, `[3, N]`. weight: sum of the weights, `[N]`; its mean is
-    1. light_groups: as `radiance`, of each light group, `[G, 3, N]`, None without groups.
-    """
-
-    radiance: Tensor
-    weight: Tensor
-    light_groups: Tensor | None = None
 
 
 class ViewPoints(NamedTuple):

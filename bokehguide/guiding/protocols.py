@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from bokehguide.errors import BokehguideError
 from bokehguide.guiding.inheritance import Learned
 from bokehguide.models.base import LensDensity
 from bokehguide.render.camera import ThinLensCamera
@@ -28,6 +29,11 @@ from bokehguide.runtime.distributed import Ranks
 from bokehguide.runtime.indexing import Pixels
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Scene
+
+
+def _missing(owner: object, method: str, returned: str) -> BokehguideError:
+    """The error for a method that the class of `owner` must define. returned: the values that the method returns."""
+    return BokehguideError(f"{type(owner).__name__}: the method {method} is missing; define it, to return {returned}")
 
 
 def starts_epoch(step: int) -> bool:
@@ -109,11 +115,11 @@ class LensQuery:
 
     def sample(self) -> LensPoints:
         """One lens point for each pixel, with its weight."""
-        raise NotImplementedError
+        raise _missing(self, "sample()", "LensPoints")
 
     def pdf(self, points: Tensor) -> Tensor:
         """Density `[N]` of `sample` at lens points `[2, N]`, one for each pixel."""
-        raise NotImplementedError
+        raise _missing(self, "pdf(points)", "densities")
 
     def own_pdf(self, drawn: LensPoints) -> Tensor:
         """Density `[N]` at the points that `sample` has drawn."""
@@ -212,7 +218,7 @@ class LensSampler(Strategy):
 
     def query(self, batch: PixelBatch) -> LensQuery:
         """The lens distribution of a batch. The distribution depends only on earlier steps."""
-        raise NotImplementedError
+        raise _missing(self, "query(batch)", "a LensQuery")
 
     def initial_queries(self, batch: PixelBatch) -> Iterable[LensQuery]:
         """Queries whose samples initialise the control variates of the film's features. These samples are not in the picture."""

@@ -77,8 +77,8 @@ class RecordBuffer(Raster):
 
     def add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
         """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
-        core = native.core()
-        if core is not None and cells.device.type == "cpu":
+        core = native.core_on(cells.device)
+        if core is not None:
             core.add_records(self.mine, cells, points.contiguous(), luminance.contiguous())
             return
         inside = ActiveEntries(cells >= 0)

@@ -48,9 +48,9 @@ class SuccessRates(RankSums):
 
     def of_candidates(self, pixels: Pixels, start: Tensor, component: Tensor) -> tuple[Tensor, Tensor]:
         """Slots int32 `[M]` and rates `[M]` of the candidates of pixels; start, component: see `CandidateList.batch`."""
-        core = native.core()
-        if core is not None and component.device.type == "cpu":
-            first, numbers, _ = core_pixels(pixels)
+        core = native.core_on(component.device)
+        if core is not None:
+            first, numbers = core_pixels(pixels)
             slots, rates = torch.empty(len(component), dtype=torch.int32), torch.empty(len(component))
             tiles = (self._width, TILE, -(-self._width // TILE), self._emitters)
             core.success_rates(tiles, self.rates, first, numbers, start.contiguous(), component.contiguous(), slots, rates)

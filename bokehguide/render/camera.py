@@ -69,10 +69,11 @@ class ThinLensCamera:
 
     def film_positions(self, pixels: Pixels, random: PixelRandom) -> FilmPositions:
         """A random position in each of N pixels of the frame."""
-        core, keys = native.core(), random.pixel_keys
-        if core is not None and keys.device.type == "cpu":
-            first, numbers, count = core_pixels(pixels)
-            rows, size, lengths = torch.empty(7, count), (self.width, self.height), (self.pixel_slope, self.lens.focus_distance)
+        keys, core = random.pixel_keys, native.core_on(random.pixel_keys.device)
+        if core is not None:
+            first, numbers = core_pixels(pixels)
+            size, lengths = (self.width, self.height), (self.pixel_slope, self.lens.focus_distance)
+            rows = torch.empty(7, len(keys))
             core.film_positions(size, lengths, random.core_keys(core), dimensions.FILM, first, numbers, keys, rows)
             return FilmPositions(*rows.split((2, 2, 3)))
         numbers = pixel_numbers(pixels, keys.device)
@@ -83,8 +84,8 @@ class ThinLensCamera:
 
     def rays(self, focus: Tensor, lens_points: Tensor) -> tuple[Tensor, Tensor]:
         """World origins and unit directions `[3, N]` of rays from lens points `[2, N]` through focus points `[3, N]`."""
-        core = native.core()
-        if core is not None and focus.device.type == "cpu":
+        core = native.core_on(focus.device)
+        if core is not None:
             rows = torch.empty(6, focus.shape[1])
             core.camera_rays(self.axes.contiguous(), self.position, focus.contiguous(), lens_points.contiguous(), rows)
             return rows[0:3], rows[3:6]
@@ -94,8 +95,8 @@ class ThinLensCamera:
 
     def depth(self, distance: Tensor, directions: Tensor) -> Tensor:
         """Depth along the axis, metres, of hits at `distance` `[N]` in world `directions` `[3, N]`; NO_DEPTH for misses."""
-        core = native.core()
-        if core is not None and distance.device.type == "cpu":
+        core = native.core_on(distance.device)
+        if core is not None:
             depths, axes = torch.empty(len(distance)), self.axes.contiguous()
             core.camera_depths(axes, distance.contiguous(), directions.contiguous(), MISS_DISTANCE, NO_DEPTH, depths)
             return depths

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from bokehguide.render.features import MeanFeatures
 from bokehguide.runtime import native
-from bokehguide.runtime.indexing import Pixels, gather_pixels, indices, pixel_numbers
+from bokehguide.runtime.indexing import Pixels, core_pixels, gather_pixels, indices, pixel_numbers
 
 SLOTS = 8
 """Number of objects that a pixel keeps."""
@@ -79,9 +79,9 @@ class Coverage:
         triangle: of the primary hit, int32 `[N]`, -1 without a hit; weight, kept, recenter: as `MeanFeatures.add` and `Film.add`
         take them.
         """
-        core = native.core()
-        if core is not None and triangle.device.type == "cpu":
-            first, places = (pixels.start or 0, None) if isinstance(pixels, slice) else (0, pixels.contiguous())
+        core = native.core_on(triangle.device)
+        if core is not None:
+            first, places = core_pixels(pixels)
             samples = triangle.contiguous(), weight.contiguous(), kept.contiguous()
             core.cover(self.sums(), self._objects, places, first, *samples, recenter)
             return

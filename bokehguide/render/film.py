@@ -1,39 +1,28 @@
-"""The film: sums over the weighted samples of each pixel, and bad samples (NaN or infinite)."""
+"""The film: sums over the weighted samples of each pixel."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.render.bad_samples import BadSample, BadSamples
 from bokehguide.render.coverage import Coverage, Covered
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures
 from bokehguide.render.group_sums import GroupSums
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
-from bokehguide.runtime.indexing import Pixels, bands, gather_pixels, indices_of_each, scatter, scatter_add
+from bokehguide.runtime.indexing import Pixels, bands, core_pixels, gather_pixels, scatter, scatter_add
 
 NO_DEPTH = 1e10
 """Depth of a pixel without a primary hit: the value that Blender uses."""
 LEAST_HIT = 1e-3
 """Least divisor of a pixel's depth. The divisor is the share of hits, which the control variate can make 0 or negative."""
-KEPT_BAD_SAMPLES = 100
-"""Largest number of bad samples that a film reports individually."""
-
-
-class BadSample(NamedTuple):
-    """A NaN or infinite sample, which the film omits: pixel of the frame, step and seed."""
-
-    x: int
-    y: int
-    step: int
-    seed: int
 
 
 @dataclass
@@ -109,11 +98,7 @@ class Film:
         self._groups = GroupSums(groups, pixels, device)
         self._nearest = torch.full((pixels,), NO_DEPTH, device=device)
         self._farthest = torch.zeros(pixels, device=device)
-        self._bad_count = 0
-        self._bad_samples: list[BadSample] = []
-        self._suspects: list[tuple[Pixels, Tensor, int]] = []
-        """Batches that may contain bad samples: pixels, whether samples are finite, bool `[N]`, and the step."""
-        self._lock = threading.Lock()
+        self._bad = BadSamples(width, height, seed, corner)
 
     def _sums(self) -> dict[str, Tensor]:
         names = ("radiance", "emission", "square", "count", "nearest", "farthest")
@@ -124,15 +109,14 @@ class Film:
 
     def state_dict(self) -> dict[str, object]:
         """All sums and the bad samples; the tensors are those of the film, so that later samples change them."""
-        return {**self._sums(), "bad_count": self.bad_count, "bad_samples": [tuple(bad) for bad in self.bad_samples]}
+        return {**self._sums(), **self._bad.state_dict()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore the state of a film of the same size and kind of features. Raises as `check_state`, before any change."""
         self.check_state(state)
         for name, tensor in self._sums().items():
             tensor.copy_(state[name])
-        self._bad_count, self._suspects = state["bad_count"], []
-        self._bad_samples = [BadSample(*bad) for bad in state["bad_samples"]]
+        self._bad.load_state_dict(state)
 
     def check_state(self, state: Mapping[str, Any]) -> None:
         """Raise KeyError or ValueError for a state of a film of another size or kind of features, or of other objects."""
@@ -142,14 +126,6 @@ class Film:
         for kind, coverage in self._coverage.items():
             coverage.check(state[f"{kind} objects"])
 
-    def __getstate__(self) -> dict[str, Any]:
-        self.find_bad()
-        return {name: value for name, value in vars(self).items() if name != "_lock"}
-
-    def __setstate__(self, state: Mapping[str, Any]) -> None:
-        vars(self).update(state)
-        self._lock = threading.Lock()
-
     def add(
         self, pixels: Pixels, samples: FilmSamples, step: int, recenter: bool = True, counted: Tensor | None = None
     ) -> Tensor:
@@ -158,8 +134,8 @@ class Film:
         recenter: whether to compute the control variate of the features again before the addition. The weights of the new samples
         must then be independent of earlier samples. counted: whether a sample is in the picture, bool `[N]`, None for all.
         """
-        core = native.core()
-        if core is not None and counted is None and self._count.device.type == "cpu":
+        core = native.core_on(self._count.device)
+        if core is not None and counted is None:
             good = self._add_natively(core, pixels, samples, step, recenter)
         else:
             good = self._add(pixels, samples, step, recenter, counted)
@@ -175,7 +151,7 @@ class Film:
         value, features = samples.value(), samples.features()
         good = value.sum(0).isfinite() & weight.isfinite()
         if good.device.type != "cpu" or not bool(good.all()):  # `find_bad` reads the results of all batches from a GPU at once
-            self._suspects.append((pixels, good, step))
+            self._bad.suspect(pixels, good, step)
             weight, value, emission, features = (x.nan_to_num(0.0, 0.0, 0.0) for x in (weight, value, emission, features))
         kept = (good if counted is None else good & counted).to(torch.float32)
         if recenter:
@@ -193,11 +169,11 @@ class Film:
         """`add` by the native core."""
         good = torch.empty(len(samples.weight), dtype=torch.uint8)
         given = {name: None if x is None else x.contiguous() for name, x in vars(samples).items()}
-        first, places = (pixels.start or 0, None) if isinstance(pixels, slice) else (0, pixels.contiguous())
+        first, places = core_pixels(pixels)
         clean = core.expose(self._sums(), given, places, first, recenter, good)
         good = good.view(torch.bool)
         if not clean:
-            self._suspects.append((pixels, good, step))
+            self._bad.suspect(pixels, good, step)
         return good
 
     def _add_coverage(self, pixels: Pixels, samples: FilmSamples, kept: Tensor, recenter: bool) -> None:
@@ -221,29 +197,17 @@ class Film:
 
     def find_bad(self) -> None:
         """Count the bad samples among all added samples."""
-        with self._lock:
-            suspects, self._suspects = self._suspects, []
-            for (pixels, good, step), places in zip(suspects, indices_of_each([~good for _, good, _ in suspects])):
-                if len(places) > 0:
-                    self._report_bad(torch.arange(self.width * self.height, device=good.device)[pixels][places], step)
-
-    def _report_bad(self, pixels: Tensor, step: int) -> None:
-        left, top = self.corner
-        found = [BadSample(left + p % self.width, top + p // self.width, step, self.seed) for p in pixels.tolist()]
-        self._bad_count += len(found)
-        self._bad_samples = earliest(self._bad_samples + found)
+        self._bad.find()
 
     @property
     def bad_count(self) -> int:
         """Number of bad samples."""
-        self.find_bad()
-        return self._bad_count
+        return self._bad.count
 
     @property
     def bad_samples(self) -> list[BadSample]:
         """First bad samples, in the order of steps and pixels."""
-        self.find_bad()
-        return list(self._bad_samples)
+        return self._bad.samples
 
     def radiance(self) -> Tensor:
         """Mean radiance, float32 `[H, W, 3]`."""
@@ -360,8 +324,3 @@ def _summed(rows: Tensor) -> Tensor:
     if rows.device.type == "cpu":
         return torch.from_numpy(rows.numpy().sum(1, dtype=np.float64))
     return rows.sum(1, dtype=torch.float64)
-
-
-def earliest(samples: list[BadSample]) -> list[BadSample]:
-    """First KEPT_BAD_SAMPLES samples in the order of steps and pixels."""
-    return sorted(samples, key=lambda bad: (bad.step, bad.y, bad.x))[:KEPT_BAD_SAMPLES]

@@ -6,8 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bokehguide.render.bad_samples import BadSample, earliest
 from bokehguide.render.coverage import Covered
-from bokehguide.render.film import NO_DEPTH, BadSample, Film, earliest
+from bokehguide.render.film import NO_DEPTH, Film
 from bokehguide.render.split_film import Halves, relative_error
 
 

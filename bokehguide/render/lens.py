@@ -48,8 +48,8 @@ class Lens:
 
     def sample(self, uniforms: Tensor) -> Tensor:
         """Points `[2, N]` with the density W / A from uniform numbers `[2, N]`. Rounding moves no point outside the rim."""
-        core = native.core()
-        if core is not None and uniforms.device.type == "cpu" and uniforms.dtype == torch.float32:
+        core = native.core_on(uniforms.device)
+        if core is not None and uniforms.dtype == torch.float32:
             points = torch.empty(2, uniforms.shape[1])
             core.sample_disc(self.radius * RIM, uniforms.contiguous(), points)
             return points

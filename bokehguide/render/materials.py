@@ -49,66 +49,78 @@ class Materials:
     """
 
     def __init__(self, materials: tuple[Material, ...], meshes: tuple[Mesh, ...], device: torch.device):
-        def table(rows: list) -> Tensor:
-            return torch.tensor(rows, dtype=torch.float32).T.contiguous().to(device)
+        self._device = device
+        self._add_textures(materials)
+        self.parameters = self._table(
+            [(*m.base_color, m.metallic, m.roughness**2, m.specular, m.transmission, float(m.thin), m.ior) for m in materials]
+        )
+        """Base colour, metallic, α, specular, transmission, thin, ior."""
+        self.has_transmission = any(m.transmission > 0.0 for m in materials)
+        self._add_optional_terms(materials)
+        self._add_emission(materials)
+        self._add_coverage(materials, meshes)
 
-        def optional(rows: list, needed: bool) -> Tensor | None:
-            return table(rows) if needed else None
+    def _table(self, rows: list) -> Tensor:
+        return torch.tensor(rows, dtype=torch.float32).T.contiguous().to(self._device)
 
+    def _optional(self, rows: list, needed: bool) -> Tensor | None:
+        return self._table(rows) if needed else None
+
+    def _add_textures(self, materials: tuple[Material, ...]) -> None:
         atlas = TextureAtlas()
         numbers = {slot: [atlas.add(_texture(m, slot), signed=slot in SIGNED) for m in materials] for slot in SLOTS}
         self.tilts_coats = _tilts_coats(materials, numbers)
         """Whether some clearcoat has normals other than those of the layers beneath."""
         if not self.tilts_coats:
             del numbers["clearcoat_normal"]
-        self.numbers = {slot: torch.tensor(row, device=device) for slot, row in numbers.items() if max(row) >= 0}
+        self.numbers = {slot: torch.tensor(row, device=self._device) for slot, row in numbers.items() if max(row) >= 0}
         self.slots = frozenset(self.numbers)
         """Slots in which some material has a texture."""
-        self.atlas = atlas.build(device)
-        self.parameters = table(
-            [(*m.base_color, m.metallic, m.roughness**2, m.specular, m.transmission, float(m.thin), m.ior) for m in materials]
-        )
-        """Base colour, metallic, α, specular, transmission, thin, ior."""
+        self.atlas = atlas.build(self._device)
+        bending = [slot for slot in NORMAL_MAPS if slot in self.numbers]
+        self.normal_scales = {slot: self._table([(getattr(m, f"{slot}_scale"),) for m in materials]) for slot in bending}
+        """Scales of x and y of the normal maps, by slot in use."""
+
+    def _add_optional_terms(self, materials: tuple[Material, ...]) -> None:
         colored = "specular_color" in self.numbers or any(m.specular_color != WHITE for m in materials)
-        self.specular_color = optional([m.specular_color for m in materials], colored)
-        coated = any(m.clearcoat > 0.0 for m in materials)
-        self.clearcoat = optional([(m.clearcoat, m.clearcoat_roughness**2) for m in materials], coated)
-        shines = any(any(m.sheen_color) for m in materials)
-        self.sheen = optional([(*m.sheen_color, m.sheen_roughness) for m in materials], shines)
-        self.anisotropy = optional([_anisotropy(m) for m in materials], any(m.anisotropy > 0.0 for m in materials))
+        self.specular_color = self._optional([m.specular_color for m in materials], colored)
+        coats = [(m.clearcoat, m.clearcoat_roughness**2) for m in materials]
+        self.clearcoat = self._optional(coats, any(m.clearcoat > 0.0 for m in materials))
+        sheens = [(*m.sheen_color, m.sheen_roughness) for m in materials]
+        self.sheen = self._optional(sheens, any(any(m.sheen_color) for m in materials))
+        self.anisotropy = self._optional([_anisotropy(m) for m in materials], any(m.anisotropy > 0.0 for m in materials))
         """Strength, and cosine and sine of the rotation."""
-        transmits = any(m.diffuse_transmission > 0.0 for m in materials)
-        self.diffuse_transmission = optional(
-            [(m.diffuse_transmission, *m.diffuse_transmission_color) for m in materials], transmits
-        )
+        transmitted = [(m.diffuse_transmission, *m.diffuse_transmission_color) for m in materials]
+        self.diffuse_transmission = self._optional(transmitted, any(m.diffuse_transmission > 0.0 for m in materials))
         """Factor and colour of the diffuse transmission."""
         films = [(m.iridescence, m.iridescence_ior, *m.iridescence_thickness) for m in materials]
-        self.film = optional(films, any(m.iridescence > 0.0 for m in materials))
+        self.film = self._optional(films, any(m.iridescence > 0.0 for m in materials))
         """Iridescence, index of refraction, and least and largest thickness in nm, of thin films."""
-        self.dispersion = optional([(m.dispersion,) for m in materials], any(m.dispersion > 0.0 for m in materials))
+        self.dispersion = self._optional([(m.dispersion,) for m in materials], any(m.dispersion > 0.0 for m in materials))
         single = [m.single_scattering and m.metallic > 0.0 and m.roughness > 0.0 for m in materials]
-        self.single_scattering = optional([(float(each),) for each in single], any(single))
-        bending = [slot for slot in NORMAL_MAPS if slot in self.numbers]
-        self.normal_scales = {slot: table([(getattr(m, f"{slot}_scale"),) for m in materials]) for slot in bending}
-        """Scales of x and y of the normal maps, by slot in use."""
-        self.has_transmission = any(m.transmission > 0.0 for m in materials)
-        self.emissive = torch.tensor([m.emits for m in materials], device=device)
-        self.emission = table([(*m.emission, float(m.double_sided)) for m in materials])
-        self.tinted = torch.tensor([m.tint_emission for m in materials], device=device)
+        self.single_scattering = self._optional([(float(each),) for each in single], any(single))
+
+    def _add_emission(self, materials: tuple[Material, ...]) -> None:
+        self.emissive = torch.tensor([m.emits for m in materials], device=self._device)
+        self.emission = self._table([(*m.emission, float(m.double_sided)) for m in materials])
+        self.tinted = torch.tensor([m.tint_emission for m in materials], device=self._device)
         """Whether vertex colours multiply the emission of a material, bool `[M]`."""
-        self.cones = optional([_cone_row(m.emission_cone) for m in materials], any(m.emission_cone for m in materials))
-        changed = self.cones is not None or coated or "emission" in self.numbers or any(m.tint_emission for m in materials)
-        self.plain_emission = not changed
+        cones = [m.emission_cone for m in materials]
+        self.cones = self._optional(list(map(_cone_row, cones)), any(cones))
+        changed = self.cones is not None or self.clearcoat is not None or "emission" in self.numbers
+        self.plain_emission = not (changed or any(m.tint_emission for m in materials))
         """Whether the emission of all materials is constant over the surface and over directions."""
+
+    def _add_coverage(self, materials: tuple[Material, ...], meshes: tuple[Mesh, ...]) -> None:
         translucent = list(map(_is_translucent, materials, _least_colors(materials, meshes)))
         self.has_translucent = any(translucent)
-        self.translucent = torch.tensor(translucent, device=device)
+        self.translucent = torch.tensor(translucent, device=self._device)
         """Which materials are translucent somewhere, bool `[M]`."""
-        self.opacities = table([(m.opacity, float(m.alpha_mode == "blend"), _cutoff(m)) for m in materials])
+        self.opacities = self._table([(m.opacity, float(m.alpha_mode == "blend"), _cutoff(m)) for m in materials])
         absorption = [_absorption(material) for material in materials]
         self.absorbs = any(map(any, absorption))
         """Whether some solid absorbs light."""
-        self.absorption = optional(absorption, self.absorbs)
+        self.absorption = self._optional(absorption, self.absorbs)
 
     def textured(self, slot: str, material: Tensor) -> tuple[ActiveEntries, Tensor]:
         """Those K of `material` `[N]` with a texture in the slot, and the number of the texture, int64 `[K]`; 0 if inactive."""

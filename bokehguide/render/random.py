@@ -119,10 +119,10 @@ def _scrambled(pixel_keys: Tensor, keys: Tensor, points: list[int], odd: tuple[l
 
 def _pixel_keys(seed: int, pixels: Pixels, device: torch.device) -> Tensor:
     """Hashes of seed and pixel, int32 `[N]`."""
-    core = native.core()
-    if core is not None and device.type == "cpu":
-        first, numbers, count = core_pixels(pixels)
-        keys = torch.empty(count, dtype=torch.int32)
+    core = native.core_on(device)
+    if core is not None:
+        first, numbers = core_pixels(pixels)
+        keys = torch.empty(pixels.stop - first if isinstance(pixels, slice) else len(pixels), dtype=torch.int32)
         core.pixel_keys(hash_int(seed), first, None if numbers is None else numbers.long(), keys)
         return keys
     return hash_tensor(pixel_numbers(pixels, device).to(torch.int32) ^ _signed(hash_int(seed)))
@@ -173,7 +173,7 @@ class PixelRandom:
     @property
     def _core(self) -> ModuleType | None:
         """The native core, whose numbers have the same bits."""
-        return native.core() if self.pixel_keys.device.type == "cpu" else None
+        return native.core_on(self.pixel_keys.device)
 
     def _native(
         self, core: ModuleType, keys: Tensor, dimension: int, count: int, first: int, number: int = 0, odd: Tensor | None = None

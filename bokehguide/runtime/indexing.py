@@ -20,11 +20,9 @@ def pixel_numbers(pixels: Pixels, device: torch.device | str = "cpu") -> Tensor:
     return torch.arange(pixels.start, pixels.stop, device=device) if isinstance(pixels, slice) else pixels
 
 
-def core_pixels(pixels: Pixels) -> tuple[int, Tensor | None, int]:
-    """The pixels as arguments of the native core: the first of consecutive pixels or all indices, and N."""
-    if isinstance(pixels, slice):
-        return pixels.start, None, pixels.stop - pixels.start
-    return 0, pixels.contiguous(), len(pixels)
+def core_pixels(pixels: Pixels) -> tuple[int, Tensor | None]:
+    """The pixels as arguments of the native core: the first of consecutive pixels, or all indices."""
+    return (pixels.start or 0, None) if isinstance(pixels, slice) else (0, pixels.contiguous())
 
 
 def bands(pixels: int, size: int = 1 << 18) -> Iterator[slice]:

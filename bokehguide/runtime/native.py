@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 import embreex
+import torch
 
 SWITCH = "BOKEHGUIDE_NATIVE"
 """The environment variable that switches the native core off."""
@@ -25,6 +26,11 @@ _PATTERNS = ("../embreex.libs/*embree4*", ".dylibs/*embree4*", "*embree4*")
 def core() -> ModuleType | None:
     """The extension, None where it is missing or switched off."""
     return None if os.environ.get(SWITCH) == "0" else _loaded()
+
+
+def core_on(device: torch.device) -> ModuleType | None:
+    """As `core` for tensors of a CPU; None for tensors of another device."""
+    return core() if device.type == "cpu" else None
 
 
 @functools.cache

@@ -12,7 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NoReturn, Self
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -28,7 +28,8 @@ from bokehguide.render.vector import luminance
 from bokehguide.runtime.distributed import Ranks
 from bokehguide.runtime.indexing import Pixels, gather_pixels, scatter_add
 from bokehguide.scene.types import Scene
-from bokehguide.train.loop import PHASES, RenderLoop, refused_copy, require_inputs
+from bokehguide.train.loop import PHASES, RenderLoop
+from bokehguide.train.loop_base import Loop, require_inputs
 from bokehguide.train.loop_state import REMEDY, all_or_nothing, require_one_moment, require_parts
 from bokehguide.train.settings import RenderSettings
 from bokehguide.train.step_stats import StepStats
@@ -84,14 +85,13 @@ class HalfLoop(RenderLoop):
 
     def _light_so_far(self) -> tuple[float, float]:
         """Includes samples that are not on the film, because the other half decides which samples are on the film."""
-        mine = slice(None) if self._share is None else self._share
-        light = self.brightness[:, mine].cpu().numpy()
+        light = self.brightness[:, self.pixels.own].cpu().numpy()
         return float(light.sum()), float(self.step_number * light.shape[1])
 
     def _picture_so_far(self) -> Tensor:
         """The luminance of all samples, in each channel."""
         mean = (self.brightness.sum(0) / self.step_number).float().expand(3, -1)
-        return mean * self._mine_of_film().to(mean.device)
+        return mean * self.pixels.mine.to(mean.device)
 
     def _expose(self, places: Pixels, samples: FilmSamples) -> Tensor:
         light = luminance(samples.value())
@@ -105,7 +105,7 @@ class HalfLoop(RenderLoop):
         The mean before the round and the mean in the round are over equally many samples of this half. Half of their difference
         estimates the error of the half. The error of the mean of both halves is smaller by the factor √2.
         """
-        mine = self._mine_of_film().to(self.brightness.device)
+        mine = self.pixels.mine.to(self.brightness.device)
         means = self.ranks.total(self.brightness * mine) / (self.step_number // 2)
         self.brightness[0] += self.brightness[1]
         self.brightness[1] = 0.0
@@ -115,7 +115,7 @@ class HalfLoop(RenderLoop):
         return error.flatten() / math.sqrt(2.0)
 
 
-class AdaptiveLoop:
+class AdaptiveLoop(Loop):
     """A loop like `RenderLoop` that stops each block of 32 × 32 pixels at the estimated error `settings.target_noise`.
 
     Steps alternate between two halves. When both halves have 16, 32, 64, … steps, each half stops in the blocks in which the
@@ -140,19 +140,6 @@ class AdaptiveLoop:
         """Whether each half adds samples to the film in each block, bool `[2, blocks]`."""
         self.expected_steps: int | None = None
         """Steps after which the worst block should reach the target; None before the first decision."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """As `RenderLoop.close`."""
-        self.workers.close()
-
-    def __getstate__(self) -> NoReturn:
-        raise refused_copy(self)
 
     @property
     def step_number(self) -> int:
@@ -232,7 +219,7 @@ class AdaptiveLoop:
     def state_dict(self) -> dict[str, object]:
         """As `RenderLoop.state_dict`; collective."""
         halves = [half.state_dict() for half in self.halves]
-        mine = [half._mine_of_film() for half in self.halves]
+        mine = [half.pixels.mine for half in self.halves]
         return {
             "step": self.step_number,
             "halves": halves,

@@ -6,9 +6,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from typing import Any, NoReturn, Self, cast
+from typing import Any, cast
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,9 +15,10 @@ from bokehguide.errors import BokehguideError
 from bokehguide.guiding.inheritance import Learned
 from bokehguide.guiding.modes import MODES
 from bokehguide.guiding.protocols import BatchSamples, LensPoints, LensQuery, ModeContext, PixelBatch, StepSummary, starts_epoch
+from bokehguide.render.bad_samples import earliest
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
-from bokehguide.render.film import Film, FilmSamples, earliest
+from bokehguide.render.film import Film, FilmSamples
 from bokehguide.render.light_groups import GroupedLights
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom
@@ -26,12 +26,13 @@ from bokehguide.render.shadow_roulette import ShadowRoulette
 from bokehguide.render.split_film import SplitFilm
 from bokehguide.runtime.device import free_memory
 from bokehguide.runtime.distributed import Ranks, available_cores
-from bokehguide.runtime.indexing import Pixels, box_pixels, indices
+from bokehguide.runtime.indexing import Pixels
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.runtime.workers import Workers
 from bokehguide.scene.light_groups import find_light_groups
-from bokehguide.scene.tables import shown
 from bokehguide.scene.types import Scene
+from bokehguide.train.film_pixels import FilmPixels
+from bokehguide.train.loop_base import Loop, require_inputs
 from bokehguide.train.loop_state import all_or_nothing, require_loop_state, require_one_moment
 from bokehguide.train.mattes import triangle_objects
 from bokehguide.train.scheduler import GPU_THREADS, Batches
@@ -41,11 +42,12 @@ from bokehguide.train.step_stats import BatchResult, StepStats, step_stats
 PHASES = ("tracing rays", "shading", "guiding", "learning", "output")
 
 
-class RenderLoop:
+class RenderLoop(Loop):
     """Renders a scene step by step. After each step, `film` holds the picture so far.
 
     The loop is a context manager that ends its worker threads.
-    `workers` and `batches`, which cuts the pixels of a step, may be replaced before the first step.
+    `workers` and `batches`, which cuts the pixels of a step, may be replaced before the first step. `pixels` are the pixels that
+    steps render.
     Random numbers depend on the pixel, and the loop adds reports of batches in the order of the pixels or in double precision.
     The batches and the number of threads therefore change no bit.
 
@@ -66,14 +68,9 @@ class RenderLoop:
             raise BokehguideError(f"mode: {settings.mode} reuses samples of the whole frame; render it in one process")
         self.camera = ThinLensCamera(scene.camera, scene.film.width, scene.film.height, device)
         self.tracer = tracer or PathTracer(scene, device, threads=1 if on_cpu else threads)
-        self._window = *_, width, height = settings.window(self.camera.width, self.camera.height)
-        self._frame_pixels = box_pixels(self._window, self.camera.width).to(device) if settings.crop else None
-        """Pixels of the frame that are on the film, int64 `[pixels]`; None if all pixels are."""
-        self._share = self.ranks.rows(width, height, entry.rows_per_band, device)
-        """Pixels of the film that this rank renders, int64 `[N]`; None if it renders all pixels."""
-        self._places = self._share
-        """Pixels of `_share` that steps render (see `render_only`)."""
-        owned = self._of_frame(self._of_film(width * height))
+        window = *_, width, height = settings.window(self.camera.width, self.camera.height)
+        self.pixels = FilmPixels(self.camera, window, self.ranks, entry.rows_per_band, device)
+        owned = self.pixels.mine_in_frame()
         context = ModeContext(scene, self.camera, self.tracer, width, height, settings, self.ranks, owned)
         self._groups = find_light_groups(scene) if settings.light_groups else None
         self._grouped = GroupedLights(self._groups, self.tracer.geometry, self.tracer.lights) if self._groups else None
@@ -92,21 +89,8 @@ class RenderLoop:
         self._unlearned: Sequence[BatchResult] | None = None
         """Reports of the last step, empty on a rank without pixels; None once the strategies have learned from the step."""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End the workers; the film and the state stay."""
-        self.workers.close()
-
-    def __getstate__(self) -> NoReturn:
-        raise refused_copy(self)
-
     def _empty_film(self) -> Film:
-        left, top, width, height = self._window
+        pixels = self.pixels
         features: type[MeanFeatures] = MeanFeatures
         if self.camera.lens.vignettes:
             features = RatioFeatures
@@ -115,14 +99,11 @@ class RenderLoop:
         objects = triangle_objects(self.scene) if self.settings.cryptomatte else None
         groups = self._groups.names if self._groups else ()
         device = self.camera.position.device
-        return self._film_class()(width, height, self.settings.seed, device, features, (left, top), objects, groups)
+        film = self._film_class()
+        return film(pixels.width, pixels.height, self.settings.seed, device, features, pixels.corner, objects, groups)
 
     def _film_class(self) -> type[Film]:
         return SplitFilm if self.settings.denoise else Film
-
-    def render_only(self, active: Tensor) -> None:
-        """From now on, render only the `active` pixels of the film, bool `[pixels]`."""
-        self._places = indices(active & self._mine_of_film().to(active.device))
 
     def learned(self) -> Learned | None:
         """What the strategies have learned, for `inherit`; None if they cannot hand it on, and before the end of the first step.
@@ -154,6 +135,10 @@ class RenderLoop:
         """Stop learning."""
         self._learn()
         self._learns = False
+
+    def render_only(self, active: Tensor) -> None:
+        """From now on, render only the `active` pixels of the film, bool `[pixels]`."""
+        self.pixels.render_only(active)
 
     @property
     def complete(self) -> bool:
@@ -220,7 +205,7 @@ class RenderLoop:
 
     def _pixels(self, places: Pixels) -> PixelBatch:
         """Pixels of the film with their jittered raster positions and focus points."""
-        pixels = places if self._frame_pixels is None else self._frame_pixels[places]
+        pixels = self.pixels.in_frame(places)
         random = PixelRandom(self.settings.seed, self.step_number, pixels, self.settings.device)
         positions = self.camera.film_positions(pixels, random)
         return PixelBatch(self.step_number, places, pixels, *positions, random, self._mean_luminance)
@@ -309,17 +294,13 @@ class RenderLoop:
 
     def _spans(self) -> list[slice]:
         """Spans of the pixels that steps render."""
-        size = self.film.width * self.film.height
         cuts = self.mode.reuse.cuts(self.film.width, self.film.height)
-        if self._places is not None:
-            size = len(self._places)
-            cuts = None if cuts is None else np.unique(np.searchsorted(self._places.cpu().numpy(), cuts))
-        return self.batches.spans(size, cuts)
+        return self.batches.spans(*self.pixels.row(cuts))
 
     def _in_batches(self, work: Callable[[Pixels], BatchResult], spans: Sequence[slice]) -> list[BatchResult]:
         """Results of `work` for the film's pixels of each span."""
-        start, places = time.perf_counter(), self._places
-        results = self.workers.map(work, spans if places is None else [places[span] for span in spans])
+        start = time.perf_counter()
+        results = self.workers.map(work, [self.pixels.at(span) for span in spans])
         worked = sum((result.timer.seconds for result in results), Counter())
         scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
         self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
@@ -327,32 +308,15 @@ class RenderLoop:
 
     def _light_so_far(self) -> tuple[float, float]:
         """Luminance of this rank's samples so far, and their number."""
-        return self.film.light(slice(None) if self._share is None else self._share)
+        return self.film.light(self.pixels.own)
 
     def _picture_so_far(self) -> Tensor:
         """Mean radiance so far of the film's pixels, `[3, pixels]`, 0 in pixels of other ranks."""
-        return self.film.radiance().reshape(-1, 3).T.mul_(self._mine_of_film().to(self.settings.device))
+        return self.film.radiance().reshape(-1, 3).T.mul_(self.pixels.mine.to(self.settings.device))
 
     def _groups_so_far(self) -> Tensor:
         """As `_picture_so_far`, of the light groups, `[G, 3, pixels]`."""
-        return self.film.group_radiance() * self._mine_of_film().to(self.settings.device)
-
-    def _of_frame(self, of_film: Tensor) -> Tensor:
-        """The mask `of_film` as a mask of the frame's pixels, bool `[pixels]`. Pixels outside a crop belong to the first rank."""
-        if self._frame_pixels is None:
-            return of_film
-        of_frame = torch.full((self.camera.width * self.camera.height,), self.ranks.first)
-        return of_frame.index_copy_(0, self._frame_pixels.cpu(), of_film)
-
-    def _of_film(self, pixels: int) -> Tensor:
-        mine = torch.full((pixels,), self._share is None)
-        if self._share is not None:
-            mine[self._share.cpu()] = True
-        return mine
-
-    def _mine_of_film(self) -> Tensor:
-        """Pixels of the film that this rank renders, bool `[pixels]`."""
-        return self._of_film(self.film.width * self.film.height)
+        return self.film.group_radiance() * self.pixels.mine.to(self.settings.device)
 
     def picture(self) -> Film:
         """The film with the pixels of all ranks; collective."""
@@ -363,7 +327,7 @@ class RenderLoop:
         return whole
 
     def _film_state(self) -> dict[str, object]:
-        state = self.ranks.merged(self.film.state_dict(), self._mine_of_film())
+        state = self.ranks.merged(self.film.state_dict(), self.pixels.mine)
         found = self.ranks.gathered((self.film.bad_count, self.film.bad_samples))
         bad = earliest([bad for _, samples in found for bad in samples])
         return state | {"bad_count": sum(count for count, _ in found), "bad_samples": [tuple(each) for each in bad]}
@@ -383,8 +347,8 @@ class RenderLoop:
                 state[name] = strategy.state_dict()
             optimizers = {name: each.state_dict() for name, each in self.mode.lens.optimizers.items()}
             by_pixel = {"lens": state["lens"], "optimizers": optimizers}
-            state |= self.ranks.merged({"shadow_roulette": self.shadow_roulette.state_dict()}, self._mine_of_film())
-            return state | self.ranks.merged(by_pixel, self._of_frame(self._mine_of_film()))
+            state |= self.ranks.merged({"shadow_roulette": self.shadow_roulette.state_dict()}, self.pixels.mine)
+            return state | self.ranks.merged(by_pixel, self.pixels.mine_in_frame())
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continue from the state of another loop, so that later steps have the same bits; collective.
@@ -428,25 +392,9 @@ class RenderLoop:
         """Pictures of the learned state by name, `[H, W, 3]` in 0 … 1; empty without learning. Collective."""
         with self.workers.serial():
             self._learn()
-        owned = self._of_frame(self._mine_of_film())
+        owned = self.pixels.mine_in_frame()
         beta = self.ranks.merged({"beta": self.mode.lens.blend_weights()}, owned)["beta"]
         return self.mode.lens.images(beta)
-
-
-def require_inputs(scene: object, settings: object) -> None:
-    """Raise BokehguideError unless a loop can render these."""
-    if not isinstance(scene, Scene):
-        raise BokehguideError(f"RenderLoop: scene: {shown(scene)} is no Scene; give one, as from bokehguide.load_scene")
-    if not isinstance(settings, RenderSettings):
-        raise BokehguideError(f"RenderLoop: settings: {shown(settings)} is no RenderSettings; give RenderSettings(…)")
-
-
-def refused_copy(loop: object) -> BokehguideError:
-    """The error for `copy` and `pickle`, which cannot take the threads of a loop."""
-    name = type(loop).__name__
-    return BokehguideError(
-        f"{name}: a loop cannot be copied or pickled; copy its film, or load its state_dict() into another loop"
-    )
 
 
 def _work(results: Sequence[BatchResult]) -> list[int]:

@@ -1,0 +1,84 @@
+"""The groups of neighbouring pixels that reuse each other's primary hits.
+
+The pixels of a tile of the film form two groups. The positions of tiles change with every step. In a picture of few samples,
+compact groups would show as blocks. The groups of the first SCATTERED_STEPS steps are therefore scattered, in a pattern like a
+chessboard. The groups of later steps are compact, because near pixels see more of each other's hits. No group crosses the end of
+a band of rows or columns, so that ranks, batches and blocks of adaptive SPP contain whole groups.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bokehguide.runtime.device import to_device
+from bokehguide.runtime.distributed import ROWS_PER_BAND
+from bokehguide.runtime.indexing import Pixels, pixel_numbers
+
+COLUMNS = 32
+"""Number of columns in a band. Groups end at the end of a band."""
+SCATTERED_STEPS = 8
+"""Number of steps with scattered groups."""
+
+
+class PixelGroups(NamedTuple):
+    """Groups of neighbouring pixels on a film of this `width`: the pixels of a tile form two groups.
+
+    A tile has `across` x `down` pixels, both powers of two. Tiles are shifted by `right` and `below`. All lengths are in pixels.
+    `mask` selects bits of a pixel's number in its tile. The parity of the selected bits is the group. With the highest bit of the
+    longer side alone, the groups are the two halves of the tile. With the lowest bits of both sides and random others, most
+    adjacent pixels are in different groups, in a pattern like a chessboard.
+    """
+
+    width: int
+    across: int
+    down: int
+    right: int
+    below: int
+    mask: int
+
+    @staticmethod
+    def of(width: int, size: int, key: int, scattered: bool) -> PixelGroups:
+        """Groups of a step. size: number of pixels of a group, a power of two. key: random bits that turn and shift the tiles,
+        and choose the pattern of `scattered` groups; other groups are halves of tiles."""
+        bits = size.bit_length()
+        sides = 1 << -(-bits // 2), 1 << bits // 2  # of 2 size pixels
+        across, down = sides if key & 1 else sides[::-1]
+        if scattered:
+            below = (key >> 16) % down if down < ROWS_PER_BAND else 0  # a band contains whole tiles
+            mask = (key >> 24) % (2 * size) | (across > 1) | across * (down > 1)
+        else:
+            below = (key >> 16) % min(sides)
+            mask = across // 2 if key & 1 else size
+        return PixelGroups(width, across, down, (key >> 8) % across, below, mask)
+
+    def offsets(self) -> list[tuple[int, int]]:
+        """Members of a group, as (x, y) to combine with the place of a pixel in its tile by exclusive or. The first member is
+        the pixel itself."""
+        places = range(self.across * self.down)
+        return [(at % self.across, at // self.across) for at in places if (at & self.mask).bit_count() % 2 == 0]
+
+    def members(self, places: Pixels, device: torch.device) -> Tensor:
+        """The other pixels in the groups of N pixels, as indices into the N pixels, int64 `[members - 1, N]`; -1 for no pixel.
+
+        places: pixels of the film.
+        """
+        numbers = pixel_numbers(places, device)
+        first, last = (places.start, places.stop - 1) if isinstance(places, slice) else (int(places[0]), int(places[-1]))
+        among = torch.full((last - first + 2,), -1, device=device)  # the last entry is shared by all other places
+        among[numbers - first] = torch.arange(len(numbers), device=device)
+        there = numbers - first + self._steps(device).index_select(1, numbers % (ROWS_PER_BAND * self.width))
+        there = torch.where((there >= 0) & (there < len(among)), there, len(among) - 1)
+        return among.index_select(0, there.flatten()).reshape(there.shape)
+
+    def _steps(self, device: torch.device) -> Tensor:
+        """Offsets in pixel numbers from each pixel of a band to the other pixels of its group, int64
+        `[members - 1, ROWS_PER_BAND * width]`. If the other pixel is outside the band, the offset leads outside any film."""
+        width, (dx, dy) = self.width, to_device(list(zip(*self.offsets())), device, torch.int64)[:, :, None, None]
+        row, x = torch.meshgrid(*(torch.arange(size, device=device) for size in (ROWS_PER_BAND, width)), indexing="ij")
+        column = ((x + self.right) ^ dx) - self.right
+        line = ((row + self.below) ^ dy) - self.below
+        inside = (column < width) & (column // COLUMNS == x // COLUMNS) & (line >= 0) & (line < ROWS_PER_BAND)
+        return torch.where(inside, (line - row) * width + column - x, -(1 << 40))[1:].flatten(1)
