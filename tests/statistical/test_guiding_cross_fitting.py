@@ -14,8 +14,7 @@ from torch import Tensor
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.control_variate import MIN_WEIGHT_VARIANCE
 from bokehguide.guiding.cross_fitting import LEAST_EXPLAINED, REACH, cross_fitted
-from bokehguide.guiding.native_reuse import PixelGroups
-from bokehguide.guiding.pixel_reuse import _members
+from bokehguide.guiding.pixel_groups import PixelGroups
 from bokehguide.runtime.distributed import ROWS_PER_BAND
 from bokehguide.scene.types import Scene
 from tests.support.sharing_cases import FLOOR, loop_of, scene_of, terrace
@@ -109,7 +108,7 @@ def test_the_own_group_changes_no_bit(key, light):
     groups = PixelGroups.of(WIDTH, 16, key, True)
     radiance, weight = samples()
     before = cross_fitted(ALL, groups, radiance, weight, by_light(radiance))
-    members = _members(ALL, groups, torch.device("cpu"))
+    members = groups.members(ALL, torch.device("cpu"))
     for pixel in (0, 20, 300, PIXELS - 1):
         own = torch.cat((torch.tensor([pixel]), members[:, pixel]))
         own = own[own >= 0]

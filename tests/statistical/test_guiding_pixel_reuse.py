@@ -12,8 +12,9 @@ import torch
 from bokehguide.color import LUMINANCE_WEIGHTS
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.cross_fitting import cross_fitted
-from bokehguide.guiding.native_reuse import NOWHERE, PixelGroups
-from bokehguide.guiding.pixel_reuse import COLUMNS, GROUP_SPACING, SCATTERED_STEPS, _members
+from bokehguide.guiding.native_reuse import NOWHERE
+from bokehguide.guiding.pixel_groups import COLUMNS, SCATTERED_STEPS, PixelGroups
+from bokehguide.guiding.pixel_reuse import GROUP_SPACING
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.random import hash_int
@@ -52,7 +53,7 @@ COATED = replace(FLOOR, clearcoat=1.0, clearcoat_roughness=0.6)
 
 def members_of(places, width: int, key: int, size: int = GROUP, scattered: bool = True) -> torch.Tensor:
     """For each other place in a group, the pixel there for each of N pixels, `[.., N]`, or -1."""
-    return _members(places, PixelGroups.of(width, size, key, scattered), torch.device("cpu"))
+    return PixelGroups.of(width, size, key, scattered).members(places, torch.device("cpu"))
 
 
 def key_of(step: Step, seed: int) -> int:
@@ -579,7 +580,7 @@ def test_batches_hold_whole_bands(monkeypatch):
     loop = loop_of(terrace(24, 37), threads=4)
     active = torch.rand(24 * 37, generator=torch.Generator().manual_seed(3)) < 0.3
     for _ in range(2):
-        places = torch.arange(24 * 37) if loop._places is None else loop._places
+        places = torch.arange(24 * 37) if loop.pixels.active is None else loop.pixels.active
         spans = loop._spans()
         assert len(spans) > 2
         bands = [set((places[span] // (24 * ROWS_PER_BAND)).tolist()) for span in spans]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from bokehguide.render.native import native_scene
+from bokehguide.render.native_tables import native_scene
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.runtime.timer import PhaseTimer

@@ -76,6 +76,14 @@ def test_the_density_given_with_a_draw_is_the_one_looked_up():
     assert apart.float().mean() < 1e-4  # rounding puts a draw across the edge of its texel
 
 
+@pytest.mark.parametrize("height", [3, 16, 50])
+def test_the_poles_lie_in_the_first_and_in_the_last_row(height):
+    """The row of the lower pole is the height of the map, or more by rounding."""
+    radiance = np.random.default_rng(2).uniform(0.1, 1.0, (height, WIDTH, 3)).astype(np.float32)
+    texels = EnvironmentMap(Environment(radiance, 37.0)).texel_at(torch.tensor([[0.0, 0.0], [1.0, -1.0], [0.0, 0.0]]))
+    assert (texels // WIDTH).tolist() == [0, height - 1]
+
+
 def texel_means(light: EnvironmentMap) -> tuple[np.ndarray, float]:
     """Mean luminance of the interpolated map over each texel `[N]`, and over the sphere."""
     centres, _ = cells(16, 0.0)

@@ -108,21 +108,22 @@ def test_densities_over_the_whole_sphere_integrate_to_one(place, learnt):
 
 
 def test_where_all_else_is_equal_triangles_are_chosen_by_the_power_they_emit():
-    """Four rectangles whose first triangles have one centre; at one metre under no angle the
+    """Five rectangles whose first triangles have one centre; at one metre under no angle the
     density is the choice over the area."""
     checkers = np.tile(np.array([[[1.0], [0.0]], [[0.0], [1.0]]], np.float32), (8, 8, 3))
     materials = [emitter(1.0), emitter(4.0), emitter(1.0, double_sided=True), emitter(1.0, emission_texture=Texture(checkers))]
+    materials.append(emitter(1.0, opacity=0.25, alpha_mode="blend"))
     first = rectangle(0)
     center = first.vertices[first.triangles[0]].mean(axis=0)
-    heights = np.array([0.5, 1.5, 2.5, 3.5])
+    heights = np.array([0.5, 1.5, 2.5, 3.5, 4.5])
     meshes = [rectangle(i, center * (0.0, 1.0 - h, 0.0), scale=(1.0, h, 1.0)) for i, h in enumerate(heights)]
     lit = scene(meshes, materials)
     lights = PowerLightSampler(Lights(lit, Geometry(lit)))
-    ones = torch.ones(8)
+    ones = torch.ones(10)
     above = (*center[:2].tolist(), 3.0)
-    density = lights.triangle_pdf(at(above, 8), torch.arange(8), ones, ones).double().numpy()
+    density = lights.triangle_pdf(at(above, 10), torch.arange(10), ones, ones).double().numpy()
     relative = density[::2] / density[0]
-    np.testing.assert_allclose(relative[:3], [1.0, 4.0, 2.0], rtol=1e-3)
+    np.testing.assert_allclose(relative[[0, 1, 2, 4]], [1.0, 4.0, 2.0, 0.25], rtol=1e-3)
     assert relative[3] == pytest.approx(0.5, rel=0.1)  # half lit, looked at in a few points
     assert density @ (2.0 * np.repeat(heights, 2)) == pytest.approx(1.0, rel=1e-5)
 

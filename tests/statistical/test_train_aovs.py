@@ -9,7 +9,7 @@ from scipy.ndimage import maximum_filter
 
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.control_variate import CELL
-from bokehguide.guiding.native_reuse import PixelGroups
+from bokehguide.guiding.pixel_groups import PixelGroups
 from bokehguide.image import read_exr, write_exr
 from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectangle
 from bokehguide.scene.types import Environment, FilmSettings, Material, Scene

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.geometry import Surface
-from bokehguide.render.native import PLAIN_FIELDS, native_scene
+from bokehguide.render.native_hits import PLAIN_FIELDS
+from bokehguide.render.native_tables import native_scene
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.runtime import native

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from bokehguide.guiding.config import GuidedConfig
-from bokehguide.guiding.pixel_reuse import PixelPathReuse, Reused
+from bokehguide.guiding.pixel_reuse import PixelPathReuse
 from bokehguide.guiding.protocols import BatchSamples
+from bokehguide.guiding.reuse_weights import Reused
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Scene

@@ -4,11 +4,13 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+import torch
 
-from bokehguide.evaluation import compare, given_reference, made_reference, references
+from bokehguide.evaluation import LongRender, compare, given_reference, made_reference, references
 from bokehguide.evaluation.comparison import interpolated
 from bokehguide.evaluation.tables import report
 from bokehguide.image import read_exr, read_rgb, write_exr
@@ -137,3 +139,26 @@ def test_a_power_law_is_a_line():
         assert interpolated(cost, error, budget) == pytest.approx(2.0 * budget**-0.5, rel=1e-12)
     assert interpolated(cost, error, 0.9) is None
     assert interpolated(cost, [0.0, 0.0, 0.0, 0.0], 17.0) == pytest.approx(0.0, abs=1e-20)
+
+
+class Flat(NamedTuple):
+    """A film of one pixel."""
+
+    light: float
+    noise: float
+
+    def radiance(self) -> torch.Tensor:
+        return torch.full((1, 1, 3), self.light, dtype=torch.float64)
+
+    def variance(self) -> torch.Tensor:
+        return torch.full((1, 1), self.noise, dtype=torch.float64)
+
+
+def test_a_long_render_is_the_mean_of_all_samples_with_the_variance_of_this_mean():
+    """Chunks of different SPP whose samples all have the variance 6, so that their mean has 6 / SPP."""
+    kept = LongRender(torch.zeros(1, 1, 3, dtype=torch.float64), torch.zeros(1, 1, dtype=torch.float64))
+    for spp, light in ((2, 1.0), (3, 5.0), (7, 0.5)):
+        kept = kept.plus(Flat(light, 6.0 / spp), spp)
+    assert (kept.spp, kept.chunks) == (12, 3)
+    assert float(kept.variance) == pytest.approx(6.0 / 12)
+    assert kept.radiance.flatten().tolist() == pytest.approx([(2 * 1.0 + 3 * 5.0 + 7 * 0.5) / 12] * 3)

@@ -206,6 +206,17 @@ def test_proposals_are_larger_than_their_emitters_by_the_scale():
     torch.testing.assert_close(other.outlines, 1.44 * one.outlines)
 
 
+def test_the_outline_of_a_sun_is_the_largest_ball_in_its_cone():
+    """Its radius is the sine of half the angle, while the ball of the field has the tangent."""
+    scene = replace(scenes.emitters(WIDTH, HEIGHT), meshes=(), suns=(Sun((0.0, 0.0, -1.0), 40.0, (1.0, 1.0, 1.0)),))
+    camera = ThinLensCamera(replace(scene.camera, aperture_radius=0.5), WIDTH, HEIGHT)
+    found = emitter_proposals(scene, find_emitters(scene), camera, GuidedConfig(emitter_scale=1.0))
+    distance, half = INFINITY * camera.lens.focus_distance, math.radians(20.0)
+    assert found.field.radius.tolist() == pytest.approx([math.tan(half) * distance])
+    ball = [(math.sin(half) * distance) ** 2]
+    assert found.outlines.flatten().tolist() == pytest.approx([*ball, 0.0, 0.0, *ball, 0.0, *ball])
+
+
 def test_emitters_in_focus_behind_the_camera_or_dark_are_no_proposals():
     scene = scenes.emitters(WIDTH, HEIGHT)
     focused = spheres(np.array([[0.0, 0.0, -2.0], [0.0, 0.0, 3.0]]), 0.05, material=0)

@@ -10,7 +10,7 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-from bokehguide.guiding.config import GaussianConfig, GuidedConfig
+from bokehguide.guiding.config import GaussianConfig, GuidedConfig, HighlightConfig
 from bokehguide.guiding.highlight_fitting import find_highlights, fit_ellipsoids, fit_gaussians, label_patches
 from bokehguide.guiding.record_buffer import RecordBuffer
 from bokehguide.models.gaussian_field import GaussianField
@@ -60,7 +60,7 @@ def light_up(
 
 def fitted(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float = 0.1) -> GaussianField:
     field = GaussianField()
-    fit_gaussians(field, record, camera, mean_luminance)
+    fit_gaussians(field, record, camera, mean_luminance, GaussianConfig())
     return field
 
 
@@ -124,9 +124,11 @@ def test_a_receding_row_of_emitters_is_one_patch(camera):
 def test_a_line_of_300_cells_is_one_patch(camera):
     record = wall_record(camera)
     light_up(record, camera, torch.arange(50.0, 350.0), 20.0, 4.0)
-    cells, points, _ = find_highlights(record, camera, 0.1)
+    cells, points, _ = find_highlights(record, camera, 0.1, HighlightConfig())
     assert len(cells) == 300
-    assert label_patches(record, cells, points[2], points[2] * camera.pixel_slope).unique().tolist() == [0]
+    assert label_patches(
+        record, cells, points[2], points[2] * camera.pixel_slope, HighlightConfig.depth_gap
+    ).unique().tolist() == [0]
 
 
 def test_the_bounding_sphere_of_one_cell_holds_a_ball_as_wide_as_the_cell(camera):
@@ -169,7 +171,7 @@ def test_cells_in_focus_or_dim_are_no_highlights(camera):
     light_up(record, camera, torch.tensor([100.0]), 20.0, 2.01)  # a CoC below 4 pixels
     light_up(record, camera, torch.tensor([200.0]), 20.0, 4.0, radiance=1.4)  # (0.1 + 1.4) / 2 is 7.5 means
     light_up(record, camera, torch.tensor([300.0]), 20.0, 4.0, radiance=1.6)
-    cells, *_ = find_highlights(record, camera, 0.1)
+    cells, *_ = find_highlights(record, camera, 0.1, HighlightConfig())
     assert (cells % record.width - record.border).tolist() == [300]
 
 
@@ -287,7 +289,7 @@ def test_the_ellipsoid_of_an_even_disc_is_as_wide_as_the_disc(camera, cells):
     """`highlight_axes` scales it, and 2 would fit an even disc. It is flat, and has the disc's place and energy."""
     record = wall_record(camera)
     light_where(record, camera, disc(200.0, 20.0, cells))
-    found, mean, outline, largest, energy = fit_ellipsoids(record, camera, 0.1)
+    found, mean, outline, largest, energy = fit_ellipsoids(record, camera, 0.1, GuidedConfig())
     assert mean.shape == (3, 1) and outline.shape == (6, 1) and largest.shape == energy.shape == (1,)
     torch.testing.assert_close(mean, points_at(camera, torch.tensor([200.0]), torch.tensor([20.0]), 4.0), rtol=1e-4, atol=1e-4)
     width = float(mean[2]) * camera.pixel_slope
@@ -310,7 +312,7 @@ def test_the_ellipsoid_of_a_strip_lies_along_it(camera, degrees):
 
     record = wall_record(camera)
     light_where(record, camera, strip)
-    _, mean, outline, largest, _ = fit_ellipsoids(record, camera, 0.1)
+    _, mean, outline, largest, _ = fit_ellipsoids(record, camera, 0.1, GuidedConfig())
     width = float(mean[2]) * camera.pixel_slope
     _, short, long = half_axes(outline)[:, 0] / width
     assert float(long) == pytest.approx(GuidedConfig.highlight_axes * 16.0 / 3.0**0.5, rel=0.03)
@@ -334,7 +336,7 @@ def test_dim_cells_at_the_edge_hardly_count(camera):
         light_where(record, camera, disc(200.0, 20.0, 4.0))
         if tails:
             light_where(record, camera, dim_tails, radiance=20.0)
-        found, _, _, largest, _ = fit_ellipsoids(record, camera, 0.1)
+        found, _, _, largest, _ = fit_ellipsoids(record, camera, 0.1, GuidedConfig())
         sizes.append((len(found), float(largest), float(fitted(record, camera).radius)))
     (few, small, box), (many, same, wide) = sizes
     assert many == few + 64
@@ -349,8 +351,8 @@ def test_two_patches_give_two_ellipsoids(camera):
         record = wall_record(camera)
         for each in (record, together):
             light_where(each, camera, disc(x, y, radius), radiance=radiance)
-        alone.append(fit_ellipsoids(record, camera, 0.1))
-    both = fit_ellipsoids(together, camera, 0.1)
+        alone.append(fit_ellipsoids(record, camera, 0.1, GuidedConfig()))
+    both = fit_ellipsoids(together, camera, 0.1, GuidedConfig())
     assert both[1].shape == (3, 2) and len(both[0]) == len(alone[0][0]) + len(alone[1][0])
     order = both[1][0].argsort()
     for number in range(1, 5):
@@ -360,7 +362,7 @@ def test_two_patches_give_two_ellipsoids(camera):
 
 def test_no_highlights_give_no_ellipsoids(camera):
     for record in (RecordBuffer(camera), wall_record(camera)):
-        found = fit_ellipsoids(record, camera, 0.1)
+        found = fit_ellipsoids(record, camera, 0.1, GuidedConfig())
         assert [tuple(part.shape) for part in found] == [(0,), (3, 0), (6, 0), (0,), (0,)]
         assert not found[0].is_floating_point() and all(part.dtype == torch.float32 for part in found[1:])
 
@@ -369,7 +371,7 @@ def test_the_ellipsoid_of_one_cell_is_as_wide_as_the_cell(camera):
     """A square's standard deviation is its side over √12."""
     record = wall_record(camera)
     light_up(record, camera, torch.tensor([200.0]), 20.0, 4.0)
-    _, mean, outline, largest, energy = fit_ellipsoids(record, camera, 0.1)
+    _, mean, outline, largest, energy = fit_ellipsoids(record, camera, 0.1, GuidedConfig())
     width = float(mean[2]) * camera.pixel_slope
     assert float(largest / width) == pytest.approx(GuidedConfig.highlight_axes / 12.0**0.5, rel=1e-4)
     _, *wide = half_axes(outline)[:, 0] / width
@@ -396,7 +398,7 @@ def random_patches(camera: ThinLensCamera, light: float = 1.0) -> RecordBuffer:
 
 def test_outlines_are_positive_semidefinite(camera):
     """The largest half axis is that of the ellipsoid seen along the optical axis."""
-    _, mean, outline, largest, energy = fit_ellipsoids(random_patches(camera), camera, 1.0)
+    _, mean, outline, largest, energy = fit_ellipsoids(random_patches(camera), camera, 1.0, GuidedConfig())
     assert len(largest) > 50
     axes = half_axes(outline)  # asserts that the squares are not negative
     assert (axes[2] > 0.0).all() and (largest > 0.0).all() and (energy > 0.0).all() and (mean[2] > 0.0).all()
@@ -410,8 +412,8 @@ def test_outlines_are_positive_semidefinite(camera):
 def test_ellipsoids_do_not_depend_on_the_units(camera, light, length):
     view = replace(CAMERA, aperture_radius=CAMERA.aperture_radius * length, focus_distance=CAMERA.focus_distance * length)
     other = ThinLensCamera(view, WIDTH, HEIGHT)
-    cells, mean, outline, largest, energy = fit_ellipsoids(random_patches(camera), camera, 1.0)
-    scaled = fit_ellipsoids(random_patches(other, light), other, light)
+    cells, mean, outline, largest, energy = fit_ellipsoids(random_patches(camera), camera, 1.0, GuidedConfig())
+    scaled = fit_ellipsoids(random_patches(other, light), other, light, GuidedConfig())
     assert len(set(cells.tolist()) ^ set(scaled[0].tolist())) <= 1 and scaled[1].shape == mean.shape
     torch.testing.assert_close(scaled[1] / length, mean, rtol=1e-4, atol=1e-3)
     torch.testing.assert_close(scaled[2] / scaled[3].square(), outline / largest.square(), rtol=1e-2, atol=1e-2)
@@ -424,7 +426,7 @@ def test_ellipsoids_of_any_radiance_are_finite(camera, radiance):
     """A patch at 1000 focus distances, where the record has the environment."""
     record = RecordBuffer(camera)
     light_where(record, camera, disc(200.0, 20.0, 4.0), 1000.0 * CAMERA.focus_distance, radiance)
-    _, mean, outline, largest, _ = fit_ellipsoids(record, camera, radiance / 100.0)
+    _, mean, outline, largest, _ = fit_ellipsoids(record, camera, radiance / 100.0, GuidedConfig())
     width = float(mean[2]) * camera.pixel_slope
     assert float(mean[2]) == pytest.approx(1000.0 * CAMERA.focus_distance, rel=1e-3)
     assert outline.isfinite().all() and float(largest / width) == pytest.approx(0.5 * GuidedConfig.highlight_axes * 4.0, rel=0.1)
@@ -444,7 +446,7 @@ def test_the_ellipsoids_that_a_render_finds_are_its_emitters(ellipsoids_of_emitt
 def ellipsoids_of_emitters() -> tuple[Tensor, ...]:
     loop = rendered(scenes.emitters(256, 144), 8)
     mean_luminance = float(luminance(loop.film.radiance().reshape(-1, 3).T).mean())
-    return fit_ellipsoids(loop.mode.lens.record_buffer, loop.camera, mean_luminance)
+    return fit_ellipsoids(loop.mode.lens.record_buffer, loop.camera, mean_luminance, GuidedConfig())
 
 
 @pytest.mark.parametrize(("width", "height", "border"), [(160, 90, 16), (90, 160, 9), (1000, 100, 100), (65536, 1, 1)])
@@ -461,7 +463,7 @@ def test_patches_are_the_components_that_scipy_finds(camera, seed):
     bright = np.random.default_rng(seed).random((record.height, record.width)) < (0.002, 0.1, 0.3, 0.5)[seed % 4]
     cells = torch.from_numpy(np.flatnonzero(bright))
     depth = torch.ones(len(cells))
-    patch = label_patches(record, cells, depth, depth)
+    patch = label_patches(record, cells, depth, depth, HighlightConfig.depth_gap)
     expected = torch.from_numpy(ndimage.label(bright, np.ones((3, 3), int))[0][bright])
     pairs = torch.stack((patch, expected.long()), dim=1).unique(dim=0)
     assert len(pairs) == len(patch.unique()) == len(expected.unique())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import runpy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -143,6 +144,18 @@ def test_before_the_first_update_the_lens_is_uniform():
     np.testing.assert_allclose(lens.weight(points), 1.0, atol=1e-5)
     outside = torch.full((WIDTH * HEIGHT, 2), 0.8)
     assert not lens.weight(outside).any() and bool(lens.log_prob(outside).isneginf().all())
+
+
+def test_where_the_lens_barrel_blocks_the_weight_is_0():
+    camera = replace(CAMERA, aperture=Aperture(cat_eye=1.0))
+    places = raster()
+    lens = LensGuide(camera, WIDTH, HEIGHT).distribution(places)
+    points = lens.sample((100,))
+    centre = (places - torch.tensor([0.5 * WIDTH, 0.5 * HEIGHT])) * torch.tensor([1.0, -1.0]) / (0.5 * math.hypot(WIDTH, HEIGHT))
+    distance = (points + centre).norm(dim=-1)
+    clear = (distance - 1.0).abs() > 1e-3
+    assert 0.1 < float((distance > 1.0).float().mean()) < 0.6
+    torch.testing.assert_close(lens.weight(points)[clear], (distance < 1.0).float()[clear], rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.slow

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
 from bokehguide import BokehguideError, RenderLoop, RenderSettings
 from bokehguide.guiding import register_mode
 from bokehguide.guiding.builders import uniform
 from bokehguide.guiding.modes import MODES, ModeEntry
+from bokehguide.guiding.protocols import LensQuery, LensSampler, LightStrategy, Mode
 from tests.support import scenes
 
 
@@ -71,6 +73,39 @@ def test_a_mode_of_the_whole_frame_refuses_a_crop():
     register_mode("own", own, whole_frame=True)
     with pytest.raises(BokehguideError, match="crop: own reuses samples of the whole frame"):
         RenderSettings("own", crop=(0, 0, 4, 4))
+
+
+class Bare(LensSampler):
+    """A lens sampler without `query`."""
+
+
+class Unfinished(LensSampler):
+    """A lens sampler whose query lacks `sample` and `pdf`."""
+
+    def query(self, batch):
+        return LensQuery()
+
+
+@pytest.mark.parametrize(
+    ("sampler", "told"),
+    [
+        (Bare, "Bare: the method query(batch) is missing; define it, to return a LensQuery"),
+        (Unfinished, "LensQuery: the method sample() is missing; define it, to return LensPoints"),
+    ],
+)
+def test_a_missing_method_is_told_in_a_line(sampler, told):
+    register_mode("own", lambda context: Mode(sampler(context), LightStrategy(context)))
+    with (
+        RenderLoop(scenes.emitters(16, 10), RenderSettings("own", 1, threads=1)) as loop,
+        pytest.raises(BokehguideError) as error,
+    ):
+        loop.step()
+    assert str(error.value) == told
+
+
+def test_a_missing_density_is_told_in_a_line():
+    with pytest.raises(BokehguideError, match=r"^LensQuery: the method pdf\(points\) is missing; define it, to return densities"):
+        LensQuery().pdf(torch.zeros(2, 3))
 
 
 @pytest.mark.parametrize(

@@ -175,6 +175,14 @@ def test_the_triangles_own_orientation_does_not_matter(turn):
         assert power(EGG, direction, turn) == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.0, 0.0, 3.0), (0.5, 0.0, 0.0), (7.0, -2.0, 0.0)])
+def test_the_place_of_a_triangle_seen_straight_on_does_not_matter(place):
+    """A rod of the radius 2 m, also with two corners whose sum is zero or parallel to the normal."""
+    corners = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    normals = np.array([[-0.25, 0.0, 1.0], [0.25, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    assert float(of_triangle(corners + place, normals, incoming(0.0))) == pytest.approx(0.5)
+
+
 def test_the_back_of_a_bulging_surface_is_hollow():
     """The same triangle from both sides: a ball is a bowl from inside."""
     for degrees in (0.0, 50.0):

@@ -7,6 +7,9 @@ import pytest
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image import denoise
+from bokehguide.render.split_film import relative_error
+from bokehguide.train import RenderLoop, RenderSettings, denoising
+from tests.support import scenes
 
 oidn = pytest.importorskip("mitsuba_oidn")
 HEIGHT, WIDTH = 64, 96
@@ -158,6 +161,27 @@ def test_the_error_ratio_is_that_of_many_pictures(noise):
         sums += [np.abs(mixed.radiance - truth()).mean(), noisy.mean(), (noisy * mixed.error_ratio).mean()]
     assert sums[2] == pytest.approx(sums[0], abs=0.2 * sums[1])
     assert sums[2] < 0.9 * sums[1]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_the_error_ratio_is_the_part_of_the_noise_that_is_left(share):
+    """Mixtures without bias that keep 40 % of the noise of halves with different shares."""
+    random, kept = np.random.default_rng(16), 0.4
+    noise = [0.3 / np.sqrt(part) * random.normal(size=(HEIGHT, WIDTH, 1)) for part in (share, 1.0 - share)]
+    pictures = [1.0 + part * values for part in (1.0, kept) for values in noise]
+    ratio = denoise.error_ratio(pictures, np.full((HEIGHT, WIDTH), share))
+    assert ratio.mean() == pytest.approx(kept, rel=0.05)
+
+
+def test_the_estimated_error_of_a_denoised_picture_is_the_noise_times_the_ratio(monkeypatch):
+    quarter = np.full((20, 32), 0.25)
+    monkeypatch.setattr(denoising, "denoise_halves", lambda first, *_: denoise.Denoised(first, quarter, quarter))
+    with RenderLoop(scenes.emitters(32, 20), RenderSettings("uniform", threads=1, denoise=True)) as loop:
+        for _ in range(4):
+            loop.step()
+    first, second = (half.permute(2, 0, 1) for half in loop.film.halves()[:2])
+    noise = float(relative_error(first, second).mean())
+    assert noise > 0.0 and denoising.denoise_picture(loop.film).estimated_mape == pytest.approx(0.25 * noise)
 
 
 def test_rare_bright_pixels_do_not_hide_the_error_of_the_others(monkeypatch):

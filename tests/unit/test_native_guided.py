@@ -9,7 +9,7 @@ from torch import Tensor
 from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSampleRecorder, LightSamples
 from bokehguide.guiding.virtual_images import HighlightImages
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.native import NativeHits
+from bokehguide.render.native_hits import NativeHits
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import PixelRandom

@@ -1,6 +1,7 @@
 """The thin-lens camera against its geometry."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -8,7 +9,7 @@ import torch
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lens import Lens
 from bokehguide.render.random import PixelRandom
-from bokehguide.scene.types import Camera
+from bokehguide.scene.types import Aperture, Camera
 from tests.support.light_checks import (
     lens_uniformity,
 )
@@ -123,3 +124,12 @@ def test_every_lens_point_drawn_lies_in_the_aperture():
     points = lens.sample(PixelRandom(9, 0, torch.arange(100_000)).uniform(0, 2))
     assert lens.contains(points * (1.0 - 1e-6)).all()
     assert not lens.contains(points / points.norm(dim=0) * 0.7001).any()
+
+
+def test_the_lens_barrel_is_shifted_by_the_cats_eye_in_the_corners_of_the_frame():
+    camera = ThinLensCamera(replace(ALONG_Z, aperture=Aperture(cat_eye=1.0)), 400, 300)
+    corners = torch.tensor([[0.0, 400.0, 0.0, 400.0], [0.0, 0.0, 300.0, 300.0]])
+    focus = camera.focus_points(corners)
+    towards = focus[:2] / focus[:2].norm(dim=0)
+    for shift, passes in ((-0.02, 1.0), (0.02, 0.0)):
+        assert torch.equal(camera.lens.unblocked(shift * camera.lens.radius * towards, focus), torch.full((4,), passes))

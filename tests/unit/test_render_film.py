@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from bokehguide.render.bad_samples import KEPT_BAD_SAMPLES, BadSample
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
-from bokehguide.render.film import KEPT_BAD_SAMPLES, NO_DEPTH, BadSample, Film, FilmSamples
+from bokehguide.render.film import NO_DEPTH, Film, FilmSamples
 from bokehguide.render.halves_film import HalfFilm, HalvesFilm
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.split_film import SplitFilm
@@ -326,6 +327,12 @@ def test_ten_thousand_steps_do_not_drift(features):
     assert (layers["sample_count"] == 10_000).all()
     light = luminance(noise[:3])
     np.testing.assert_allclose(layers["variance"], float(light.var() / 10_000), rtol=1e-6)
+
+
+def test_the_features_of_a_pixel_whose_samples_are_all_blocked_are_0():
+    features = RatioFeatures(2, rows=1)
+    features.add(slice(0, 2), torch.full((1, 2), 3.0), torch.tensor([0.0, 0.5]), torch.ones(2))
+    assert features.means(torch.ones(2)).tolist() == [[0.0, 3.0]]
 
 
 def test_a_weight_that_is_not_a_number_stays_off_the_film():

@@ -203,3 +203,19 @@ def test_spotlights_are_left_to_the_places_in_their_cones():
             assert found[dark] == pytest.approx(by_power[dark], rel=1e-4), place
     dark, lit = grid.light[grid.cells(points((3.0, 0.5, 0.0), (0.0, 0.5, 0.0)))]
     assert lit > 100.0 * dark
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_cells_at_every_side_also_stand_for_the_space_beyond(axis, sign):
+    """A spotlight whose narrow cone leaves the grid and passes by the nearest cell of a far point: chosen as without the cone."""
+    direction = np.zeros(3)
+    direction[axis], direction[(axis + 1) % 3] = sign, 0.6 * sign
+    direction /= np.linalg.norm(direction)
+    centers = [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)]
+    normals = [direction, DOWN, DOWN]
+    power, axes = [1e4, 1.0, 1.0], [direction, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)]
+    spot = grid_of(centers, normals, power, False, axes, np.array([0.02, np.pi, np.pi]))
+    free = grid_of(centers, normals, power)
+    assert choice(spot, 100.0 * direction, 3)[0] > 0.9
+    np.testing.assert_allclose(choice(spot, 100.0 * direction, 3), choice(free, 100.0 * direction, 3), rtol=1e-5)

@@ -231,6 +231,25 @@ def test_blocks_at_the_right_edge_are_blocks_of_their_own():
     assert loop.open.shape == (2, 4)
 
 
+def test_the_film_of_a_half_is_the_first_of_two_pictures():
+    """One share for each pixel, also of a frame that is not square."""
+    halves = HalfFilm(5, 3).halves()
+    assert torch.equal(halves.share, torch.ones(3, 5)) and not halves.second.any()
+
+
+def test_the_expected_steps_follow_the_worst_open_block():
+    """The error falls with the root of the steps: a third of the error needs 9 times the steps, in rounds that double."""
+    loop = AdaptiveLoop(scenes.emitters(40, 36), RenderSettings("uniform", threads=1, target_noise=0.1))
+    for half in loop.halves:
+        half.step_number = 32
+    loop._close(torch.tensor([[0.05, 0.3, 0.2, 0.05], [0.05, 0.05, 0.05, 0.01]]))
+    assert loop.open.tolist() == [[False] * 4, [False, True, True, False]]
+    assert loop.expected_steps == 16 * 64
+    loop._close(torch.tensor([[0.9, 0.1, 0.11, 0.9], [0.9] * 4]))
+    assert loop.open.tolist() == [[False] * 4, [False, False, True, False]]
+    assert loop.expected_steps == 2 * 64
+
+
 def test_a_half_of_a_denoised_render_has_no_halves():
     loop = AdaptiveLoop(scenes.emitters(32, 18), RenderSettings(threads=1, target_noise=0.01, denoise=True))
     assert [type(half.film) for half in loop.halves] == [HalfFilm, HalfFilm]

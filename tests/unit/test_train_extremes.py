@@ -16,7 +16,7 @@ from scipy import stats
 
 from bokehguide.guiding.uniform import UniformLens
 from bokehguide.models.projection import lens_density, log_density_gradient, project_to_lens
-from bokehguide.render.film import BadSample
+from bokehguide.render.bad_samples import BadSample
 from bokehguide.render.random import PixelRandom
 from bokehguide.scene.shapes import transform, transformed, unit_rectangle, unit_sphere
 from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Mesh, Scene, Sun
