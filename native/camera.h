@@ -28,13 +28,13 @@ inline void pixel_keys(uint32_t seed, int64_t count, const PixelNumbers& pixels,
 // Numbers of `PixelRandom`; first: of the range of steps of stratified numbers, 0 for independent numbers. replaced: pixels whose
 // numbers the function writes, null for all.
 inline void random_numbers(const Random& random, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first,
-                           int number, const int32_t* odd, const uint8_t* replaced, float* out) {
+                           int number, const int32_t* member, const uint8_t* replaced, float* out) {
     const Stratified sequence(random, dimension, first > 0 ? numbers : 0, uint32_t(first > 0 ? first : 1), uint32_t(number));
     for (Columns at(count); at.first < count; at.first += LANES) {
         const Int written = replaced == nullptr ? all(-1) : at.flags(replaced);
         if (!any(written)) continue;
         const Bits pixel = bits<Bits>(at.integers(pixels));
-        const PathKeys keys = {pixel, pixel, odd == nullptr ? Bits{} : 0u - bits<Bits>(at.integers(odd))};
+        const PathKeys keys = {pixel, pixel, member == nullptr ? Bits{} : bits<Bits>(at.integers(member))};
         for (int i = 0; i < numbers; ++i) {
             const Float found = first > 0 ? sequence(keys, i) : uniform(random, pixel, dimension + uint32_t(i));
             at.put(out, i, replaced == nullptr ? found : (written ? found : at(out, i)));

@@ -10,7 +10,7 @@ namespace {
 using Numbers = std::optional<Out<const int64_t>>;
 
 // Keys of random numbers. directions: of Sobol' sequences, int32 `[8, 30]`.
-Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index) {
+Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index, uint32_t group) {
     static int32_t directions[8][30];
     static bool ready = false;
     if (!ready) {
@@ -20,7 +20,7 @@ Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index) {
         }
         ready = true;
     }
-    return {step_key, seed_key, index, directions};
+    return {step_key, seed_key, index, group, directions};
 }
 
 // first, numbers: of consecutive pixels, or of any pixels.
@@ -30,14 +30,14 @@ void pixel_keys(uint32_t seed, int64_t first, const Numbers& numbers, IntsOut ke
     kernels().pixel_keys(seed, int64_t(keys.size()), {numbers ? numbers->data() : nullptr, first}, keys.data());
 }
 
-void random(const Random& random, const Ints& pixels, uint32_t dimension, int numbers, int first, int number, const std::optional<Ints>& odd,
+void random(const Random& random, const Ints& pixels, uint32_t dimension, int numbers, int first, int number, const std::optional<Ints>& member,
             const std::optional<Out<const bool>>& replaced, FloatsOut out) {
     check(out, size_t(numbers) * pixels.size(), "out");
-    if (odd) check(*odd, pixels.size(), "odd");
+    if (member) check(*member, pixels.size(), "member");
     if (replaced) check(*replaced, pixels.size(), "replaced");
     const uint8_t* flags = replaced ? reinterpret_cast<const uint8_t*>(replaced->data()) : nullptr;
     nb::gil_scoped_release released;
-    kernels().random_numbers(random, int64_t(pixels.size()), pixels.data(), dimension, numbers, first, number, odd ? odd->data() : nullptr, flags,
+    kernels().random_numbers(random, int64_t(pixels.size()), pixels.data(), dimension, numbers, first, number, member ? member->data() : nullptr, flags,
                              out.data());
 }
 
@@ -86,8 +86,8 @@ void camera_depths(const Floats& axes, const Floats& distance, const Floats& dir
 }  // namespace
 
 void bind_frame(nb::module_& m) {
-    nb::class_<Random>(m, "Random").def("__init__", [](Random* self, uint32_t step_key, uint32_t seed_key, uint32_t index) {
-        new (self) Random(random_of(step_key, seed_key, index));
+    nb::class_<Random>(m, "Random").def("__init__", [](Random* self, uint32_t step_key, uint32_t seed_key, uint32_t index, uint32_t group) {
+        new (self) Random(random_of(step_key, seed_key, index, group));
     });
     m.def("pixel_keys", &pixel_keys, nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
     m.def("random", &random, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg().none(), nb::arg());

@@ -27,7 +27,7 @@ struct Kernels {
     // Pixels and their rays: see camera.h.
     void (*pixel_keys)(uint32_t seed, int64_t count, const PixelNumbers&, int32_t* keys);
     void (*random_numbers)(const Random&, int64_t count, const int32_t* pixels, uint32_t dimension, int numbers, int first, int number,
-                           const int32_t* odd, const uint8_t* replaced, float* out);
+                           const int32_t* member, const uint8_t* replaced, float* out);
     void (*film_positions)(const FilmFrame&, const Random&, uint32_t dimension, int64_t count, const PixelNumbers&, const int32_t* keys, float* rows);
     void (*sample_disc)(float radius, int64_t count, const float* uniforms, float* points);
     void (*camera_rays)(const Camera&, int64_t count, const float* focus, const float* points, float* origin, float* direction);

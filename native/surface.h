@@ -42,7 +42,7 @@ struct Surface {
 };
 constexpr int SURFACE_ROWS = sizeof(Surface) / sizeof(Float);
 constexpr int SHEEN_ROW = offsetof(Surface, sheen_color) / sizeof(Float);  // the first of the rare fields
-static_assert(SURFACE_ROWS == 49, "as many as bokehguide/render/native.py names");
+static_assert(SURFACE_ROWS == 49, "as many as bokehguide/render/native_hits.py names");
 
 // rows: of the scene (`Tables::surface_rows`); fields beyond them are undefined.
 inline Surface load_surface(const float* values, int64_t stride, int rows) {

@@ -100,7 +100,7 @@ struct Tables {
 
 // Keys of the random numbers of a step (render/random.py).
 struct Random {
-    uint32_t step_key, seed_key, index;
+    uint32_t step_key, seed_key, index, group;  // group: number of pixels that share a scramble, a power of two
     const int32_t (*directions)[30];  // of Sobol' sequences, eight dimensions
 };
 
@@ -245,7 +245,7 @@ struct SuccessTiles {
 };
 
 constexpr int MOST_MEMBERS = 64;
-// Groups of pixels of a film that reuse each other's primary hits (`PixelGroups` of guiding/native_reuse.py): the number of the first
+// Groups of pixels of a film that reuse each other's primary hits (guiding/pixel_groups.py): the number of the first
 // pixel of a batch and of all pixels, null for consecutive ones; the width of the film, the shift of tiles, and `PixelGroups.offsets`.
 struct PixelGroups {
     int64_t first;

@@ -26,8 +26,8 @@ inline uint32_t crossing_dimension(int depth) { return (1u << 20) + MAX_CROSSING
 struct alignas(64) Block {
     // Paths that are alive.
     IntRow slot, key;
-    // Of copies, until they leave their primary hits: keys of pairs, and all bits set for odd copies.
-    IntRow pair_key, odd;
+    // Of copies, until they leave their primary hits: see `PathKeys`.
+    IntRow shared_key, member;
     Row throughput[3], radiance[3];
     // Their next segments, as `Rays` of paths.py has them.
     Row vertex[3], origin[3], direction[3], pdf, alive;
@@ -197,7 +197,7 @@ class Tracing {
             int64_t before = path;
             while (before > 0 && record.owner[before - 1] == hit) --before;
             const uint32_t number = uint32_t(path - before), key = uint32_t(b.hit_key[hit - first_hit]);
-            b.key[i] = copied(key, number), b.pair_key[i] = copied(key, number >> 1), b.odd[i] = -int32_t(number & 1);
+            b.key[i] = copied(key, number), b.shared_key[i] = copied(key, number >> 1), b.member[i] = int32_t(number & 1);
             b.kept[i] = int32_t(hit - first_hit);
             b.slot[i] = i, b.ray[i] = int32_t(record.ray[hit] - first);
         }
@@ -450,7 +450,7 @@ class Tracing {
     PathKeys path_keys(int depth, int i) const {
         const Bits own = bits<Bits>(load<Int>(block.key + i));
         if (depth > 1 || trace.split == nullptr) return {own, own, Bits{}};
-        return {own, bits<Bits>(load<Int>(block.pair_key + i)), bits<Bits>(load<Int>(block.odd + i))};
+        return {own, bits<Bits>(load<Int>(block.shared_key + i)), bits<Bits>(load<Int>(block.member + i))};
     }
 
     // Choose lights for a vector of paths, and ask for their memory.

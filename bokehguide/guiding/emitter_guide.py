@@ -102,7 +102,7 @@ class EmitterGuide(Guide):
     def query(self, batch: PixelBatch) -> LensQuery:
         # The first two dimensions of a Sobol' sequence are the most even, and choose the lens point.
         first = int(self.epoch) if self.config.stratify else batch.step
-        uniforms = batch.random.stratified(dimensions.LENS, 3, first).roll(1, 0)
+        uniforms = (batch.grouped_random or batch.random).stratified(dimensions.LENS, 3, first).roll(1, 0)
         if self.candidates is None:
             return UniformQuery(self.camera.lens, batch.focus, uniforms[1:3])
         start, component = self.candidates.batch(batch.pixels)

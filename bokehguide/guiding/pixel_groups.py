@@ -1,9 +1,12 @@
 """The groups of neighbouring pixels that reuse each other's primary hits.
 
-The pixels of a tile of the film form two groups. The positions of tiles change with every step. In a picture of few samples,
+The pixels of a tile of the film form two groups. The positions of tiles change with every epoch. In a picture of few samples,
 compact groups would show as blocks. The groups of the first SCATTERED_STEPS steps are therefore scattered, in a pattern like a
 chessboard. The groups of later steps are compact, because near pixels see more of each other's hits. No group crosses the end of
 a band of rows or columns, so that ranks, batches and blocks of adaptive SPP contain whole groups.
+
+The pixels of a group use the same hits, so that the hits of all pixels together must be even. Within an epoch, the lens points of
+a group are therefore parts of one sequence (`PixelRandom.in_groups`).
 """
 
 from __future__ import annotations
@@ -19,8 +22,8 @@ from bokehguide.runtime.indexing import Pixels, pixel_numbers
 
 COLUMNS = 32
 """Number of columns in a band. Groups end at the end of a band."""
-SCATTERED_STEPS = 8
-"""Number of steps with scattered groups."""
+SCATTERED_STEPS = 32
+"""Number of steps with scattered groups: the last step of an epoch."""
 
 
 class PixelGroups(NamedTuple):
@@ -41,8 +44,8 @@ class PixelGroups(NamedTuple):
 
     @staticmethod
     def of(width: int, size: int, key: int, scattered: bool) -> PixelGroups:
-        """Groups of a step. size: number of pixels of a group, a power of two. key: random bits that turn and shift the tiles,
-        and choose the pattern of `scattered` groups; other groups are halves of tiles."""
+        """Groups of an epoch. size: number of pixels of a group, a power of two. key: random bits that turn and shift the
+        tiles, and choose the pattern of `scattered` groups; other groups are halves of tiles."""
         bits = size.bit_length()
         sides = 1 << -(-bits // 2), 1 << bits // 2  # of 2 size pixels
         across, down = sides if key & 1 else sides[::-1]
@@ -59,6 +62,21 @@ class PixelGroups(NamedTuple):
         the pixel itself."""
         places = range(self.across * self.down)
         return [(at % self.across, at // self.across) for at in places if (at & self.mask).bit_count() % 2 == 0]
+
+    def numbered(self, places: Pixels, device: torch.device | str) -> tuple[Tensor, Tensor]:
+        """Number of the group of each of N pixels of the film, and number of the pixel in the group, int32 `[N]` each."""
+        pixels = pixel_numbers(places, device).to(torch.int32)
+        line, x = pixels // self.width, pixels % self.width
+        column, row = x + self.right, line % ROWS_PER_BAND + self.below
+        at = (row % self.down) * self.across + column % self.across
+        parity = torch.zeros_like(at)
+        for bit in range(self.mask.bit_length()):
+            parity ^= (at & self.mask) >> bit & 1
+        rows, columns = -(-(ROWS_PER_BAND + self.below) // self.down), -(-(self.width + self.right) // self.across)
+        tile = (line // ROWS_PER_BAND * rows + row // self.down) * columns + column // self.across
+        # The highest selected bit follows from the parity. A tile lies in at most two bands of columns.
+        highest = self.mask.bit_length() - 1
+        return 4 * tile + 2 * (x // COLUMNS % 2) + parity, at & ((1 << highest) - 1) | at >> (highest + 1) << highest
 
     def members(self, places: Pixels, device: torch.device) -> Tensor:
         """The other pixels in the groups of N pixels, as indices into the N pixels, int64 `[members - 1, N]`; -1 for no pixel.

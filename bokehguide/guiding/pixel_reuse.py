@@ -33,14 +33,14 @@ from bokehguide.guiding.control_variate import CELL, ControlVariate, NoControlVa
 from bokehguide.guiding.cross_fitting import cross_fitted
 from bokehguide.guiding.native_reuse import ViewPoints, native_reuse
 from bokehguide.guiding.pixel_groups import SCATTERED_STEPS, PixelGroups
-from bokehguide.guiding.protocols import BatchSamples, ModeContext, SampleReuse, StepSummary
+from bokehguide.guiding.protocols import BatchSamples, ModeContext, SampleReuse, StepSummary, epoch_of
 from bokehguide.guiding.reuse_weights import Densities, Hits, Reused, SeenPaths, Views, own_radiance, seen_radiance
 from bokehguide.models.reconnection import reconnect, reconnection_jacobian
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.primary_hits import PrimaryHits
-from bokehguide.render.random import hash_int
+from bokehguide.render.random import PixelRandom, hash_int
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import dot, length
 from bokehguide.runtime.device import to_device
@@ -105,8 +105,16 @@ class PixelPathReuse:
 
     def groups(self, step: int) -> PixelGroups:
         """Groups of a step."""
-        key = hash_int(hash_int(self._seed ^ 0x68E31DA4) + step)
-        return PixelGroups.of(self._width, self._group, key, step <= SCATTERED_STEPS)
+        first = epoch_of(step)
+        key = hash_int(hash_int(self._seed ^ 0x68E31DA4) + first)
+        return PixelGroups.of(self._width, self._group, key, first <= SCATTERED_STEPS)
+
+    def share(self, random: PixelRandom, places: Pixels, step: int) -> PixelRandom | None:
+        """See `SampleReuse`: the stratified numbers of a group are parts of one sequence."""
+        if self._group == 1:
+            return None
+        keys, member = self.groups(step).numbered(places, random.pixel_keys.device)
+        return random.in_groups(keys, member, self._group)
 
     def _reuse(self, groups: PixelGroups, samples: BatchSamples, own: dict[str, Tensor], timer: PhaseTimer) -> Reused:
         paths, hits, rows = samples.paths, self._hits(samples), []
@@ -254,6 +262,9 @@ class PixelReuse(SampleReuse):
         shrinkage = config.control_shrinkage if group > 1 else config.unshared_control_shrinkage
         self.control_variate = ControlVariate(context, shrinkage) if known else NoControlVariate()
         self._cross_fits = known and group > 1
+
+    def share(self, random: PixelRandom, places: Pixels, step: int) -> PixelRandom | None:
+        return self.paths.share(random, places, step)
 
     def cuts(self, width: int, height: int) -> np.ndarray:
         return np.append(np.arange(0, width * height, ROWS_PER_BAND * width), width * height)

@@ -36,9 +36,14 @@ def _missing(owner: object, method: str, returned: str) -> BokehguideError:
     return BokehguideError(f"{type(owner).__name__}: the method {method} is missing; define it, to return {returned}")
 
 
+def epoch_of(step: int) -> int:
+    """First step of the epoch of a step: 1, 2, 3, 5, 9, 17, … The lengths of epochs are powers of two."""
+    return step if step <= 2 else 1 + (1 << ((step - 1).bit_length() - 1))
+
+
 def starts_epoch(step: int) -> bool:
-    """Whether an epoch starts at a step. Epochs start at 1, 2, 3, 5, 9, 17, …, so that their lengths are powers of two."""
-    return step == 1 or (step - 1) & (step - 2) == 0
+    """Whether an epoch starts at a step."""
+    return epoch_of(step) == step
 
 
 @dataclass(frozen=True)
@@ -76,7 +81,8 @@ class PixelBatch:
     places: indices of the pixels on the film. pixels: indices of the same pixels in the frame; a crop has a smaller film. raster:
     positions in the frame, pixels, `[2, N]`. subpixel: positions within the pixel, 0 to 1, `[2, N]`. focus: focus points x_F,
     camera frame, metres, `[3, N]`. random: random numbers of this step. mean_luminance: mean luminance of the frame before this
-    step, 1 in the first step.
+    step, 1 in the first step. grouped_random: random numbers of lens points, which the pixels of a group share (see
+    `SampleReuse.share`); None without groups.
     """
 
     step: int
@@ -87,6 +93,7 @@ class PixelBatch:
     focus: Tensor
     random: PixelRandom
     mean_luminance: float
+    grouped_random: PixelRandom | None = None
 
 
 class LensPoints(NamedTuple):
@@ -299,6 +306,11 @@ class SampleReuse(Strategy):
 
     def cuts(self, width: int, height: int) -> np.ndarray | None:
         """Pixel numbers at which a film may be cut into batches, ascending from 0 to the number of pixels; None: all."""
+        return None
+
+    def share(self, random: PixelRandom, places: Pixels, step: int) -> PixelRandom | None:
+        """Random numbers of the lens points of a batch, from those of its pixels, if pixels that reuse each other's samples share
+        a sequence of numbers; else None."""
         return None
 
     def expose(self, samples: BatchSamples, film: Callable[[Pixels, FilmSamples], Tensor], timer: PhaseTimer) -> Tensor:

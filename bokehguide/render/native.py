@@ -138,7 +138,7 @@ class NativeTracer:
         rows, triangle = torch.empty(ROWS, count), torch.empty(count, dtype=torch.int32)
         alive = None if given.alive is None else given.alive.contiguous()
         threshold = None if given.shadow_threshold is None else given.shadow_threshold.contiguous()
-        keys = random.pixel_keys.contiguous(), core.Random(random.step_key, random.seed_key, random.index)
+        keys = random.pixel_keys.contiguous(), random.core_keys(core)
         rays, seconds, *recorded = self._scene.trace(
             given.origin.contiguous(),
             given.direction.contiguous(),

@@ -77,6 +77,16 @@ def sobol_point(index: int, dimension: int) -> int:
     return value
 
 
+def member_index(key: int, steps: int, bit: int, group: int) -> int:
+    """Index of the Sobol' point by which a member differs from member 0, for one bit of the member's number.
+
+    A member has an aligned block of `steps` indices, in an order of its own. In the order of member 0, the first coordinates
+    of all members would be nearly equal in each step.
+    """
+    index = steps << bit
+    return index if index >= steps * group else index | hash_int(key - hash_int(bit)) & (steps - 1)
+
+
 def _places(points: list[int], device: torch.device) -> Tensor:
     """Positions of the ones among the _BITS bits of points, from the highest bit down, int32 `[ones, points]`, padded with
     _BITS."""
@@ -100,20 +110,21 @@ def _uniform(pixel_keys: Tensor, keys: Tensor) -> Tensor:
     return _to_unit(hash_tensor(pixel_keys ^ keys[:, None]).bitwise_right_shift_(1))
 
 
-def _scrambled(pixel_keys: Tensor, keys: Tensor, points: list[int], odd: tuple[list[int], Tensor] | None) -> Tensor:
+def _scrambled(pixel_keys: Tensor, keys: Tensor, points: list[int], changes: list[list[int]], member: Tensor | None) -> Tensor:
     """Points of Sobol' sequences, float32 `[keys, N]`, scrambled by each key and pixel.
 
-    odd: what the points of odd copies have besides, and 1 for odd copies, else 0, int32 `[N]`.
+    changes: points by which a member differs from member 0, for each bit of its number. member: int32 `[N]`, None for zeros.
     """
     values = hash_tensor(pixel_keys ^ keys[:, None])
     columns = (values * _signed(0x9E3779B1)).bitwise_or_(0x40000000).bitwise_and_(0x7FFFFFFF)  # the first columns of the matrices
     for place in _places(points, keys.device):
         values ^= columns >> place[:, None]
-    if odd is not None:
-        change = torch.zeros_like(values)
-        for place in _places(odd[0], keys.device):
-            change ^= columns >> place[:, None]
-        values ^= change * odd[1]
+    for bit, change in enumerate(changes):
+        assert member is not None
+        product = torch.zeros_like(values)
+        for place in _places(change, keys.device):
+            product ^= columns >> place[:, None]
+        values ^= product * (member >> bit & 1)
     return _to_unit(values)
 
 
@@ -136,16 +147,27 @@ class PixelRandom:
 
     def __init__(self, seed: int, step: int, pixels: Pixels, device: torch.device | str = "cpu"):
         device = pixels.device if isinstance(pixels, Tensor) else torch.device(device)
-        self.pixel_keys = self._pair_keys = _pixel_keys(seed, pixels, device)
-        self._odd: Tensor | None = None
+        self.pixel_keys = self._shared_keys = _pixel_keys(seed, pixels, device)
+        self._member: Tensor | None = None
+        self._group = 1
         self.step_key = hash_int(hash_int(seed ^ 0x9E3779B9) + step)
         self.seed_key = hash_int(seed ^ 0x2545F491)
         self.index = (step - 1) & 0x3FFFFFFF
 
     def select(self, index: Tensor) -> PixelRandom:
         """Random numbers of the paths at `index`, int64 `[M]`."""
-        odd = None if self._odd is None else self._odd.index_select(0, index)
-        return self._with(self.pixel_keys.index_select(0, index), self._pair_keys.index_select(0, index), odd)
+        member = None if self._member is None else self._member.index_select(0, index)
+        return self._with(self.pixel_keys.index_select(0, index), self._shared_keys.index_select(0, index), member)
+
+    def in_groups(self, keys: Tensor, member: Tensor, size: int) -> PixelRandom:
+        """Random numbers whose sequences in `stratified` are shared by groups of pixels within an epoch (`_in_epoch`).
+
+        keys: of the group of each pixel, int32 `[N]`. member: number of a pixel in its group, int32 `[N]`, from 0 to `size` - 1.
+        size: a power of two. All numbers of a group in an epoch are then stratified together, and those of each pixel too.
+        """
+        other = self._with(self.pixel_keys, hash_tensor(keys ^ _signed(self.seed_key)), member)
+        other._group = size
+        return other
 
     def copies(self, number: Tensor) -> PixelRandom:
         """Random numbers of copies of paths; number: int64 `[N]`, of the copy. Copy 0 has the random numbers of the path.
@@ -153,12 +175,15 @@ class PixelRandom:
         The copies 2 k and 2 k + 1 are a pair, and share the scramble of `stratified`.
         """
         number = number.to(torch.int32)
-        return self._with(_copied(self.pixel_keys, number), _copied(self.pixel_keys, number >> 1), number & 1)
+        member = (number & 1) * self._group
+        if self._member is not None:
+            member |= self._member
+        return self._with(_copied(self.pixel_keys, number), _copied(self._shared_keys, number >> 1), member)
 
-    def _with(self, pixel_keys: Tensor, pair_keys: Tensor, odd: Tensor | None) -> PixelRandom:
+    def _with(self, pixel_keys: Tensor, shared_keys: Tensor, member: Tensor | None) -> PixelRandom:
         other = object.__new__(PixelRandom)
-        other.pixel_keys, other._pair_keys, other._odd = pixel_keys, pair_keys, odd
-        other.step_key, other.seed_key, other.index = self.step_key, self.seed_key, self.index
+        other.pixel_keys, other._shared_keys, other._member = pixel_keys, shared_keys, member
+        other.step_key, other.seed_key, other.index, other._group = self.step_key, self.seed_key, self.index, self._group
         return other
 
     def uniform(self, dimension: int, count: int) -> Tensor:
@@ -176,23 +201,30 @@ class PixelRandom:
         return native.core_on(self.pixel_keys.device)
 
     def _native(
-        self, core: ModuleType, keys: Tensor, dimension: int, count: int, first: int, number: int = 0, odd: Tensor | None = None
+        self,
+        core: ModuleType,
+        keys: Tensor,
+        dimension: int,
+        count: int,
+        first: int,
+        number: int = 0,
+        member: Tensor | None = None,
     ) -> Tensor:
-        """Numbers of the native core; first, number: as in `stratified`, `first` is 0 for `uniform`. odd: see `_scrambled`."""
-        numbers, odd = torch.empty(count, len(keys)), None if odd is None else odd.contiguous()
-        core.random(self.core_keys(core), keys.contiguous(), dimension & _MASK, count, first, number, odd, None, numbers)
+        """Numbers of the native core; first, number: as in `stratified`, `first` is 0 for `uniform`. member: see `_scrambled`."""
+        numbers, member = torch.empty(count, len(keys)), None if member is None else member.contiguous()
+        core.random(self.core_keys(core), keys.contiguous(), dimension & _MASK, count, first, number, member, None, numbers)
         return numbers
 
     def core_keys(self, core: ModuleType) -> object:
         """The `Random` of the extension: the keys of the step."""
-        return core.Random(self.step_key, self.seed_key, self.index)
+        return core.Random(self.step_key, self.seed_key, self.index, self._group)
 
     def stratify(self, numbers: Tensor, replaced: Tensor, dimension: int, first: int) -> None:
         """Replace `numbers` `[count, N]` by those of `stratified` in some pixels; replaced: bool `[N]`."""
         if self._core is not None:
-            keys = self._pair_keys if self._in_epoch(first) else self.pixel_keys
+            keys = self._shared_keys if self._in_epoch(first) else self.pixel_keys
             given = (dimension & _MASK, len(numbers), first, 0)
-            self._core.random(self.core_keys(self._core), keys.contiguous(), *given, self._odd, replaced.contiguous(), numbers)
+            self._core.random(self.core_keys(self._core), keys.contiguous(), *given, self._member, replaced.contiguous(), numbers)
             return
         entries = ActiveEntries(replaced)
         if len(entries) > 0:
@@ -206,25 +238,25 @@ class PixelRandom:
 
         Each pair of `dimension` and `first` has its own sequence. Different sequences have independent scrambles.
 
-        number: of a further sample of each path. In an epoch (`_in_epoch`) of n steps, the sequence goes on: copy c of a pair has
-        the points n (c + 2 number) … for its steps. All samples of both copies together are then stratified. Outside an epoch,
-        copies and further samples have scrambles of their own. After the last epoch (`RenderLoop.freeze`), copy 0 repeats the
-        points of copy 1.
+        number: of a further sample of each path. In an epoch (`_in_epoch`) of n steps, the sequence goes on: member m of a group
+        of G pixels, as copy c of a pair, has the points n (m + G (c + 2 number)) … for its steps. All samples of the group and of
+        both copies together are then stratified. Outside an epoch, members, copies and further samples have scrambles of their
+        own. After the last epoch (`RenderLoop.freeze`), copy 0 repeats the points of copy 1.
         """
-        together, odd = self._in_epoch(first), None
-        pixel_keys = self._pair_keys if together else self.pixel_keys
-        if together and self._odd is not None:
-            odd = self._odd
+        together = self._in_epoch(first)
+        pixel_keys, member = (self._shared_keys, self._member) if together else (self.pixel_keys, None)
         if self._core is not None:
-            return self._native(self._core, pixel_keys, dimension, count, first, number, odd)
+            return self._native(self._core, pixel_keys, dimension, count, first, number, member)
         key = hash_int(self.seed_key + 0x3C6EF372 * dimension + hash_int(first - 1))
         if number and not together:
             key = hash_int(key ^ hash_int(number))
         steps = max(first - 1, 1)
-        index = shuffle_index(self.index - (first - 1), key) + (2 * steps * number if together else 0)
+        index = shuffle_index(self.index - (first - 1), key) + (2 * steps * self._group * number if together else 0)
         points = [sobol_point(index, i) for i in range(count)]
-        change = None if odd is None else ([sobol_point(steps, i) for i in range(count)], odd)
-        return _scrambled(pixel_keys, self._keys(key + i for i in range(count)), points, change)
+        bits = range(self._group.bit_length() if member is not None else 0)
+        indices = [member_index(key, steps, bit, self._group) for bit in bits]
+        changes = [[sobol_point(index, i) for i in range(count)] for index in indices]
+        return _scrambled(pixel_keys, self._keys(key + i for i in range(count)), points, changes, member)
 
     def _in_epoch(self, first: int) -> bool:
         """Whether the step is one of max(first - 1, 1) steps from `first` on. first - 1 is then 0 or a power of two, and small

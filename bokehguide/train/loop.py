@@ -208,7 +208,8 @@ class RenderLoop(Loop):
         pixels = self.pixels.in_frame(places)
         random = PixelRandom(self.settings.seed, self.step_number, pixels, self.settings.device)
         positions = self.camera.film_positions(pixels, random)
-        return PixelBatch(self.step_number, places, pixels, *positions, random, self._mean_luminance)
+        grouped = self.mode.reuse.share(random, places, self.step_number)
+        return PixelBatch(self.step_number, places, pixels, *positions, random, self._mean_luminance, grouped)
 
     def _trace(self, batch: PixelBatch, query: LensQuery, drawn: LensPoints, timer: PhaseTimer) -> BatchSamples:
         """Trace paths from lens points, and make samples of them."""

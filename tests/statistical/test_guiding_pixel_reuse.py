@@ -15,9 +15,10 @@ from bokehguide.guiding.cross_fitting import cross_fitted
 from bokehguide.guiding.native_reuse import NOWHERE
 from bokehguide.guiding.pixel_groups import COLUMNS, SCATTERED_STEPS, PixelGroups
 from bokehguide.guiding.pixel_reuse import GROUP_SPACING
+from bokehguide.render import dimensions
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.path_tracer import PathSamples
-from bokehguide.render.random import hash_int
+from bokehguide.render.random import PixelRandom, hash_int
 from bokehguide.render.tracer import Hit
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
@@ -281,6 +282,9 @@ def test_groups_are_tiles_within_bands(width, height, size, long, short, scatter
             assert len(set(y // ROWS_PER_BAND)) == len(set(x // COLUMNS)) == 1
             assert all(same_half[half_of[j]] == group for j in group)
             assert scattered or (np.ptp(x) + 1) * (np.ptp(y) + 1) <= size
+        keys, member = (values.tolist() for values in tiles[-1].numbered(places, "cpu"))
+        assert [{j for j, key in enumerate(keys) if key == keys[i]} for i in range(len(keys))] == groups
+        assert all(len({member[j] for j in group}) == len(group) for group in groups) and set(member) <= set(range(size))
     assert {(tile.across, tile.down) for tile in tiles} == {(long, short), (short, long)}
     assert len({tile.mask for tile in tiles}) >= min(size, 3 if scattered else 2)
     assert all(len(tile.offsets()) == size for tile in tiles)
@@ -294,6 +298,26 @@ def half_tile(tile: PixelGroups, pixel: int) -> tuple[int, ...]:
     number = line * tile.across + place
     half = sum(number >> bit & tile.mask >> bit & 1 for bit in range(bits)) % 2
     return y // ROWS_PER_BAND, x // COLUMNS, row, column, half
+
+
+def test_groups_stay_for_an_epoch():
+    """Then all hits of the group in the epoch are stratified together. Groups of two epochs seldom agree by chance."""
+    loop = loop_of(scene_of([rectangle(0, (0.3, 0.4, -4.0))], (FLOOR, WALL), 22, 19, peak=0.3))
+    groups = [loop.mode.reuse.paths.groups(step) for step in range(1, 65)]
+    assert len(set(groups[16:32])) == len(set(groups[32:64])) == 1
+    assert 5 <= len(set(groups)) <= 7
+
+
+def test_lens_points_of_a_group_are_stratified_together():
+    """The first numbers of a group's pixels over the epoch of the steps 5 to 8 are in different intervals of equal length."""
+    loop = loop_of(scene_of([rectangle(0, (0.3, 0.4, -4.0))], (FLOOR, WALL), 32, 16, peak=0.3))
+    places, steps = slice(0, 32 * 16), range(5, 9)
+    randoms = [loop.mode.reuse.share(PixelRandom(4, step, places), places, step) for step in steps]
+    numbers = torch.stack([random.stratified(dimensions.LENS, 3, 5)[0] for random in randoms], 1).numpy()
+    of_group, _ = loop.mode.reuse.paths.groups(5).numbered(places, "cpu")
+    whole = [numbers[of_group == key].flatten() for key in of_group.unique() if int((of_group == key).sum()) == GROUP]
+    assert len(whole) > 8
+    assert all(len(set((values * len(values)).astype(int))) == len(values) == 4 * GROUP for values in whole)
 
 
 def share_together(width: int, height: int, size: int, scattered: bool, steps: int = 400) -> tuple[np.ndarray, np.ndarray]:

@@ -195,6 +195,73 @@ def test_all_samples_of_a_pair_of_copies_are_stratified_together(first, numbers)
     assert not (np.sort((four * 2 * count).astype(int), axis=0) == np.arange(2 * count)[:, None]).all()
 
 
+GROUP = 16
+"""Pixels of a group."""
+
+
+def of_groups(step: int, first: int, groups: int = 64, seed: int = 7, size: int = GROUP) -> np.ndarray:
+    """The numbers of three dimensions in a step: `[3, groups, members]`."""
+    keys = torch.arange(groups, dtype=torch.int32).repeat_interleave(size)
+    member = torch.arange(size, dtype=torch.int32).repeat(groups)
+    random = PixelRandom(seed, step, torch.arange(groups * size)).in_groups(keys, member, size)
+    return random.stratified(dimensions.LENS, 3, first).reshape(3, groups, size).numpy()
+
+
+def in_all_intervals(points: np.ndarray) -> bool:
+    """Whether each elementary interval of the first two dimensions has one of the N points `[3, N, ..]`."""
+    (x, y), count = points[:2], points.shape[1]
+    m = count.bit_length() - 1
+    cells = [(x * (1 << a)).astype(int) * (1 << m - a) + (y * (1 << m - a)).astype(int) for a in range(m + 1)]
+    return all((np.sort(cell, axis=0) == np.arange(count)[:, None]).all() for cell in cells)
+
+
+@pytest.mark.parametrize("first", [1, 2, 3, 5, 9, 33])
+@pytest.mark.parametrize("size", [2, GROUP, 64])
+def test_all_samples_of_a_group_are_stratified_together_and_so_are_those_of_each_pixel(first, size):
+    steps = max(first - 1, 1)
+    points = np.stack(
+        [of_groups(first + step, first, 8, size=size) for step in range(steps)], axis=1
+    )  # [3, steps, groups, members]
+    assert in_all_intervals(points.reshape(3, steps, -1))
+    of_group = points.transpose(0, 1, 3, 2).reshape(3, steps * size, -1)
+    assert in_all_intervals(of_group)
+    assert (np.sort((of_group[2] * steps * size).astype(int), axis=0) == np.arange(steps * size)[:, None]).all()
+
+
+@pytest.mark.parametrize("step, first", [(1, 1), (7, 5), (20, 17), (100, 65)])
+def test_members_of_a_group_are_uniform_and_groups_independent(step, first):
+    numbers = of_groups(step, first, groups=1 << 13)
+    assert sidak([uniformity(numbers[axis, :, member]) for axis in range(3) for member in (0, 1, GROUP - 1)]) > SIGNIFICANCE
+    assert independence(numbers[0, :-1, 0], numbers[0, 1:, 0], bins=8) > SIGNIFICANCE
+    assert independence(numbers[0, :, 3], numbers[1, :, 3], bins=8) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("step, first", [(9, 9), (20, 17), (100, 65)])
+def test_members_of_a_group_differ_in_each_step(step, first):
+    """A group has numbers in more than half of the eighths of each dimension, on average over seeds."""
+    counts = [len(set((8.0 * row).astype(int))) for seed in range(32) for row in of_groups(step, first, 1, seed)[:, 0]]
+    assert np.mean(counts) > 4.5
+
+
+def test_outside_an_epoch_members_of_a_group_are_independent():
+    numbers = of_groups(40, 9, groups=1 << 13)[0]
+    assert independence(numbers[:, 0], numbers[:, 1], bins=8) > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("name", INTEGRANDS)
+def test_means_over_a_group_are_unbiased_and_less_noisy(name):
+    """Variance over that of pixels with sequences of their own, for the epoch of the steps 9 to 16."""
+    integrand, _ = INTEGRANDS[name]
+    x, y, _ = np.stack([of_groups(9 + step, 9, groups=1024) for step in range(8)], axis=1)
+    means = integrand(x, y).mean(axis=(0, 2))
+    of_pixels = over_steps(dimensions.LENS, 2, 8, 1024 * GROUP).transpose(1, 0, 2).reshape(2, 8, 1024, GROUP)
+    alone = integrand(*of_pixels).mean(axis=(0, 2))
+    fine = (np.arange(2000) + 0.5) / 2000
+    expected = integrand(fine[:, None], fine[None]).mean()
+    assert z_test(means.mean() - expected, np.sqrt(means.var(ddof=1) / 1024) + 1e-6) > SIGNIFICANCE
+    assert means.var() < 0.6 * alone.var()
+
+
 @pytest.mark.parametrize("step, first", [(9, 9), (20, 17), (40, 33), (100, 65)])
 def test_bsdf_samples_of_a_pair_of_copies_avoid_the_coordinate_in_which_they_are_nearly_equal(step, first):
     """The other coordinates are in different quarters."""

@@ -48,6 +48,17 @@ def test_emitters_are_known_before_the_first_step():
     np.testing.assert_allclose(field.sigma[order], GuidedConfig.emitter_scale * radii, rtol=0.01)
 
 
+@pytest.mark.parametrize("known", [True, False], ids=["mixture", "uniform"])
+def test_lens_points_have_the_numbers_of_groups(known):
+    guide = rendered(scenes.emitters(WIDTH, HEIGHT), 0, GuidedConfig(known_emitters=known)).mode.lens
+    numbers = torch.arange(WIDTH * HEIGHT, dtype=torch.int32)
+    alone = replace(pixel_batch(guide), random=PixelRandom(0, 1, numbers))
+    grouped = replace(alone, grouped_random=alone.random.in_groups(numbers // 16, numbers % 16, 16))
+    expected = guide.query(replace(alone, random=grouped.grouped_random)).sample().points
+    assert torch.equal(guide.query(grouped).sample().points, expected)
+    assert not torch.equal(guide.query(alone).sample().points, expected)
+
+
 def test_emitters_that_are_not_compact_are_left_to_the_record():
     """A strip that reaches from before the emitters to beyond them, of the same mesh as one of them."""
     scene = scenes.emitters(WIDTH, HEIGHT)

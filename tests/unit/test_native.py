@@ -48,7 +48,9 @@ def test_random_numbers_have_the_same_bits(step, monkeypatch):
     copies, first = random.copies(torch.arange(9)), (1 << (step - 1).bit_length() - 1) + 1 if step > 1 else 1
 
     def numbers() -> list[Tensor]:
-        further = [copies.stratified(33, 3, begins, number) for begins in (1, first) for number in (0, 1, 5)]
+        grouped = random.in_groups(torch.arange(9, dtype=torch.int32) // 4, torch.arange(9, dtype=torch.int32) % 4, 4)
+        sources = copies, grouped, grouped.copies(torch.arange(9))
+        further = [one.stratified(33, 3, begins, number) for one in sources for begins in (1, first) for number in (0, 1, 5)]
         return [getattr(random, kind)(*given) for kind, *given in kinds] + [random.stratified(5, 2, step // 2 + 1), *further]
 
     found = numbers()
@@ -232,7 +234,7 @@ def test_another_embree_is_not_used(monkeypatch):
 def test_the_core_rejects_arrays_of_wrong_sizes():
     found, scene = core(), tables("dark")
     origin, direction, random = rays("dark", 10)
-    keys = found.Random(random.step_key, random.seed_key, random.index)
+    keys = random.core_keys(found)
     good = [origin, direction, None, random.pixel_keys, keys, 2, torch.empty(14, 10), torch.empty(10, dtype=torch.int32)]
     scene.trace(*good)
     for place, wrong in ((0, origin[:, :9].contiguous()), (2, torch.ones(11)), (6, torch.empty(13, 10))):
