@@ -37,9 +37,9 @@ from bokehguide.scene.tables import (
     SUN_ANGLE,
     Limits,
 )
+from bokehguide.scene.uvs import turned_uvs
 from bokehguide.scene.vectors import Vector as Vector
 from bokehguide.scene.vectors import as_vector as as_vector
-from bokehguide.scene.vectors import turned_uvs
 
 SENSOR_WIDTH = 36.0
 """Millimetres; the default sensor for focal lengths and f-numbers."""

@@ -1,11 +1,9 @@
-"""Three numbers as a vector, and texture coordinates."""
+"""Three numbers as a vector."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Any
-
-import numpy as np
 
 Vector = tuple[float, float, float]
 
@@ -19,8 +17,3 @@ def as_vector(values: Iterable[float]) -> Vector:
 def fractions(color: Any) -> Vector:
     """A colour within 0 and 1."""
     return as_vector(min(max(float(channel), 0.0), 1.0) for channel in color)
-
-
-def turned_uvs(uvs: Any) -> np.ndarray:
-    """Texture coordinates `[..., 2]` whose v runs the other way, float32."""
-    return (np.asarray(uvs) * (1.0, -1.0) + (0.0, 1.0)).astype(np.float32)

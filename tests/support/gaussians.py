@@ -30,7 +30,7 @@ FAR_GAUSSIANS = [
 
 def use_pytorch(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let PyTorch hold the mixtures of Gaussians, for tests that replace its functions."""
-    monkeypatch.setattr(guide_module, "native", SimpleNamespace(core=lambda: None))
+    monkeypatch.setattr(guide_module, "native", SimpleNamespace(core_on=lambda device: None))
 
 
 def small_camera() -> ThinLensCamera:

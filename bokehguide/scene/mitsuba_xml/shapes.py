@@ -27,7 +27,7 @@ from bokehguide.scene.shapes import (
     unit_sphere,
 )
 from bokehguide.scene.types import Mesh
-from bokehguide.scene.vectors import turned_uvs
+from bokehguide.scene.uvs import turned_uvs
 
 
 def read_shape(shape: Plugin, file: Path, files: SceneFiles) -> list[Mesh] | None:

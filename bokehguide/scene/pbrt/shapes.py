@@ -14,8 +14,8 @@ from bokehguide.scene.pbrt.ply import read_ply
 from bokehguide.scene.pbrt.quadrics import cone, cylinder, disk, hyperboloid, paraboloid, sphere
 from bokehguide.scene.shapes import facing_normals, unit_normals
 from bokehguide.scene.types import Mesh
+from bokehguide.scene.uvs import turned_uvs
 from bokehguide.scene.validation import check_triangles
-from bokehguide.scene.vectors import turned_uvs
 
 MAX_LEVELS = 8
 """Subdivisions of a mesh; each makes four times the triangles."""

@@ -12,7 +12,7 @@ from bokehguide.scene.usd.materials import Look
 from bokehguide.scene.usd.primvars import OF_VERTICES, Primvar, Topology, read_primvar
 from bokehguide.scene.usd.stage import Stage
 from bokehguide.scene.usd.surfaces import Surface
-from bokehguide.scene.vectors import turned_uvs
+from bokehguide.scene.uvs import turned_uvs
 
 
 def read_mesh(opened: Stage, prim: Any, surface: Surface, faces: np.ndarray | None, look: Look) -> Mesh:
