@@ -5,8 +5,8 @@ compact groups would show as blocks. The groups of the first SCATTERED_STEPS ste
 chessboard. The groups of later steps are compact, because near pixels see more of each other's hits. No group crosses the end of
 a band of rows or columns, so that ranks, batches and blocks of adaptive SPP contain whole groups.
 
-The pixels of a group use the same hits, so that the hits of all pixels together must be even. Within an epoch, the lens points of
-a group are therefore parts of one sequence (`PixelRandom.in_groups`).
+The pixels of a group use the same hits. The hits of all pixels together must therefore cover the lens evenly. Within an epoch,
+the lens points of a group are parts of one sequence (`PixelRandom.in_groups`).
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ def load_texture(path: Path, files: SceneFiles, srgb: bool, alpha: bool = False)
 def float_texture(path: Path, files: SceneFiles, place: str) -> np.ndarray:
     """The pixels of an `.exr` or `.hdr` file, linear float32 `[H, W, 3]`; the first channel three times without R, G and B.
 
-    files: the scene's decoded images, with their budget. Texels that are no finite numbers become 0. Raises BokehguideError for
+    files: reserves the memory of the image. Texels that are not finite become 0. Raises BokehguideError for
     an unreadable file, and, naming `place`, for a too large one.
     """
     read = read_channels(path, path.suffix.upper().removeprefix("."))
