@@ -50,8 +50,12 @@ if TYPE_CHECKING:
 SETTINGS = tuple(field.name for field in fields(RenderSettings) if field.name not in ("mode", "spp", "denoise"))
 SYNONYMS = {"height": "size", "resolution": "size", "samples": "spp", "samples_per_pixel": "spp", "width": "size"}
 """Keywords by names that users may give in their place."""
-DISPLAY = ("exposure", "view")
-"""Keywords of `Picture.developed` that users may give to `render`."""
+RESULT = {
+    **dict.fromkeys(("exposure", "view"), 'give it to the result, as in picture.developed(exposure=1.0, view="srgb")'),
+    **dict.fromkeys(("alpha", "bits"), 'give it to the result, as in picture.save("picture.png", alpha=True, bits=16)'),
+    **dict.fromkeys(("out", "output"), 'save the result, as in picture.save("picture.exr")'),
+}
+"""Hints for options of the command line that methods of `Picture` take in Python."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -209,6 +213,9 @@ def render(
     metadata say how many samples it has. Raises BokehguideError for input that is missing, malformed or out of range.
     """
     deadline = _deadline(time_limit)
+    if on_step is not None and not callable(on_step):
+        remedy = "give one that takes the SPP and a function that returns the picture"
+        raise BokehguideError(f"render: on_step: {shown(on_step)} is no function; {remedy}")
     width, height = size_pair(size, "render")
     overrides = Overrides(width=width, height=height, **_of(options, OVERRIDES))
     settings = RenderSettings(mode=mode, spp=spp, denoise=denoise, **_of(options, SETTINGS))
@@ -267,8 +274,8 @@ def require_known(function: Callable[..., object], options: Iterable[str], field
         if name not in fields:
             keywords = [each.name for each in signature(function).parameters.values() if each.kind is not each.VAR_KEYWORD]
             hint = did_you_mean(SYNONYMS.get(name, name), [*keywords, *fields])
-            if name in DISPLAY and function is render:
-                hint = 'give it to the result, as in picture.developed(exposure=1.0, view="srgb")'
+            if function is render:
+                hint = RESULT.get(name, hint)
             if function is render and (configs := _configs_with(name)):
                 hint = f"give {configs}, from bokehguide.guiding.config"
             raise BokehguideError(f"{function.__name__}: {name}: no such option; {hint}")

@@ -11,6 +11,7 @@ using Numbers = std::optional<Out<const int64_t>>;
 
 // Keys of random numbers. directions: of Sobol' sequences, int32 `[8, 30]`.
 Random random_of(uint32_t step_key, uint32_t seed_key, uint32_t index, uint32_t group) {
+    if (group > MOST_MEMBERS) throw std::invalid_argument("groups of at most 64 pixels");
     static int32_t directions[8][30];
     static bool ready = false;
     if (!ready) {

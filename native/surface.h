@@ -24,7 +24,7 @@ struct Hits {
     Float distance, u, v;
 };
 
-// A vector of surfaces; the fields are those of `Surface` in render/geometry.py, in its order.
+// A vector of surfaces; the fields are those of `Surface` in render/surface.py, in its order.
 struct Surface {
     Vec3 position, outgoing, geometric_normal, normal;
     Float front, offset, facing;

@@ -25,12 +25,12 @@ from ablation_scenes import SCENES
 from torch import Tensor
 
 import bokehguide
-from bokehguide.cli.arguments import Parser, positive, size, threads
+from bokehguide.cli.parser import Parser, positive, size, threads
 from bokehguide.cli.scripts import run
 from bokehguide.errors import BokehguideError
 from bokehguide.evaluation import errors, fingerprint, made_reference, progress, regions
 from bokehguide.guiding.config import HighlightConfig
-from bokehguide.image import check_writable, replacing
+from bokehguide.image import check_writable, write_text
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.scene.builtin import BUILTIN
@@ -171,8 +171,7 @@ def main() -> None:
     ]
     found = {scene.name: measured(scene, [*defaults, *changes], options, path, kept) for scene in scenes}
     table = "\n".join(rows(defaults, changes, found)) + "\n"
-    with replacing(options.out / "ablations.md") as temporary:
-        temporary.write_text(table)
+    write_text(options.out / "ablations.md", table)
     print(table)
 
 
@@ -238,8 +237,7 @@ def measured(
                 if key not in kept:
                     tracer = tracer or PathTracer(scene)
                     kept[key] = errors(rendered(scene, one, tracer), reference, mask)["mape"]
-                    with replacing(path) as temporary:
-                        temporary.write_text(json.dumps(kept, indent=1) + "\n")
+                    write_text(path, json.dumps(kept, indent=1) + "\n")
                 found[-1].append(kept[key])
                 bar.update()
     return found

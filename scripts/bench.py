@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bokehguide.cli.arguments import natural, positive, size, threads
+from bokehguide.cli.parser import natural, positive, size, threads
 from bokehguide.cli.report import peak_memory_mb, write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import markdown

@@ -25,7 +25,7 @@ from bokehguide.render.bsdf.brushed_albedo import (
 )
 from bokehguide.render.bsdf.coat_albedo import COLUMNS, ROWS, TABLE, CoatAlbedo
 from bokehguide.render.bsdf.microfacets import MIN_COSINE, Microfacets, sample_visible_normal
-from bokehguide.render.geometry import MIN_ALPHA
+from bokehguide.render.surface import MIN_ALPHA
 from bokehguide.render.vector import dot, fifth_power
 
 EXCESS = 0.012

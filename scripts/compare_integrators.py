@@ -35,7 +35,7 @@ if importlib.util.find_spec("mitsuba") is None:
 import drjit as dr
 import mitsuba as mi
 
-from bokehguide.cli.arguments import Parser, positive
+from bokehguide.cli.parser import Parser, positive
 from bokehguide.cli.report import write_json
 from bokehguide.cli.scripts import run
 from bokehguide.errors import BokehguideError

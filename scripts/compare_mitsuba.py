@@ -41,10 +41,10 @@ from experiments.retest_pixels import PixelRetest
 from torch.nn.functional import avg_pool2d
 from tqdm import tqdm
 
-from bokehguide.cli.arguments import positive
+from bokehguide.cli.parser import positive
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import LongRender, accumulate
-from bokehguide.image import check_writable, replacing
+from bokehguide.image import check_writable, write_text
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import RenderSettings
 
@@ -104,8 +104,7 @@ def main() -> int:
             found = compare(scene, mode, runs, reference, args.spp * args.runs, args.cache, retest)
             comparisons.append(replace(found, left_out=tuple(lost)))
     if args.json:
-        with replacing(args.json) as temporary:
-            temporary.write_text(json.dumps([asdict(one) for one in comparisons], indent=2) + "\n")
+        write_text(args.json, json.dumps([asdict(one) for one in comparisons], indent=2) + "\n")
     return 1 if print_tables(comparisons) or unfinished else 0
 
 

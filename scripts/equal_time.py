@@ -34,11 +34,11 @@ import torch
 from real_scenes import load_any
 from torch import Tensor
 
-from bokehguide.cli.arguments import Parser, duration, positive, size, threads
+from bokehguide.cli.parser import Parser, duration, positive, size, threads
 from bokehguide.cli.report import write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import errors, made_reference, markdown, progress, regions
-from bokehguide.image import check_writable, replacing
+from bokehguide.image import check_writable, write_text
 from bokehguide.image.oidn import Denoiser, require_denoiser
 from bokehguide.scene import Scene
 from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings, denoise_picture
@@ -196,8 +196,7 @@ def mitsuba_runner(scene: Scene, denoise: bool) -> Runner:
 def write_results(races: dict[str, Race], args: argparse.Namespace) -> None:
     """Write the files of the races so far, so that an end between two scenes loses none."""
     write_json(args.out / "equal_time.json", {name: each.facts() for name, each in races.items()})
-    with replacing(args.out / "equal_time.md") as temporary:
-        temporary.write_text(table(races, args.seconds) + "\n")
+    write_text(args.out / "equal_time.md", table(races, args.seconds) + "\n")
     draw(races, args.out / "equal_time.png")
 
 

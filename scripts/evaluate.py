@@ -20,14 +20,14 @@ import torch
 from experiments.options import experiment_parser, load_scenes, numbers
 from torch import Tensor
 
-from bokehguide.cli.arguments import positive
+from bokehguide.cli.parser import positive
 from bokehguide.cli.report import write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import LongRender, accumulate, between_halves, errors, markdown, progress, regions, warn_of_bad_samples
 from bokehguide.evaluation.long_renders import whole_step
 from bokehguide.evaluation.references import CHUNK, half_files, rendered_halves
 from bokehguide.evaluation.regions import mean_ratio
-from bokehguide.image import check_writable, replacing, tone_map, write_png
+from bokehguide.image import check_writable, tone_map, write_png, write_text
 from bokehguide.render.vector import luminance
 from bokehguide.scene import Scene
 from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
@@ -59,8 +59,7 @@ def main() -> int:
         write_json(args.out / "evaluation.json", {"settings": settings, "scenes": results})
     if results:
         text = "\n\n".join(tables(results, args))
-        with replacing(args.out / "evaluation.md") as temporary:
-            temporary.write_text(text + "\n")
+        write_text(args.out / "evaluation.md", text + "\n")
         print(text)
     return 0 if len(results) == len(scenes) else 1
 

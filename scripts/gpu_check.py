@@ -30,7 +30,7 @@ from scipy import stats
 from torch.nn.functional import avg_pool2d
 from tqdm import tqdm
 
-from bokehguide.cli.arguments import Parser
+from bokehguide.cli.parser import Parser
 from bokehguide.cli.report import peak_memory_mb, write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import markdown

@@ -13,7 +13,7 @@ import json
 
 from torch import Tensor
 
-from bokehguide.cli.arguments import Parser, exr, natural, positive, size
+from bokehguide.cli.parser import Parser, exr, natural, positive, size
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import between_halves, progress, render, warn_of_bad_samples
 from bokehguide.image import check_writable, write_exr

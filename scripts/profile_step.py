@@ -17,7 +17,7 @@ from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
-from bokehguide.cli.arguments import Parser, natural, positive, size
+from bokehguide.cli.parser import Parser, natural, positive, size
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import markdown
 from bokehguide.scene import Overrides, load_scene

@@ -10,7 +10,7 @@ import argparse
 
 from tqdm import trange
 
-from bokehguide.cli.arguments import Parser, exr, natural, positive, size
+from bokehguide.cli.parser import Parser, exr, natural, positive, size
 from bokehguide.cli.scripts import run
 from bokehguide.image import Display, check_writable, write_exr, write_png
 from bokehguide.metrics import mape, read_reference, relmse

@@ -27,9 +27,9 @@ from pathlib import Path
 from PIL import Image
 from result_items import ITEMS, SETTINGS, Item
 
-from bokehguide.cli.arguments import Parser
+from bokehguide.cli.parser import Parser
 from bokehguide.cli.scripts import run
-from bokehguide.image import check_writable, replacing
+from bokehguide.image import check_writable, write_text
 from bokehguide.scene.digest import digest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -108,8 +108,7 @@ def execute(item: Item, command: list[str], folder: Path) -> dict:
     if finished.returncode not in ((0, 1) if item.verdict else (0,)):
         return {}
     stamp = {"command": command, "seconds": time.perf_counter() - start, "commit": commit(), "machine": machine()}
-    with replacing(folder / "stamp.json") as temporary:
-        temporary.write_text(json.dumps(stamp, indent=1) + "\n")
+    write_text(folder / "stamp.json", json.dumps(stamp, indent=1) + "\n")
     return stamp
 
 
@@ -162,7 +161,7 @@ def write_page(item: Item, setting: str, folder: Path, stamp: dict, docs: Path) 
     text = "\n".join(path.read_text() for path in tables) if tables else (folder / "stdout.txt").read_text()
     facts = f"Commit `{stamp['commit']}`, setting `{setting}`, {stamp['machine']}, {stamp['seconds']:.0f} s:"
     command = f"```text\npython {shlex.join(stamp['command'])}\n```"
-    write_text(docs / item.page, [f"# {item.title}", item.text, *lines, text.strip(), facts, command])
+    write_parts(docs / item.page, [f"# {item.title}", item.text, *lines, text.strip(), facts, command])
 
 
 def write_picture(path: Path, item: Item, docs: Path) -> Path:
@@ -180,12 +179,11 @@ def write_placeholder(item: Item, docs: Path) -> None:
     if not (docs / item.page).exists():
         check_writable(docs / item.page)
         note = f"Not rendered yet: `python scripts/results.py --only {item.name}` renders this page."
-        write_text(docs / item.page, [f"# {item.title}", item.text, note])
+        write_parts(docs / item.page, [f"# {item.title}", item.text, note])
 
 
-def write_text(path: Path, parts: list[str]) -> None:
-    with replacing(path) as temporary:
-        temporary.write_text("\n\n".join(parts) + "\n")
+def write_parts(path: Path, parts: list[str]) -> None:
+    write_text(path, "\n\n".join(parts) + "\n")
 
 
 def remove_unused(docs: Path) -> None:

@@ -25,6 +25,13 @@ def lamps_file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def lamps_folder(lamps_file: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with `lamps_file`."""
+    monkeypatch.chdir(lamps_file.parent)
+    return lamps_file.parent
+
+
+@pytest.fixture
 def bokehguide(tmp_path: Path):
     """Run the command in a folder of its own; gives the finished process with its texts."""
 

@@ -11,7 +11,7 @@ from types import ModuleType
 
 from bokehguide.stopping import stop_at_signals
 
-SUCCESS, USER_ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
+USER_ERROR, INTERRUPTED, PIPE_CLOSED = 2, 130, 141
 SETTINGS = ("crop", "device", "light_groups", "reuse_radius", "target_noise")
 """Fields of `RenderSettings` that the parser does not check wholly. Each is an option as well."""
 

@@ -3,58 +3,58 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from bokehguide import __version__
+from bokehguide.cli.parser import (
+    TEV_PORT,
+    Parser,
+    address,
+    bits,
+    crop,
+    depth,
+    duration,
+    exposure,
+    exr,
+    inset,
+    json_output,
+    modes,
+    natural,
+    number,
+    png,
+    point,
+    port,
+    positive,
+    seconds,
+    size,
+    threads,
+    vector,
+)
 from bokehguide.errors import BokehguideError, encoding_problem
 from bokehguide.guiding.modes import MODES
-from bokehguide.limits import LARGEST, MAX_EXPOSURE, MAX_INT, MAX_PIXELS, MAX_SIDE, MAX_THREADS, VIEWS
-from bokehguide.scene.tables import did_you_mean, in_fractions, leaves_frame
+from bokehguide.limits import VIEWS
 
-SCENE_HELP = (
-    "a built-in scene (see `bokehguide scenes`), a .toml, Mitsuba .xml or pbrt .pbrt file, a .usd .usda .usdc .usdz stage, "
-    "or a .glb .gltf .obj .ply .stl model"
-)
-REUSE_HELP = "radius in pixels in which area-restir reuses samples (default: 50, for images 1920 wide)"
-
-STDOUT = "-"
-"""The value of --json for the standard output; a file of this name is ./-."""
-TEV_PORT = 14158
-"""Port on which tev listens by default."""
-
-
-class Parser(argparse.ArgumentParser):
-    """A parser without abbreviations that reports a mistake in one line, as a BokehguideError, with the nearest known word."""
-
-    def __init__(self, **keywords: Any) -> None:
-        super().__init__(allow_abbrev=False, **keywords)
-
-    def error(self, message: str) -> NoReturn:
-        raise BokehguideError(f"{message}{' See' if message.endswith('?') else '; see'} `{self.prog} --help`")
-
-    def require_known(self, arguments: Sequence[str]) -> None:
-        """Raise BokehguideError for an option that the command lacks: argparse would first ask for missing arguments."""
-        commands = next((each.choices for each in self._actions if isinstance(each, argparse._SubParsersAction)), None)
-        for number, argument in enumerate(arguments):
-            option = argument.partition("=")[0]
-            if commands is not None and not argument.startswith("-"):
-                if argument in commands:
-                    commands[argument].require_known(arguments[number + 1 :])
-                return
-            if argument == "--":
-                return
-            if re.match(r"-[^\d.]", option) and " " not in option and option not in self._option_string_actions:
-                known = [name[2:] for name in self._option_string_actions if name.startswith("--")]
-                self.error(f"unrecognized option {option}; {did_you_mean(option.lstrip('-'), known, '--')}")
-
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        if action.choices is not None and value not in action.choices:
-            raise argparse.ArgumentError(action, _no_choice(value, action.choices))
+SHARED: dict[str, dict[str, Any]] = {
+    "scene": {
+        "metavar": "SCENE",
+        "help": "a built-in scene (see `bokehguide scenes`), a .toml, Mitsuba .xml or pbrt .pbrt file, a .usd .usda .usdc .usdz "
+        "stage, or a .glb .gltf .obj .ply .stl model",
+    },
+    "--reuse-radius": {
+        "type": number,
+        "metavar": "PX",
+        "help": "radius in pixels in which area-restir reuses samples (default: 50, for images 1920 wide)",
+    },
+    "--size": {"type": size, "metavar": "WxH", "help": "pixels (default: the scene's)"},
+    "--seed": {"type": natural, "default": 0, "metavar": "N", "help": "seed of the random numbers (default: 0)"},
+    "--device": {"choices": ("cpu", "cuda"), "default": "cpu", "help": "device of the tensors (default: cpu)"},
+    "--threads": {"type": threads, "metavar": "N", "help": "threads for tracing and shading (default: one per core)"},
+}
+"""Arguments of `add_argument` for what several commands take."""
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -67,7 +67,11 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             raise BokehguideError(f"{argument!r} {problem}")
     words, parser = _attach_negative_values(arguments), make_parser()
     parser.require_known(words)
-    return parser.parse_args(words, argparse.Namespace(started=time.monotonic()))
+    options, extra = parser.parse_known_args(words, argparse.Namespace(started=time.monotonic()))
+    if extra:
+        remedy = f"an option takes one word, with commas in lists; see `bokehguide {options.command} --help`"
+        raise BokehguideError(f"unrecognized argument {extra[0]}; {remedy}")
+    return options
 
 
 def make_parser() -> Parser:
@@ -102,7 +106,7 @@ def _add_view(commands: argparse._SubParsersAction) -> None:
     view = commands.add_parser("view", help="open a page in the browser that shows a scene and sets its depth of field")
     add = view.add_argument
     shown = view.add_mutually_exclusive_group(required=True)
-    shown.add_argument("scene", metavar="SCENE", nargs="?", help=SCENE_HELP)
+    shown.add_argument("scene", nargs="?", **SHARED["scene"])
     watch = "follow a render that runs elsewhere, by the file that it writes"
     shown.add_argument("--watch", type=exr, metavar="OUT.exr", help=watch)
     add("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1, this machine alone)")
@@ -110,9 +114,7 @@ def _add_view(commands: argparse._SubParsersAction) -> None:
     add("--no-browser", action="store_true", help="print the address, and open no browser")
     add("--mode", choices=MODES, default="guided", help="how the lens is sampled at first (default: guided)")
     add("--spp", type=positive, default=64, metavar="N", help="samples per pixel of a render (default: 64)")
-    add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
-    add("--seed", type=natural, default=0, metavar="N", help="seed of the random numbers (default: 0)")
-    add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
+    _add_shared(add, "--size", "--seed", "--threads")
     _add_display(add)
     add("--noisy", action="store_true", help="show the picture without denoising at first")
     _add_allow_outside(view)
@@ -130,17 +132,15 @@ def _add_info(commands: argparse._SubParsersAction) -> None:
 
 def _add_render_options(render: argparse.ArgumentParser) -> None:
     add = render.add_argument
-    add("scene", metavar="SCENE", help=SCENE_HELP)
+    _add_shared(add, "scene")
     add("--mode", choices=MODES, default="guided", help="how the lens is sampled (default: guided)")
-    add("--reuse-radius", type=number, metavar="PX", help=REUSE_HELP)
+    _add_shared(add, "--reuse-radius")
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel (default: 256)")
-    add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
-    add("--seed", type=natural, default=0, metavar="N", help="seed of the random numbers (default: 0)")
+    _add_shared(add, "--size", "--seed")
     add("--out", type=exr, metavar="PATH.exr", help="output file; a PNG goes beside it (default: SCENE-MODE.exr)")
     add("--logdir", type=Path, metavar="DIR", help="write TensorBoard logs into DIR/SCENE/MODE")
     add("--reference", type=Path, metavar="REF.exr", help="report the error against this image during the render")
-    add("--device", choices=("cpu", "cuda"), default="cpu", help="device of the tensors (default: cpu)")
-    add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
+    _add_shared(add, "--device", "--threads")
     _add_display(add)
     _add_png(add)
     add("--denoise", action="store_true", help="also write a denoised picture into the EXR, and show it in the PNG")
@@ -164,7 +164,7 @@ def _add_render_options(render: argparse.ArgumentParser) -> None:
 def _add_compare(commands: argparse._SubParsersAction) -> None:
     compare = commands.add_parser("compare", help="compare modes on a scene: errors, convergence, crops")
     add = compare.add_argument
-    add("scene", metavar="SCENE", help=SCENE_HELP)
+    _add_shared(add, "scene")
     add(
         "--modes",
         type=modes,
@@ -173,7 +173,7 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
         help="default: uniform,lis,lis-b,lis-o,guided",
     )
     add("--spp", type=positive, default=256, metavar="N", help="samples per pixel of each mode (default: 256)")
-    add("--reuse-radius", type=number, metavar="PX", help=REUSE_HELP)
+    _add_shared(add, "--reuse-radius")
     add("--out", type=Path, required=True, metavar="DIR", help="output folder; finished modes in it are not rendered again")
     reference = compare.add_mutually_exclusive_group()
     reference.add_argument(
@@ -184,12 +184,15 @@ def _add_compare(commands: argparse._SubParsersAction) -> None:
     add("--cache", type=Path, metavar="DIR", help="folder of rendered references (default: the user's cache folder)")
     box = "measure in this box instead of the scene's insets, in fractions of the frame from its top left; may be repeated"
     add("--inset", type=inset, action="append", default=[], metavar="X,Y,W,H", help=box)
-    add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
-    add("--device", choices=("cpu", "cuda"), default="cpu", help="device of the tensors (default: cpu)")
-    add("--threads", type=threads, metavar="N", help="threads for tracing and shading (default: one per core)")
+    _add_shared(add, "--size", "--device", "--threads")
     _add_display(add)
     _add_allow_outside(compare)
     _add_overrides(compare)
+
+
+def _add_shared(add: Callable[..., object], *names: str) -> None:
+    for name in names:
+        add(name, **SHARED[name])
 
 
 def _add_display(add: Callable[..., object]) -> None:
@@ -224,8 +227,10 @@ def _add_allow_outside(command: argparse.ArgumentParser) -> None:
 def _add_overrides(command: argparse.ArgumentParser) -> None:
     group = command.add_argument_group("camera and light of a model, or overrides of a scene file")
     add = group.add_argument
-    add("--environment", metavar="MAP|R,G,B", help="a .hdr or .exr map, or a constant radiance")
+    add("--environment", metavar="MAP|R,G,B|none", help="a .hdr or .exr map, a constant radiance, or no environment")
     add("--environment-rotation", type=number, metavar="DEG", help="rotation of the map about +y, anticlockwise from above")
+    hide = "hide the environment from the camera, as Blender's transparent film does; its light stays, and alpha is 0"
+    add("--hide-environment", action="store_true", default=None, help=hide)
     lens = group.add_mutually_exclusive_group()
     lens.add_argument("--f-number", type=number, metavar="N", help="focal length / diameter of the lens, on the scene's sensor")
     lens.add_argument("--aperture-radius", type=number, metavar="M", help="metres; 0: a pinhole")
@@ -258,10 +263,10 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
 def _add_export(commands: argparse._SubParsersAction) -> None:
     export = commands.add_parser("export", help="write a scene for another renderer")
     add = export.add_argument
-    add("scene", metavar="SCENE", help=SCENE_HELP)
+    _add_shared(add, "scene")
     add("--to", choices=("mitsuba",), required=True, help="the renderer: Mitsuba 3, as XML with PLY and EXR files")
     add("--out", type=Path, required=True, metavar="DIR", help="folder for scene.xml, meshes and textures")
-    add("--size", type=size, metavar="WxH", help="pixels (default: the scene's)")
+    _add_shared(add, "--size")
     _add_allow_outside(export)
     _add_overrides(export)
 
@@ -275,173 +280,6 @@ def _add_metrics(commands: argparse._SubParsersAction) -> None:
     add("--inset", type=inset, action="append", default=[], metavar="X,Y,W,H", help=insets)
     facts = "write the measures as a JSON object; -: to stdout, and the text to stderr"
     add("--json", type=json_output, metavar="PATH|-", help=facts)
-
-
-def positive(text: str) -> int:
-    return _whole(text, 1)
-
-
-def natural(text: str) -> int:
-    return _whole(text, 0)
-
-
-def depth(text: str) -> int:
-    return _whole(text, 1, MAX_SIDE)
-
-
-def threads(text: str) -> int:
-    return _whole(text, 1, MAX_THREADS)
-
-
-def bits(text: str) -> int:
-    if text not in ("8", "16"):
-        raise argparse.ArgumentTypeError(f"{text!r} is no depth of a PNG; give 8 or 16")
-    return int(text)
-
-
-def port(text: str) -> int:
-    return _whole(text, 0, 65535)
-
-
-def address(text: str) -> tuple[str, int]:
-    """Host and port, from `HOST` or `HOST:PORT`."""
-    host, colon, number = text.partition(":")
-    if not host.strip():
-        raise argparse.ArgumentTypeError(f"{text!r} names no host; give HOST or HOST:PORT, such as 127.0.0.1")
-    return host, _whole(number, 1, 65535) if colon else TEV_PORT
-
-
-def modes(text: str) -> tuple[str, ...]:
-    """Names between commas, each once."""
-    names = tuple(text.split(","))
-    for name in names:
-        if name not in MODES:
-            raise argparse.ArgumentTypeError(_no_choice(name, MODES))
-    if len(set(names)) < len(names):
-        raise argparse.ArgumentTypeError(f"{text!r} names a mode twice; give each once")
-    return names
-
-
-def number(text: str) -> float:
-    """A number. The field of the option decides on its range, and on infinity and NaN."""
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number; give one, such as 0.5") from None
-
-
-def exposure(text: str) -> float | str:
-    if text == "auto":
-        return text
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= MAX_EXPOSURE:
-        limits = f"from {-MAX_EXPOSURE:g} to {MAX_EXPOSURE:g}"
-        raise argparse.ArgumentTypeError(f"{text!r} is not EV; give a finite number {limits}, or auto")
-    return value
-
-
-def seconds(text: str) -> float:
-    value = _numbers(text, "SECONDS")[0]
-    if value < 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is negative; give seconds, or 0 for never")
-    return value
-
-
-def duration(text: str) -> float:
-    value = _numbers(text, "SECONDS")[0]
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not positive; give seconds")
-    return value
-
-
-def crop(text: str) -> tuple[float, float, float, float]:
-    """X,Y,W,H in pixels or fractions; RenderSettings checks that a box in pixels lies within the frame."""
-    box = _numbers(text, "X,Y,W,H")
-    if in_fractions(box):
-        return inset(text)
-    if any(value != int(value) for value in box):
-        raise argparse.ArgumentTypeError(f"{text!r} is in pixels and not whole; give whole pixels, or fractions of the frame")
-    x, y, width, height = (int(value) for value in box)
-    return x, y, width, height
-
-
-def size(text: str) -> tuple[int, int]:
-    """Width and height in pixels, from `640x360`."""
-    match = re.fullmatch(r"([1-9][0-9]*)x([1-9][0-9]*)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a size; give width x height in pixels, such as 640x360")
-    width, height = (_whole(side, 1, MAX_SIDE) for side in match.groups())
-    if width * height > MAX_PIXELS:
-        raise argparse.ArgumentTypeError(f"{text!r} is too large; give at most {MAX_PIXELS} pixels in all")
-    return width, height
-
-
-def exr(text: str) -> Path:
-    path = Path(text)
-    if path.suffix.lower() != ".exr":
-        raise argparse.ArgumentTypeError(f"{text!r} is no EXR; end it in .exr")
-    return path
-
-
-def png(text: str) -> Path:
-    path = Path(text)
-    if path.suffix.lower() != ".png":
-        raise argparse.ArgumentTypeError(f"{text!r} is no PNG; end it in .png")
-    return path
-
-
-def json_output(text: str) -> Path | str:
-    """The path of a JSON file, or STDOUT."""
-    return text if text == STDOUT else json(text)
-
-
-def json(text: str) -> Path:
-    path = Path(text)
-    if path.suffix.lower() in (".exr", ".png", ".ckpt"):
-        raise argparse.ArgumentTypeError(f"{text!r} is the name of a picture or a checkpoint; give another path, such as a.json")
-    return path
-
-
-def point(text: str) -> tuple[float, float]:
-    x, y = _numbers(text, "X,Y")
-    return x, y
-
-
-def vector(text: str) -> tuple[float, float, float]:
-    x, y, z = _numbers(text, "X,Y,Z")
-    return x, y, z
-
-
-def inset(text: str) -> tuple[float, float, float, float]:
-    x, y, width, height = _numbers(text, "X,Y,W,H")
-    if leaves_frame(x, y, width, height):
-        raise argparse.ArgumentTypeError(f"{text!r} leaves the frame; give X,Y,W,H as fractions of it, between 0 and 1")
-    return x, y, width, height
-
-
-def _no_choice(word: str, known: Iterable[str]) -> str:
-    """The problem of a word that is none of `known`, with all of them and the nearest one."""
-    hint = did_you_mean(word, known)
-    return f"invalid choice: {word!r}; {hint}" + (f" Known are {', '.join(known)}" if hint.endswith("?") else "")
-
-
-def _whole(text: str, least: int, most: int = MAX_INT) -> int:
-    if not re.fullmatch(r"[0-9]{1,20}", text) or not least <= int(text) <= most:
-        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a whole number from {least} to {most}")
-    return int(text)
-
-
-def _numbers(text: str, form: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) != len(form.split(",")) or not all(abs(value) <= LARGEST for value in values):
-        raise argparse.ArgumentTypeError(f"{text!r} is not {form}; give finite numbers without spaces, up to {LARGEST:g}")
-    return values
 
 
 def _attach_negative_values(arguments: Sequence[str]) -> list[str]:

@@ -25,7 +25,7 @@ class Checkpoints:
     itself. silent: print no notes on stderr.
     """
 
-    def __init__(self, path: Path, every: float | None, silent: bool = False):
+    def __init__(self, path: Path, every: float | None, silent: bool):
         self.path, self._silent = path, silent
         self.every = INTERVAL if every is None else every
         self._kept = every is not None

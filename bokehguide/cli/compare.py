@@ -18,7 +18,7 @@ from bokehguide.evaluation.curves_figure import write_convergence
 from bokehguide.evaluation.references import Reference, half_files
 from bokehguide.evaluation.runs import read_runs
 from bokehguide.evaluation.tables import describe_reference
-from bokehguide.image import Display, check_writable, replacing
+from bokehguide.image import Display, check_writable, write_text
 from bokehguide.runtime.device import check_device
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import Inset, Scene, load_scene
@@ -57,8 +57,7 @@ def run(options: argparse.Namespace) -> int:
     print(describe_reference(reference), flush=True)
     comparison = compare(scene, every, reference, options.out, display)
     text = report(comparison)
-    with replacing(options.out / TABLE) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(options.out / TABLE, text + "\n")
     write_convergence(options.out / CURVES, comparison)
     write_crops(options.out / CROPS, [comparison], display)
     print(f"\n{text}\n\nwrote {METRICS}, {TABLE}, {CURVES}, {CROPS}, the images and logs into {options.out}")

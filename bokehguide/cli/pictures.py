@@ -17,7 +17,7 @@ from bokehguide.image import Display, drained, group_layers, write_exr, write_pn
 from bokehguide.render import Film
 from bokehguide.render.halves_film import HalvesFilm
 from bokehguide.runtime.process import return_freed_memory
-from bokehguide.scene.overrides import OVERRIDES, option_text
+from bokehguide.scene.overrides import OVERRIDES, option_word
 from bokehguide.train import AdaptiveLoop, RenderLoop, denoise_picture, describe_render, matte_attributes, matte_layers
 
 
@@ -96,7 +96,7 @@ def png_values(display: Display, radiance: np.ndarray, alpha: np.ndarray | None)
 def warn_if_opaque(alpha: np.ndarray | None) -> None:
     """Warn on stderr where the alpha of a PNG has no effect. alpha: None without one."""
     if alpha is not None and (alpha >= 1.0).all():
-        hint = "`visible = false` in [environment] of a scene file hides the environment"
+        hint = "`bokehguide render` with --hide-environment hides the environment from the camera"
         say(f"warning: --alpha: the picture is opaque everywhere; {hint}")
 
 
@@ -111,9 +111,7 @@ def command_line(options: argparse.Namespace, spp: int) -> str:
     given |= {"bits": options.bits} if options.bits != 8 else {}
     names = ("mode", "reuse_radius", "seed", "device", "exposure", "view", "crop", "target_noise", *OVERRIDES)
     kept = {name: getattr(options, name) for name in names}
-    words = ["bokehguide", "render", options.scene]
-    for name, value in (kept | given | {"spp": spp}).items():
-        if value is not None:
-            words.append(f"--{name.replace('_', '-')}={option_text(value)}")
     flags = ("alpha", "denoise", "cryptomatte", "light_groups", "allow_outside")
-    return shlex.join(words + [f"--{name.replace('_', '-')}" for name in flags if getattr(options, name)])
+    given |= {"spp": spp} | {name: True for name in flags if getattr(options, name)}
+    words = [option_word(name, value) for name, value in (kept | given).items() if value is not None]
+    return shlex.join(["bokehguide", "render", options.scene, *words])

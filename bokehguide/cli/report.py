@@ -13,9 +13,9 @@ from typing import Any
 
 from tqdm import tqdm
 
-from bokehguide.cli.arguments import STDOUT
 from bokehguide.cli.forecast import Forecast
-from bokehguide.image import replacing
+from bokehguide.cli.parser import STDOUT
+from bokehguide.image import write_text
 from bokehguide.render.film import Film
 from bokehguide.render.halves_film import HalvesFilm
 from bokehguide.runtime.bars import on_terminal, terminal_size
@@ -46,15 +46,7 @@ class Report:
     done, earlier: SPP and seconds of earlier sessions; silent: show no bar.
     """
 
-    def __init__(
-        self,
-        title: str,
-        settings: RenderSettings,
-        forecast: Forecast,
-        done: int = 0,
-        earlier: float = 0.0,
-        silent: bool = False,
-    ):
+    def __init__(self, title: str, settings: RenderSettings, forecast: Forecast, done: int, earlier: float, silent: bool):
         self.settings, self._forecast = settings, forecast
         self._samples = 0
         self._rendering = 0.0
@@ -118,8 +110,7 @@ def write_json(path: Path | str, facts: Mapping[str, object]) -> None:
     if path == STDOUT:
         print(text)
         return
-    with replacing(path) as temporary:
-        temporary.write_text(text + "\n")
+    write_text(path, text + "\n")
 
 
 def text_beside(output: Path | str | None) -> AbstractContextManager[object]:

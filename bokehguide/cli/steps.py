@@ -34,9 +34,7 @@ def take_steps(
     the reason of an end before `spp` steps: the number of a signal, a text, or None.
     """
     done, settings, ranks = loop.step_number, loop.settings, loop.ranks
-    logger, end = None, None
-    if options.logdir:
-        logger = RenderLogger(options.logdir, loop.scene, settings, pictures.display, done, silent=not ranks.first)
+    logger, end = make_logger(loop, options, pictures), None
     deadline = math.inf if options.time_limit is None else options.started + options.time_limit
     clear_stage()
     forecast = Forecast(loop, deadline)
@@ -66,6 +64,14 @@ def take_steps(
         if logger:
             logger.finish(loop, loop.step_number, loop.picture())
     return end, report
+
+
+def make_logger(loop: RenderLoop | AdaptiveLoop, options: argparse.Namespace, pictures: Pictures) -> RenderLogger | None:
+    """The log that the options ask for."""
+    if not options.logdir:
+        return None
+    silent = not loop.ranks.first
+    return RenderLogger(options.logdir, loop.scene, loop.settings, pictures.display, loop.step_number, silent)
 
 
 def save(

@@ -16,7 +16,7 @@ from bokehguide import __version__
 from bokehguide.evaluation.references import Reference
 from bokehguide.evaluation.regions import MEASURES, MeanRatio, mean_ratio, regions
 from bokehguide.evaluation.runs import Run, kept_picture, measured_run, read_runs, run_fingerprint
-from bokehguide.image import Display, read_exr, replacing
+from bokehguide.image import Display, read_exr, write_text
 from bokehguide.render.vector import luminance
 from bokehguide.scene.types import Scene
 from bokehguide.train import MODES, RenderSettings
@@ -141,8 +141,7 @@ def write_metrics(folder: Path, comparison: Comparison, runs: Mapping[str, Run])
         **summary(comparison),
         "runs": {mode: asdict(run) for mode, run in runs.items()},
     }
-    with replacing(folder / METRICS) as temporary:
-        temporary.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    write_text(folder / METRICS, json.dumps(facts, indent=1) + "\n")
 
 
 def summary(comparison: Comparison) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from bokehguide.evaluation.comparison import Comparison, summary
@@ -57,16 +58,27 @@ def checks(comparison: Comparison) -> list[str]:
 
 
 def complaints(comparison: Comparison) -> list[str]:
-    """A sentence for each region in which the reference's own error is too large for the measured modes."""
+    """A sentence for each region in which the reference's own error is too large for the measured modes, with the remedy."""
     found, reference = [], comparison.reference
     for region in ("frame", "insets"):
         own = reference.own_error(region)
         if own is None:
             continue
-        modes = [mode for mode, run in comparison.runs.items() if run.errors[region]["mape"][-1] < own / OWN_ERROR_SHARE]
-        if modes:
-            found.append(f"Too large over the {region}: more than a third of the error of {', '.join(modes)}.")
+        errors = {mode: run.errors[region]["mape"][-1] for mode, run in comparison.runs.items()}
+        errors = {mode: error for mode, error in errors.items() if error < own / OWN_ERROR_SHARE}
+        if errors:
+            named = ", ".join(f"{mode}, {error:.4f}" for mode, error in errors.items())
+            told = f"The reference's own error over the {region}, {own:.4f}, is more than a third of the error of {named}"
+            found.append(f"{told}; {_remedy(reference, own, min(errors.values()))}.")
     return found
+
+
+def _remedy(reference: Reference, own: float, error: float) -> str:
+    """The advice for a reference with the error `own`, which should be OWN_ERROR_SHARE of `error`. Errors fall with √SPP."""
+    if reference.spp is None or error <= 0.0:
+        return "give a reference with more SPP"
+    spp = math.ceil(reference.spp * (own / (OWN_ERROR_SHARE * error)) ** 2)
+    return f"render at least {spp:,} SPP, with --reference-spp {spp}"
 
 
 def errors_table(comparison: Comparison) -> str:

@@ -8,16 +8,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bokehguide.guiding.config import GuidedConfig
 from bokehguide.render import dimensions, mis
 from bokehguide.render.bsdf.mixture import Scattering
-from bokehguide.render.geometry import Surface
 from bokehguide.render.lights.base import ClusterRecord, DirectLight, LightSample
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.power_sampler import PowerLightSampler, voxel_share
 from bokehguide.render.lights.scene_lights import PointQuery
 from bokehguide.render.mis import BsdfWeights
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.surface import Surface
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import divisor, luminance
 from bokehguide.runtime.indexing import indices, scatter
@@ -65,11 +64,8 @@ class Counts(NamedTuple):
     Without a sampled map, light samples take the place of the BSDF samples.
     """
 
-    lights: int = GuidedConfig.light_candidates
-    bsdf: int = GuidedConfig.bsdf_candidates
-
-
-DEFAULT_COUNTS = Counts()
+    lights: int
+    bsdf: int
 
 
 class ResampledLights:
@@ -181,7 +177,7 @@ class VoxelLights(ResampledLights):
 
     first_step = 1
 
-    def __init__(self, power: PowerLightSampler, row: Tensor, counts: Counts = DEFAULT_COUNTS):
+    def __init__(self, power: PowerLightSampler, row: Tensor, counts: Counts):
         super().__init__(power, row, counts, 1.0)
 
     def select(self, index: Tensor) -> VoxelLights:
@@ -220,13 +216,11 @@ class ClusterTables(NamedTuple):
     """Probabilities of C clusters in each of R rows. The probabilities have not changed since the step `first_step`.
 
     visibility: expected visible share of each cluster's light, positive, `[R, C]`. factor: see `ResampledLights`, `[R]`.
-    first_far: number of the first cluster of the environment, `[1]`, on the device, so that nothing waits for the host.
     """
 
     table: ClusterTable
     visibility: Tensor
     factor: Tensor
-    first_far: Tensor
     first_step: int
 
 
@@ -250,7 +244,7 @@ class _MixtureQuery(NamedTuple):
 class MixtureLights(ResampledLights):
     """Mixture of two choices of clusters: by a table, and by the voxel grid with the weight VOXEL_SHARE."""
 
-    def __init__(self, power: PowerLightSampler, row: Tensor, tables: ClusterTables, counts: Counts = DEFAULT_COUNTS):
+    def __init__(self, power: PowerLightSampler, row: Tensor, tables: ClusterTables, counts: Counts):
         super().__init__(power, row, counts, tables.factor.index_select(0, row))
         self._tables, self.first_step = tables, tables.first_step
 
@@ -270,8 +264,10 @@ class MixtureLights(ResampledLights):
     def draw(self, query: PointQuery, uniforms: Tensor) -> ClusterSample:
         """See `ResampledLights`."""
         tables = self._tables
-        chosen = _chosen(tables.table, self._row, query.environment_share, uniforms[0], tables.first_far)
-        cluster, by_voxel, is_far = chosen[0], chosen[1] > 0.0, chosen[2] > 0.0
+        cluster = tables.table.sample(self._row, (uniforms[0] - VOXEL_SHARE) / (1.0 - VOXEL_SHARE))
+        by_voxel = uniforms[0] < VOXEL_SHARE
+        by_table = cluster >= self._power.lights.clusters.triangles
+        is_far = torch.where(by_voxel, uniforms[0] < VOXEL_SHARE * query.environment_share, by_table)
         mixture = _MixtureQuery(*query, self._row, by_voxel, cluster)
         return self._power.lights.draw_by_kind(is_far, mixture, uniforms[1:], self._draw_environment, self._draw_triangles)
 
@@ -306,7 +302,9 @@ class MixtureLights(ResampledLights):
         return cluster
 
     def _share(self, cells: Tensor, environment_share: Tensor, row: Tensor, cluster: Tensor) -> Tensor:
-        return _mixture_share(self._power.lights.grid.table, cells, environment_share, self._tables.table, row, cluster)
+        """Probability `[N]` of choosing each of the clusters `[N]` of triangles."""
+        share = voxel_share(self._power.lights.grid.table, cells, environment_share, cluster)
+        return VOXEL_SHARE * share + (1.0 - VOXEL_SHARE) * self.probability(cluster, row)
 
     def triangle_pdf(self, points: Tensor, triangle: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
         """See `LightDistribution`."""
@@ -330,21 +328,3 @@ def _environment_cluster(power: PowerLightSampler, element: Tensor, light: Light
     """Samples of the environment's elements `[N]` with their clusters."""
     clusters = power.lights.clusters
     return ClusterSample(*light, clusters.cluster(element), light.pdf / clusters.pdf_within(element))
-
-
-def _chosen(
-    table: ClusterTable, row: Tensor, environment_share: Tensor, uniforms: Tensor, first_far: Tensor
-) -> tuple[Tensor, ...]:
-    """Arrays `[N]`: clusters from uniform numbers; 1 where the voxel grid chooses, else 0; 1 for the environment, else 0."""
-    cluster = table.sample(row, (uniforms - VOXEL_SHARE) / (1.0 - VOXEL_SHARE))
-    by_voxel = uniforms < VOXEL_SHARE
-    is_far = torch.where(by_voxel, uniforms < VOXEL_SHARE * environment_share, cluster >= first_far)
-    return cluster, by_voxel.to(torch.float32), is_far.to(torch.float32)
-
-
-def _mixture_share(
-    by_voxel: ClusterTable, cells: Tensor, environment_share: Tensor, table: ClusterTable, row: Tensor, cluster: Tensor
-) -> Tensor:
-    """Probability `[N]` of choosing each of the clusters `[N]` of triangles."""
-    share = voxel_share(by_voxel, cells, environment_share, cluster)
-    return VOXEL_SHARE * share + (1.0 - VOXEL_SHARE) * table.pdf(row, cluster)

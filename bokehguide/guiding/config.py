@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from bokehguide.errors import BokehguideError
+
+GROUP_SIZES = (1, 2, 4, 8, 16, 32, 64)
+"""Numbers of pixels of a group that reuses primary hits. The native core has tables of this size."""
+
 
 @dataclass(frozen=True)
 class HighlightConfig:
@@ -70,7 +75,7 @@ class GuidedConfig:
     Paths:
     split_count: number of paths after the primary hit of a sample of weight 1. The number is proportional to the weight.
     max_split_count: largest number of paths of a sample.
-    reuse_group: number of pixels of a group that reuses primary hits, a power of two up to 64 (see `PixelGroups`).
+    reuse_group: number of pixels of a group that reuses primary hits, one of GROUP_SIZES (see `PixelGroups`).
     denoised_reuse_group: as `reuse_group`, in a render with a denoiser. A denoiser removes independent noise, and keeps noise
     that pixels share. `scripts/experiments/denoising.py` measures the effect.
     min_spread: least GGX α of a reused surface, over the angle in radians between two lens points of a group.
@@ -84,6 +89,8 @@ class GuidedConfig:
     environment map, light samples take the place of the BSDF samples.
     learn_visibility: whether the resampling weights include the learned visibility of the cluster.
     learn_mis: whether a factor of the MIS weights of light samples is learned.
+
+    Raises BokehguideError for a group of another size.
     """
 
     known_emitters: bool = True
@@ -120,3 +127,8 @@ class GuidedConfig:
     bsdf_candidates: int = 1
     learn_visibility: bool = True
     learn_mis: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("reuse_group", "denoised_reuse_group"):
+            if (size := getattr(self, name)) not in GROUP_SIZES:
+                raise BokehguideError(f"{name}: {size!r} is no size of a group; choose one of {', '.join(map(str, GROUP_SIZES))}")

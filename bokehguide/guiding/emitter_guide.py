@@ -102,7 +102,8 @@ class EmitterGuide(Guide):
     def query(self, batch: PixelBatch) -> LensQuery:
         # The first two dimensions of a Sobol' sequence are the most even, and choose the lens point.
         first = int(self.epoch) if self.config.stratify else batch.step
-        uniforms = (batch.grouped_random or batch.random).stratified(dimensions.LENS, 3, first).roll(1, 0)
+        shared = batch.grouped_random if self.config.stratify else None
+        uniforms = (shared or batch.random).stratified(dimensions.LENS, 3, first).roll(1, 0)
         if self.candidates is None:
             return UniformQuery(self.camera.lens, batch.focus, uniforms[1:3])
         start, component = self.candidates.batch(batch.pixels)
@@ -145,9 +146,10 @@ class EmitterGuide(Guide):
 
     def recorded_distance(self, samples: BatchSamples) -> Tensor:
         """Distance of the virtual image, `[N]`, if the mode observes virtual images; else of the primary hit."""
-        for images in cast(Sequence[HighlightImages], samples.lens_observers):
-            return images.distances()
-        return super().recorded_distance(samples)
+        if not samples.lens_observers:
+            return super().recorded_distance(samples)
+        (images,) = cast(Sequence[HighlightImages], samples.lens_observers)
+        return images.distances()
 
     @torch.no_grad()
     def learn_from(self, samples: BatchSamples, query: MixtureQuery[AnyEllipseMixture], ratio: Tensor) -> DrawnEmitters:
@@ -190,7 +192,7 @@ class EmitterGuide(Guide):
             return light
         hit = paths.triangle >= 0
         known = known[paths.triangle.clamp(min=0).long()] & hit
-        light = _luminance_beside(paths.radiance, paths.emission, known)
+        light = luminance(paths.radiance - paths.emission * known)
         return finite(light * hit if self._proposals.whole_environment else light, good)
 
     def accumulate(self, records: Sequence[GuideRecord], summary: StepSummary) -> None:
@@ -289,11 +291,6 @@ class EmitterGuide(Guide):
             raise ValueError("success rates or outlines that no render has")
         self.set_candidates()
         return result
-
-
-def _luminance_beside(radiance: Tensor, emission: Tensor, known: Tensor) -> Tensor:
-    """Luminance `[N]` of radiance `[3, N]` without the emission of known emitters, bool `[N]`."""
-    return luminance(radiance - emission * known)
 
 
 def _moments(beta: Tensor, ellipses: Tensor, density: Tensor, ratio: Tensor) -> Tensor:

@@ -118,7 +118,7 @@ class GaussianGuide(Guide):
             return None
         if isinstance(mixture, NativeGaussianMixture):
             return mixture.offset_gradient(ratio, at)
-        return offset_gradient(mixture, self.offsets, query.gaussian, raster, ratio, at)
+        return offset_gradient(mixture, self.offsets, query.component, raster, ratio, at)
 
     def accumulate(self, records: Sequence[GuideRecord], summary: StepSummary) -> None:
         for record in records:

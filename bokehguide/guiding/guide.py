@@ -21,7 +21,6 @@ from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.tracer import MISS_DISTANCE
 from bokehguide.render.vector import luminance
 from bokehguide.runtime import native
-from bokehguide.runtime.device import to_device
 
 
 @dataclass(kw_only=True)
@@ -61,8 +60,7 @@ class Guide(LensSampler):
         return len(self.field)
 
     def record(self, samples: BatchSamples, good: Tensor) -> GuideRecord:
-        mixtures = samples.query.mixtures
-        query = mixtures[0] if mixtures else None
+        query = samples.query if isinstance(samples.query, MixtureQuery) else None
         weight, ratio, figures = self._weights_and_ratios(samples, good, query)
         light = self.recorded_light(samples.paths, good)
         records = self.records(samples.drawn.points, samples.directions, self.recorded_distance(samples), light, weight)
@@ -120,7 +118,7 @@ class Guide(LensSampler):
             cells, position = self._hits_by_core(core, points, directions, distance, weight, far)
             return Records(cells, position, light)
         directions = self.camera.axes.T @ directions
-        position = _positions(points, directions, distance, to_device(far, distance.device, torch.float32))
+        position = _positions(points, directions, distance, far)
         cells = self.record_buffer.cells(self.camera, position)
         return Records(torch.where(weight > 0.0, cells, -1), position, light)
 
@@ -170,7 +168,7 @@ def _figures(query: MixtureQuery, weight: Tensor, loss: Tensor) -> Tensor:
     return torch.stack([each.double() for each in (guided.sum(), ((weight == 0.0) & guided).sum(), beta.sum(), loss)])
 
 
-def _positions(points: Tensor, directions: Tensor, distance: Tensor, far: Tensor) -> Tensor:
+def _positions(points: Tensor, directions: Tensor, distance: Tensor, far: float) -> Tensor:
     """Positions `[3, N]` at `distance` `[N]` along camera-frame directions `[3, N]` from lens points `[2, N]`.
 
     Rays that left the scene begin at the lens centre and end at the distance `far`.

@@ -69,7 +69,7 @@ class VoxelRecord(Raster):
             cells, inside, light, bright = _classified(cells, luminance, self._lit, least)
             count.index_add_(0, cells, inside)
             radiance.index_add_(0, cells, light)
-            parts.append((cells, points, light, bright > 0.0))
+            parts.append((cells, points, light, bright))
         for (cells, points, light, _), lit in zip(parts, indices_of_each([bright for *_, bright in parts])):
             self._add_to_voxels(
                 cells.index_select(0, lit), points.index_select(1, lit).double(), light.index_select(0, lit).double()
@@ -194,11 +194,11 @@ class VoxelRecord(Raster):
 
 
 def _classified(cells: Tensor, luminance: Tensor, lit: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
-    """Arrays `[N]`: cells of samples, 0 outside the raster; 1 inside, else 0; luminance inside; 1 for voxel samples, else 0."""
+    """Arrays `[N]`: cells of samples, 0 outside the raster; 1 inside, else 0; luminance inside; whether voxels add the sample."""
     inside, cells = cells >= 0, cells.clamp(min=0)
     light = torch.where(inside, luminance, 0.0)
     bright = inside & ((light > threshold) | lit.index_select(0, cells))
-    return cells, inside.to(light.dtype), light, bright.to(light.dtype)
+    return cells, inside.to(light.dtype), light, bright
 
 
 def _summed(parts: list[Tensor]) -> Tensor:

@@ -22,7 +22,7 @@ class LearnedLights(LightStrategy):
 
     def __init__(self, context: ModeContext, config: GuidedConfig):
         super().__init__(context)
-        self.sampler = LearnedLightSampler(context.camera, context.tracer.light_sampler, context.ranks, config)
+        self.sampler = LearnedLightSampler(context.camera, context.tracer.light_sampler, config, context.ranks)
         self._learns = config.learn_lights
 
     def observers(self) -> Sequence[PathObserver]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, Self, TypeVar
+from typing import Generic, TypeVar
 
 from torch import Tensor
 
@@ -42,18 +41,14 @@ class MixtureQuery(LensQuery, Generic[M]):
 
     A pixel without candidates gets the same bits as from `UniformQuery`.
 
-    gaussian: component of the field for each candidate, int64 `[M]`. slots: slot of each candidate's success rate, `[M]`, None if
-    success rates are not learned.
+    component: of the field, for each candidate, int64 `[M]`. slots: slot of each candidate's success rate, `[M]`, None if success
+    rates are not learned.
     """
 
     mixture: M
     uniforms: Tensor
-    gaussian: Tensor
+    component: Tensor
     slots: Tensor | None = None
-
-    @property
-    def mixtures(self) -> Sequence[Self]:
-        return (self,)
 
     def sample(self) -> LensPoints:
         points, candidate = self.mixture.sample(self.uniforms)

@@ -112,8 +112,8 @@ class LearnedLightSampler(RankSums, LightSampler):
         self,
         camera: ThinLensCamera,
         power: PowerLightSampler,
+        config: GuidedConfig,
         ranks: Ranks | None = None,
-        config: GuidedConfig = GuidedConfig(),
     ):
         size = max(-(-max(camera.width, camera.height) // TILES), SMALLEST)
         across, down = -(-camera.width // size), -(-camera.height // size)
@@ -125,9 +125,6 @@ class LearnedLightSampler(RankSums, LightSampler):
         self.register_buffer("visibility", torch.zeros(shape, device=device))
         self.register_buffer("epoch", torch.tensor(1))
         self.factors = MisFactors(across * down, device, ranks)
-        # Constants are on the device, so that nothing waits for the host.
-        self._count = torch.tensor([clusters.count], dtype=torch.int32, device=device)
-        self._first_far = torch.tensor([clusters.triangles], device=device)
         self._counts, self._learns_visibility = Counts(config.light_candidates, config.bsdf_candidates), config.learn_visibility
         self._learns_mis = config.learn_mis
         self._tables: ClusterTables | None = None  # None in the first epoch
@@ -174,7 +171,7 @@ class LearnedLightSampler(RankSums, LightSampler):
         """Tables of the present probabilities."""
         table = ClusterTable(self.probability.double())
         visibility = self.visibility if self._learns_visibility else torch.ones_like(self.visibility)
-        return ClusterTables(table, visibility, self.factors.factor.clone(), self._first_far, int(self.epoch))
+        return ClusterTables(table, visibility, self.factors.factor.clone(), int(self.epoch))
 
     def batch(self, samples: LightSamples, reflected: Tensor) -> LightBatch:
         """What to add for the samples of a batch; reflected: luminance that the paths reflect at their primary hits, `[K]`.
@@ -193,7 +190,7 @@ class LearnedLightSampler(RankSums, LightSampler):
                 self.mine, tiles, clusters, contribution_rms, visibility, self.probability.shape[1], MAX_CONTRIBUTION
             )
             return
-        place, *rows = _rows(tiles, clusters, contribution_rms, visibility, self._count)
+        place, *rows = _rows(tiles, clusters, contribution_rms, visibility, self.probability.shape[1])
         for total, values in zip(self.mine.view(3, -1), rows):
             total.index_add_(0, place, values)  # double precision: the order of ranks does not matter
 
@@ -262,7 +259,7 @@ class LearnedLightSampler(RankSums, LightSampler):
         return result
 
 
-def _rows(tiles: Tensor, clusters: Tensor, contribution_rms: Tensor, visibility: Tensor, count: Tensor) -> tuple[Tensor, ...]:
+def _rows(tiles: Tensor, clusters: Tensor, contribution_rms: Tensor, visibility: Tensor, count: int) -> tuple[Tensor, ...]:
     """Flat table indices of samples, int32 `[N]`, and the summands, float64 `[N]` each. count: clusters in a row of the table."""
     counted = (clusters >= 0).double()
     contribution_rms = contribution_rms.double().nan_to_num(0.0, MAX_CONTRIBUTION).clamp(max=MAX_CONTRIBUTION)

@@ -37,7 +37,7 @@ class MisFactors(RankSums):
 
     factor: Tensor
 
-    def __init__(self, tiles: int, device: torch.device, ranks: Ranks | None = None):
+    def __init__(self, tiles: int, device: torch.device, ranks: Ranks | None):
         super().__init__(torch.zeros(2, tiles, dtype=torch.float64, device=device), ranks)
         self.register_buffer("factor", torch.ones(tiles, device=device))
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, cast
 
@@ -46,15 +47,30 @@ class ModeEntry:
     def build(self, context: ModeContext) -> Mode:
         """The strategies of a render. For a pinhole, which has one lens point, the uniform lens replaces the lens sampler.
 
-        Raises BokehguideError for a builder that cannot be imported, and for a builder that returns no `Mode`.
+        Raises BokehguideError for a builder that cannot be imported, that does not take one argument, or that returns no `Mode`.
         """
         from bokehguide.guiding.protocols import Mode  # here, as both imports take the time of PyTorch
         from bokehguide.guiding.uniform import UniformLens
 
-        mode = self._function()(context)
+        function = self._function()
+        self._require_one_argument(function, context.settings.mode)
+        mode = function(context)
         if not isinstance(mode, Mode):
             raise BokehguideError(f"mode: {self.origin} returned a {type(mode).__name__}; return a Mode")
         return replace(mode, lens=UniformLens(context, mode.lens.paths_per_sample)) if is_pinhole(context) else mode
+
+    def _require_one_argument(self, function: Callable[..., object], mode: str) -> None:
+        """Raise BokehguideError if a function cannot be called with a `ModeContext`. mode: name of the mode."""
+        try:
+            taken = signature(function)
+        except ValueError:  # some functions of extension modules have none
+            return
+        try:
+            taken.bind(None)
+        except TypeError:
+            name = self.origin.rpartition(":")[2].rpartition(".")[2]
+            told = f"{self.origin}{taken} does not take one ModeContext; define it as {name}(context)"
+            raise BokehguideError(f"mode: {mode}: the builder {told}") from None
 
     def _function(self) -> Callable[[ModeContext], Mode]:
         if not isinstance(self.builder, str):

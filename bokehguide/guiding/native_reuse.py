@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from bokehguide.guiding.lens_queries import MixtureQuery
 from bokehguide.guiding.pixel_groups import PixelGroups
 from bokehguide.guiding.protocols import BatchSamples, LensQuery
 from bokehguide.guiding.reuse_weights import Reused
@@ -142,10 +143,10 @@ def _points(views: Any) -> tuple[Tensor, Tensor, Tensor]:
 
 def _densities(views: Any, query: LensQuery, members: int, count: int) -> Tensor:
     """Densities of the viewers at the lens points, `[J]`. Views by the same member of groups have different viewers."""
-    for mixture in (one.mixture for one in query.mixtures if one.mixture.core is not None):
-        density = torch.empty(len(views))
-        transmission = None if mixture.lens.is_disc else mixture.lens.transmission(_points(views)[0]).contiguous()
-        views.densities(mixture.core, transmission, density)
+    if isinstance(query, MixtureQuery) and query.mixture.core is not None:
+        density, lens = torch.empty(len(views)), query.mixture.lens
+        transmission = None if lens.is_disc else lens.transmission(_points(views)[0]).contiguous()
+        views.densities(query.mixture.core, transmission, density)
         return density
     points, viewer, member = _points(views)
     order = member.argsort(stable=True)

@@ -33,10 +33,11 @@ from bokehguide.guiding.control_variate import CELL, ControlVariate, NoControlVa
 from bokehguide.guiding.cross_fitting import cross_fitted
 from bokehguide.guiding.native_reuse import ViewPoints, native_reuse
 from bokehguide.guiding.pixel_groups import SCATTERED_STEPS, PixelGroups
-from bokehguide.guiding.protocols import BatchSamples, ModeContext, SampleReuse, StepSummary, epoch_of
+from bokehguide.guiding.protocols import BatchSamples, ModeContext, SampleReuse, StepSummary
 from bokehguide.guiding.reuse_weights import Densities, Hits, Reused, SeenPaths, Views, own_radiance, seen_radiance
 from bokehguide.models.reconnection import reconnect, reconnection_jacobian
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.epochs import epoch_of
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.primary_hits import PrimaryHits
@@ -78,15 +79,7 @@ class PixelPathReuse:
     `GuidedConfig`.
     """
 
-    def __init__(
-        self,
-        camera: ThinLensCamera,
-        tracer: PathTracer,
-        width: int,
-        seed: int,
-        group: int = GuidedConfig.reuse_group,
-        min_spread: float = GuidedConfig.min_spread,
-    ):
+    def __init__(self, camera: ThinLensCamera, tracer: PathTracer, width: int, seed: int, group: int, min_spread: float):
         self._camera, self._tracer, self._width, self._seed = camera, tracer, width, seed
         self._group, self._min_spread = group, min_spread
 

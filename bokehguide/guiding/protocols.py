@@ -19,6 +19,7 @@ from bokehguide.errors import BokehguideError
 from bokehguide.guiding.inheritance import Learned
 from bokehguide.models.base import LensDensity
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.epochs import starts_epoch
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.lights.base import LightSampler
 from bokehguide.render.observer import PathObserver
@@ -34,16 +35,6 @@ from bokehguide.scene.types import Scene
 def _missing(owner: object, method: str, returned: str) -> BokehguideError:
     """The error for a method that the class of `owner` must define. returned: the values that the method returns."""
     return BokehguideError(f"{type(owner).__name__}: the method {method} is missing; define it, to return {returned}")
-
-
-def epoch_of(step: int) -> int:
-    """First step of the epoch of a step: 1, 2, 3, 5, 9, 17, … The lengths of epochs are powers of two."""
-    return step if step <= 2 else 1 + (1 << ((step - 1).bit_length() - 1))
-
-
-def starts_epoch(step: int) -> bool:
-    """Whether an epoch starts at a step."""
-    return epoch_of(step) == step
 
 
 @dataclass(frozen=True)
@@ -99,9 +90,9 @@ class PixelBatch:
 class LensPoints(NamedTuple):
     """One lens point for each of N pixels.
 
-    points: metres, `[2, N]`. weight: W / (A q) of Eq. 11, 0 for a point that transmits no light, `[N]`. at: densities of the
-    mixture at the points, None without a mixture. candidate: candidate from which the point was drawn, int64 `[N]`, -1 for the
-    uniform part; None if the query does not report candidates.
+    points: metres, float32 `[2, N]`. weight: W / (A q) of Eq. 11, 0 for a point that transmits no light, float32 `[N]`. at:
+    densities of the mixture at the points, None without a mixture. candidate: candidate from which the point was drawn, int64
+    `[N]`, -1 for the uniform part; None if the query does not report candidates.
     """
 
     points: Tensor
@@ -113,12 +104,10 @@ class LensPoints(NamedTuple):
 class LensQuery:
     """The distribution of lens points of one batch of pixels. Measure: lens area, 1/m².
 
-    varies: whether the density depends on the pixel. If not, `pdf` takes any number of points. mixtures: the query itself if it
-    is a `MixtureQuery`, else empty.
+    varies: whether the density depends on the pixel. If not, `pdf` takes any number of points.
     """
 
     varies = True
-    mixtures: Sequence[Any] = ()
 
     def sample(self) -> LensPoints:
         """One lens point for each pixel, with its weight."""
@@ -323,7 +312,7 @@ class SampleReuse(Strategy):
 
     def resample(self, span: slice, step: int, timer: PhaseTimer) -> tuple[FilmSamples, int]:
         """Final samples of a span of pixels, and the number of rays traced for them."""
-        raise NotImplementedError
+        raise _missing(self, "resample(span, step, timer)", "FilmSamples and a ray count")
 
 
 @dataclass

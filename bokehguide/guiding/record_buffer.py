@@ -38,30 +38,21 @@ class Raster(RankSums):
     sums: `[planes, cells]`. The first plane is the number of samples, the second is Σ L.
     """
 
-    _size: Tensor
-
     def __init__(self, camera: ThinLensCamera, planes: int, ranks: Ranks | None = None):
         border = math.ceil(MARGIN * min(camera.width, WIDEST * camera.height))
         width, height = camera.width + 2 * border, camera.height + 2 * border
         super().__init__(torch.zeros(planes, width * height), ranks)
         self.border, self.width, self.height = border, width, height
-        self.register_buffer("_size", torch.tensor([[border], [width], [height]]), persistent=False)
 
     def cells(self, camera: ThinLensCamera, points: Tensor) -> Tensor:
         """Cell of each camera-frame point `[3, N]`, int64 `[N]`; -1 outside or behind the lens."""
-        return _cells(camera.raster(points), points[2], self._size)
+        column, row = (camera.raster(points) + self.border).floor().nan_to_num(-1.0).clamp(-1.0, 1e6)
+        inside = (points[2] > 0.0) & (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
+        return torch.where(inside, row.long() * self.width + column.long(), -1)
 
     def radiance(self) -> Tensor:
         """Mean luminance of each cell, `[height, width]`."""
         return (self.sums[1] / self.sums[0].clamp(min=1.0)).reshape(self.height, self.width)
-
-
-def _cells(raster: Tensor, depth: Tensor, size: Tensor) -> Tensor:
-    """`Raster.cells` of raster positions `[2, N]` and depths `[N]`; size: margin, width and height, int64 `[3, 1]`."""
-    border, width, height = size
-    column, row = (raster + border).floor().nan_to_num(-1.0).clamp(-1.0, 1e6)
-    inside = (depth > 0.0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    return torch.where(inside, row.long() * width + column.long(), -1)
 
 
 class RecordBuffer(Raster):

@@ -42,7 +42,6 @@ class SuccessRates(RankSums):
         slots, device = 1 << max(int(SLOTS_PER_PIXEL * camera.width * camera.height) - 1, 1).bit_length(), camera.position.device
         super().__init__(torch.zeros(2, slots, dtype=torch.float64, device=device), ranks)
         self._width, self._emitters = camera.width, emitters
-        self._bounds = torch.tensor([[emitters], [slots - 1]], dtype=torch.int32, device=device)
         self.register_buffer("rates", torch.ones(slots, device=device))
         """Rates of the present epoch, by slot. They are saved, because the sums already include draws of this epoch."""
 
@@ -63,7 +62,8 @@ class SuccessRates(RankSums):
         numbers = pixel_numbers(pixels, component.device).int()
         row = numbers // self._width
         tile = row // TILE * (-(-self._width // TILE)) + (numbers - row * self._width) // TILE
-        return _slots(tile, owner, component, self._bounds)
+        slot = hash_tensor(tile.index_select(0, owner) * 0x165667B1 + component.int() * 0x27D4EB2F) & (len(self.rates) - 1)
+        return torch.where(component < self._emitters, slot.clamp(min=1), 0)
 
     def add(self, slots: Tensor, squared: Tensor) -> None:
         """Add draws with their slots `[K]` and the squares `[K]` of contribution over expected contribution."""
@@ -78,9 +78,3 @@ class SuccessRates(RankSums):
         draws = draws + PRIOR_DRAWS
         self.rates = ((squares + PRIOR_DRAWS**2 / draws) / draws).sqrt().clamp(max=MAX_RATE).float()
         self.rates[0] = 1.0
-
-
-def _slots(tile: Tensor, owner: Tensor, component: Tensor, bounds: Tensor) -> Tensor:
-    """`SuccessRates.slots` of pixels in tiles int32 `[N]`; bounds: number of emitters, and the last slot, int32 `[2, 1]`."""
-    slot = hash_tensor(tile.index_select(0, owner) * 0x165667B1 + component.int() * 0x27D4EB2F) & bounds[1]
-    return torch.where(component < bounds[0], slot.clamp(min=1), 0)

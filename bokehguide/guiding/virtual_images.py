@@ -14,10 +14,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.geometry import Geometry
 from bokehguide.render.lights.base import DirectLight
 from bokehguide.render.observer import CoreReport, PathObserver
 from bokehguide.render.shadow_roulette import MIRROR_PDF
+from bokehguide.render.surface import Surface
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import cross, divisor, dot, length, luminance, normalize
 from bokehguide.runtime import native

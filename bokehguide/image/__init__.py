@@ -10,7 +10,7 @@ from bokehguide.lazy_names import lazy_names
 if TYPE_CHECKING:
     from bokehguide.image.exposure import metered_exposure
     from bokehguide.image.exr import drained, group_layers, read_exr, read_layers, read_metadata, read_rgb, write_exr
-    from bokehguide.image.files import check_writable, make_folder, remove_abandoned, replacing
+    from bokehguide.image.files import check_writable, make_folder, remove_abandoned, replacing, write_text
     from bokehguide.image.png import to_8_bit, write_png
     from bokehguide.image.tonemap import tone_map
     from bokehguide.image.views import Display, to_display
@@ -33,6 +33,7 @@ __all__ = [
     "tone_map",
     "write_exr",
     "write_png",
+    "write_text",
 ]
 
 _HOMES = {
@@ -46,6 +47,7 @@ _HOMES = {
     "to_display": "views",
     "tone_map": "tonemap",
     "write_png": "png",
+    "write_text": "files",
 }
 """Modules of the exported names; `exr` has the others."""
 

@@ -44,6 +44,12 @@ def replacing(path: str | Path) -> Iterator[Path]:
                 temporary.unlink()
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Replace the file `path` by a text in UTF-8. Raises BokehguideError as `replacing`."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def written_file(path: str | Path) -> Path:
     """The file that a write to `path` replaces: the target of a symbolic link, else `path`."""
     path = Path(path)

@@ -22,11 +22,11 @@ from bokehguide.guiding.protocols import (
     ModeContext,
     PixelBatch,
     StepSummary,
-    starts_epoch,
 )
 from bokehguide.guiding.uniform import UniformLens
 from bokehguide.render import dimensions
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.epochs import starts_epoch
 from bokehguide.render.film import FilmSamples
 from bokehguide.render.path_tracer import PathSamples, PathTracer
 from bokehguide.render.random import PixelRandom, hash_int

@@ -43,7 +43,8 @@ class GaussianMixture(LensMixture):
         return LensSample(points)
 
     def component_pdf(self, points: Tensor) -> Tensor:
-        return _component_pdf(points, self.focus, self.owner, self.mean, self.sigma)
+        points, focus = (values.index_select(1, self.owner) for values in (points, self.focus))
+        return lens_density(points, focus, self.mean, self.sigma)
 
 
 def _kept(mean: Tensor, sigma: Tensor, focus: Tensor, owner: Tensor, lens_radius: Tensor) -> Tensor:
@@ -52,8 +53,3 @@ def _kept(mean: Tensor, sigma: Tensor, focus: Tensor, owner: Tensor, lens_radius
     x, y = project_to_lens(mean, focus)
     reach = lens_radius + (focus[2] / (focus[2] - mean[2])).abs() * sigma
     return (x * x + y * y < reach * reach).to(torch.float32)
-
-
-def _component_pdf(points: Tensor, focus: Tensor, owner: Tensor, mean: Tensor, sigma: Tensor) -> Tensor:
-    """Densities of the candidates at their owners' lens points `[2, N]`, `[M]`."""
-    return lens_density(points.index_select(1, owner), focus.index_select(1, owner), mean, sigma)

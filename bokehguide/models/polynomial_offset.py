@@ -45,21 +45,14 @@ class PolynomialOffset(nn.Module):
 
     def basis(self, gaussian: Tensor, raster: Tensor) -> Tensor:
         """∂D / ∂a of Eq. 29, R_b times the monomials, `[6, N]`, for Gaussians `[N]` at raster positions `[2, N]`."""
-        return _basis(self.center, self.inverse_radius, self.unit, gaussian, raster, self.degree)
+        center, inverse_radius, unit = (
+            of_field.index_select(-1, gaussian) for of_field in (self.center, self.inverse_radius, self.unit)
+        )
+        return monomials(((raster - center) * inverse_radius).clamp(-2.0, 2.0), self.degree) * unit
 
     def forward(self, gaussian: Tensor, raster: Tensor) -> Tensor:
         """Offsets `[3, N]` in metres of Gaussians int64 `[N]` at raster positions `[2, N]`."""
-        rows = self.coefficients.reshape(-1, self.coefficients.shape[-1])
-        return _offset(rows, gaussian, self.basis(gaussian, raster))
-
-
-def _basis(center: Tensor, inverse_radius: Tensor, unit: Tensor, gaussian: Tensor, raster: Tensor, degree: int) -> Tensor:
-    center, inverse_radius, unit = (of_field.index_select(-1, gaussian) for of_field in (center, inverse_radius, unit))
-    return monomials(((raster - center) * inverse_radius).clamp(-2.0, 2.0), degree) * unit
-
-
-def _offset(rows: Tensor, gaussian: Tensor, basis: Tensor) -> Tensor:
-    """Sums `[3, N]` of the basis `[6, N]` times the coefficients `[18, G]` of Gaussians `[N]`."""
-    rows, zero = rows.index_select(1, gaussian), torch.zeros_like(basis[0])
-    # Term by term, because the last bits of torch.sum over more than four rows depend on the place in an array.
-    return torch.stack([sum((a * monomial for a, monomial in zip(component, basis)), zero) for component in rows.chunk(3)])
+        basis = self.basis(gaussian, raster)
+        rows, zero = self.coefficients.flatten(0, 1).index_select(1, gaussian), torch.zeros_like(basis[0])
+        # Term by term, because the last bits of torch.sum over more than four rows depend on the place in an array.
+        return torch.stack([sum((a * monomial for a, monomial in zip(component, basis)), zero) for component in rows.chunk(3)])

@@ -31,7 +31,7 @@ class Iris:
 
     reach = 1.0
 
-    def __init__(self, blades: int = 0, curvature: float = 0.0, edge: float = 0.0):
+    def __init__(self, blades: int, curvature: float, edge: float):
         self.edge = edge
         self._blades, c = (blades, curvature) if blades else (2, 1.0)  # two half circles
         self._half = math.pi / self._blades
@@ -110,7 +110,7 @@ class Mask:
     and then a point with the density of the tent function.
     """
 
-    def __init__(self, image: np.ndarray, device: torch.device | str = "cpu"):
+    def __init__(self, image: np.ndarray, device: torch.device | str):
         self._height, self._width = image.shape
         self._pitch = 2.0 / max(image.shape)
         padded = np.pad(image.astype(np.float64), 1)

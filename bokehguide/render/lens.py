@@ -11,7 +11,6 @@ from torch import Tensor
 from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.render.aperture import RIM, Iris, Mask
 from bokehguide.runtime import native
-from bokehguide.runtime.device import to_device
 from bokehguide.scene import types
 
 
@@ -60,7 +59,8 @@ class Lens:
     def transmission(self, points: Tensor) -> Tensor:
         """W of Eq. 6 on the axis at lens points `[2, N]`, with the mean 1 over the aperture, `[N]`. W / A is the density of
         `sample`."""
-        return _within(points, to_device(self.radius**2, points.device, points.dtype))
+        x, y = points
+        return (x * x + y * y <= self.radius**2).to(torch.float32)
 
     def unblocked(self, points: Tensor, focus: Tensor) -> Tensor:
         """Share of W that vignetting leaves for rays from lens points `[2, N]` to focus points `[3, N]`, `[N]`."""
@@ -134,12 +134,6 @@ def make_lens(camera: types.Camera, corner: float, device: torch.device | str) -
     turn = math.radians(shape.rotation)
     unit = camera.aperture_radius
     return ShapedLens(radius, focus_distance, pupil, unit, turn, shape.ratio, shape.cat_eye, corner)
-
-
-def _within(points: Tensor, squared: Tensor) -> Tensor:
-    """1 for points `[2, N]` within a circle of radius² `squared`, else 0, float32 `[N]`."""
-    x, y = points
-    return (x * x + y * y <= squared).to(torch.float32)
 
 
 def _turned(points: Tensor, angle: float) -> Tensor:

@@ -9,9 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.geometry import Geometry
 from bokehguide.render.materials import Materials
 from bokehguide.render.primary_hits import CoreRecord, PrimaryHits
+from bokehguide.render.surface import Surface
 from bokehguide.render.tracer import Hit
 
 LIGHT_ROWS = ("light_row", "light_cluster", "light_rms", "light_visibility", "light_difference")

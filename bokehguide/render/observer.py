@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bokehguide.render.geometry import Surface
 from bokehguide.render.lights.base import DirectLight
+from bokehguide.render.surface import Surface
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.runtime.indexing import scatter
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from bokehguide.render import dimensions
 from bokehguide.render.bsdf.dielectric import DELTA_PDF
 from bokehguide.render.bsdf.mixture import Scattering
-from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.geometry import Geometry
 from bokehguide.render.light_groups import GroupedLights, GroupRadiance
 from bokehguide.render.lights.base import LightSampler
 from bokehguide.render.lights.power_sampler import PowerLightSampler
@@ -25,6 +25,7 @@ from bokehguide.render.primary_hits import PrimaryHits
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.shadow_roulette import MIRROR_PDF, roulette_factor
 from bokehguide.render.splitting import UNSPLIT, Splitting
+from bokehguide.render.surface import Surface
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.render.vector import divisor, dot, length
 from bokehguide.render.visibility import Arrivals, Visibility

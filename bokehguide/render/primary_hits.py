@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.bsdf.mixture import opaque_values
-from bokehguide.render.geometry import MIN_FACING, Geometry, Surface
+from bokehguide.render.geometry import MIN_FACING, Geometry
+from bokehguide.render.surface import Surface
 from bokehguide.render.tracer import Hit
 from bokehguide.render.vector import dot
 

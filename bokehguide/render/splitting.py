@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from bokehguide.render.geometry import Geometry, Surface
+from bokehguide.render.geometry import Geometry
 from bokehguide.render.observer import PathObserver
 from bokehguide.render.paths import Paths
 from bokehguide.render.primary_hits import PrimaryHits
+from bokehguide.render.surface import Surface
 from bokehguide.render.visibility import Arrivals
 from bokehguide.runtime.indexing import scatter_add
 

@@ -50,7 +50,7 @@ class SceneFiles:
         a path outside the scene's folder, even if no such file exists.
         """
         if not name.isprintable():
-            raise BokehguideError(f"{place}: {shown(name)} is no path (control characters); repair it")
+            raise BokehguideError(f"{place}: {shown(name)} is no path (control characters); write / between folders")
         if problem := encoding_problem(name):
             raise BokehguideError(f"{place}: {shown(name)} {problem}")
         try:

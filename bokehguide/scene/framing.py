@@ -14,11 +14,12 @@ from bokehguide.scene.composition import FOV, compose, with_lens
 from bokehguide.scene.emitters import find_emitters
 from bokehguide.scene.environments import sky
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.model import Model, ModelCamera
 from bokehguide.scene.model_files import load_model
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera, override_environment, override_film
 from bokehguide.scene.sight import Sight
 from bokehguide.scene.tables import ANGLE_OF_VIEW, override_place
-from bokehguide.scene.types import Camera, FilmSettings, Mesh, Model, ModelCamera, Scene, Vector, as_vector
+from bokehguide.scene.types import Camera, FilmSettings, Mesh, Scene, Vector, as_vector
 from bokehguide.scene.validation import checked
 
 SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))

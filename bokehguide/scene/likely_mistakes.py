@@ -26,7 +26,7 @@ INSIDE = 0.75
 """Winding number of a closed surface around a point inside is 1; this allows for holes."""
 
 
-def likely_mistakes(scene: Scene, written: Collection[str] = ("aperture_radius",)) -> tuple[str, ...]:
+def likely_mistakes(scene: Scene, written: Collection[str]) -> tuple[str, ...]:
     """Warnings about `scene`, one a line.
 
     written: keys of `[camera]` that the user wrote, in a scene file or on the command line. Without `aperture_radius` among

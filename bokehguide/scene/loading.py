@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import logging
 import os
+import shlex
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -36,6 +37,12 @@ MAX_BASES = 8
 """Scene files with a `base` that may lead to each other; a cycle has more."""
 MODEL_OVERRIDES = ("camera", "variant", "time")
 """Overrides that make sense for a model alone."""
+NO_SCENES = {
+    ".exr": "is a picture, and no scene; `bokehguide develop {0}` makes a PNG of it",
+    ".hdr": "is an environment map, and no scene; give a scene or a model, with --environment {0}",
+    ".ckpt": "is a checkpoint, and no scene; give the scene of its render, with --out {1} --resume",
+}
+"""Descriptions and remedies of files that are no scenes, with the path of the file and this path with the suffix .exr."""
 
 
 def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> Scene:
@@ -52,6 +59,8 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
         raise BokehguideError(
             f"scene: {shown(spec)} is no scene; give a Scene, the name of a built-in scene, or the path of a file"
         )
+    if not isinstance(overrides, Overrides):
+        raise BokehguideError(f"overrides: {shown(overrides)} is no Overrides; give Overrides(…)")
     name = spec.name if isinstance(spec, Scene) else os.fspath(spec)
     suffix = "" if isinstance(spec, Scene) else Path(spec).suffix.lower()
     _check_model(name, suffix, overrides)
@@ -142,6 +151,9 @@ def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0) ->
 
         return model_scene(Path(spec), overrides, files)
     refuse_format(Path(spec), spec)
+    if suffix in NO_SCENES:
+        paths = (shlex.quote(str(path)) for path in (spec, Path(spec).with_suffix(".exr")))
+        raise BokehguideError(f"{spec}: {NO_SCENES[suffix].format(*paths)}")
     near = difflib.get_close_matches(spec, BUILTIN, n=1)
     problem = "exists, and is no scene of a known kind" if Path(spec).exists() else "no such scene"
     raise BokehguideError(

@@ -20,9 +20,10 @@ from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.losses import Losses
+from bokehguide.scene.model import Model
 from bokehguide.scene.mtl_materials import ignored_terms, mtl_material
 from bokehguide.scene.shapes import transformed, unit_normals
-from bokehguide.scene.types import Mesh, Model
+from bokehguide.scene.types import Mesh
 from bokehguide.stopping import default_signals
 
 # Without a handler, Python prints the log of trimesh, which includes tracebacks, to the terminal.

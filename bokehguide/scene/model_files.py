@@ -7,14 +7,14 @@ from pathlib import Path
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene.files import SceneFiles, require_file
-from bokehguide.scene.types import AT_REST, LightSizes, Model, ModelState
+from bokehguide.scene.model import AT_REST, LightSizes, Model, ModelState
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 MODEL_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", *USD_SUFFIXES)
 FOREIGN = {
     ".blend": "export it from Blender as glTF (File > Export > glTF 2.0) and give the .glb",
-    ".fbx": "convert it to glTF, with Blender for example, and give the .glb",
-    ".dae": "convert it to glTF, with Blender for example, and give the .glb",
+    **dict.fromkeys((".3ds", ".abc", ".dae", ".fbx"), "convert it to glTF, with Blender for example, and give the .glb"),
+    **dict.fromkeys((".step", ".stp"), "convert it to a mesh, with FreeCAD for example, and give the .stl"),
 }
 """Formats that are not read, each with what to do."""
 

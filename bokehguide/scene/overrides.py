@@ -15,8 +15,9 @@ from bokehguide.scene.cameras import FOCUS_KEYS, Focus, read_camera, read_focus
 from bokehguide.scene.checks import plain
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.model import ModelState
 from bokehguide.scene.tables import ANGLE_OF_VIEW, ANY, IN_FRONT, NOT_NEGATIVE, POSITIVE, Table, is_number, override_place
-from bokehguide.scene.types import Camera, Environment, FilmSettings, ModelState, Scene, Vector
+from bokehguide.scene.types import Camera, Environment, FilmSettings, Scene, Vector
 
 NUMBERS = {
     "f_number": POSITIVE,
@@ -32,6 +33,8 @@ RIVALS = (
     ("camera", "camera_target"),
 )
 """Overrides of which one at most is given."""
+NO_ENVIRONMENT = "none"
+"""The value of the override `environment` that removes the environment."""
 APERTURE = {key: f"aperture_{key}" for key in APERTURE_KEYS}
 """Overrides of single keys of the table `[camera.aperture]`; `read_aperture` checks them."""
 
@@ -40,8 +43,9 @@ APERTURE = {key: f"aperture_{key}" for key in APERTURE_KEYS}
 class Overrides:
     """Values that replace a scene's own; None keeps the scene's.
 
-    width, height: pixels. max_depth: largest number of segments of a path. environment: the path of a `.hdr` or `.exr` map, or a
-    radiance "R,G,B" or three numbers. environment_rotation: of the map, degrees about +y, anticlockwise seen from above.
+    width, height: pixels. max_depth: largest number of segments of a path. environment: the path of a `.hdr` or `.exr` map, a
+    radiance "R,G,B" or three numbers, or "none" for no environment. environment_rotation: of the map, degrees about +y,
+    anticlockwise seen from above. hide_environment: if True, the camera sees neither map nor suns, and their light stays.
     f_number: focal length / lens diameter, with the focal length of the field of view on the scene's
     sensor, 36 mm wide by default. aperture_radius, focus_distance, camera_position, camera_target:
     metres. focus_at: focuses on the surface at a point of the frame, in pixels from the top left
@@ -61,6 +65,7 @@ class Overrides:
     max_depth: int | None = None
     environment: str | Vector | None = None
     environment_rotation: float | None = None
+    hide_environment: bool | None = None
     f_number: float | None = None
     aperture_radius: float | None = None
     focus_distance: float | None = None
@@ -91,10 +96,11 @@ class Overrides:
         options.count("max_depth", 1)
         if not isinstance(self.environment, str | None):
             kind = type(self.environment).__name__
-            raise BokehguideError(
-                f"{options.place('environment')}: {kind} is no radiance; give three numbers, or the path of a .hdr or .exr map"
-            )
+            remedy = f'give three numbers, or the path of a .hdr or .exr map, or "{NO_ENVIRONMENT}"'
+            raise BokehguideError(f"{options.place('environment')}: {kind} is no radiance; {remedy}")
         options.text("environment")
+        if not options.flag("hide_environment"):
+            object.__setattr__(self, "hide_environment", None)
         options.text("camera")
         options.text("variant")
         options.number("time", 0.0)
@@ -124,11 +130,11 @@ class Overrides:
         rivals = {rival for names in RIVALS for name in names if name in self.given for rival in names}
         return Overrides(**{key: value for key, value in other.given.items() if key not in rivals} | self.given)
 
-    def options(self) -> dict[str, str]:
-        """The values as texts of command-line options, by the names of the options with underscores."""
+    def option_words(self) -> list[str]:
+        """The values as words of the command line."""
         given = {key: value for key, value in self.given.items() if key not in ("width", "height")}
         size = {"size": f"{self.width}x{self.height}"} if self.width and self.height else {}
-        return {key: option_text(value) for key, value in (size | given).items()}
+        return [option_word(key, value) for key, value in (size | given).items()]
 
     def _options(self) -> _Options:
         return _Options(self.given, "", "", vars(self))
@@ -148,6 +154,12 @@ def _as_option(key: str, value: Any) -> Any:
     value = tuple(value) if isinstance(value, list) else value
     numbers = isinstance(value, tuple) and all(map(is_number, value))
     return option_text(value) if (key == "environment" and numbers) or (key == "camera" and type(value) is int) else value
+
+
+def option_word(name: str, value: Any) -> str:
+    """A command-line option with its value as one word. name: of the option, with underscores. True: an option without value."""
+    option = f"--{name.replace('_', '-')}"
+    return option if value is True else f"{option}={option_text(value)}"
 
 
 def option_text(value: Any) -> str:
@@ -213,20 +225,24 @@ def override_film(film: FilmSettings, overrides: Overrides) -> FilmSettings:
 def override_environment(scene: Scene, overrides: Overrides) -> Scene:
     """`scene` with the radiance of the environment from `overrides`.
 
-    With another radiance, the environment keeps its `visible`, but not its intensity, and its `rotation` unless `overrides` have
-    one. Raises BokehguideError for a rotation of a scene without an environment.
+    With another radiance, the environment keeps its `rotation` and its `visible` unless `overrides` replace them, but not its
+    intensity. Raises BokehguideError for a rotation of a scene without an environment.
     """
     environment, warnings = scene.environment, []
-    if overrides.environment is not None:
+    if overrides.environment == NO_ENVIRONMENT:
+        environment = None
+    elif overrides.environment is not None:
         radiance, warnings = read_radiance(option_text(overrides.environment))
         environment = replace(environment or Environment(radiance), radiance=radiance)
     if overrides.environment_rotation is not None:
         if environment is None:
+            remedy = "leave it out" if overrides.environment else f"give {override_place('environment')} too"
             raise BokehguideError(
-                f"{override_place('environment_rotation')}: {overrides.environment_rotation:g}: there is no environment; "
-                f"give {override_place('environment')} too"
+                f"{override_place('environment_rotation')}: {overrides.environment_rotation:g}: there is no environment; {remedy}"
             )
         environment = replace(environment, rotation=overrides.environment_rotation)
+    if overrides.hide_environment and (environment or scene.suns):  # suns are visible without an environment
+        environment = replace(environment or Environment(constant_radiance((0.0, 0.0, 0.0))), visible=False)
     if environment is scene.environment:
         return scene
     return replace(scene, environment=environment, warnings=scene.warnings + tuple(warnings))
@@ -239,7 +255,7 @@ def read_radiance(text: str) -> tuple[np.ndarray, list[str]]:
         color = [float(part) for part in parts]
     except ValueError:
         if Path(text).suffix.lower() not in (".hdr", ".exr"):
-            kinds = "three numbers R,G,B nor a .hdr or .exr map; give one of them"
+            kinds = f"three numbers R,G,B nor a .hdr or .exr map; give one of them, or {NO_ENVIRONMENT}"
             raise BokehguideError(f"{override_place('environment')}: {text!r} is neither {kinds}") from None
         return load_environment_map(Path(text))
     if len(color) != 3 or not all(NOT_NEGATIVE.contains(channel) for channel in color):

@@ -108,7 +108,9 @@ def _require_same_render(path: str | Path, whole: Mapping[str, Any], loop: Rende
     if found:
         more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
         named = ", ".join(found[:NAMED])
-        raise BokehguideError(f"{path}: is of another render: {named}{more}; render without --resume to start again")
+        alone = len(found) == 1 and then.get("size") != now["size"]
+        size = f"give --size {printable(str(then.get('size')))} to continue, or " if alone else ""
+        raise BokehguideError(f"{path}: is of another render: {named}{more}; {size}render without --resume to start again")
 
 
 def _other_writer(then: Mapping[str, Any], now: Mapping[str, str]) -> str:

@@ -14,9 +14,10 @@ from torch import Tensor
 from bokehguide.errors import BokehguideError
 from bokehguide.guiding.inheritance import Learned
 from bokehguide.guiding.modes import MODES
-from bokehguide.guiding.protocols import BatchSamples, LensPoints, LensQuery, ModeContext, PixelBatch, StepSummary, starts_epoch
+from bokehguide.guiding.protocols import BatchSamples, LensPoints, LensQuery, ModeContext, PixelBatch, StepSummary
 from bokehguide.render.bad_samples import earliest
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.epochs import starts_epoch
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
 from bokehguide.render.film import Film, FilmSamples
 from bokehguide.render.light_groups import GroupedLights
@@ -32,6 +33,7 @@ from bokehguide.runtime.workers import Workers
 from bokehguide.scene.light_groups import find_light_groups
 from bokehguide.scene.types import Scene
 from bokehguide.train.film_pixels import FilmPixels
+from bokehguide.train.lens_draws import draw
 from bokehguide.train.loop_base import Loop, require_inputs
 from bokehguide.train.loop_state import all_or_nothing, require_loop_state, require_one_moment
 from bokehguide.train.mattes import triangle_objects
@@ -191,7 +193,7 @@ class RenderLoop(Loop):
         with timer.measure("guiding"):
             pixels = self._pixels(places)  # pixels and focus points
             query = mode.lens.query(pixels)
-            points = query.sample()
+            points = draw(self.settings.mode, query, pixels.focus)
         with timer.measure("shading"):
             rays = self._initialise(pixels, timer)
             samples = self._trace(pixels, query, points, timer)  # rays and paths
@@ -235,7 +237,7 @@ class RenderLoop(Loop):
         """Initialise the film's features with samples that are not in the picture; returns the number of rays."""
         rays = 0
         for query in self.mode.lens.initial_queries(batch):
-            drawn = query.sample()
+            drawn = draw(self.settings.mode, query, batch.focus)
             origins, directions = self.camera.rays(batch.focus, drawn.points)
             seen = self.tracer.trace(origins, directions, batch.random, timer, max_depth=1)
             self.film.initialise(batch.places, self._film_samples(seen, directions, drawn.weight))

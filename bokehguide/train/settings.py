@@ -84,6 +84,8 @@ class RenderSettings:
         fields.check_wholes(**{key: limits for key, limits in WHOLE.items() if key not in absent})
         fields.check_numbers(**{key: limits for key, limits in NUMBERS.items() if key not in absent})
         fields.check_flags("denoise", "cryptomatte", "light_groups")
+        fields.check_instances(GaussianConfig, "gaussian", optional=False)
+        fields.check_instances(GuidedConfig, "guided", optional=False)
         if self.crop is not None:
             self._check_crop(fields)
         for key in ("crop", "target_noise", "light_groups"):

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from bokehguide.errors import BokehguideError
-from bokehguide.image import replacing
+from bokehguide.image import write_text
 from bokehguide.limits import VIEWS
 from bokehguide.scene.tables import did_you_mean
 from bokehguide.train import MODES
@@ -227,8 +227,7 @@ class Session(Listener):
     def _save_scene(self, request: Mapping[str, Any]) -> Message:
         (path,) = free_paths(self.folder, f"{self.source.scene.name}-view", (".toml",))
         text = scene_file(self.state, self.source, self.folder, path.name)
-        with replacing(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(path, text)
         return Message("note", {"note": f"wrote {path.name}; its first line is the command that renders it"})
 
     def _hover(self, request: Mapping[str, Any]) -> Future[Message]:

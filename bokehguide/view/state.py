@@ -18,7 +18,7 @@ from bokehguide.scene import BUILTIN, Aperture, Overrides, Scene
 from bokehguide.scene.cameras import focal_length
 from bokehguide.scene.loading import base_of, override_scene
 from bokehguide.scene.model_files import MODEL_SUFFIXES
-from bokehguide.scene.overrides import APERTURE, NO_OVERRIDES
+from bokehguide.scene.overrides import APERTURE, NO_OVERRIDES, option_word
 from bokehguide.scene.tables import ANGLE_OF_VIEW, EXPOSURE, Table, did_you_mean
 from bokehguide.scene.toml.derived import derived_text
 from bokehguide.scene.types import Vector
@@ -278,10 +278,9 @@ def values_of(state: ViewState, source: Source) -> dict[str, Any]:
 
 def command_line(state: ViewState, source: Source, spp: int | None = None) -> str:
     """The command that renders this picture, with `spp` samples per pixel instead of the state's where given."""
-    options = {"mode": state.mode, "spp": spp or state.spp, "seed": state.seed} | state.overrides.options()
-    options |= _display_options(state, source)
-    words = ["bokehguide", "render", source.spec or source.scene.name]
-    words += [f"--{name.replace('_', '-')}={value}" for name, value in options.items()]
+    options = {"mode": state.mode, "spp": spp or state.spp, "seed": state.seed} | _display_options(state, source)
+    words = ["bokehguide", "render", source.spec or source.scene.name, *(option_word(*option) for option in options.items())]
+    words += state.overrides.option_words()
     return shlex.join(words + ["--denoise"] * state.denoise + ["--allow-outside"] * source.allow_outside)
 
 

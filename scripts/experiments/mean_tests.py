@@ -25,7 +25,7 @@ from scipy import stats
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from bokehguide.cli.arguments import positive
+from bokehguide.cli.parser import positive
 from bokehguide.evaluation import LongRender, progress, render, warn_of_bad_samples
 from bokehguide.image import write_png
 from bokehguide.render.vector import luminance

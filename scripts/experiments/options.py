@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from real_scenes import SCENE_NAMES, load_any
 
-from bokehguide.cli.arguments import Parser, modes, positive, size, threads
+from bokehguide.cli.parser import Parser, modes, positive, size, threads
 from bokehguide.scene import BUILTIN, Scene
 
 

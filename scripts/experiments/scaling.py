@@ -27,11 +27,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from experiments.options import numbers
 
-from bokehguide.cli.arguments import modes, threads
+from bokehguide.cli.parser import modes, threads
 from bokehguide.cli.report import peak_memory_mb, write_json
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation.tables import markdown
-from bokehguide.image import check_writable, replacing
+from bokehguide.image import check_writable, write_text
 from bokehguide.runtime.process import dedicate_process
 from bokehguide.scene import Camera, Environment, FilmSettings, Material, Mesh, Scene
 from bokehguide.train import RenderLoop, RenderSettings
@@ -74,8 +74,7 @@ def main() -> None:
                 print(f"{mode} {growing} {value}: {rows[-1]['step']:.3f} s", file=sys.stderr)
     write_json(args.out / "scaling.json", {"rows": rows})
     text = table(rows)
-    with replacing(args.out / "scaling.md") as temporary:
-        temporary.write_text(text + "\n")
+    write_text(args.out / "scaling.md", text + "\n")
     print(text)
     draw(rows, args.out / "scaling.png")
 

@@ -33,10 +33,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from experiments.options import experiment_parser, load_scenes
 
-from bokehguide.cli.arguments import positive
+from bokehguide.cli.parser import positive
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import errors, made_reference, progress, regions, whole_step
-from bokehguide.image import check_writable, replacing, tone_map, write_png
+from bokehguide.image import check_writable, tone_map, write_png, write_text
 from bokehguide.metrics import EPSILON
 from bokehguide.scene import Scene
 from bokehguide.train import RenderLoop, RenderSettings
@@ -64,8 +64,7 @@ def main() -> None:
         table = [*report(scene, args), ""]
         print("\n".join(table), flush=True)
         lines += table
-        with replacing(args.out / "seeds.md") as temporary:
-            temporary.write_text("\n".join(lines) + "\n")
+        write_text(args.out / "seeds.md", "\n".join(lines) + "\n")
         early_picture(scene, args)
 
 

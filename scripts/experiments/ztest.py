@@ -23,7 +23,7 @@ from experiments.mean_tests import FINE, at_least_two, finer, independent_runs, 
 from experiments.mutations import MUTATIONS, Mutation
 from experiments.options import experiment_parser, load_scenes
 
-from bokehguide.cli.arguments import positive
+from bokehguide.cli.parser import positive
 from bokehguide.cli.scripts import run
 from bokehguide.evaluation import LongRender, accumulate
 from bokehguide.scene import Scene

@@ -13,11 +13,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bokehguide.cli.arguments import Parser, positive, size, threads
+from bokehguide.cli.parser import Parser, positive, size, threads
 from bokehguide.evaluation import Comparison, compare, made_reference, markdown, summary
 from bokehguide.evaluation.comparison import SEED
 from bokehguide.guiding.config import GaussianConfig
-from bokehguide.image import check_writable, replacing
+from bokehguide.image import check_writable, write_text
 from bokehguide.scene import Overrides, Scene, load_scene
 from bokehguide.train import RenderSettings
 
@@ -135,11 +135,9 @@ def errors_table(comparison: Comparison) -> str:
 
 def write_table(tables: Sequence[str], path: Path) -> None:
     """Markdown tables beside the JSON file `path`."""
-    with replacing(path.with_suffix(".md")) as temporary:
-        temporary.write_text("\n\n".join(tables) + "\n")
+    write_text(path.with_suffix(".md"), "\n\n".join(tables) + "\n")
 
 
 def write_json(scenes: Mapping[str, Mapping], path: Path) -> None:
     """Numbers by scene, and the command."""
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps({"command": " ".join(sys.argv), "scenes": scenes}, indent=1) + "\n")
+    write_text(path, json.dumps({"command": " ".join(sys.argv), "scenes": scenes}, indent=1) + "\n")

@@ -15,6 +15,7 @@ import trimesh
 from bokehguide.cli import main
 from bokehguide.image import read_exr, read_metadata
 from tests.support.paths import ASSETS
+from tests.support.same_bits import assert_same_layers
 
 pytest.importorskip("mmh3")
 cryptomatte_api = pytest.importorskip("cryptomatte_api")
@@ -26,19 +27,12 @@ def masks(path: Path | str, layer: str = "CryptoObject") -> dict[str, np.ndarray
     return {name: mask.reshape(matte.height(), matte.width()) for name, mask in matte.masks().items()}
 
 
-@pytest.fixture
-def folder(lamps_file, monkeypatch) -> Path:
-    """The current folder, with `emitters.toml`."""
-    monkeypatch.chdir(lamps_file.parent)
-    return lamps_file.parent
-
-
 def render(*options: object) -> int:
     return main(["render", "emitters.toml", "--threads", "1", *map(str, options)])
 
 
 @pytest.mark.parametrize("mode", ["uniform", "guided"])
-def test_a_decoder_finds_the_objects_and_materials(folder, mode):
+def test_a_decoder_finds_the_objects_and_materials(lamps_folder, mode):
     assert render("--mode", mode, "--spp", 16, "--cryptomatte", "--out", "a.exr") == 0
     hit = read_exr("a.exr")["depth.Z"] < 1e9
     for layer, names in (("CryptoObject", {"object[0]", "object[1]"}), ("CryptoMaterial", {"wall", "emitter"})):
@@ -51,7 +45,7 @@ def test_a_decoder_finds_the_objects_and_materials(folder, mode):
         assert ((total > 0.1) & (total < 0.9)).sum() > 20  # the box is out of focus at its edges
 
 
-def test_openimageio_reads_the_layers(folder):
+def test_openimageio_reads_the_layers(lamps_folder):
     assert render("--spp", 2, "--cryptomatte", "--out", "a.exr") == 0
     image = oiio.ImageBuf("a.exr")
     spec = image.spec()
@@ -61,21 +55,19 @@ def test_openimageio_reads_the_layers(folder):
     assert sum(attribute.name.startswith("cryptomatte/") for attribute in spec.extra_attribs) == 8
 
 
-def test_other_layers_are_unchanged_and_the_command_is_kept(folder):
+def test_other_layers_are_unchanged_and_the_command_is_kept(lamps_folder):
     assert render("--spp", 3, "--out", "plain.exr") == 0 and render("--spp", 3, "--cryptomatte", "--out", "a.exr") == 0
     plain, found = read_exr("plain.exr"), read_exr("a.exr")
     assert all(name.startswith("Crypto") for name in found.keys() - plain.keys())
-    for name, plane in plain.items():
-        np.testing.assert_array_equal(found[name], plane, err_msg=name)
+    assert_same_layers(found, plain)
     command = shlex.split(read_metadata("a.exr")["command"])
     assert command[3:].count("--cryptomatte") == 1 and "--cryptomatte" not in read_metadata("plain.exr")["command"]
     assert main([*command[1:], "--threads", "1", "--out", "b.exr"]) == 0
-    for name, plane in read_exr("b.exr").items():
-        np.testing.assert_array_equal(found[name], plane, err_msg=name)
+    assert_same_layers(found, read_exr("b.exr"))
 
 
 @pytest.mark.parametrize("options", [("--mode", "guided"), ("--mode", "lis-o", "--target-noise", 0.3, "--crop", "4,3,20,15")])
-def test_a_resumed_render_has_the_same_mattes(folder, options, capsys):
+def test_a_resumed_render_has_the_same_mattes(lamps_folder, options, capsys):
     options = (*options, "--cryptomatte")
     assert render(*options, "--spp", 20, "--out", "whole.exr") == 0
     assert render(*options, "--spp", 9, "--out", "part.exr", "--checkpoint-every", 100) == 0
@@ -84,12 +76,11 @@ def test_a_resumed_render_has_the_same_mattes(folder, options, capsys):
     assert render(*options, "--spp", 20, "--out", "part.exr", "--resume") == 0
     assert "resuming" in capsys.readouterr().err
     whole, part = read_exr("whole.exr"), read_exr("part.exr")
-    for name, plane in whole.items():
-        np.testing.assert_array_equal(part[name], plane, err_msg=name)
+    assert_same_layers(part, whole)
     assert all(mask.max() > 0.0 for mask in masks("part.exr").values())
 
 
-def test_named_copies_of_a_model_have_the_names_of_info(folder):
+def test_named_copies_of_a_model_have_the_names_of_info(lamps_folder):
     trimesh.creation.icosphere().export("ball.ply")
     place = '[[object]]\nfile = "ball.ply"\nname = "{}"\nscale = 0.3\ntranslate = [{}, 0.5, 1.0]\n'
     with Path("emitters.toml").open("a") as file:
@@ -115,7 +106,7 @@ def test_a_model_has_the_mattes_of_its_nodes_and_materials(tmp_path, monkeypatch
         np.testing.assert_array_less(sum(found.values()), 1.0 + 1e-5)
 
 
-def test_a_missing_hash_is_told_before_the_render(folder, monkeypatch, capsys):
+def test_a_missing_hash_is_told_before_the_render(lamps_folder, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "mmh3", None)
     assert render("--cryptomatte") == 2
     error = capsys.readouterr().err

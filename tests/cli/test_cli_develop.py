@@ -2,11 +2,13 @@
 
 import colorsys
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+import trimesh
 from PIL import Image
 
 from bokehguide.cli import main
@@ -102,10 +104,45 @@ def test_a_transparent_png_of_8_and_16_bits(tmp_path, monkeypatch, capsys):
     assert fine.spec().nchannels == 4 and fine.spec().format == oiio.UINT16
 
 
+@pytest.fixture
+def ball(tmp_path, monkeypatch):
+    """The command that renders a model without a camera and without light."""
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.icosphere(3, 0.5).export("ball.glb")
+    return ["render", "ball.glb", "--mode", "uniform", "--size", "48x27", "--spp", "4", "--out", "a.exr"]
+
+
+def test_the_sky_of_a_model_is_hidden_from_the_camera(ball, capsys):
+    assert main(ball) == 0
+    under_sky = read_rgb("a.exr")
+    assert main([*ball, "--hide-environment", "--alpha"]) == 0
+    assert "opaque" not in capsys.readouterr().err
+    alpha, hidden = png("a.png")[..., 3], read_rgb("a.exr")
+    assert not hidden[alpha == 0.0].any() and (alpha == 0.0).sum() > 100
+    np.testing.assert_array_equal(hidden[alpha == 1.0], under_sky[alpha == 1.0])
+    assert (alpha == 1.0).sum() > 100 and hidden[alpha == 1.0].min() > 0.05
+
+
+def test_the_command_in_the_header_hides_the_environment(ball):
+    assert main([*ball, "--hide-environment"]) == 0
+    first, words = Path("a.exr").read_bytes(), shlex.split(read_metadata("a.exr")["command"])
+    assert "--hide-environment" in words
+    assert main([*words[1:], "--out", "a.exr"]) == 0
+    assert Path("a.exr").read_bytes() == first
+
+
+def test_a_model_without_an_environment(ball, capsys):
+    assert main([*ball, "--environment", "none", "--alpha"]) == 0
+    assert "warning: nothing shines, so that the picture is black; add an environment" in capsys.readouterr().err
+    assert not read_rgb("a.exr").any()
+    alpha = png("a.png")[..., 3]
+    assert (alpha == 0.0).sum() > 100 < (alpha == 1.0).sum()
+
+
 def test_a_transparent_png_that_is_opaque_is_told(rendered, capsys):
-    told = "bokehguide: warning: --alpha: the picture is opaque everywhere; `visible = false` in [environment] of a scene file"
+    told = "bokehguide: warning: --alpha: the picture is opaque everywhere; `bokehguide render` with --hide-environment"
     assert main(["develop", "a.exr", "--alpha"]) == 0
-    assert capsys.readouterr().err == f"{told} hides the environment\n"
+    assert capsys.readouterr().err == f"{told} hides the environment from the camera\n"
     assert main(["render", "red.toml", "--spp", "1", "--alpha", "--out", "b.exr"]) == 0
     assert capsys.readouterr().err.count(told) == 1
     assert main(["render", "red.toml", "--spp", "1", "--out", "b.exr"]) == 0

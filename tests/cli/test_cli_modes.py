@@ -16,6 +16,21 @@ from bokehguide.guiding.builders import uniform
 def own(context):
     return uniform(context)
 """
+TRANSPOSED = """
+import torch
+from bokehguide.guiding.protocols import LensPoints, LensQuery, LensSampler, LightStrategy, Mode
+
+class Transposed(LensQuery):
+    def sample(self):
+        return LensPoints(torch.zeros(576, 2), torch.ones(576))
+
+class Lens(LensSampler):
+    def query(self, batch):
+        return Transposed()
+
+def own(context):
+    return Mode(Lens(context), LightStrategy(context))
+"""
 SMALL = ("--size", "32x18", "--spp")
 
 
@@ -71,10 +86,22 @@ def test_compare_takes_an_installed_mode(command, tmp_path):
             "mode: 'lis' of the package own-mode is the mode of bokehguide.guiding.builders:lis",
         ),
         ("a/b = own_mode:own", MODULE, "a/b", "mode: 'a/b' of the package own-mode is no name of at most 64 letters"),
+        (
+            "own = own_mode:own",
+            "def own(): pass",
+            "own",
+            "mode: own: the builder own_mode:own() does not take one ModeContext; define it as own(context)",
+        ),
+        (
+            "own = own_mode:own",
+            TRANSPOSED,
+            "own",
+            "mode: own: Transposed.sample() returned points: float32 [576, 2]; return float32 [2, 576] for 576 pixels",
+        ),
     ],
 )
 def test_a_package_that_fails_is_told_in_a_line(points, module, mode, told, command, tmp_path):
-    finished = command(points, module, "render", "cutout", "--mode", mode, "--out", "a.exr", *SMALL, 2)
+    finished = command(points, module, "render", "cutout", "--mode", mode, "--out", "a.exr", "--threads", 1, *SMALL, 2)
     assert finished.returncode == 2
     (line,) = [line for line in finished.stderr.splitlines() if "error" in line]
     assert line.startswith(f"bokehguide: error: {told}")

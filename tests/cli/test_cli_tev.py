@@ -5,23 +5,16 @@ from __future__ import annotations
 import socket
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bokehguide.cli import main, tev
 from bokehguide.image import read_exr
+from tests.support.same_bits import assert_same_layers
 from tests.support.tev_server import TevServer
 
 pytest.importorskip("tevclient")
-
-
-@pytest.fixture
-def folder(lamps_file, monkeypatch) -> Path:
-    """The current folder, with `emitters.toml`."""
-    monkeypatch.chdir(lamps_file.parent)
-    return lamps_file.parent
 
 
 def render(*options: object) -> int:
@@ -29,7 +22,7 @@ def render(*options: object) -> int:
 
 
 @pytest.mark.parametrize("options", [(), ("--crop", "3,2,9,7"), ("--size", "300x140")])
-def test_the_viewer_ends_with_the_radiance_of_the_file(folder, options):
+def test_the_viewer_ends_with_the_radiance_of_the_file(lamps_folder, options):
     with TevServer() as server:
         assert render("--mode", "uniform", "--spp", 3, *options, "--out", "a.exr", "--tev", server.address) == 0
         server.wait()
@@ -37,12 +30,11 @@ def test_the_viewer_ends_with_the_radiance_of_the_file(folder, options):
     assert server.created == 1 and list(server.images) == ["emitters uniform"]
     channels = server.images["emitters uniform"]
     assert list(channels) == ["R", "G", "B"]
-    for channel, plane in channels.items():
-        np.testing.assert_array_equal(plane, found[channel], err_msg=channel)
+    assert_same_layers(found, channels)
     assert channels["R"].max() > 0.01
 
 
-def test_the_viewer_follows_the_render(folder, monkeypatch):
+def test_the_viewer_follows_the_render(lamps_folder, monkeypatch):
     """With no pause between pictures: the first step's radiance comes first, and the last step's last."""
     monkeypatch.setattr(tev, "INTERVAL", 0.0)
     monkeypatch.setattr(tev, "SHARE", 1e9)
@@ -56,38 +48,36 @@ def test_the_viewer_follows_the_render(folder, monkeypatch):
     assert distance[0] > 2.0 * distance[-2] > 0.0  # noise falls
 
 
-def test_the_pictures_take_a_small_share_of_the_time(folder):
+def test_the_pictures_take_a_small_share_of_the_time(lamps_folder):
     with TevServer() as server:
         assert render("--mode", "uniform", "--spp", 60, "--out", "a.exr", "--tev", server.address) == 0
         server.wait()
     assert 1 <= server.updates["emitters uniform", "R"] <= 8  # at most one a second, and those of the files
 
 
-def test_the_viewer_gets_the_denoised_picture(folder):
+def test_the_viewer_gets_the_denoised_picture(lamps_folder):
     pytest.importorskip("mitsuba_oidn")
     with TevServer() as server:
         assert render("--spp", 4, "--denoise", "--out", "a.exr", "--tev", server.address) == 0
         server.wait()
     found, channels = read_exr("a.exr"), server.images["emitters guided"]
     assert list(channels) == ["R", "G", "B", "denoised.R", "denoised.G", "denoised.B"]
-    for channel, plane in channels.items():
-        np.testing.assert_array_equal(plane, found[channel], err_msg=channel)
+    assert_same_layers(found, channels)
 
 
-def test_the_picture_is_that_without_a_viewer(folder):
+def test_the_picture_is_that_without_a_viewer(lamps_folder):
     assert render("--spp", 5, "--out", "plain.exr") == 0
     with TevServer() as server:
         assert render("--spp", 5, "--out", "a.exr", "--tev", server.address) == 0
     plain = read_exr("plain.exr")
-    for name, plane in read_exr("a.exr").items():
-        np.testing.assert_array_equal(plane, plain[name], err_msg=name)
+    assert_same_layers(plain, read_exr("a.exr"))
 
 
 def warnings_of(capsys: pytest.CaptureFixture[str]) -> list[str]:
     return [line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if "tev" in line]
 
 
-def test_an_absent_viewer_is_told_once(folder, capsys):
+def test_an_absent_viewer_is_told_once(lamps_folder, capsys):
     with socket.create_server(("127.0.0.1", 0)) as listening:
         port = listening.getsockname()[1]
     assert render("--spp", 4, "--out", "a.exr", "--tev", f"127.0.0.1:{port}") == 0
@@ -97,13 +87,13 @@ def test_an_absent_viewer_is_told_once(folder, capsys):
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "a..b"])
-def test_an_unknown_host_is_told_once(folder, host, capsys):
+def test_an_unknown_host_is_told_once(lamps_folder, host, capsys):
     assert render("--spp", 2, "--out", "a.exr", "--tev", host) == 0
     (line,) = warnings_of(capsys)
     assert f"{host}:14158 takes no pictures" in line
 
 
-def test_a_viewer_that_dies_is_told_once(folder, monkeypatch, capsys):
+def test_a_viewer_that_dies_is_told_once(lamps_folder, monkeypatch, capsys):
     monkeypatch.setattr(tev, "INTERVAL", 0.0)
     monkeypatch.setattr(tev, "SHARE", 1e9)
     with TevServer(dies_after=2) as server:
@@ -113,7 +103,7 @@ def test_a_viewer_that_dies_is_told_once(folder, monkeypatch, capsys):
     assert read_exr("a.exr")["samples.Y"].min() == 30.0
 
 
-def test_a_viewer_that_hangs_does_not_hold_the_render(folder, monkeypatch, capsys):
+def test_a_viewer_that_hangs_does_not_hold_the_render(lamps_folder, monkeypatch, capsys):
     monkeypatch.setattr(tev, "PATIENCE", 0.5)
     start = time.monotonic()
     with TevServer(reads=False) as server:
@@ -124,13 +114,13 @@ def test_a_viewer_that_hangs_does_not_hold_the_render(folder, monkeypatch, capsy
     assert "no answer in time" in line
 
 
-def test_a_missing_client_is_told_before_the_render(folder, monkeypatch, capsys):
+def test_a_missing_client_is_told_before_the_render(lamps_folder, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "tevclient", None)
     assert render("--tev", "127.0.0.1") == 2
     assert "pip install 'bokehguide[tev]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["", ":14158", "host:", "host:0", "host:65536", "host:1:2"])
-def test_a_wrong_address_is_an_error(folder, text, capsys):
+def test_a_wrong_address_is_an_error(lamps_folder, text, capsys):
     assert render(f"--tev={text}") == 2
     assert "argument --tev: " in capsys.readouterr().err

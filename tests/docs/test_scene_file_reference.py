@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from bokehguide.scene import apertures, cameras
+from bokehguide.scene import apertures, cameras, mtl_materials
 from bokehguide.scene.toml import lights, materials, scene_file
 from tests.support.paths import REPOSITORY
 
@@ -30,6 +30,12 @@ def test_every_key_has_a_row(section):
     rows = re.findall(r"^\| (`[^|]*) \|", text, re.M)
     listed = {key for row in rows for key in re.findall(r"`(\w+)`", row)}
     assert listed == set(SECTIONS[section])
+
+
+def test_every_statement_of_a_material_of_obj_files_has_a_row():
+    text = re.search(r"^### Materials of OBJ files$(.*?)(?=^#|\Z)", PAGE, re.M | re.S)[1]
+    rows = re.findall(r"^\| (`[^|]*) \|", text, re.M)
+    assert {key.lower() for row in rows for key in re.findall(r"`(\w+)`", row)} == mtl_materials.TERMS
 
 
 def test_every_table_is_named():

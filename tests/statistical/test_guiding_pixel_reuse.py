@@ -12,6 +12,7 @@ import torch
 from bokehguide.color import LUMINANCE_WEIGHTS
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.cross_fitting import cross_fitted
+from bokehguide.guiding.lens_queries import UniformQuery
 from bokehguide.guiding.native_reuse import NOWHERE
 from bokehguide.guiding.pixel_groups import COLUMNS, SCATTERED_STEPS, PixelGroups
 from bokehguide.guiding.pixel_reuse import GROUP_SPACING
@@ -318,6 +319,22 @@ def test_lens_points_of_a_group_are_stratified_together():
     whole = [numbers[of_group == key].flatten() for key in of_group.unique() if int((of_group == key).sum()) == GROUP]
     assert len(whole) > 8
     assert all(len(set((values * len(values)).astype(int))) == len(values) == 4 * GROUP for values in whole)
+
+
+@pytest.mark.parametrize("crop", [None, (3, 5, 21, 13)], ids=["frame", "crop"])
+def test_a_loop_draws_the_lens_points_of_groups(crop, monkeypatch):
+    """In the epoch of the steps 5 to 8. The groups are those of the film, also in a crop."""
+    scene = scene_of([rectangle(0, (0.3, 0.4, -4.0))], (FLOOR, WALL), 32, 24, peak=0.3)
+    with RenderLoop(scene, RenderSettings("guided", seed=4, threads=1, crop=crop)) as loop:
+        found, reuse = [], loop.mode.reuse.paths.reuse
+        monkeypatch.setattr(loop.mode.reuse.paths, "reuse", lambda samples, timer: found.append(samples) or reuse(samples, timer))
+        for _ in range(7):
+            loop.step()
+    batch = found[-1].batch
+    assert len(found) == 7 and not found[-1].query.varies
+    random = PixelRandom(4, 7, batch.pixels).in_groups(*loop.mode.reuse.paths.groups(7).numbered(batch.places, "cpu"), GROUP)
+    expected = UniformQuery(loop.camera.lens, batch.focus, random.stratified(dimensions.LENS, 2, 5)).sample()
+    assert torch.equal(found[-1].drawn.points, expected.points)
 
 
 def share_together(width: int, height: int, size: int, scattered: bool, steps: int = 400) -> tuple[np.ndarray, np.ndarray]:

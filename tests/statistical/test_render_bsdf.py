@@ -8,8 +8,8 @@ import torch
 
 from bokehguide.render.bsdf.microfacets import ggx_density, sample_visible_normal
 from bokehguide.render.bsdf.opaque import OpaqueBSDF
-from bokehguide.render.geometry import MIN_ALPHA
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.surface import MIN_ALPHA
 from tests.support.scattering_formulas import brdf
 from tests.support.sphere import SphereGrid, squeezed, surface, tilted, unsqueezed
 from tests.support.statistical import SIGNIFICANCE, chi_square, z_test

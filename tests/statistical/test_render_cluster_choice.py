@@ -16,7 +16,7 @@ from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene.types import Environment, Scene, Sun
-from tests.support.choice_cases import ROOM_RAY, Everywhere, learned_choice, traced
+from tests.support.choice_cases import COUNTS, ROOM_RAY, Everywhere, learned_choice, traced
 from tests.support.light_cases import DRAWS, emitters, sampled, window
 from tests.support.rooms import MATERIALS, room, sky_with_a_window
 from tests.support.statistical import SIGNIFICANCE, chi_square, z_test
@@ -116,7 +116,7 @@ def test_a_sample_tells_its_cluster_and_how_likely_that_was(learnt):
     lights, rows = power.lights, torch.arange(DRAWS) % 3
     if not learnt:
         uniforms = PixelRandom(0, 0, torch.arange(DRAWS)).uniform(0, 6)
-        light = VoxelLights(power, rows.int()).draw(lights.query(torch.zeros(3, DRAWS)), uniforms)
+        light = VoxelLights(power, rows.int(), COUNTS).draw(lights.query(torch.zeros(3, DRAWS)), uniforms)
     for row in range(3 if learnt else 1):
         chosen = rows == row if learnt else torch.ones(DRAWS, dtype=torch.bool)
         cluster, share = light.cluster[chosen], light.share[chosen].double()

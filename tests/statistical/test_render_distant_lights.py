@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from bokehguide.render import mis
 from bokehguide.render.lights.distant import DistantLight
 from bokehguide.render.lights.environment import EnvironmentLight
-from bokehguide.render.lights.scene_lights import Lights
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
-from bokehguide.runtime import native
 from bokehguide.scene.types import Environment, FilmSettings, Material, Sun
 from bokehguide.train import RenderLoop, RenderSettings
 from tests.support import scenes
+from tests.support.rooms import bsdf_sampling_only
 from tests.support.sphere import SphereGrid
 from tests.support.statistical import SIGNIFICANCE, block_means, chi_square, z_test
 from tests.support.tracing import UP, agreement, estimates, matte, mean_test, rectangle, scene, sky, trace
@@ -132,9 +130,7 @@ def test_both_techniques_together_agree_with_one_alone(environment, material, mo
     lit = floor([sun((-0.5, 0.6, -0.62), 30.0), sun(angle=50.0)], environment, material)
     ray = (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)
     together = estimates(lit, *ray, 50_000)
-    monkeypatch.setenv(native.SWITCH, "0")
-    monkeypatch.setattr(Lights, "empty", property(lambda self: True))
-    monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
+    bsdf_sampling_only(monkeypatch)
     assert agreement(together, estimates(lit, *ray, 200_000, 1)) > SIGNIFICANCE
 
 

@@ -16,8 +16,8 @@ from bokehguide.render.bsdf.coat_albedo import CoatAlbedo, coat_table
 from bokehguide.render.bsdf.dielectric import DielectricBSDF
 from bokehguide.render.bsdf.microfacets import Microfacets
 from bokehguide.render.bsdf.opaque import OpaqueBSDF
-from bokehguide.render.geometry import MIN_ALPHA
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.surface import MIN_ALPHA
 from tests.support.scattering_formulas import (
     brdf,
     glass_reflection,

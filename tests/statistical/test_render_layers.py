@@ -13,7 +13,7 @@ from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import aligned_frame, dot
 from tests.support.scattering_formulas import brdf, sheen_albedos
 from tests.support.sphere import SphereGrid, surface, tilted
-from tests.support.statistical import SIGNIFICANCE, chi_square, z_test
+from tests.support.statistical import SIGNIFICANCE, chi_square
 
 GRID = SphereGrid()
 POINTS = GRID.directions.shape[1]
@@ -75,12 +75,7 @@ def test_draws_follow_the_density(case):
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_mean_weight_of_draws_is_the_albedo_by_quadrature(case):
-    albedo = GRID.integral(bsdf(case, POINTS).evaluate(GRID.directions)[0])
-    drawn = bsdf(case, DRAWS)
-    value, pdf = drawn.evaluate(drawn.sample(uniforms(DRAWS, seed=1)))
-    weights = (value / pdf.clamp(min=1e-20)).double().numpy()
-    error = weights.std(axis=1) / math.sqrt(DRAWS) + 1e-3 * albedo  # the quadrature's own
-    assert z_test(weights.mean(axis=1) - albedo, error) > SIGNIFICANCE
+    assert GRID.albedo_check(bsdf(case, POINTS), bsdf(case, DRAWS), uniforms(DRAWS, seed=1)) > SIGNIFICANCE
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from bokehguide.render import mis
 from bokehguide.render.geometry import Geometry
 from bokehguide.render.lights.power_sampler import PowerLightSampler
 from bokehguide.render.lights.scene_lights import Lights
 from bokehguide.render.random import PixelRandom
-from bokehguide.runtime import native
 from bokehguide.scene.types import Cone, Material
+from tests.support.rooms import bsdf_sampling_only
 from tests.support.statistical import SIGNIFICANCE
 from tests.support.tracing import UP, agreement, emitter, estimates, matte, mean_test, rectangle, scene, sky, sphere
 
@@ -109,7 +108,5 @@ def test_both_techniques_together_agree_with_one_alone(monkeypatch):
     lit = scene(meshes, [glossy, light], sky(0.05), max_depth=3)
     ray = (1.0, 1.0, 1.0), (-0.8, -1.0, -0.8)
     together = estimates(lit, *ray, 50_000)
-    monkeypatch.setenv(native.SWITCH, "0")
-    monkeypatch.setattr(Lights, "empty", property(lambda self: True))
-    monkeypatch.setattr(mis, "power_heuristic", lambda pdf, other: torch.ones_like(pdf))
+    bsdf_sampling_only(monkeypatch)
     assert agreement(together, estimates(lit, *ray, 200_000, 1)) > SIGNIFICANCE

@@ -228,6 +228,20 @@ def test_all_samples_of_a_group_are_stratified_together_and_so_are_those_of_each
     assert (np.sort((of_group[2] * steps * size).astype(int), axis=0) == np.arange(steps * size)[:, None]).all()
 
 
+def test_copies_and_further_samples_of_a_group_go_on_with_its_sequence():
+    """All samples of the members, of a pair of copies and of two numbers are stratified together."""
+    first, size, groups = 5, 4, 8
+    pixels = torch.arange(groups * size)
+    keys, member = (values.to(torch.int32) for values in (pixels // size, pixels % size))
+    found = []
+    for step in range(first, 2 * first - 1):
+        random = PixelRandom(7, step, pixels).in_groups(keys, member, size)
+        pair = [random.copies(torch.full_like(pixels, copy)) for copy in (0, 1)]
+        found += [copies.stratified(dimensions.LENS, 3, first, number) for copies in pair for number in (0, 1)]
+    points = torch.stack(found, 1).reshape(3, -1, groups, size).transpose(2, 3)
+    assert in_all_intervals(points.reshape(3, -1, groups).numpy())
+
+
 @pytest.mark.parametrize("step, first", [(1, 1), (7, 5), (20, 17), (100, 65)])
 def test_members_of_a_group_are_uniform_and_groups_independent(step, first):
     numbers = of_groups(step, first, groups=1 << 13)

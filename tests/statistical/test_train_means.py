@@ -47,17 +47,10 @@ def test_the_control_variate_removes_nearly_all_noise_of_a_furnace():
     assert found.variance.mean() < 0.02 * noisy.variance.mean()
 
 
+@pytest.mark.parametrize("run", [learning, pytest.param(frozen, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("mode", GUIDED)
-def test_means_while_learning_are_those_of_the_uniform_lens(mode):
-    found = learning(mode)
-    assert found.last.gaussians > 0 and found.last.outside > 0.05
-    assert means_check(found, reference_spp(mode)) > SIGNIFICANCE
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("mode", GUIDED)
-def test_means_after_learning_are_those_of_the_uniform_lens(mode):
-    found = frozen(mode)
+def test_means_while_and_after_learning_are_those_of_the_uniform_lens(mode, run):
+    found = run(mode)
     assert found.last.gaussians > 0 and found.last.outside > 0.05
     assert means_check(found, reference_spp(mode)) > SIGNIFICANCE
 

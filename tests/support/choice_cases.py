@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.guiding.cluster_lights import ClusterTables, Counts, MixtureLights
+from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.light_sampler import LightSampleRecorder
 from bokehguide.render.lights.base import LightDistribution, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
@@ -24,6 +25,7 @@ Ray = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 ROOM_RAY: Ray = ((0.1, 1.3, 1.5), (-0.1, -0.8, -1.5))
 """Origin and direction of a ray to the floor of `rooms.room`."""
+COUNTS = Counts(GuidedConfig.light_candidates, GuidedConfig.bsdf_candidates)
 
 
 class Everywhere(LightSampler):
@@ -44,8 +46,8 @@ def learned_choice(power: PowerLightSampler, count: int, spread: float = 2.0) ->
     weights[:, -1] = 1.0
     table = ClusterTable(torch.from_numpy(weights / weights.sum(axis=1, keepdims=True)))
     factor = torch.tensor([1.0, 0.4, 0.05])
-    tables = ClusterTables(table, torch.ones(3, clusters.count), factor, torch.tensor([clusters.triangles]), 1)
-    return MixtureLights(power, (torch.arange(count) % 3).int(), tables)
+    tables = ClusterTables(table, torch.ones(3, clusters.count), factor, 1)
+    return MixtureLights(power, (torch.arange(count) % 3).int(), tables, COUNTS)
 
 
 @dataclass
@@ -68,7 +70,7 @@ class OneTable(LightSampler):
         weights = np.ones(clusters.count) if self.weights is None else np.asarray(self.weights, np.float64)
         table = ClusterTable(torch.from_numpy((weights / weights.sum())[None]))
         factor = torch.full((1,), self.factor)
-        tables = ClusterTables(table, torch.ones(1, clusters.count), factor, torch.tensor([clusters.triangles]), self.epoch)
+        tables = ClusterTables(table, torch.ones(1, clusters.count), factor, self.epoch)
         row = torch.zeros(points.shape[1], dtype=torch.int32)
         return MixtureLights(self.tracer.light_sampler, row, tables, Counts(self.candidates, self.bsdf_candidates))
 

@@ -14,11 +14,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from bokehguide.render.geometry import Surface
 from bokehguide.render.native_hits import PLAIN_FIELDS
 from bokehguide.render.native_tables import native_scene
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.surface import Surface
 from bokehguide.runtime import native
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.types import Cone, Environment, Material, Mesh, Scene, Sun, Texture

@@ -80,7 +80,7 @@ class RecordedReuse(PixelPathReuse):
     """Keeps the samples of its steps. change: applied to the paths before reuse. group: as of `PixelPathReuse`."""
 
     def __init__(self, loop: RenderLoop, seed: int, change: Callable[[PathSamples], None] | None, group: int):
-        super().__init__(loop.camera, loop.tracer, loop.film.width, seed, group)
+        super().__init__(loop.camera, loop.tracer, loop.film.width, seed, group, GuidedConfig.min_spread)
         self.steps: list[Step] = []
         self._change = change
 
@@ -127,13 +127,13 @@ def same(one: Tensor, other: Tensor, rounding: float = 1e-5) -> bool:
     return bool(torch.isclose(one, other, rtol=rounding, atol=1e-6).all())
 
 
-def spoil(loop: RenderLoop) -> None:
-    """Take one step in which every ninth sample is not finite."""
+def spoil(loop: RenderLoop, every: int = 9) -> None:
+    """Take one step in which each sample whose number is a multiple of `every` is not finite."""
     trace = loop.tracer.trace
 
     def spoiled(*args, **keywords) -> PathSamples:
         samples = trace(*args, **keywords)
-        samples.radiance[:, ::9] = math.nan
+        samples.radiance[:, ::every] = math.nan
         return samples
 
     loop.tracer.trace = spoiled

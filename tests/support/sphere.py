@@ -9,8 +9,10 @@ import torch
 from scipy.stats import qmc
 from torch import Tensor
 
-from bokehguide.render.geometry import MIN_ALPHA, Surface
+from bokehguide.render.bsdf.opaque import OpaqueBSDF
+from bokehguide.render.surface import MIN_ALPHA, Surface
 from tests.support.scattering_formulas import ggx, smith_lambda
+from tests.support.statistical import z_test
 
 
 class SphereGrid:
@@ -51,6 +53,15 @@ class SphereGrid:
     def histogram(self, directions: Tensor) -> np.ndarray:
         """How many of `directions` `[3, M]` fall into each cell, `[rows * columns]`."""
         return np.bincount(self.cells(directions), minlength=self.rows * self.columns)
+
+    def albedo_check(self, at_points: OpaqueBSDF, of_draws: OpaqueBSDF, uniforms: Tensor) -> float:
+        """p-value of the mean weight of draws from `uniforms` `[3, M]` being the albedo by quadrature. The arguments are the same
+        BSDF, at the points of this grid and at M draws."""
+        albedo = self.integral(at_points.evaluate(self.directions)[0])
+        value, pdf = of_draws.evaluate(of_draws.sample(uniforms))
+        weights = (value / pdf.clamp(min=1e-20)).double().numpy()
+        error = weights.std(axis=1) / math.sqrt(weights.shape[1]) + 1e-3 * albedo  # the quadrature's own
+        return z_test(weights.mean(axis=1) - albedo, error)
 
 
 def even_square(log2_count: int, seed: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """What a comparison keeps from an earlier one, and errors at equal cost."""
 
 import json
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -72,6 +73,29 @@ def test_a_reference_that_uniform_sampling_contradicts_is_told_of(grey, wrong, e
     text = report(compare(emitters.scene, [SETTINGS], reference, Path()))
     assert "Its mean luminance over that of uniform sampling: " in text
     assert ("one of the two is wrong" in text) == wrong
+
+
+@pytest.mark.parametrize(
+    ("halves", "spp", "remedy"),
+    [
+        (1.6, {"spp": 64}, "render at least {spp:,} SPP, with --reference-spp {spp}"),
+        (1.6, {}, "give a reference with more SPP"),
+        (0.01, {"spp": 64}, ""),
+    ],
+)
+def test_a_reference_with_a_large_error_of_its_own_is_told_with_the_remedy(halves, spp, remedy, emitters):
+    """Its error falls with the square root of its SPP."""
+    facts = {"between_halves": json.dumps({"mape": halves, "relmse": 1.0})} | spp
+    write_exr("grey.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)}, facts)
+    comparison = compare(emitters.scene, [SETTINGS], given_reference(Path("grey.exr"), emitters.scene), Path())
+    error = comparison.runs["uniform"].errors["frame"]["mape"][-1]
+    needed = math.ceil(64 * (3.0 * halves / 2 / error) ** 2)
+    told = (
+        f"The reference's own error over the frame, {halves / 2:.4f}, is more than a third of the error of uniform, {error:.4f}; "
+    )
+    text = report(comparison)
+    assert (told + remedy.format(spp=needed) + "." in text) == bool(remedy)
+    assert ("more than a third" in text) == bool(remedy)
 
 
 def changes(scene):

@@ -9,8 +9,8 @@ import pytest
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import Overrides, load_scene
+from bokehguide.scene.model import ModelState
 from bokehguide.scene.model_files import load_model
-from bokehguide.scene.types import ModelState
 from tests.support.gltf_builder import SQUARE, Builder
 from tests.support.gltf_skin import skinned
 

@@ -12,8 +12,8 @@ from bokehguide.scene import load_scene
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.gltf.accessors import read_raw
 from bokehguide.scene.gltf.document import read_document
+from bokehguide.scene.model import ModelState
 from bokehguide.scene.model_files import load_model
-from bokehguide.scene.types import ModelState
 from tests.support.paths import ASSETS
 
 MODELS = ASSETS / "models"

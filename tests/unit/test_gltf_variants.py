@@ -9,8 +9,8 @@ from PIL import Image
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import Overrides, load_scene
+from bokehguide.scene.model import ModelState
 from bokehguide.scene.model_files import load_model
-from bokehguide.scene.types import ModelState
 from tests.support.gltf_builder import UVS, Builder
 
 VARIANTS, GLOSSINESS = "KHR_materials_variants", "KHR_materials_pbrSpecularGlossiness"

@@ -59,6 +59,16 @@ def test_lens_points_have_the_numbers_of_groups(known):
     assert not torch.equal(guide.query(alone).sample().points, expected)
 
 
+@pytest.mark.parametrize("steps", [0, 8])
+def test_without_stratification_lens_points_have_the_numbers_of_their_pixels(steps):
+    """Also in the first step of an epoch, so that the lens points of a group are independent in all steps alike."""
+    guide = rendered(scenes.emitters(WIDTH, HEIGHT), steps, GuidedConfig(stratify=False)).mode.lens
+    numbers, step = torch.arange(WIDTH * HEIGHT, dtype=torch.int32), steps + 1
+    alone = replace(pixel_batch(guide), step=step, random=PixelRandom(0, step, numbers))
+    grouped = replace(alone, grouped_random=alone.random.in_groups(numbers // 16, numbers % 16, 16))
+    assert torch.equal(guide.query(grouped).sample().points, guide.query(alone).sample().points)
+
+
 def test_emitters_that_are_not_compact_are_left_to_the_record():
     """A strip that reaches from before the emitters to beyond them, of the same mesh as one of them."""
     scene = scenes.emitters(WIDTH, HEIGHT)

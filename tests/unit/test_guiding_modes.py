@@ -8,8 +8,10 @@ import torch
 from bokehguide import BokehguideError, RenderLoop, RenderSettings
 from bokehguide.guiding import register_mode
 from bokehguide.guiding.builders import uniform
+from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.modes import MODES, ModeEntry
-from bokehguide.guiding.protocols import LensQuery, LensSampler, LightStrategy, Mode
+from bokehguide.guiding.protocols import LensPoints, LensQuery, LensSampler, LightStrategy, Mode, SampleReuse
+from bokehguide.runtime.timer import PhaseTimer
 from tests.support import scenes
 
 
@@ -103,9 +105,95 @@ def test_a_missing_method_is_told_in_a_line(sampler, told):
     assert str(error.value) == told
 
 
-def test_a_missing_density_is_told_in_a_line():
-    with pytest.raises(BokehguideError, match=r"^LensQuery: the method pdf\(points\) is missing; define it, to return densities"):
-        LensQuery().pdf(torch.zeros(2, 3))
+class Drawn(LensQuery):
+    """Lens points in the centre of the lens, after a change of the points and the weights."""
+
+    def __init__(self, count, change):
+        self.count, self.change = count, change
+
+    def sample(self):
+        return self.change(torch.zeros(2, self.count), torch.ones(self.count))
+
+
+def drawing(change):
+    """A builder of a mode with the lens points of `Drawn`."""
+
+    class Sampler(LensSampler):
+        def query(self, batch):
+            return Drawn(batch.focus.shape[1], change)
+
+    return lambda context: Mode(Sampler(context), LightStrategy(context))
+
+
+def step_error(builder):
+    """The message of the error that the first step of a mode raises."""
+    register_mode("own", builder)
+    with (
+        RenderLoop(scenes.emitters(16, 10), RenderSettings("own", 1, threads=1)) as loop,
+        pytest.raises(BokehguideError) as error,
+    ):
+        loop.step()
+    return str(error.value)
+
+
+POINTS, WEIGHT = ("; return float32 [2, 160] for 160 pixels", "; return float32 [160] for 160 pixels")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda points, weight: LensPoints(points.T, weight), "points: float32 [160, 2]" + POINTS),
+        (lambda points, weight: LensPoints(points.double(), weight), "points: float64 [2, 160]" + POINTS),
+        (lambda points, weight: LensPoints(points.to("meta"), weight), "points: float32 [2, 160] on meta" + POINTS),
+        (lambda points, weight: LensPoints(None, weight), "points: a NoneType" + POINTS),
+        (lambda points, weight: LensPoints(points, weight[None]), "weight: float32 [1, 160]" + WEIGHT),
+        (lambda points, weight: LensPoints(points, weight > 0.0), "weight: bool [160]" + WEIGHT),
+        (lambda points, weight: LensPoints(points, weight.numpy()), "weight: a ndarray" + WEIGHT),
+        (lambda points, weight: (points, weight), "a tuple; return LensPoints(points, weight)"),
+        (lambda points, weight: None, "a NoneType; return LensPoints(points, weight)"),
+    ],
+)
+def test_lens_points_that_do_not_fit_are_told_in_a_line(change, told):
+    assert step_error(drawing(change)) == f"mode: own: Drawn.sample() returned {told}"
+
+
+def test_a_lens_query_of_another_class_is_told_in_a_line():
+    class Forgetful(LensSampler):
+        def query(self, batch):
+            pass
+
+    told = step_error(lambda context: Mode(Forgetful(context), LightStrategy(context)))
+    assert told == "mode: own: query(batch) returned a NoneType; return a LensQuery"
+
+
+def test_samples_with_a_weight_that_is_not_finite_are_left_out():
+    register_mode("own", drawing(lambda points, weight: LensPoints(points, weight * torch.nan)))
+    with RenderLoop(scenes.emitters(16, 10), RenderSettings("own", 1, threads=1)) as loop:
+        loop.step()
+        assert loop.film.bad_count == 160
+
+
+@pytest.mark.parametrize(
+    ("call", "missing"),
+    [
+        (
+            lambda: LensQuery().pdf(torch.zeros(2, 3)),
+            "LensQuery: the method pdf(points) is missing; define it, to return densities",
+        ),
+        (
+            lambda: SampleReuse().resample(slice(0, 4), 1, PhaseTimer()),
+            "SampleReuse: the method resample(span, step, timer) is missing; define it, to return FilmSamples and a ray count",
+        ),
+    ],
+)
+def test_a_missing_density_or_second_pass_is_told_in_a_line(call, missing):
+    with pytest.raises(BokehguideError) as error:
+        call()
+    assert str(error.value) == missing
+
+
+def uniform_of_two(scene, camera):
+    return uniform(scene)
 
 
 @pytest.mark.parametrize(
@@ -115,6 +203,8 @@ def test_a_missing_density_is_told_in_a_line():
         ("bokehguide.errors:mode", "has no attribute 'mode'); repair its module"),
         ("bokehguide.errors", "bokehguide.errors is no function; name it as module:function"),
         (lambda context: None, "returned a NoneType; return a Mode"),
+        (lambda: None, "<lambda>() does not take one ModeContext; define it as <lambda>(context)"),
+        (uniform_of_two, "uniform_of_two(scene, camera) does not take one ModeContext; define it as uniform_of_two(context)"),
     ],
 )
 def test_a_builder_that_fails_is_told_in_a_line(builder, told, registry):
@@ -123,3 +213,11 @@ def test_a_builder_that_fails_is_told_in_a_line(builder, told, registry):
         RenderLoop(scenes.emitters(16, 10), RenderSettings("own", 1, threads=1))
     assert told in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["reuse_group", "denoised_reuse_group"])
+@pytest.mark.parametrize("size", [0, 3, 12, 128, 1.5, None])
+def test_a_group_of_another_size_is_refused(name, size):
+    """The native core has no tables for larger groups, and the numbers of members are bits."""
+    with pytest.raises(BokehguideError, match=f"{name}: {size} is no size of a group; choose one of 1, 2, 4, 8, 16, 32, 64"):
+        GuidedConfig(**{name: size})

@@ -104,7 +104,7 @@ def hidden_weights(loop: RenderLoop) -> torch.Tensor:
     query = mixture_query(guide, pixel_batch(guide))
     mixture = query.mixture
     both = torch.bincount(mixture.owner[mixture.expected_contribution > 0.0], minlength=COLUMNS * ROWS) == 2
-    return mixture.weight[(query.gaussian == guide.field.mean[0].argmin()) & both[mixture.owner]]
+    return mixture.weight[(query.component == guide.field.mean[0].argmin()) & both[mixture.owner]]
 
 
 def rendered(scene: Scene, steps: int) -> RenderLoop:
@@ -124,7 +124,7 @@ def test_a_hidden_emitter_is_hardly_drawn():
 def test_the_rate_of_a_visible_emitter_is_near_one():
     guide = rendered(half_hidden(), 16).mode.lens
     query = mixture_query(guide, pixel_batch(guide))
-    visible = query.gaussian == guide.field.mean[0].argmax()
+    visible = query.component == guide.field.mean[0].argmax()
     rates = guide.success_rates.rates[query.slots[visible]]
     assert len(rates) > 400 and float(rates.median()) == pytest.approx(1.0, abs=0.1)
 

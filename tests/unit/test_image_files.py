@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bokehguide.errors import BokehguideError
-from bokehguide.image.files import check_writable, remove_abandoned, replacing
+from bokehguide.image.files import check_writable, remove_abandoned, replacing, write_text
 
 
 def test_a_block_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -28,6 +28,13 @@ def test_the_old_file_stands_until_the_new_one_is_whole(tmp_path):
         assert path.read_text() == "old"
     assert path.read_text() == "new"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_text_is_replaced_in_utf_8(tmp_path):
+    path = tmp_path / "a.md"
+    for text in ("older and longer", "β\n"):
+        write_text(path, text)
+    assert path.read_bytes() == "β\n".encode() and list(tmp_path.iterdir()) == [path]
 
 
 def test_a_trial_makes_the_folder_and_leaves_no_file(tmp_path):

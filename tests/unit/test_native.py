@@ -59,6 +59,11 @@ def test_random_numbers_have_the_same_bits(step, monkeypatch):
         assert torch.equal(one, other)
 
 
+def test_groups_beyond_the_tables_of_the_core_are_refused():
+    with pytest.raises(ValueError, match="64 pixels"):
+        core().Random(1, 2, 3, 128)
+
+
 @pytest.mark.parametrize("name", FEATURES)
 def test_surfaces_emission_and_opacity_agree(name):
     _, reference = both_tracers(name)

@@ -179,7 +179,7 @@ def test_gradients_agree(name):
     torch.testing.assert_close(blend_gradient(found, ratio, at), of_blend, rtol=1e-5, atol=1e-6)
     if guide.offsets is None:
         return
-    gaussian = mixture_query(guide, batch).gaussian
+    gaussian = mixture_query(guide, batch).component
     of_offsets = offset_gradient(expected, guide.offsets, gaussian, batch.raster, ratio, at)
     scale = float(of_offsets.abs().max())
     torch.testing.assert_close(found.offset_gradient(ratio, at), of_offsets, rtol=1e-3, atol=1e-5 * scale)

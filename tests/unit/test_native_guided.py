@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSampleRecorder, LightSamples
 from bokehguide.guiding.virtual_images import HighlightImages
 from bokehguide.render.camera import ThinLensCamera
@@ -36,7 +37,8 @@ def differing(found: Tensor, expected: Tensor, tolerance: float = 1e-3) -> float
 def sampler(name: str, learned: bool) -> LearnedLightSampler:
     """A light sampler in its first epoch, or after random samples that leave some clusters without any."""
     _, reference = both_tracers(name)
-    lights = LearnedLightSampler(ThinLensCamera(feature_scene(name).camera, *PIXELS), reference.light_sampler)
+    camera = ThinLensCamera(feature_scene(name).camera, *PIXELS)
+    lights = LearnedLightSampler(camera, reference.light_sampler, GuidedConfig())
     if learned:
         generator = torch.Generator().manual_seed(8)
         tiles, clusters = lights.probability.shape

@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.emitter_guide import EmitterGuide
 from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSamples
 from bokehguide.guiding.pixel_reuse import PixelPathReuse, PixelReuse
@@ -146,7 +147,8 @@ def test_reused_samples_agree(name, monkeypatch):
     loop = loop_of(name)
     assert isinstance(loop.mode.reuse, PixelReuse)
     step = step_of(loop, seed=5)
-    reuse = PixelPathReuse(loop.camera, loop.tracer, loop.film.width, 5)
+    config = GuidedConfig()
+    reuse = PixelPathReuse(loop.camera, loop.tracer, loop.film.width, 5, config.reuse_group, config.min_spread)
     found, rays = reuse.reuse(step.samples, PhaseTimer()), step.samples.paths.rays
     monkeypatch.setattr("bokehguide.guiding.pixel_reuse.native_reuse", lambda *_: None)
     expected = reuse.reuse(step.samples, PhaseTimer())

@@ -237,12 +237,20 @@ def test_a_process_without_stderr_renders(lamps_file, tmp_path):
         ({"blend_rate": 0.1}, "render: blend_rate: no such option; give gaussian=GaussianConfig(blend_rate=...), from bokeh"),
         ({"highlights": 1}, "give gaussian=GaussianConfig(highlights=...) or guided=GuidedConfig(highlights=...), from bokeh"),
         ({"view": "srgb"}, "render: view: no such option; give it to the result, as in picture.developed("),
+        ({"out": "a.exr"}, 'render: out: no such option; save the result, as in picture.save("picture.exr")'),
+        ({"alpha": True}, 'render: alpha: no such option; give it to the result, as in picture.save("picture.png", alpha=True'),
+        ({"on_step": 3}, "render: on_step: 3 is no function; give one that takes the SPP and a function"),
     ],
 )
 def test_a_wrong_option_is_named(options, named):
     with pytest.raises(BokehguideError) as caught:
         bokehguide.render(scenes.emitters(16, 10), **{**SMALL, **options})
     assert named in str(caught.value) and len(str(caught.value).splitlines()) == 1
+
+
+def test_overrides_of_a_scene_are_of_their_class():
+    with pytest.raises(BokehguideError, match=r"^overrides: \{'fov': 30.0\} is no Overrides; give Overrides\(…\)$"):
+        bokehguide.load_scene(scenes.emitters(16, 10), {"fov": 30.0})
 
 
 @pytest.mark.parametrize("scene", [None, 3, b"daylight"])

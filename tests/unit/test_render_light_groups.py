@@ -6,13 +6,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.light_sampler import LearnedLightSampler
 from bokehguide.render.camera import ThinLensCamera
-from bokehguide.render.geometry import Surface
 from bokehguide.render.lights.base import DirectLight
 from bokehguide.render.observer import PathObserver
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.surface import Surface
 from bokehguide.render.tracer import MISS_DISTANCE, Hit
 from bokehguide.runtime.timer import PhaseTimer
 from tests.support.group_cases import grouped
@@ -39,7 +40,8 @@ def test_light_samples_lie_on_their_triangles(learned):
     direction = torch.randn(3, 4000, generator=generator) * 0.3 + torch.tensor([[0.0], [0.0], [-1.0]])
     origin = torch.tensor(scene.camera.position)[:, None].expand(3, 4000).contiguous()
     rays = origin, direction / direction.norm(dim=0), PixelRandom(0, 1, torch.arange(4000))
-    sampler = LearnedLightSampler(ThinLensCamera(scene.camera, 24, 16), tracer.light_sampler) if learned else None
+    camera = ThinLensCamera(scene.camera, 24, 16)
+    sampler = LearnedLightSampler(camera, tracer.light_sampler, GuidedConfig()) if learned else None
     tracer.trace(*rays, PhaseTimer(), light_sampler=sampler, max_depth=2, observers=(samples,))
     assert (samples.far_triangle == -1).all() and len(samples.far_triangle) > 100
     corners = tracer.geometry.corners(samples.triangle)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from bokehguide.guiding.cluster_lights import DEFAULT_COUNTS, ClusterSample, Counts, MixtureLights
+from bokehguide.guiding.cluster_lights import ClusterSample, Counts, MixtureLights
 from bokehguide.render import dimensions
 from bokehguide.render.bsdf.mixture import Scattering
 from bokehguide.render.geometry import Geometry
@@ -12,7 +12,7 @@ from bokehguide.render.mis import BROAD
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
-from tests.support.choice_cases import learned_choice
+from tests.support.choice_cases import COUNTS, learned_choice
 from tests.support.rooms import MATERIALS, checkered, room, sky_with_a_window
 from tests.support.statistical import SIGNIFICANCE, z_test
 
@@ -22,7 +22,7 @@ COUNT = 40_000
 class Spot:
     """COUNT copies of a place on the floor of a room with emitters of several kinds and a sky, under a learned choice."""
 
-    def __init__(self, material: str = "coated", counts: Counts = DEFAULT_COUNTS):
+    def __init__(self, material: str = "coated", counts: Counts = COUNTS):
         self.count, self.bsdf_count = counts
         tracer = PathTracer(room(MATERIALS[material], sky_with_a_window(6.0), checkered()))
         self.power = tracer.light_sampler
@@ -80,7 +80,7 @@ class Spot:
         return directions, bright, target, densities
 
 
-@pytest.mark.parametrize("counts", [Counts(), Counts(3, 0), Counts(2, 3)])
+@pytest.mark.parametrize("counts", [COUNTS, Counts(3, 0), Counts(2, 3)])
 def test_candidates_are_kept_in_proportion_to_their_targets(counts):
     """Against plain arithmetic over all candidates: which one is kept, how often, and its weight."""
     spot = Spot(counts=counts)
@@ -135,5 +135,5 @@ def test_the_expected_visibility_is_that_of_the_row_and_the_cluster():
     count = spot.power.lights.clusters.count
     visibility = torch.rand(3, count, generator=torch.Generator().manual_seed(1))
     row, cluster = torch.cartesian_prod(torch.arange(3), torch.arange(count)).int().T.contiguous()
-    lights = MixtureLights(spot.power, row, spot.lights._tables._replace(visibility=visibility))
+    lights = MixtureLights(spot.power, row, spot.lights._tables._replace(visibility=visibility), COUNTS)
     assert torch.equal(lights.expected_visibility(cluster), visibility.flatten())

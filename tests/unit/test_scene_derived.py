@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+import trimesh
 
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import Overrides, load_scene
@@ -116,6 +118,41 @@ def test_the_rotation_of_an_environment_is_an_override():
     assert load_scene("daylight", Overrides(environment_rotation=30.0)).environment.rotation == 30.0
     both = load_scene("daylight", Overrides(environment="1,1,1", environment_rotation=-10.0)).environment
     assert both.rotation == -10.0 and both.radiance.ravel().tolist() == [1.0, 1.0, 1.0]
+
+
+def test_no_environment_is_an_override(derive, tmp_path):
+    """Of a built-in scene, of a scene file, and of a model, which gets no sky then."""
+    assert load_scene("daylight").environment is not None
+    assert load_scene("daylight", Overrides(environment="none")).environment is None
+    assert derive('base = "box.toml"\n[overrides]\nenvironment = "none"\n').environment is None
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    scene = load_scene(tmp_path / "box.ply", Overrides(environment="none"))
+    assert scene.environment is None and scene.film.exposure is None
+    assert any("nothing shines" in mistake for mistake in scene.likely_mistakes)
+    with pytest.raises(BokehguideError, match=r"--environment-rotation: 10: there is no environment; leave it out$"):
+        load_scene("daylight", Overrides(environment="none", environment_rotation=10.0))
+
+
+def test_a_hidden_environment_is_an_override(derive, tmp_path):
+    """The light stays. False is the same as no override."""
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    shown, hidden = (load_scene(tmp_path / "box.ply", Overrides(hide_environment=hide)) for hide in (False, True))
+    assert shown.environment.visible and not hidden.environment.visible
+    np.testing.assert_array_equal(hidden.environment.radiance, shown.environment.radiance)
+    assert hidden.film.exposure == shown.film.exposure
+    text = derived_text("box.toml", Overrides(hide_environment=True), None, "")
+    assert not derive(text).environment.visible and not derive(text, Overrides(environment="1,1,1")).environment.visible
+    assert derive(BOX_AND_EMITTER.replace("[environment]\ncolor = [0.02, 0.03, 0.05]\n", ""), Overrides(hide_environment=True))
+    with pytest.raises(BokehguideError, match="hide_environment or --hide-environment: 1 is neither true nor false"):
+        Overrides(hide_environment=1)
+
+
+def test_suns_without_an_environment_are_hidden(derive):
+    sun = "[[sun]]\ndirection = [0.0, 1.0, 0.0]\nirradiance = [1.0, 1.0, 1.0]\n"
+    text = BOX_AND_EMITTER.replace("[environment]\ncolor = [0.02, 0.03, 0.05]\n", sun)
+    assert derive(text).environment is None
+    scene = derive(text, Overrides(hide_environment=True))
+    assert not scene.environment.visible and not scene.environment.radiance.any() and len(scene.suns) == 1
 
 
 def test_the_length_of_paths_is_an_override(derive):

@@ -191,6 +191,10 @@ def test_the_scene_that_is_broken_below_is_good(tmp_path):
         ("width = 64", "width = 65536\nheight = 65536", ["FilmSettings: 65536x65536", "at most 268435456"]),
         ("width = 64", f"max_depth = {BIG}", ["film.max_depth", "1329 bits"]),
         ("fov = 40.0", "fov = 40.0\nfov = 41.0", ["not valid TOML", "line 6"]),
+        ("[[object]]", "[[lights]]\nradius = 0.1\n[[object]]", ["lights", "write [lights]", "or [[light]]"]),
+        ('shape = "sphere"', r'file = "models\table.obj"', ["object[0].file", "control characters", "write / between folders"]),
+        ('shape = "sphere"', r'file = "C:\models\a.obj"', ["not valid TOML", "line 15", "write / between the folders of a path"]),
+        ('shape = "sphere"', r'file = "models\use.obj"', ["not valid TOML", "line 15", "write / between the folders of a path"]),
     ],
 )
 def test_a_wrong_value_in_a_scene_file(tmp_path, old, new, named):

@@ -13,10 +13,10 @@ from bokehguide.render import split_film
 from bokehguide.render.features import MeanFeatures
 from bokehguide.render.film import NO_DEPTH, Film, FilmSamples
 from bokehguide.render.halves_film import HalfFilm, HalvesFilm
-from bokehguide.render.path_tracer import PathSamples
 from bokehguide.render.vector import luminance
 from bokehguide.train import AdaptiveLoop, RenderLoop, RenderSettings, adaptive, load_checkpoint, make_loop, save_checkpoint
 from tests.support import scenes
+from tests.support.sharing_cases import spoil
 from tests.support.statistical import SIGNIFICANCE, z_test
 
 WIDTH, HEIGHT = 64, 40
@@ -178,15 +178,7 @@ def test_the_error_of_a_round_compares_it_with_all_rounds_before():
 
 def test_a_sample_that_is_not_finite_has_no_brightness():
     half = adaptive.HalfLoop(scenes.emitters(WIDTH, HEIGHT), RenderSettings("uniform", threads=1), None)
-    trace = half.tracer.trace
-
-    def spoiled(*args, **keywords) -> PathSamples:
-        samples = trace(*args, **keywords)
-        samples.radiance[:, ::5] = math.nan
-        return samples
-
-    half.tracer.trace = spoiled
-    half.step()
+    spoil(half, 5)
     bad = half.film.layers()["sample_count"].flatten() == 0.0
     assert bad.any() and torch.equal(half.brightness[1] == 0.0, torch.from_numpy(bad))
 

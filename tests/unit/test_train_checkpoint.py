@@ -240,7 +240,8 @@ def test_another_render_is_refused_by_name(named, checkpoint):
     loop = RenderLoop(change(scene()), replace(settings(), **others))
     with pytest.raises(BokehguideError) as refusal:
         load_checkpoint(checkpoint, loop)
-    assert str(refusal.value) == f"{checkpoint}: is of another render: {named}; render without --resume to start again"
+    size = "give --size 48x27 to continue, or " * named.startswith("size")
+    assert str(refusal.value) == f"{checkpoint}: is of another render: {named}; {size}render without --resume to start again"
     assert loop.step_number == 0
 
 
@@ -327,7 +328,8 @@ def test_other_parameters_of_a_mode_take_few_words(checkpoint):
 
 def test_of_many_differences_a_line_names_some(checkpoint):
     other = replace(restir_cases.scene(24, 16), film=replace(scene().film, width=24, height=16))
-    with pytest.raises(BokehguideError, match=r"scene was .*, mode was .*, seed was .*, size was .* and \d+ more; ") as refusal:
+    named = r"scene was .*, mode was .*, seed was .*, size was .* and \d+ more; render "
+    with pytest.raises(BokehguideError, match=named) as refusal:
         load_checkpoint(checkpoint, RenderLoop(other, RenderSettings("lis", threads=1)))
     assert len(str(refusal.value)) < 400
 

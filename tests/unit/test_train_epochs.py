@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import torch
 
-from bokehguide.guiding.protocols import PixelBatch, starts_epoch
+from bokehguide.guiding.protocols import PixelBatch
 from bokehguide.models import CandidateList
 from bokehguide.render import dimensions
+from bokehguide.render.epochs import epoch_number, epoch_of, starts_epoch
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.vector import luminance
 from bokehguide.scene.shapes import transform, transformed, unit_rectangle
@@ -32,6 +33,8 @@ def mostly_blocked() -> Scene:
 
 def test_epochs_begin_so_that_their_lengths_are_powers_of_two():
     assert [step for step in range(1, 70) if starts_epoch(step)] == [1, 2, 3, 5, 9, 17, 33, 65]
+    assert [epoch_number(step) for step in range(1, 10)] == [0, 1, 2, 2, 3, 3, 3, 3, 4]
+    assert all(epoch_number(epoch_of(step)) == epoch_number(step) for step in range(1, 70))
 
 
 def guide_by_own_samples(loop: RenderLoop, respects_epochs: bool) -> None:

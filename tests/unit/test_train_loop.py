@@ -161,7 +161,9 @@ def test_guide_images_are_pictures():
         assert float(image.max()) > 0.0, name
 
 
-@pytest.mark.parametrize("settings", [{"mode": "fast"}, {"spp": 0}, {"threads": 0}])
+@pytest.mark.parametrize(
+    "settings", [{"mode": "fast"}, {"spp": 0}, {"threads": 0}, {"gaussian": {"blend": 0.5}}, {"guided": "fast"}, {"guided": None}]
+)
 def test_settings_name_what_is_out_of_range(settings):
     (field,) = settings
     with pytest.raises(BokehguideError, match=f"^{field}: .*; (choose|give)"):

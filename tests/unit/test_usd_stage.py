@@ -303,7 +303,7 @@ def test_the_process_for_binary_files_imports_no_large_library(tmp_path):
         import pickle, sys
         from pathlib import Path
         from bokehguide.scene.files import SceneFiles
-        from bokehguide.scene.types import ModelState
+        from bokehguide.scene.model import ModelState
         from bokehguide.scene.usd.loading import read_usd
         path = Path({saved(stage, tmp_path, "scene.usdc")!r})
         model = read_usd(path, SceneFiles(path.parent), ModelState(), binary=True)

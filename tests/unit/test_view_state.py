@@ -96,6 +96,7 @@ def sources(folder) -> dict[str, Source]:
         "model": source_of("square.gltf", "--size", "32x18"),
         "camera": source_of("photo.gltf", "--size", "32x18", "--camera", "0"),
         "blender": source_of("blender.gltf", "--size", "32x18"),
+        "hidden": source_of("square.gltf", "--size", "32x18", "--hide-environment"),
         "options": source_of("box.toml", "--f-number", "0.1", "--camera-target", "0.1,0,0"),
     }
 
@@ -132,7 +133,7 @@ def with_edit(state: ViewState, source: Source, key: str, value: Any) -> ViewSta
 
 
 @pytest.mark.parametrize("name", EDITS)
-@pytest.mark.parametrize("kind", ["builtin", "file", "model", "camera", "blender", "options"])
+@pytest.mark.parametrize("kind", ["builtin", "file", "model", "camera", "blender", "hidden", "options"])
 def test_the_command_and_the_scene_file_make_the_scene_of_the_page(kind, name, sources, folder):
     check_page(sources[kind], name, folder)
 

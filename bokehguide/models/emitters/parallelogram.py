@@ -205,7 +205,8 @@ class ViewedParallelograms:
         number, self._owner = self.entries.select(number), self.entries.select(owner)
         self._parallelograms, self._focus = parallelograms.select(number.clamp(min=0)), focus.index_select(1, self._owner)
         self._radius = radius
-        self._window, self.area = _window_and_area(self._parallelograms, self._focus, radius)
+        self._window = self._parallelograms.window(self._focus, radius)
+        self.area = self._parallelograms.area_on_lens(self._window, self._focus, radius)
 
     def sample(self, place: Tensor, uniforms: Tensor) -> Tensor:
         """Lens points `[2, J]` of the candidates at `place` among the K, from uniform numbers `[2, J]`."""
@@ -214,13 +215,4 @@ class ViewedParallelograms:
 
     def pdf(self, points: Tensor) -> Tensor:
         """Densities `[K]` at the owners' lens points `[2, N]`, per unit area of the lens plane."""
-        return _pdf(self._parallelograms, points.index_select(1, self._owner), self._window, self._focus, self._radius)
-
-
-def _window_and_area(parallelograms: ParallelogramEmitters, focus: Tensor, radius: Tensor) -> tuple[Tensor, Tensor]:
-    window = parallelograms.window(focus, radius)
-    return window, parallelograms.area_on_lens(window, focus, radius)
-
-
-def _pdf(parallelograms: ParallelogramEmitters, points: Tensor, window: Tensor, focus: Tensor, radius: Tensor) -> Tensor:
-    return parallelograms.pdf(points, window, focus, radius)
+        return self._parallelograms.pdf(points.index_select(1, self._owner), self._window, self._focus, self._radius)

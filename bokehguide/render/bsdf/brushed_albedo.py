@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bokehguide.render.geometry import MIN_ALPHA
+from bokehguide.render.surface import MIN_ALPHA
 
 BRUSHED_TABLE = Path(__file__).with_suffix(".npy")
 ALPHAS, STRENGTHS, COSINES, PLACES = 12, 8, 16, 14

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from bokehguide.render.bsdf.coat_albedo import CoatAlbedo
 from bokehguide.render.bsdf.microfacets import MIN_COSINE, Microfacets
-from bokehguide.render.geometry import Surface
 from bokehguide.render.materials import CLEARCOAT_F0
+from bokehguide.render.surface import Surface
 from bokehguide.render.vector import fifth_power, tangent_frame, to_local, to_world
 
 

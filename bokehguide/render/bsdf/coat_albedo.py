@@ -17,7 +17,7 @@ from torch.nn.functional import grid_sample
 
 from bokehguide.render.bsdf.brushed_albedo import BrushedAlbedo, brushed_table, fourth_root
 from bokehguide.render.bsdf.microfacets import Microfacets
-from bokehguide.render.geometry import MIN_ALPHA
+from bokehguide.render.surface import MIN_ALPHA
 
 TABLE = Path(__file__).with_suffix(".npy")
 ROWS, COLUMNS = 64, 96

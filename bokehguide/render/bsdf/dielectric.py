@@ -13,7 +13,7 @@ from torch import Tensor
 
 from bokehguide.render.bsdf.microfacets import MIN_COSINE, ggx_density, sample_visible_normal, smith_root
 from bokehguide.render.bsdf.thin_film import film_reflectance
-from bokehguide.render.geometry import SMOOTH_ALPHA, Surface
+from bokehguide.render.surface import SMOOTH_ALPHA, Surface
 from bokehguide.render.vector import divisor, dot, normalize
 from bokehguide.runtime.device import to_device
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from bokehguide.render.bsdf.dielectric import DielectricBSDF
 from bokehguide.render.bsdf.opaque import OpaqueBSDF
-from bokehguide.render.geometry import Surface
+from bokehguide.render.surface import Surface
 from bokehguide.render.vector import aligned_frame, divisor, dot, tangent_frame, to_local, to_world
 from bokehguide.runtime.indexing import ActiveEntries
 
@@ -41,7 +41,9 @@ class Scattering:
 
     def evaluate(self, direction: Tensor) -> tuple[Tensor, Tensor]:
         """BSDF times |cosine| `[3, N]` towards world directions, and the density `[N]` of `sample`."""
-        value, pdf = _evaluated(self._frame, self._opaque, direction)
+        local = to_local(direction, *self._frame)
+        value, pdf = self._opaque.evaluate(local)
+        value = value * _allowed(self._opaque.surface, direction, local[2])
         if self._glass is not None:
             towards = self._chosen.select(direction)
             local = to_local(towards, *self._glass_frame)
@@ -53,7 +55,10 @@ class Scattering:
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """World directions `[3, N]`, weights BSDF·|cos|/pdf `[3, N]` and densities `[N]`, from uniforms `[3, N]`."""
-        direction, weight, pdf = _sampled(self._frame, self._opaque, uniforms)
+        local = self._opaque.sample(uniforms)
+        value, pdf = self._opaque.evaluate(local)
+        direction = to_world(local, *self._frame)
+        weight = value / divisor(pdf, 1e-20) * _allowed(self._opaque.surface, direction, local[2])
         if self._glass is not None:
             local, of_glass, density = self._glass.sample(self._chosen.select(uniforms))
             of_glass = of_glass if self._channel is None else of_glass * self._channel
@@ -95,19 +100,6 @@ def _opaque(surface: Surface, outgoing: Tensor) -> tuple[Frame, OpaqueBSDF]:
     frame = (*(tangent_frame(normal) if along is None else aligned_frame(normal, along)), normal)
     coat = surface.clearcoat_normal
     return frame, OpaqueBSDF(to_local(outgoing, *frame), surface, None if coat is None else to_local(coat, *frame))
-
-
-def _evaluated(frame: Frame, opaque: OpaqueBSDF, direction: Tensor) -> tuple[Tensor, Tensor]:
-    local = to_local(direction, *frame)
-    value, pdf = opaque.evaluate(local)
-    return value * _allowed(opaque.surface, direction, local[2]), pdf
-
-
-def _sampled(frame: Frame, opaque: OpaqueBSDF, uniforms: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    local = opaque.sample(uniforms)
-    value, pdf = opaque.evaluate(local)
-    direction = to_world(local, *frame)
-    return direction, value / divisor(pdf, 1e-20) * _allowed(opaque.surface, direction, local[2]), pdf
 
 
 def _allowed(surface: Surface, direction: Tensor, above: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from bokehguide.render.bsdf.coat_albedo import CoatAlbedo
-from bokehguide.render.geometry import Surface
+from bokehguide.render.surface import Surface
 
 MEAN_GRAZING = 1.0 / 21.0
 """Mean of (1 - cos θ)⁵ under uniform illumination."""

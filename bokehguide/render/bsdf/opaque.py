@@ -38,7 +38,7 @@ from bokehguide.render.bsdf.microfacets import MIN_COSINE, Microfacets, sample_v
 from bokehguide.render.bsdf.multiscatter import metal_gain
 from bokehguide.render.bsdf.sheen import Sheen, sample_hemisphere
 from bokehguide.render.bsdf.thin_film import film_bound, film_reflectance
-from bokehguide.render.geometry import Surface
+from bokehguide.render.surface import Surface
 from bokehguide.render.vector import dot, fifth_power, luminance, normalize
 
 LEAST_ENTERING = 0.2

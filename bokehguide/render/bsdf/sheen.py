@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.bsdf.microfacets import MIN_COSINE
-from bokehguide.render.geometry import Surface
+from bokehguide.render.surface import Surface
 
 MIN_ROUGHNESS = 0.07
 """Least roughness of a sheen. The lobes of smoother sheens lie within half a degree of the horizon."""

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.bsdf.mixture import Scattering
-from bokehguide.render.geometry import Surface
 from bokehguide.render.mis import BsdfWeights
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.surface import Surface
 
 
 class LightSample(NamedTuple):

@@ -127,8 +127,11 @@ class EnvironmentMap:
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
-        texels, across, down = _texels_about(self.layout, directions)
-        return _blended(tuple(self.texels.index_select(0, texel).T for texel in texels), across, down)
+        left, top, across, down = self.layout.corner(directions)
+        rows, columns = self.layout.texels(left, top)
+        one, two, three, four = (self.texels.index_select(0, row + column).T for row in rows for column in columns)
+        upper, lower = (1.0 - across) * one + across * two, (1.0 - across) * three + across * four
+        return (1.0 - down) * upper + down * lower
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         """Unit directions `[3, N]` and their solid-angle densities `[N]` from uniform numbers `[4, N]`."""
@@ -146,11 +149,14 @@ class EnvironmentMap:
 
     def directions(self, texel: Tensor, uniforms: Tensor) -> Tensor:
         """Unit directions `[3, N]`, uniform over texels `[N]`, from uniform numbers `[2, N]`."""
-        return _within(self.layout, texel, uniforms)
+        row, column = texel // self.width, texel % self.width
+        top, bottom = torch.cos(math.pi / self.height * row), torch.cos(math.pi / self.height * (row + 1))
+        return self.layout.around(column + uniforms[0], top + (bottom - top) * uniforms[1])
 
     def texel_at(self, directions: Tensor) -> Tensor:
         """Texels `[N]` that unit directions `[3, N]` lie in."""
-        return _texel_at(self.layout, directions)
+        column, row = self.layout.place(directions)  # rounding may give the map's width or height
+        return row.int().clamp(0, self.height - 1) * self.width + column.int().clamp(0, self.width - 1)
 
     def density(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of `sample` in texels `[N]`."""
@@ -171,34 +177,6 @@ class EnvironmentMap:
         if self.table is None:
             return np.zeros((self.height, self.width), np.float32)
         return self.table.probability.cpu().numpy().reshape(self.height, self.width)
-
-
-def _texel_at(layout: Equirectangular, directions: Tensor) -> Tensor:
-    """Texels `[N]` that unit directions `[3, N]` lie in."""
-    column, row = layout.place(directions)  # rounding may give the map's width or height
-    return row.int().clamp(0, layout.height - 1) * layout.width + column.int().clamp(0, layout.width - 1)
-
-
-def _within(layout: Equirectangular, texel: Tensor, uniforms: Tensor) -> Tensor:
-    """Unit directions `[3, N]`, uniform over texels `[N]`, from uniform numbers `[2, N]`."""
-    row, column = texel // layout.width, texel % layout.width
-    top, bottom = torch.cos(math.pi / layout.height * row), torch.cos(math.pi / layout.height * (row + 1))
-    return layout.around(column + uniforms[0], top + (bottom - top) * uniforms[1])
-
-
-def _texels_about(layout: Equirectangular, directions: Tensor) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
-    """Four texels around unit directions `[3, N]`, row by row, int32 `[N]`, and the offsets of the directions between them,
-    `[N]`."""
-    left, top, across, down = layout.corner(directions)
-    rows, columns = layout.texels(left, top)
-    return tuple(row + column for row in rows for column in columns), across, down
-
-
-def _blended(corners: tuple[Tensor, ...], across: Tensor, down: Tensor) -> Tensor:
-    """Bilinear interpolation of four values `[3, N]`."""
-    one, two, three, four = corners
-    top, bottom = (1.0 - across) * one + across * two, (1.0 - across) * three + across * four
-    return (1.0 - down) * top + down * bottom
 
 
 def _excess(luminance: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:

@@ -9,12 +9,12 @@ from torch import Tensor
 
 from bokehguide.render import mis
 from bokehguide.render.bsdf.mixture import Scattering
-from bokehguide.render.geometry import Surface
 from bokehguide.render.lights.base import DirectLight, LightSample, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
 from bokehguide.render.lights.scene_lights import Lights, PointQuery
 from bokehguide.render.mis import BsdfWeights
 from bokehguide.render.random import PixelRandom
+from bokehguide.render.surface import Surface
 
 
 class PowerLightSampler(LightSampler):

@@ -95,6 +95,7 @@ class LightVoxelGrid:
         low, cell, (x, y, z) = layout
         self.box = [torch.tensor(values, device=device) for values in (low, [1.0 / cell], [x - 1, y - 1, z - 1], [y * z, z, 1])]
         self.box = [values.reshape(-1, 1).float() for values in self.box[:3]] + [self.box[3][:, None].int()]
+        """Lower corner of the grid, cells per metre, last cell, and increment of the cell's number, `[3, 1]` or `[1, 1]`."""
         clusters = _cluster_properties(emitters, cluster, self.clusters)
         light = _cell_light(layout, clusters)
         self.light = torch.from_numpy(light.sum(axis=1).astype(np.float32)).to(device)
@@ -102,7 +103,9 @@ class LightVoxelGrid:
 
     def cells(self, points: Tensor) -> Tensor:
         """Cell `[N]` of each point `[3, N]`; points outside belong to the nearest cell."""
-        return _cells(points, *self.box)
+        low, scale, last, step = self.box
+        x, y, z = torch.minimum(((points - low) * scale).clamp(min=0.0), last).int() * step
+        return x + y + z
 
     def sample_cluster(self, cells: Tensor, uniforms: Tensor) -> Tensor:
         """Clusters `[N]` for points in `cells` `[N]`, from uniform numbers `[N]`."""
@@ -176,13 +179,3 @@ def _defensive(weights: np.ndarray, power: np.ndarray) -> np.ndarray:
     sums = weights.sum(axis=1, keepdims=True)
     by_light = np.divide(weights, sums, out=np.broadcast_to(by_power, weights.shape).copy(), where=sums > 0.0)
     return (1.0 - DEFENSIVE) * by_light + DEFENSIVE * by_power
-
-
-def _cells(points: Tensor, low: Tensor, scale: Tensor, last: Tensor, step: Tensor) -> Tensor:
-    """Numbers `[N]` of the cells that points `[3, N]` lie in.
-
-    low, last, step: lower corner of the grid, last cell and increment of the number, by axis, `[3, 1]`; scale: cells per metre,
-    `[1, 1]`.
-    """
-    x, y, z = torch.minimum(((points - low) * scale).clamp(min=0.0), last).int() * step
-    return x + y + z

@@ -10,8 +10,9 @@ import numpy as np
 from bokehguide.errors import printable
 from bokehguide.scene.gltf.document import Document
 from bokehguide.scene.gltf.nodes import Placed
+from bokehguide.scene.model import ModelCamera
 from bokehguide.scene.tables import Limits
-from bokehguide.scene.types import ModelCamera, as_vector
+from bokehguide.scene.types import as_vector
 
 FIELD_OF_VIEW = Limits("radians between 0 and pi", low=1e-4, high=math.pi - 1e-4)
 

@@ -12,7 +12,8 @@ from bokehguide.scene.gltf.meshopt_views import compression
 from bokehguide.scene.gltf.nodes import INSTANCING
 from bokehguide.scene.gltf.textures import Textures, textures_of
 from bokehguide.scene.gltf.variants import variant_names
-from bokehguide.scene.types import Material, Mesh, ModelCamera, ModelState, Sun
+from bokehguide.scene.model import ModelCamera, ModelState
+from bokehguide.scene.types import Material, Mesh, Sun
 
 
 def supported(

@@ -17,9 +17,10 @@ from bokehguide.color import LUMENS_PER_WATT
 from bokehguide.scene.gltf.document import Document
 from bokehguide.scene.gltf.nodes import Placed
 from bokehguide.scene.gltf.parts import Part
+from bokehguide.scene.model import LightSizes
 from bokehguide.scene.shapes import sphere_subdivisions, spheres
 from bokehguide.scene.tables import EMITTER_RADIUS, NOT_NEGATIVE, Limits
-from bokehguide.scene.types import Cone, LightSizes, Material, Mesh, Sun, Vector, as_vector
+from bokehguide.scene.types import Cone, Material, Mesh, Sun, Vector, as_vector
 from bokehguide.scene.validation import check_triangles
 
 EXTENSION = "KHR_lights_punctual"

@@ -24,8 +24,9 @@ from bokehguide.scene.gltf.primitives import Deformation, read_primitive
 from bokehguide.scene.gltf.skins import Skins
 from bokehguide.scene.gltf.textures import Textures
 from bokehguide.scene.gltf.variants import material_of, select_variant
+from bokehguide.scene.model import LightSizes, Model, ModelState
 from bokehguide.scene.shapes import instanced
-from bokehguide.scene.types import LightSizes, Material, Mesh, Model, ModelState
+from bokehguide.scene.types import Material, Mesh
 from bokehguide.scene.validation import check_meshes, check_triangles
 
 

@@ -43,13 +43,7 @@ def read_primitive(
     if primitive.whole("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
         document.note("points and lines: left out", name)
         return None
-    wanted = KINDS | {f"TEXCOORD_{set_}": ("VEC2",) for set_ in range(max(uv_sets(material), 1))}
-    bent = material.normal_texture is not None or material.clearcoat_normal_texture is not None
-    if bent or material.anisotropy > 0.0:
-        wanted |= {"TANGENT": ("VEC4",)}
-    if deformation.joints is not None:
-        wanted |= SKINNING
-    stored, indices = _arrays(document, primitive, wanted)
+    stored, indices = _arrays(document, primitive, _wanted(material, deformation))
     if "POSITION" not in stored:
         document.note("primitives without positions: left out", name)
         return None
@@ -78,6 +72,15 @@ def read_primitive(
         tangents=_tangents(document, tangents, name),
         colors=_colors(arrays.get("COLOR_0")),
     )
+
+
+def _wanted(material: Material, deformation: Deformation) -> dict[str, tuple[str, ...]]:
+    """Kinds of the attributes that a primitive of `material` needs, by name."""
+    wanted = KINDS | {f"TEXCOORD_{set_}": ("VEC2",) for set_ in range(max(uv_sets(material), 1))}
+    bent = material.normal_texture is not None or material.clearcoat_normal_texture is not None
+    if bent or material.anisotropy > 0.0:
+        wanted |= {"TANGENT": ("VEC4",)}
+    return wanted if deformation.joints is None else wanted | SKINNING
 
 
 def _arrays(

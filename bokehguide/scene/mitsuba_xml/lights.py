@@ -16,8 +16,9 @@ from bokehguide.scene.mitsuba_xml.materials import Materials
 from bokehguide.scene.mitsuba_xml.sunsky import read_sunsky
 from bokehguide.scene.mitsuba_xml.textures import color_of, is_image, kind_of
 from bokehguide.scene.mitsuba_xml.tree import Plugin
+from bokehguide.scene.model import LightSizes
 from bokehguide.scene.shapes import spheres
-from bokehguide.scene.types import Cone, Environment, LightSizes, Material, Mesh, Sun, Vector, as_vector
+from bokehguide.scene.types import Cone, Environment, Material, Mesh, Sun, Vector, as_vector
 
 POINT_RADIUS = 0.01
 """Metres; the radius of the spheres that stand for point lights, as for those of glTF."""

@@ -14,6 +14,7 @@ from bokehguide.errors import printable
 from bokehguide.limits import LARGEST
 from bokehguide.scene.environments import load_environment_map
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.model import LightSizes
 from bokehguide.scene.pbrt.contents import Contents, Light
 from bokehguide.scene.pbrt.materials import Materials
 from bokehguide.scene.pbrt.octahedral import equirectangular, turned, upper_illuminance
@@ -22,7 +23,7 @@ from bokehguide.scene.pbrt.spectra import emission
 from bokehguide.scene.pbrt.textures import Textures, Value
 from bokehguide.scene.pbrt.transforms import inverse, linear
 from bokehguide.scene.shapes import sphere_subdivisions, spheres
-from bokehguide.scene.types import Cone, Environment, LightSizes, Material, Mesh, Sun, as_vector
+from bokehguide.scene.types import Cone, Environment, Material, Mesh, Sun, as_vector
 
 POINTS = ("point", "spot", "goniometric", "projection")
 """Light sources at a point."""

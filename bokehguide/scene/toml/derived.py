@@ -77,7 +77,9 @@ def derived_text(base: str, overrides: Overrides, exposure: float | str | None, 
 
 
 def _toml(value: Any) -> str:
-    """A number, a text or a tuple of numbers in TOML."""
+    """A number, a text, true or a tuple of numbers in TOML."""
+    if value is True:
+        return "true"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, str):

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from bokehguide.scene.model import Model
 from bokehguide.scene.shapes import transformed
-from bokehguide.scene.types import Material, Mesh, Model, Sun, Vector, as_vector
+from bokehguide.scene.types import Material, Mesh, Sun, Vector, as_vector
 
 
 def in_light_group(model: Model, group: str) -> Model:

@@ -15,6 +15,7 @@ from bokehguide.limits import LARGEST, MAX_KEY_DEPTH
 from bokehguide.scene.checks import check_light_group, located, read_exposure
 from bokehguide.scene.environments import constant_radiance, load_environment_map
 from bokehguide.scene.files import SceneFiles, require_file
+from bokehguide.scene.model import LightSizes, Model, ModelState
 from bokehguide.scene.model_files import load_model, refuse_format
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
 from bokehguide.scene.shapes import SHAPES, sphere_subdivisions, transform, transformed, unit_sphere
@@ -22,11 +23,13 @@ from bokehguide.scene.tables import ANY, EMITTER_RADIUS, NOT_NEGATIVE, SUN_ANGLE
 from bokehguide.scene.toml.lights import read_light_tables
 from bokehguide.scene.toml.materials import read_materials
 from bokehguide.scene.toml.placing import in_light_group, place_emitters, place_suns
-from bokehguide.scene.types import Environment, FilmSettings, LightSizes, Material, Mesh, Model, ModelState, Scene, Sun
+from bokehguide.scene.types import Environment, FilmSettings, Material, Mesh, Scene, Sun
 from bokehguide.scene.validation import check_meshes, check_triangles
 
 SCENE_KEYS = ("camera", "film", "environment", "sun", "light", "lights", "materials", "object")
 DEEP_KEY = re.compile(rf"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_KEY_DEPTH}}}""")
+BACKSLASH = re.compile(r"Unescaped '\\'|Invalid hex value")
+"""Messages of `tomllib` for a path of Windows."""
 OBJECT_KEYS = ("name", "shape", "file", "variant", "time", "group", "material", "translate", "rotate", "scale")
 
 
@@ -69,7 +72,8 @@ def parse_scene_file(path: Path, files: SceneFiles) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise BokehguideError(f"{path}: not UTF-8 text (byte {error.start}); save it so") from None
     except (ValueError, RecursionError) as error:  # endless numbers or brackets
-        raise BokehguideError(f"{path}: not valid TOML: {error}") from None
+        remedy = "; write / between the folders of a path" if BACKSLASH.match(str(error)) else ""
+        raise BokehguideError(f"{path}: not valid TOML: {error}{remedy}") from None
 
 
 def _read_film(root: Table) -> FilmSettings:
@@ -158,6 +162,8 @@ class _Objects:
 
 def _read_lights(root: Table) -> LightSizes:
     """The `[lights]` table."""
+    if isinstance(root.values.get("lights"), list):
+        root.fail("lights", "is a list; write [lights] for the sizes of models' lights, or [[light]] for a light")
     table = Table(root.values.get("lights", {}), root.file, "lights", ("radius", "sun_angle"))
     return LightSizes(
         radius=table.number("radius", None, EMITTER_RADIUS) if "radius" in table else None,

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from bokehguide.scene.model import ModelCamera, ModelLens
 from bokehguide.scene.tables import ANGLE_OF_VIEW
-from bokehguide.scene.types import ModelCamera, ModelLens, as_vector
+from bokehguide.scene.types import as_vector
 from bokehguide.scene.usd.libraries import UsdGeom
 from bokehguide.scene.usd.prims import Placed
 from bokehguide.scene.usd.stage import Stage

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from bokehguide.errors import BokehguideError, encoding_problem
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.model import Model, ModelState
 from bokehguide.scene.tables import shown
-from bokehguide.scene.types import Model, ModelState
 from bokehguide.scene.usd.loading import read_usd
 from bokehguide.scene.usd.stage import BinaryLayer
 

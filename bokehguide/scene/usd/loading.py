@@ -11,8 +11,9 @@ import numpy as np
 from bokehguide.limits import MAX_SIDE
 from bokehguide.scene.checks import located
 from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.model import Model, ModelCamera, ModelState
 from bokehguide.scene.shapes import instanced, transformed
-from bokehguide.scene.types import Environment, FilmSettings, Material, Mesh, Model, ModelCamera, ModelState, Sun
+from bokehguide.scene.types import Environment, FilmSettings, Material, Mesh, Sun
 from bokehguide.scene.usd.cameras import read_camera
 from bokehguide.scene.usd.domes import DOMES, read_dome
 from bokehguide.scene.usd.import_report import supported
