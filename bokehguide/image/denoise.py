@@ -10,8 +10,7 @@ where T is the truth. The halves have the mean T. For uncorrelated noise of A an
 
     V by s (1 - s) (A - B)²,  G by s² (A - B)(A - D(A)) + (1 - s)² (B - A)(B - D(B)),  Q by (D - N)².
 
-V's estimate takes the variance of a half to be inversely proportional to its samples. Stratified samples make the noise of the
-halves negatively correlated, so that the estimates of V and G are too large. w = G / Q has the least error. With more
+V's estimate takes the variance of a half to be inversely proportional to its samples. w = G / Q has the least error. With more
 samples G falls as 1 / samples and Q tends to the squared bias of the denoiser, so that the mixture tends to the truth. D(N) is
 used for D(A) and D(B) because a denoiser works better on all samples than on half of the samples. Sums have Gaussian windows and
 are relative to the brightness, as MAPE is. (Squared errors from noisy pictures alone: Stein 1981; from two halves: Rousselle,

@@ -36,5 +36,5 @@ def denoise_picture(picture: Film | HalvesFilm, layers: Mapping[str, np.ndarray]
     denoised = denoise_halves(first.numpy(), second.numpy(), share.numpy(), *features, seen, layers["variance"])
     if denoised.error_ratio is None:
         return DenoisedPicture(denoised.radiance, None)
-    noise = relative_error(first.permute(2, 0, 1), second.permute(2, 0, 1)).permute(1, 2, 0).numpy()
+    noise = relative_error(first.permute(2, 0, 1), second.permute(2, 0, 1), share).permute(1, 2, 0).numpy()
     return DenoisedPicture(denoised.radiance, float((noise * denoised.error_ratio[..., None]).mean()))

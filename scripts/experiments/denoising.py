@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from real_scenes import REAL_SCENES, load_any
 
-from bokehguide.cli.arguments import Parser, positive, size
+from bokehguide.cli.parser import Parser, positive, size
 from bokehguide.cli.scripts import run
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.image.denoise import denoise_by_variance, denoise_halves
@@ -91,7 +91,7 @@ def measured(kept: Mapping[str, np.ndarray], reference: np.ndarray) -> list[floa
     other = denoise_by_variance(noisy, kept["variance"], albedo, normal)
     pictures = (noisy, Denoiser(albedo, normal)(noisy), mixed.radiance, other.radiance)
     halves = (torch.from_numpy(half).permute(2, 0, 1) for half in (first, second))
-    estimated = relative_error(*halves).permute(1, 2, 0).numpy() * mixed.error_ratio[..., None]
+    estimated = relative_error(*halves, torch.from_numpy(share)).permute(1, 2, 0).numpy() * mixed.error_ratio[..., None]
     truth = torch.from_numpy(reference)
     return [*(mape(torch.from_numpy(picture), truth) for picture in pictures), float(estimated.mean())]
 

@@ -1,9 +1,11 @@
 """The mixture of noisy and denoised picture: never worse, and the truth in the end."""
 
+import math
 import sys
 
 import numpy as np
 import pytest
+import torch
 
 from bokehguide.errors import BokehguideError
 from bokehguide.image import denoise
@@ -180,8 +182,17 @@ def test_the_estimated_error_of_a_denoised_picture_is_the_noise_times_the_ratio(
         for _ in range(4):
             loop.step()
     first, second = (half.permute(2, 0, 1) for half in loop.film.halves()[:2])
-    noise = float(relative_error(first, second).mean())
+    noise = float(relative_error(first, second, 0.75).mean())  # steps 1, 3 and 4, and step 2
     assert noise > 0.0 and denoising.denoise_picture(loop.film).estimated_mape == pytest.approx(0.25 * noise)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8])
+def test_the_relative_error_of_a_mean_of_unequal_halves(share):
+    random = torch.Generator().manual_seed(1)
+    halves = [1.0 + 0.01 / math.sqrt(part) * torch.randn(3, 64, 64, generator=random) for part in (share, 1.0 - share)]
+    errors = (share * halves[0] + (1.0 - share) * halves[1] - 1.0).abs()
+    estimated = relative_error(*halves, torch.full((64, 64), share))
+    assert float(estimated.mean()) == pytest.approx(float(errors.mean()) / 1.01, rel=0.02)
 
 
 def test_rare_bright_pixels_do_not_hide_the_error_of_the_others(monkeypatch):
