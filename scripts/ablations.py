@@ -150,7 +150,7 @@ CHANGES = {
     "parts": [split(count) for count in (1, 4, 8)],
     "group": [group(1), group(4), group(8), group(32)],
     "spread": values_of("α of reused surfaces by the views' angle", "min_spread", [0.05, 0.5, 1.0], "guided"),
-    "shrinkage": values_of("shrinkage of the control variate", "control_shrinkage", [0.1, 64.0, 1e30], "guided"),
+    "shrinkage": values_of("shrinkage of the control variate", "control_shrinkage", [0.1, 64.0, 1e18], "guided"),
     "axes": values_of("half axes of found highlights, standard deviations", "highlight_axes", [1.7, 3.2], "guided"),
     "depth": [guided_without("voxels by depth")],
     "proportions": [guided_without("ellipsoids (else balls)")],

@@ -2,12 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
-from bokehguide.errors import BokehguideError
+from bokehguide.limits import MAX_INT
+from bokehguide.scene.checks import Fields
+from bokehguide.scene.tables import NOT_NEGATIVE, POSITIVE, Limits
 
-GROUP_SIZES = (1, 2, 4, 8, 16, 32, 64)
-"""Numbers of pixels of a group that reuses primary hits. The native core has tables of this size."""
+COUNT = Limits("a whole number from 1 to 64", low=1, high=64)
+GROUP = Limits("a power of two from 1 to 64", low=1, high=64)
+"""Number of pixels of a group that reuses primary hits. The native core has tables for 64."""
+BLEND = Limits("a number from 0.001 to 0.999; the uniform part keeps the estimator unbiased", low=1e-3, high=0.999)
+GUIDED = {
+    **dict.fromkeys(("blend_pool", "split_count", "max_split_count", "light_candidates"), COUNT),
+    **dict.fromkeys(("reuse_group", "denoised_reuse_group"), GROUP),
+    **dict.fromkeys(("first_blend", "min_blend", "max_blend"), BLEND),
+    **dict.fromkeys(("emitter_scale", "highlight_axes"), POSITIVE),
+    **dict.fromkeys(("candidate_slack", "min_spread", "control_shrinkage", "unshared_control_shrinkage"), NOT_NEGATIVE),
+    "bsdf_candidates": Limits("a whole number from 0 to 64", low=0, high=64),
+}
+"""Limits of the numbers of `GuidedConfig`."""
+
+
+def _check(config: Any, **limits: Limits) -> None:
+    """Raise FieldError for a field of another type than its default or out of its limits. Other fields are `highlights`."""
+    checked = Fields(config)
+    for each in fields(config):
+        if isinstance(each.default, bool):
+            checked.check_flags(each.name)
+        elif isinstance(each.default, int):
+            checked.check_wholes(**{each.name: limits[each.name]})
+        elif isinstance(each.default, float):
+            checked.check_numbers(**{each.name: limits[each.name]})
+        else:
+            checked.check_instances(HighlightConfig, each.name, optional=False)
 
 
 @dataclass(frozen=True)
@@ -17,11 +45,17 @@ class HighlightConfig:
     radiance_threshold: least luminance of a highlight's cell, over the mean luminance of the frame.
     coc_threshold: least diameter of a highlight's circle of confusion, pixels.
     depth_gap: least gap, in cell widths, at which the sorted depths of connected cells are split into two highlights.
+
+    Raises BokehguideError for a value out of range.
     """
 
     radiance_threshold: float = 8.0
     coc_threshold: float = 4.0
     depth_gap: float = 8.0
+
+    def __post_init__(self) -> None:
+        gap = Limits("cell widths of 0 or more, or inf for no split", low=0.0, infinity=True)
+        _check(self, radiance_threshold=NOT_NEGATIVE, coc_threshold=NOT_NEGATIVE, depth_gap=gap)
 
 
 @dataclass(frozen=True)
@@ -35,6 +69,8 @@ class GaussianConfig:
     sigma_scale: α of σ = α R_b (section 4.2.4).
     offset_slack: enlargement, in σ, of the disc of pixels that have a frozen Gaussian as a candidate. Offsets may move its mean.
     highlights: thresholds for highlights.
+
+    Raises BokehguideError for a value out of range.
     """
 
     blend: float = 0.8
@@ -45,6 +81,12 @@ class GaussianConfig:
     sigma_scale: float = 0.5
     offset_slack: float = 2.0
     highlights: HighlightConfig = field(default_factory=HighlightConfig)
+
+    def __post_init__(self) -> None:
+        rates = {"blend_rate": NOT_NEGATIVE, "offset_rate": NOT_NEGATIVE, "offset_slack": NOT_NEGATIVE}
+        fits = Limits(f"a whole number from 1 to {MAX_INT}", low=1, high=MAX_INT)
+        degree = Limits("a whole number from 0 to 4", low=0, high=4)
+        _check(self, blend=BLEND, offset_degree=degree, fits=fits, sigma_scale=POSITIVE, **rates)
 
 
 @dataclass(frozen=True)
@@ -75,7 +117,7 @@ class GuidedConfig:
     Paths:
     split_count: number of paths after the primary hit of a sample of weight 1. The number is proportional to the weight.
     max_split_count: largest number of paths of a sample.
-    reuse_group: number of pixels of a group that reuses primary hits, one of GROUP_SIZES (see `PixelGroups`).
+    reuse_group: number of pixels of a group that reuses primary hits, a power of two up to 64 (see `PixelGroups`).
     denoised_reuse_group: as `reuse_group`, in a render with a denoiser. A denoiser removes independent noise, and keeps noise
     that pixels share. `scripts/experiments/denoising.py` measures the effect.
     min_spread: least GGX α of a reused surface, over the angle in radians between two lens points of a group.
@@ -90,7 +132,7 @@ class GuidedConfig:
     learn_visibility: whether the resampling weights include the learned visibility of the cluster.
     learn_mis: whether a factor of the MIS weights of light samples is learned.
 
-    Raises BokehguideError for a group of another size.
+    Raises BokehguideError for a value out of range.
     """
 
     known_emitters: bool = True
@@ -129,6 +171,12 @@ class GuidedConfig:
     learn_mis: bool = True
 
     def __post_init__(self) -> None:
+        _check(self, **GUIDED)
+        checked = Fields(self)
         for name in ("reuse_group", "denoised_reuse_group"):
-            if (size := getattr(self, name)) not in GROUP_SIZES:
-                raise BokehguideError(f"{name}: {size!r} is no size of a group; choose one of {', '.join(map(str, GROUP_SIZES))}")
+            if getattr(self, name).bit_count() > 1:
+                checked.fail(name, f"is out of range; give {GROUP.remedy}")
+        if not self.blend_pool % 2:
+            checked.fail("blend_pool", "is even; give the odd side of a square around the pixel")
+        if self.min_blend > self.max_blend:
+            checked.fail("min_blend", f"is above max_blend, {self.max_blend:g}; give a smaller number")

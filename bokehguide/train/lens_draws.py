@@ -14,8 +14,8 @@ from bokehguide.guiding.protocols import LensPoints, LensQuery
 def draw(mode: str, query: object, focus: Tensor) -> LensPoints:
     """The lens points of a query. mode: its name, for errors. focus: focus points of the pixels, `[3, N]`.
 
-    Raises BokehguideError if `query` is no `LensQuery`, and for points or weights of another type, shape or device. The film
-    leaves out values that are not finite.
+    A point that is not finite gets the weight NaN, so that the film counts and reports the sample as a bad one. Raises
+    BokehguideError if `query` is no `LensQuery`, and for points or weights of another type, shape or device.
     """
     if not isinstance(query, LensQuery):
         raise BokehguideError(f"mode: {mode}: query(batch) returned a {type(query).__name__}; return a LensQuery")
@@ -28,7 +28,7 @@ def draw(mode: str, query: object, focus: Tensor) -> LensPoints:
         wanted = _kind(torch.float32, shape, device)
         if found != wanted:
             raise BokehguideError(f"{source} {name}: {found}; return {wanted} for {count} pixels")
-    return drawn
+    return drawn._replace(weight=torch.where(drawn.points.isfinite().all(0), drawn.weight, torch.nan))
 
 
 def _kind(dtype: torch.dtype, shape: Sequence[int], device: torch.device) -> str:

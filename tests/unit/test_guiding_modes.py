@@ -8,7 +8,7 @@ import torch
 from bokehguide import BokehguideError, RenderLoop, RenderSettings
 from bokehguide.guiding import register_mode
 from bokehguide.guiding.builders import uniform
-from bokehguide.guiding.config import GuidedConfig
+from bokehguide.guiding.config import GaussianConfig, GuidedConfig, HighlightConfig
 from bokehguide.guiding.modes import MODES, ModeEntry
 from bokehguide.guiding.protocols import LensPoints, LensQuery, LensSampler, LightStrategy, Mode, SampleReuse
 from bokehguide.runtime.timer import PhaseTimer
@@ -166,11 +166,17 @@ def test_a_lens_query_of_another_class_is_told_in_a_line():
     assert told == "mode: own: query(batch) returned a NoneType; return a LensQuery"
 
 
-def test_samples_with_a_weight_that_is_not_finite_are_left_out():
-    register_mode("own", drawing(lambda points, weight: LensPoints(points, weight * torch.nan)))
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+@pytest.mark.parametrize("name", ["points", "weight"])
+def test_samples_with_a_lens_point_or_a_weight_that_is_not_finite_are_left_out(name, bad):
+    def spoilt(points, weight):
+        {"points": points[1], "weight": weight}[name][::2] = bad
+        return LensPoints(points, weight)
+
+    register_mode("own", drawing(spoilt))
     with RenderLoop(scenes.emitters(16, 10), RenderSettings("own", 1, threads=1)) as loop:
         loop.step()
-        assert loop.film.bad_count == 160
+        assert loop.film.bad_count == 80 and loop.film.radiance().isfinite().all()
 
 
 @pytest.mark.parametrize(
@@ -219,5 +225,28 @@ def test_a_builder_that_fails_is_told_in_a_line(builder, told, registry):
 @pytest.mark.parametrize("size", [0, 3, 12, 128, 1.5, None])
 def test_a_group_of_another_size_is_refused(name, size):
     """The native core has no tables for larger groups, and the numbers of members are bits."""
-    with pytest.raises(BokehguideError, match=f"{name}: {size} is no size of a group; choose one of 1, 2, 4, 8, 16, 32, 64"):
+    with pytest.raises(BokehguideError, match=f"GuidedConfig.{name}: {size} is out of range; give a power of two from 1 to 64"):
         GuidedConfig(**{name: size})
+
+
+@pytest.mark.parametrize(
+    ("config", "name", "value", "told"),
+    [
+        (GuidedConfig, "split_count", 0, "0 is out of range; give a whole number from 1 to 64"),
+        (GuidedConfig, "light_candidates", 2.0, "2.0 is out of range"),
+        (GuidedConfig, "blend_pool", 4, "4 is even"),
+        (GuidedConfig, "first_blend", 1.5, "1.5 is out of range"),
+        (GuidedConfig, "min_blend", 0.95, "0.95 is above max_blend, 0.9"),
+        (GuidedConfig, "emitter_scale", "1", "'1' is not a number"),
+        (GuidedConfig, "learn_lights", 1, "1 is neither true nor false"),
+        (GuidedConfig, "highlights", None, "None is no HighlightConfig"),
+        (GaussianConfig, "blend", 1.0, "1.0 is out of range"),
+        (GaussianConfig, "offset_degree", -1, "-1 is out of range"),
+        (GaussianConfig, "fits", 0, "0 is out of range"),
+        (GaussianConfig, "sigma_scale", float("nan"), "nan is"),
+        (HighlightConfig, "depth_gap", -1.0, "-1.0 is out of range"),
+    ],
+)
+def test_settings_out_of_range_are_refused(config, name, value, told):
+    with pytest.raises(BokehguideError, match=f"{config.__name__}.{name}: {told}"):
+        config(**{name: value})
