@@ -133,7 +133,7 @@ def reported(mode: str, pixels: Pixels = slice(0, COUNT)) -> tuple[Any, Tensor]:
 @pytest.mark.parametrize("mode", ("lis-o", "guided"))
 def test_weights_ratios_and_light_agree(both, mode, pixels):
     learned, (samples, good) = guide(mode), reported(mode, pixels)
-    query = samples.query.mixtures[0]
+    query = samples.query
     assert 100 < int(query.mixture.guided.sum()) < len(good)
     found, expected = both(lambda: learned._weights_and_ratios(samples, good, query))
     assert torch.equal(found[0], expected[0]) and not found[0][60:63].any() and not found[0][~good].any()
@@ -197,7 +197,7 @@ def test_success_rates_of_candidates_agree(both, pixels):
 def test_weights_of_lens_points_agree(mode):
     learned = guide(mode)
     query = learned.query(pixel_batch(learned, slice(0, COUNT)))
-    mixture = query.mixtures[0].mixture
+    mixture = query.mixture
     points = 1.2 * mixture.lens.radius * (2.0 * numbers(2, COUNT) - 1.0)
     at = mixture.evaluate(points)
     at = LensDensity(at.points, at.components, at.mixture, at.density * (numbers(COUNT, seed=3) < 0.9))
