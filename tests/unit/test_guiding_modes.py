@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -174,7 +176,7 @@ def test_samples_with_a_lens_point_or_a_weight_that_is_not_finite_are_left_out(n
         return LensPoints(points, weight)
 
     register_mode("own", drawing(spoilt))
-    with RenderLoop(scenes.emitters(16, 10), RenderSettings("own", 1, threads=1)) as loop:
+    with RenderLoop(replace(scenes.emitters(16, 10), environment=None), RenderSettings("own", 1, threads=1)) as loop:
         loop.step()
         assert loop.film.bad_count == 80 and loop.film.radiance().isfinite().all()
 
