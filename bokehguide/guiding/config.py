@@ -13,7 +13,7 @@ COUNT = Limits("a whole number from 1 to 64", low=1, high=64)
 GROUP = Limits("a power of two from 1 to 64", low=1, high=64)
 """Number of pixels of a group that reuses primary hits. The native core has tables for 64."""
 BLEND = Limits("a number from 0.001 to 0.999; the uniform part keeps the estimator unbiased", low=1e-3, high=0.999)
-GUIDED = {
+GUIDED_LIMITS = {
     **dict.fromkeys(("blend_pool", "split_count", "max_split_count", "light_candidates"), COUNT),
     **dict.fromkeys(("reuse_group", "denoised_reuse_group"), GROUP),
     **dict.fromkeys(("first_blend", "min_blend", "max_blend"), BLEND),
@@ -24,8 +24,11 @@ GUIDED = {
 """Limits of the numbers of `GuidedConfig`."""
 
 
-def _check(config: Any, **limits: Limits) -> None:
-    """Raise FieldError for a field of another type than its default or out of its limits. Other fields are `highlights`."""
+def _checked(config: Any, **limits: Limits) -> Fields:
+    """The fields. Raises FieldError for a field of another type than its default, or out of its limits.
+
+    limits: of the numbers. Fields without a default value are instances of `HighlightConfig`.
+    """
     checked = Fields(config)
     for each in fields(config):
         if isinstance(each.default, bool):
@@ -36,6 +39,7 @@ def _check(config: Any, **limits: Limits) -> None:
             checked.check_numbers(**{each.name: limits[each.name]})
         else:
             checked.check_instances(HighlightConfig, each.name, optional=False)
+    return checked
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class HighlightConfig:
 
     def __post_init__(self) -> None:
         gap = Limits("cell widths of 0 or more, or inf for no split", low=0.0, infinity=True)
-        _check(self, radiance_threshold=NOT_NEGATIVE, coc_threshold=NOT_NEGATIVE, depth_gap=gap)
+        _checked(self, radiance_threshold=NOT_NEGATIVE, coc_threshold=NOT_NEGATIVE, depth_gap=gap)
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ class GaussianConfig:
         rates = {"blend_rate": NOT_NEGATIVE, "offset_rate": NOT_NEGATIVE, "offset_slack": NOT_NEGATIVE}
         fits = Limits(f"a whole number from 1 to {MAX_INT}", low=1, high=MAX_INT)
         degree = Limits("a whole number from 0 to 4", low=0, high=4)
-        _check(self, blend=BLEND, offset_degree=degree, fits=fits, sigma_scale=POSITIVE, **rates)
+        _checked(self, blend=BLEND, offset_degree=degree, fits=fits, sigma_scale=POSITIVE, **rates)
 
 
 @dataclass(frozen=True)
@@ -171,8 +175,7 @@ class GuidedConfig:
     learn_mis: bool = True
 
     def __post_init__(self) -> None:
-        _check(self, **GUIDED)
-        checked = Fields(self)
+        checked = _checked(self, **GUIDED_LIMITS)
         for name in ("reuse_group", "denoised_reuse_group"):
             if getattr(self, name).bit_count() > 1:
                 checked.fail(name, f"is out of range; give {GROUP.remedy}")

@@ -42,7 +42,7 @@ NO_SCENES = {
     ".hdr": "is an environment map, and no scene; give a scene or a model, with --environment {0}",
     ".ckpt": "is a checkpoint, and no scene; give the scene of its render, with --out {1} --resume",
 }
-"""Descriptions and remedies of files that are no scenes, with the path of the file and this path with the suffix .exr."""
+"""Description and remedy by suffix of a file. {0} is the path of the file, and {1} is the path with the suffix .exr."""
 
 
 def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> Scene:
