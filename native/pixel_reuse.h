@@ -16,10 +16,11 @@ using bokehguide::MOST_MEMBERS;
 using bokehguide::OwnSamples;
 using bokehguide::PixelGroups;
 using bokehguide::ReusedGroups;
+using bokehguide::ROWS_PER_BAND;
 using bokehguide::ViewRows;
 
 // Groups end with bands of ROWS_PER_BAND rows and with bands of 2^COLUMN_BITS columns.
-constexpr int ROWS_PER_BAND = 8, COLUMN_BITS = 5, FRONT_ROW = 12;
+constexpr int COLUMN_BITS = 5, FRONT_ROW = 12;
 constexpr float GROUP_SPACING = 3.0f, INFINITELY_DEEP = 1e30f, SHORTENED = 1.0f - 1e-4f;
 
 inline Vec3 camera_to_world(const bokehguide::Camera& c, Vec3 v) {
@@ -104,8 +105,9 @@ class PixelHits {
 // A member of the groups of a vector of pixels (`_members`), as indices into the batch; -1 for none.
 inline Int member_of(const PixelGroups& groups, const ViewRows& v, int member, int64_t i) {
     const Int x = load<Int>(v.column + i), line = load<Int>(v.line + i);
-    const Int column = ((x + groups.right) ^ groups.across[member]) - groups.right;
     const Int row = ((line + groups.below) ^ groups.down[member]) - groups.below;
+    const auto right = [&](Int of) { return gather(groups.right, of & (ROWS_PER_BAND - 1)); };
+    const Int column = ((x + right(line)) ^ groups.across[member]) - right(row);
     const Int there = load<Int>(v.number + i) + (row - line) * groups.width + column - x;
     const Int inside = (column < groups.width) & ((column >> COLUMN_BITS) == (x >> COLUMN_BITS)) & (row >= 0) & (row < ROWS_PER_BAND) &
                        (there >= 0) & (there < v.numbers);

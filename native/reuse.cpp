@@ -141,7 +141,8 @@ class Views {
         lens_.passing = float(number(numbers, "passing")), lens_.focus_distance = float(number(numbers, "focus_distance"));
         lens_.pixel_slope = float(number(numbers, "pixel_slope")), min_spread_ = number(numbers, "min_spread");
         const auto whole = [&](const char* name) { return int32_t(number(numbers, name)); };
-        groups_.width = whole("width"), groups_.right = whole("right"), groups_.below = whole("below");
+        groups_.width = whole("width"), groups_.below = whole("below");
+        std::memcpy(groups_.right, entry<Ints>(arrays_, "right", ROWS_PER_BAND).data(), sizeof groups_.right);
         const Ints offsets = nb::cast<Ints>(arrays_["offsets"], false);
         groups_.members = int32_t(offsets.size() / 2);
         if (offsets.size() < 2 || offsets.size() > 2 * MOST_MEMBERS) throw std::invalid_argument("groups of at most 64 pixels");

@@ -244,13 +244,13 @@ struct SuccessTiles {
     const float* rates;
 };
 
-constexpr int MOST_MEMBERS = 64;
+constexpr int MOST_MEMBERS = 64, ROWS_PER_BAND = 8;
 // Groups of pixels of a film that reuse each other's primary hits (guiding/pixel_groups.py): the number of the first
-// pixel of a batch and of all pixels, null for consecutive ones; the width of the film, the shift of tiles, and `PixelGroups.offsets`.
+// pixel of a batch and of all pixels, null for consecutive ones; the width of the film, the shifts of tiles, and `PixelGroups.offsets`.
 struct PixelGroups {
     int64_t first;
     const int64_t* pixels;
-    int32_t width, right, below, members, across[MOST_MEMBERS], down[MOST_MEMBERS];
+    int32_t width, right[ROWS_PER_BAND], below, members, across[MOST_MEMBERS], down[MOST_MEMBERS];
 };
 
 // One sample for each of some pixels; rows as in `Tables`.

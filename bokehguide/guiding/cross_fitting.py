@@ -40,15 +40,15 @@ class _Places(NamedTuple):
     @classmethod
     def of(cls, places: Pixels, groups: PixelGroups, device: torch.device) -> _Places:
         numbers = pixel_numbers(places, device)
-        row, x = numbers // groups.width, numbers % groups.width + groups.right
+        row = numbers // groups.width
+        x = groups.columns(numbers % groups.width, row)
         first = places.start if isinstance(places, slice) else int(numbers[0])
         last = places.stop - 1 if isinstance(places, slice) else int(numbers[-1])
         rows = ROWS_PER_BAND * groups.width
         band, y = row // ROWS_PER_BAND - first // rows, row % ROWS_PER_BAND + groups.below
         down = (ROWS_PER_BAND - 1 + groups.below) // groups.down + 1
-        across = (groups.width - 1 + groups.right) // groups.across + 1
-        shape = (last // rows - first // rows + 1, down, across, 2)
-        tile = (band * down + y // groups.down) * across + x // groups.across
+        shape = (last // rows - first // rows + 1, down, groups.tiles_across, 2)
+        tile = (band * down + y // groups.down) * groups.tiles_across + x // groups.across
         return cls(2 * tile + _parity((y % groups.down * groups.across + x % groups.across) & groups.mask), shape)
 
     def sums(self, values: Tensor) -> Tensor:

@@ -68,7 +68,7 @@ def native_reuse(
     if record is None:
         return None
     offsets = torch.tensor(groups.offsets(), dtype=torch.int32)
-    arrays = _arrays(camera, samples) | {"offsets": offsets}
+    arrays = _arrays(camera, samples) | {"offsets": offsets, "right": torch.tensor(groups.right, dtype=torch.int32)}
     views = native.views(arrays, _numbers(camera, groups, min_spread), record, *_pixels(samples.batch.places))
     if not camera.lens.is_disc and len(views) > 0:
         points, viewer, _ = _points(views)
@@ -123,7 +123,6 @@ def _numbers(camera: ThinLensCamera, groups: PixelGroups, min_spread: float) -> 
         "pixel_slope": camera.pixel_slope,
         "min_spread": min_spread,
         "width": groups.width,
-        "right": groups.right,
         "below": groups.below,
     }
     return {name: float(value) for name, value in numbers.items()}

@@ -50,7 +50,8 @@ def by_light(radiance: Tensor) -> Tensor:
 
 def group_of(groups: PixelGroups, pixel: int) -> tuple[int, int, int, int]:
     """Band, row of tiles, tile and group of a pixel."""
-    x, row = pixel % WIDTH + groups.right, pixel // WIDTH
+    row = pixel // WIDTH
+    x = pixel % WIDTH + groups.right[row % ROWS_PER_BAND]
     y = row % ROWS_PER_BAND + groups.below
     place = y % groups.down * groups.across + x % groups.across
     return row // ROWS_PER_BAND, y // groups.down, x // groups.across, (place & groups.mask).bit_count() % 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -295,7 +296,7 @@ def half_tile(tile: PixelGroups, pixel: int) -> tuple[int, ...]:
     """Band, tile and half of the tile to which a pixel belongs."""
     (y, x), bits = divmod(pixel, tile.width), (tile.across * tile.down).bit_length() - 1
     row, line = divmod(y % ROWS_PER_BAND + tile.below, tile.down)
-    column, place = divmod(x + tile.right, tile.across)
+    column, place = divmod(x + tile.right[y % ROWS_PER_BAND], tile.across)
     number = line * tile.across + place
     half = sum(number >> bit & tile.mask >> bit & 1 for bit in range(bits)) % 2
     return y // ROWS_PER_BAND, x // COLUMNS, row, column, half
@@ -364,20 +365,45 @@ def test_adjacent_pixels_of_a_band_are_in_one_compact_group_in_some_steps(width,
 @pytest.mark.parametrize("size, long, short", [(GROUP, 8, 4), (8, 4, 4), (4, 4, 2)])
 @pytest.mark.parametrize("width, height", [(13, 19), (3, 9)])
 def test_adjacent_pixels_of_a_band_are_in_one_scattered_group_in_few_steps(width, height, size, long, short):
-    """Adjacent pixels whose places in a tile differ in the lowest bit alone are never in one group. Others in a tile are in one
-    group in every second step. No group crosses bands."""
+    """Adjacent pixels of a row whose places in a tile differ in the lowest bit alone are never in one group. Others in a tile are
+    in one group in every second step. No group crosses bands."""
     together, inside = share_together(width, height, size, scattered=True)
     shares = [(side - 2) / (4 * side) for side in (long, short)]
     expected = 0.5 * sum(shares)
     error = math.sqrt(expected * (1.0 - expected) / 400)
     assert float(np.abs(together[0, :, :-1] - expected).max()) < 4.5 * error  # all pixels have one of a few places in tiles
     down = together[1, :-1][inside]
+    expected = 0.5 * (share_below(long, short) + share_below(short, long))
     if long == ROWS_PER_BAND:  # tiles as high as a band stay in their band
-        expected = 0.5 * (shares[0] * long / (long - 1) + shares[1])
+        expected = 0.5 * (share_below(short, long) * long / (long - 1) + share_below(long, short))
         assert abs(down[: ROWS_PER_BAND - 1].mean() - expected) < 4.5 * error
     else:
         assert float(np.abs(down - expected).max()) < 4.5 * error
     assert not together[1, :-1][~inside].any()
+
+
+def share_below(across: int, down: int) -> float:
+    """The share of all places, shifts and patterns of scattered tiles in which the pixel below is in the same group."""
+    found, shifts = [], (0, 2)
+    for x, y, first, second, pattern in product(range(across), range(down), shifts, shifts, range(across * down)):
+        columns, row = (x + first, x + second), y + 1
+        bits = (columns[0] ^ columns[1]) + across * (y ^ row) & (pattern | 1 | across)
+        same_tile = columns[0] // across == columns[1] // across and row < down
+        found.append(same_tile and bits.bit_count() % 2 == 0)
+    return float(np.mean(found))
+
+
+def test_scattered_tiles_have_ragged_edges():
+    """Half of the rows shift by two columns. Compact tiles have straight edges."""
+    for width in (4, 8):
+        tiles = [PixelGroups.of(70, GROUP, hash_int(step), True) for step in range(200)]
+        right = np.array([tile.right for tile in tiles if tile.across == width])
+        least = right.min(1, keepdims=True)
+        assert set(least.flat) >= set(range(width)) and set((right - least).flat) == {0, 2}
+        assert abs(np.mean(right[:, 1:] == right[:, :1]) - 0.5) < 4.5 * 0.5 / math.sqrt(right[:, 1:].size)
+    compact = [PixelGroups.of(70, GROUP, hash_int(step), False) for step in range(100)]
+    assert all(len(set(tile.right)) == 1 for tile in compact)
+    assert {tile.right[0] for tile in compact} == set(range(8))
 
 
 @pytest.mark.parametrize("count", [2, 3])
