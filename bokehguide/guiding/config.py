@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from bokehguide.limits import MAX_INT
+from bokehguide.models.blend_weight import MAX_BLEND, MIN_BLEND
 from bokehguide.scene.checks import Fields
 from bokehguide.scene.tables import NOT_NEGATIVE, POSITIVE, Limits
 
@@ -66,10 +67,11 @@ class HighlightConfig:
 class GaussianConfig:
     """Settings of the paper's modes `lis`, `lis-b` and `lis-o`.
 
-    blend: initial β (section 6.1). In `lis`, β keeps this value.
+    blend: initial β (section 6.1), from 0.05 to 0.95. In `lis`, β keeps this value.
     blend_rate, offset_rate: learning rates of the logit of β and of the polynomial coefficients (section 6.1).
     offset_degree: degree of the polynomials (Eq. 29).
-    fits: number of fits before `lis-o` freezes the Gaussians. Without a Gaussian, `lis-o` waits until the end of a later epoch.
+    fits: number of fits before `lis-o` freezes the Gaussians, rounded up to a power of two. Without a Gaussian, `lis-o` waits
+    until the end of a later epoch.
     sigma_scale: α of σ = α R_b (section 4.2.4).
     offset_slack: enlargement, in σ, of the disc of pixels that have a frozen Gaussian as a candidate. Offsets may move its mean.
     highlights: thresholds for highlights.
@@ -90,7 +92,8 @@ class GaussianConfig:
         rates = {"blend_rate": NOT_NEGATIVE, "offset_rate": NOT_NEGATIVE, "offset_slack": NOT_NEGATIVE}
         fits = Limits(f"a whole number from 1 to {MAX_INT}", low=1, high=MAX_INT)
         degree = Limits("a whole number from 0 to 4", low=0, high=4)
-        _checked(self, blend=BLEND, offset_degree=degree, fits=fits, sigma_scale=POSITIVE, **rates)
+        blend = Limits("a number from 0.05 to 0.95", low=MIN_BLEND, high=MAX_BLEND)
+        _checked(self, blend=blend, offset_degree=degree, fits=fits, sigma_scale=POSITIVE, **rates)
 
 
 @dataclass(frozen=True)

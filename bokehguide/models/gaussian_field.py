@@ -31,7 +31,7 @@ class GaussianField(nn.Module):
 
     @torch.no_grad()
     def assign(self, mean: Tensor, radius: Tensor, sigma: Tensor, energy: Tensor) -> None:
-        """Replace all Gaussians.
+        """Replace all Gaussians by G others: means `[3, G]`; radii, sigmas and energies `[G]`; units as in the class.
 
         Raises ValueError for a Gaussian that is not finite, and for a Gaussian without extent or energy.
         """

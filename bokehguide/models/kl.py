@@ -1,8 +1,9 @@
 """The one-sample KL divergence and its gradients in closed form (Eq. 25).
 
 The loss of a batch is -Σ ratio · log(A q). The factor ratio = L / (A q) is a constant of the differentiation. It contains the
-importance weight that Eq. 25 omits (Müller et al. 2019). A lens point outside the aperture has the ratio 0 and the gradient 0.
-Tests compare these formulas with automatic differentiation of the same loss.
+importance weight that Eq. 25 omits (Müller et al. 2019). Guides give L in units of the frame's mean
+luminance. A lens point outside the aperture has the ratio 0 and the gradient 0. Tests compare these formulas with automatic
+differentiation of the same loss.
 """
 
 from __future__ import annotations

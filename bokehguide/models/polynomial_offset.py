@@ -24,8 +24,9 @@ class PolynomialOffset(nn.Module):
     """D(x_r), the offset of each Gaussian's mean as a polynomial of the raster position; 0 at the start.
 
     The argument of the polynomial is (raster position - pinhole projection of the mean) / radius of the Gaussian's disc on the
-    raster. The coefficients are in units of the Gaussian's R_b. One learning rate then suits every scene and resolution. If no
-    pixel samples a Gaussian in a step, its gradient is 0. Adam's momentum may still move the Gaussian.
+    raster. Both components are clamped to -2 … 2, as pixels outside the disc may have the Gaussian as a candidate. The
+    coefficients are in units of the Gaussian's R_b. One learning rate then suits every scene and resolution. If no pixel samples
+    a Gaussian in a step, its gradient is 0. Adam's momentum may still move the Gaussian.
 
     degree: of the polynomial. coefficients: component by monomial by Gaussian, `[3, 6, G]`.
     """

@@ -26,9 +26,7 @@ from bokehguide.image import Display
 from bokehguide.scene import Inset, Scene
 from bokehguide.train import RenderLoop, RenderSettings
 
-HIGH = 0.95 - 1e-4
-"""Just below the largest β, which has no logit."""
-FIXED = Variant("lis, β 0.95", "lis", "high-beta", GaussianConfig(blend=HIGH))
+FIXED = Variant("lis, β 0.95", "lis", "high-beta", GaussianConfig(blend=0.95))
 LABELS = {FIXED.label: "lis\nβ = 0.95", "lis": "lis\nβ = 0.8", "lis-b": "lis-b\nβ learned"}
 MAP_GAP, BAR_WIDTH = 0.25, 0.08
 """Inches: space above the β maps, width of the colour bar."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bokehguide.scene.shapes import spheres
@@ -35,3 +37,22 @@ def emitters(width: int, height: int) -> Scene:
     camera = Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), fov=40.0, aperture_radius=0.1, focus_distance=2.0)
     mesh = spheres(LAMP_CENTRES, LAMP_RADII, material=0)
     return Scene("emitters", camera, (mesh,), (LAMP,), FilmSettings(width, height, max_depth=1), constant_sky(0.1))
+
+
+def scaled(scene: Scene, light: float, length: float) -> Scene:
+    """The scene with all light and all lengths multiplied."""
+    camera = scene.camera
+    camera = replace(
+        camera,
+        position=tuple(length * x for x in camera.position),
+        target=tuple(length * x for x in camera.target),
+        aperture_radius=length * camera.aperture_radius,
+        focus_distance=length * camera.focus_distance,
+    )
+    return replace(
+        scene,
+        camera=camera,
+        meshes=tuple(replace(mesh, vertices=mesh.vertices * np.float32(length)) for mesh in scene.meshes),
+        materials=tuple(replace(m, emission=tuple(light * c for c in m.emission)) for m in scene.materials),
+        environment=replace(scene.environment, radiance=np.float32(light) * scene.environment.radiance),
+    )

@@ -196,29 +196,10 @@ def gaussians_of(scene: Scene, steps: int = 12) -> GaussianField:
     return rendered(scene, steps).mode.lens.field
 
 
-def scaled(scene: Scene, light: float, length: float) -> Scene:
-    """The scene with all light and all lengths multiplied."""
-    camera = scene.camera
-    camera = replace(
-        camera,
-        position=tuple(length * x for x in camera.position),
-        target=tuple(length * x for x in camera.target),
-        aperture_radius=length * camera.aperture_radius,
-        focus_distance=length * camera.focus_distance,
-    )
-    return replace(
-        scene,
-        camera=camera,
-        meshes=tuple(replace(mesh, vertices=mesh.vertices * np.float32(length)) for mesh in scene.meshes),
-        materials=tuple(replace(m, emission=tuple(light * c for c in m.emission)) for m in scene.materials),
-        environment=replace(scene.environment, radiance=np.float32(light) * scene.environment.radiance),
-    )
-
-
 @pytest.mark.parametrize("light, length", [(1000.0, 1.0), (1.0, 100.0), (0.001, 0.01)])
 def test_gaussians_do_not_depend_on_the_units(light, length):
     scene = scenes.emitters(64, 36)
-    field, other = gaussians_of(scene), gaussians_of(scaled(scene, light, length))
+    field, other = gaussians_of(scene), gaussians_of(scenes.scaled(scene, light, length))
     assert len(field) == len(other) > 0
     torch.testing.assert_close(other.mean, length * field.mean, rtol=1e-3, atol=1e-3 * length)
     torch.testing.assert_close(other.sigma, length * field.sigma, rtol=1e-2, atol=0.0)

@@ -39,7 +39,7 @@ class PiecewiseLinear:
         """Integral of each density over its period, float64 `[G]`."""
 
     def tables(self) -> dict[str, Tensor]:
-        """The tables by the names of `PiecewiseTable` in `native/tables.h`."""
+        """Tables of the knots, `[knots]`, and of the groups, `[G]`, by the names of `PiecewiseTable` in `native/tables.h`."""
         tables = {"keys": self._keys, "position": self.position, "start": self._start, "end": self._end}
         return tables | {"weights": self._weights, "cumulative": self._cumulative, "total": self.total}
 
