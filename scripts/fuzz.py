@@ -27,6 +27,7 @@ from pathlib import Path
 FORMATS = ("glb", "gltf", "meshopt", "glossy", "toml", "hdr", "exr", "images", "obj", "ply", "stl", "pbrt", "ckpt")
 FORMATS += ("xml",) if find_spec("mitsuba") else ()
 FORMATS += ("usda", "usdc", "usdz") if find_spec("pxr") else ()
+FORMATS += ("mtlx",) if find_spec("pxr") and find_spec("MaterialX") else ()
 BATCH = 500
 """Cases in one process."""
 KEPT = 20

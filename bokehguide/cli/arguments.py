@@ -240,7 +240,7 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     focus.add_argument("--focus-at", type=point, metavar="X,Y", help=at)
     focus.add_argument("--focus-on", metavar="NAME", help="focus on the visible part of an object, a glTF node or a material")
     add("--camera", metavar="NAME", help="a camera of the model by name or number, or `frame`: one that frames the model")
-    add("--variant", metavar="NAME", help="a material variant of a glTF model (default: its own materials)")
+    add("--variant", metavar="NAME", help="a material variant of a glTF model, or SET=NAME,... of a USD stage (default: its own)")
     add(
         "--time",
         type=number,

@@ -36,6 +36,8 @@ class Checkpoints:
         self._saved_step = 0
         self._stranger = ""
         """What the file is, if it is not of this render: see `SavedState`."""
+        self._changed = ""
+        """The inputs in which the file's render differs: see `SavedState`."""
 
     def begin(self, loop: RenderLoop | AdaptiveLoop, resume: bool, restarted: bool = False) -> float:
         """Load the file into the loop if `resume` is set and the file exists; returns the seconds of earlier sessions.
@@ -54,7 +56,8 @@ class Checkpoints:
             saved = saved_state(self.path, loop)
             if restarted and 0 < saved.step <= loop.settings.spp:
                 return self._load(loop)
-            self._saved_step, self._kept, self._stranger = saved.step, self._kept or saved.kept, saved.stranger
+            self._saved_step, self._kept = saved.step, self._kept or saved.kept
+            self._stranger, self._changed = saved.stranger, saved.changed
             if saved.step > 0:
                 self._note(f"{self.path} has {saved.step} SPP of this render and stays until this run has more; see --resume")
         return 0.0
@@ -114,6 +117,7 @@ class Checkpoints:
             with suppress(OSError):  # the save fails too then, and warns
                 self.path.rename(new)
                 options = f"that render's options with --out {new.with_suffix('.exr')} --resume continue it"
+                options += f"\nDifferences: {self._changed}"
                 remedy = {ANOTHER: f"; {options}", UNREADABLE: ""}.get(self._stranger, "; that version continues it")
                 self._note(f"{self.path} {self._stranger} and is {new} now{remedy}")
                 self._tell_others()

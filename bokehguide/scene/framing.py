@@ -20,6 +20,7 @@ from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera,
 from bokehguide.scene.sight import Sight
 from bokehguide.scene.tables import ANGLE_OF_VIEW, override_place
 from bokehguide.scene.types import Camera, FilmSettings, Mesh, Scene, Vector, as_vector
+from bokehguide.scene.units import unit_warning
 from bokehguide.scene.validation import checked
 
 SOFT_SKY = sky((-90, (0.15, 0.15, 0.15)), (-5, (0.25, 0.25, 0.25)), (5, (0.6, 0.62, 0.65)), (90, (1.0, 1.05, 1.1)))
@@ -45,19 +46,19 @@ FRAME = "frame"
 """Name of the framing camera for `--camera`."""
 
 
-def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Scene, ChosenCamera]:
-    """The model at `path` as a scene, and its camera. files: the files that the model may name.
+def model_scene(path: Path, overrides: Overrides, files: SceneFiles, lit: bool = False) -> tuple[Scene, ChosenCamera]:
+    """The model at `path` as a scene, and its camera. files: the files that the model may name. lit: whether other lights follow.
 
     The camera is the one that `overrides` select, or the file's first. Without one, or if `overrides` set its position or
     target, `compose` chooses the view. A camera without a lens focuses on the part of the model in the middle of the frame, and
     highlights at infinity have a diameter of HIGHLIGHT of its width. A model without light (`_lit`) gets a soft sky, unless
-    `overrides` set the environment. A camera outside a model before the soft sky has the exposure SKY_EXPOSURE.
-    Raises BokehguideError as `load_model` does.
+    other lights follow or `overrides` set the environment. A camera outside a model before the soft sky has the exposure
+    SKY_EXPOSURE. Raises BokehguideError as `load_model` does.
     """
     model = load_model(path, files, state=overrides.state)
     meshes = model.meshes + model.emitters
     own = _select_camera(model.cameras, overrides, str(path))
-    under_sky = overrides.environment is None and not _lit(model)
+    under_sky = overrides.environment is None and not lit and not _lit(model)
     scene = Scene(
         name=path.stem,
         camera=Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),
@@ -68,6 +69,7 @@ def model_scene(path: Path, overrides: Overrides, files: SceneFiles) -> tuple[Sc
         suns=model.suns,
         warnings=model.warnings,
         supported=model.supported,
+        likely_mistakes=tuple(unit_warning(path, model.meshes)),
     )
     scene = override_environment(scene, overrides)
     scene = _framed(scene, model, overrides, str(path)) if own is None else _photographed(scene, own, overrides)

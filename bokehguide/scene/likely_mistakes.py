@@ -30,7 +30,8 @@ def likely_mistakes(scene: Scene, written: Collection[str]) -> tuple[str, ...]:
     """Warnings about `scene`, one a line.
 
     written: keys of `[camera]` that the user wrote, in a scene file or on the command line. Without `aperture_radius` among
-    them, a pinhole counts as a mistake; an f-number counts only if it is among them.
+    them, a pinhole counts as a mistake; an f-number counts only if it is among them. The `likely_mistakes` that `scene` has
+    already are about units, and replace the warning about its size.
     """
     checks = (_wide_lens(scene), _f_number(scene, written), _field_of_view(scene), _darkness(scene), _pinhole(scene, written))
     return tuple(line for lines in (*checks, _inside(scene), _size_and_place(scene), _focus(scene)) for line in lines)
@@ -111,7 +112,7 @@ def _size_and_place(scene: Scene) -> Iterator[str]:
     # Twice the median distance ignores the few corners of a large ground.
     middle = np.median(points, axis=0)
     size = 2.0 * float(np.median(np.linalg.norm(points - middle, axis=1)))
-    if not SMALLEST_MODEL <= size <= LARGEST_MODEL:
+    if not SMALLEST_MODEL <= size <= LARGEST_MODEL and not scene.likely_mistakes:
         yield f"the scene is about {size:.2g} m in size, while lengths are in metres; scale the model if it has another unit"
     distance = float(np.abs(middle).max())
     if distance > FARTHEST * size:

@@ -68,13 +68,14 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
     files = SceneFiles(Path() if isinstance(spec, Scene) else Path(spec).parent, allow_outside)
     with located(name):
         if isinstance(spec, Scene):
-            scene, chosen = _with_camera(override_environment(spec, overrides), overrides, files)
+            fresh = replace(spec, likely_mistakes=())
+            scene, chosen = _with_camera(override_environment(fresh, overrides), overrides, files)
         else:
             scene, chosen = _read(name, overrides, files)
         scene = checked(replace(scene, camera=chosen.camera, film=override_film(scene.film, overrides)), name)
         if chosen.focus is not None:
             scene = focused(scene, chosen.focus)
-        return replace(scene, likely_mistakes=likely_mistakes(scene, chosen.written))
+        return replace(scene, likely_mistakes=(*scene.likely_mistakes, *likely_mistakes(scene, chosen.written)))
 
 
 def base_of(spec: str, overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> tuple[str, Overrides]:
@@ -126,14 +127,17 @@ def _check_model(name: str, suffix: str, overrides: Overrides) -> None:
             )
 
 
-def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0) -> tuple[Scene, ChosenCamera]:
-    """The scene that `spec` names, and its camera with `overrides`. depth: number of files that lead here by their `base`."""
+def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0, lit: bool = False) -> tuple[Scene, ChosenCamera]:
+    """The scene that `spec` names, and its camera with `overrides`.
+
+    depth: number of files that lead here by their `base`. lit: whether one of these files adds lights.
+    """
     suffix = Path(spec).suffix.lower()
     if spec in BUILTIN:
         _check_model(spec, "", overrides)
         return _with_camera(override_environment(BUILTIN[spec](), overrides), overrides, files)
     if suffix == ".toml":
-        return _read_toml(Path(spec), overrides, files, depth)
+        return _read_toml(Path(spec), overrides, files, depth, lit)
     if suffix == ".xml":
         from bokehguide.scene.mitsuba_xml import read_mitsuba
 
@@ -149,7 +153,7 @@ def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0) ->
     if suffix in MODEL_SUFFIXES:
         from bokehguide.scene.framing import model_scene
 
-        return model_scene(Path(spec), overrides, files)
+        return model_scene(Path(spec), overrides, files, lit)
     refuse_format(Path(spec), spec)
     if suffix in NO_SCENES:
         paths = (shlex.quote(str(path)) for path in (spec, Path(spec).with_suffix(".exr")))
@@ -163,8 +167,8 @@ def _read(spec: str, overrides: Overrides, files: SceneFiles, depth: int = 0) ->
     )
 
 
-def _read_toml(path: Path, overrides: Overrides, files: SceneFiles, depth: int) -> tuple[Scene, ChosenCamera]:
-    """The scene of a `.toml` file, and its camera with `overrides`."""
+def _read_toml(path: Path, overrides: Overrides, files: SceneFiles, depth: int, lit: bool) -> tuple[Scene, ChosenCamera]:
+    """The scene of a `.toml` file, and its camera with `overrides`. depth, lit: as of `_read`."""
     from bokehguide.scene.toml.scene_file import parse_scene_file, read_scene_file
 
     tables = parse_scene_file(path, files)
@@ -176,6 +180,6 @@ def _read_toml(path: Path, overrides: Overrides, files: SceneFiles, depth: int) 
     if depth >= MAX_BASES:
         raise BokehguideError(f"{path}: base: more than {MAX_BASES} files lead to each other; give the first one's base")
     merged = overrides.over(derived.overrides)
-    scene, chosen = _read(str(derived.base), merged, files, depth + 1)
+    scene, chosen = _read(str(derived.base), merged, files, depth + 1, lit or derived.lit)
     film = replace(override_film(scene.film, merged), **derived.film)
-    return replace(scene, name=path.stem, film=film), chosen
+    return derived.with_lights(replace(scene, name=path.stem, film=film), merged.hide_environment), chosen

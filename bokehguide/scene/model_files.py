@@ -31,8 +31,8 @@ def load_model(
 ) -> Model:
     """Read a model file. Instances become triangles; the file's normals are kept.
 
-    files: the files that the model may name, by default those in its folder. sizes: of a glTF file's lights. state: variant of a
-    glTF file, and time of a glTF or USD file. Raises BokehguideError for a missing, damaged or empty file, values that are not
+    files: the files that the model may name, by default those in its folder. sizes: of a glTF file's lights. state: variant
+    and time of a glTF or USD file. Raises BokehguideError for a missing, damaged or empty file, values that are not
     finite, indices out of range, and a state that the file does not have.
     """
     refuse_format(path, str(path))

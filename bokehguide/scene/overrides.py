@@ -52,7 +52,8 @@ class Overrides:
     corner, or in fractions of the frame if both are at most 1. focus_on: focuses on the visible part
     of an object, glTF node or material of this name. fov: horizontal, degrees; a scene with an
     f-number keeps it. camera: name or number of a model's camera, or "frame" for a camera that frames
-    the model. variant: name of a material variant of a glTF model. time: of the animations of a glTF or USD model, in seconds.
+    the model. variant: name of a material variant of a glTF model, or SET=NAME,… of a USD stage. time: of the animations of a
+    glTF or USD model, in seconds.
     aperture_blades, aperture_rotation, aperture_curvature, aperture_ratio, aperture_cat_eye,
     aperture_edge, aperture_image: single fields of `Aperture`; the image is a path.
     NumPy numbers and arrays, lists and paths become numbers, tuples and texts, and so do a radiance and the number of a camera.

@@ -36,7 +36,7 @@ TYPES = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2"}
 MAX_PICKLE = 2**20
 """Largest pickle in bytes. The pickles of all modes have less than 10,000."""
 NAMED = 4
-"""Largest number of differences in an error message."""
+"""Largest number of differences in a message."""
 ANOTHER, UNREADABLE = "was of another render", "is no readable checkpoint of bokehguide"
 """What a file is that has no state of a render. Files of other versions have words with their version."""
 
@@ -46,12 +46,14 @@ class SavedState:
     """The state that a file has for a render.
 
     step: number of steps, 0 without a state of the render. kept: whether the file is to stay when the render has ended. stranger:
-    what another file is, such as ANOTHER; empty for a file of the render, an empty file and a missing one.
+    what another file is, such as ANOTHER; empty for a file of the render, an empty file and a missing one. changed: the
+    inputs that differ from ANOTHER render, with both values.
     """
 
     step: int = 0
     kept: bool = False
     stranger: str = ""
+    changed: str = ""
 
 
 def save_checkpoint(path: str | Path, loop: RenderLoop | AdaptiveLoop, seconds: float, kept: bool = True) -> None:
@@ -102,15 +104,24 @@ def _require_same_render(path: str | Path, whole: Mapping[str, Any], loop: Rende
         raise BokehguideError(
             f"{path}: was written by {both}; resume with that bokehguide, or render without --resume to start again"
         )
-    found, scenes = differences(then, now), [printable(str(scene)) for scene in (whole.get("scene"), loop.scene.name)]
-    if found and "scene" in whole and scenes[0] != scenes[1]:
-        found.insert(0, "scene was {} and is {}".format(*scenes))
-    if found:
-        more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
-        named = ", ".join(found[:NAMED])
+    if found := _changes(whole, loop):
         alone = len(found) == 1 and then.get("size") != now["size"]
         size = f"give --size {printable(str(then.get('size')))} to continue, or " if alone else ""
-        raise BokehguideError(f"{path}: is of another render: {named}{more}; {size}render without --resume to start again")
+        raise BokehguideError(f"{path}: is of another render: {_named(found)}; {size}render without --resume to start again")
+
+
+def _changes(whole: Mapping[str, Any], loop: RenderLoop | AdaptiveLoop) -> list[str]:
+    """As `differences`, of the content of a file and a loop's render; the name of another scene comes first."""
+    found = differences(whole["fingerprint"], fingerprint(loop.scene, loop.settings))
+    scenes = [printable(str(scene)) for scene in (whole.get("scene"), loop.scene.name)]
+    renamed = found and "scene" in whole and scenes[0] != scenes[1]
+    return ["scene was {} and is {}".format(*scenes), *found] if renamed else found
+
+
+def _named(found: list[str]) -> str:
+    """The first NAMED of some differences, and the number of further ones."""
+    more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
+    return ", ".join(found[:NAMED]) + more
 
 
 def _other_writer(then: Mapping[str, Any], now: Mapping[str, str]) -> str:
@@ -128,8 +139,8 @@ def saved_state(path: str | Path, loop: RenderLoop | AdaptiveLoop) -> SavedState
         then, now = whole["fingerprint"], fingerprint(loop.scene, loop.settings)
         if writer := _other_writer(then, now):
             return SavedState(stranger=f"was written by {writer}")
-        if differences(then, now):
-            return SavedState(stranger=ANOTHER)
+        if found := _changes(whole, loop):
+            return SavedState(stranger=ANOTHER, changed=_named(found))
         step = whole["loop"]["step"]
         require_kind(step, 0)
     except (BokehguideError, KeyError, TypeError, ValueError):

@@ -216,6 +216,7 @@ KINDS: dict[str, tuple[Callable[[bytes, int, int], bytes], ...]] = {
     ".gltf": (*BYTES, *TEXT, *[json_value] * 6),
     ".toml": (*BYTES, *TEXT * 4),
     ".xml": (*BYTES, *TEXT * 2, *[attribute] * 6),
+    ".mtlx": (*BYTES, *TEXT * 2, *[attribute] * 6),
     ".pbrt": (*BYTES, *TEXT * 2, *[exchange] * 6),
     ".dat": (*BYTES, *TEXT * 4),
     ".pfm": (*BYTES, *TEXT),

@@ -15,6 +15,9 @@ import numpy as np
 import OpenEXR
 from fuzzing.gltf_samples import SQUARE, draco_glb, glb, glossy_gltf, gltf_parts, meshopt_glb
 from fuzzing.ktx2_samples import ETC1S, UASTC
+from fuzzing.materialx_samples import DOCUMENT
+from fuzzing.materialx_samples import PART as INCLUDED
+from fuzzing.materialx_samples import STAGE as DRESSED
 from fuzzing.pbrt_samples import LENS, PART, PFM, REALISTIC, SCENE, octahedral_sky
 from fuzzing.usd_samples import STAGE, usdc, usdz
 from PIL import Image
@@ -240,6 +243,13 @@ def usd_stage(folder: Path, name: str) -> Sample:
     return Sample(images | {name: makers[name]()}, (name,), name)
 
 
+def materialx_stage() -> Sample:
+    """A USD stage whose materials come from a MaterialX document, which includes another one."""
+    documents = {"look.mtlx": DOCUMENT.encode(), "part.mtlx": INCLUDED.encode()}
+    damaged = ("look.mtlx", "look.mtlx", "look.mtlx", "part.mtlx")
+    return Sample(documents | {"a.usda": DRESSED.encode(), "wood.png": image("PNG", "RGBA")}, damaged, "a.usda")
+
+
 def scene_with(sky: str, data: bytes) -> Sample:
     """A scene file whose sky is to be damaged."""
     files = {"scene.toml": LIT.replace("NAME", sky).encode(), "wood.png": image("PNG"), "square.stl": binary_stl()}
@@ -280,6 +290,7 @@ SAMPLES: dict[str, Callable[[Path], list[Sample]]] = {
     "usda": lambda folder: [usd_stage(folder, "a.usda")],
     "usdc": lambda folder: [usd_stage(folder, "a.usdc")],
     "usdz": lambda folder: [usd_stage(folder, "a.usdz")],
+    "mtlx": lambda folder: [materialx_stage()],
     "toml": lambda folder: [Sample(scene_with("hdr", hdr()).files, ("scene.toml",), "scene.toml")],
     "hdr": lambda folder: [scene_with("hdr", hdr())],
     "exr": lambda folder: [scene_with("exr", exr(folder, kind)) for kind in EXR_KINDS],

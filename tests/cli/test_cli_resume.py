@@ -6,6 +6,7 @@ import json
 import os
 import pkgutil
 import random
+import re
 import resource
 import shutil
 import signal
@@ -202,6 +203,25 @@ def test_any_other_file_gets_another_name(content, told, render, tmp_path, capsy
     assert render("--spp", 3, "--mode", "uniform", "--checkpoint-every", "1e-6") == 0
     assert capsys.readouterr().err.count(f"bokehguide: {told}") == 1
     assert (tmp_path / "a-2.ckpt").read_bytes() == before and kept_spp("a.ckpt", "uniform") == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--seed", 9, "--f-number", 2), r"Differences: seed was 4 and is 9, camera\.aperture_radius was 0\.\d+ and is 0\.\d+"),
+        (("--seed", 4, "--environment", "1,2,3"), "Differences: other environment"),
+        (
+            ("--seed", 9, "--size", "20x10", "--max-depth", 2, "--crop", "0,0,8,8", "--fov", 30),
+            r"Differences: seed was 4 and is 9, size was \d+x\d+ and is 20x10, max_depth was \d+ and is 2, crop was None .* more",
+        ),
+    ],
+)
+def test_the_message_of_a_renamed_checkpoint_names_the_differences(options, told, render, capsys):
+    assert render("--spp", 1, "--mode", "uniform", "--seed", 4, *KEEP) == 0
+    capsys.readouterr()
+    assert render("--spp", 1, "--mode", "uniform", *options, "--checkpoint-every", "1e-6") == 0
+    renamed = ".*bokehguide: a.ckpt was of another render and is a-2.ckpt now; .* --resume continue it"
+    assert len(re.findall(f"^{renamed}\n{told}$", capsys.readouterr().err, re.MULTILINE)) == 1
 
 
 def test_an_empty_file_is_replaced(render, tmp_path, capsys):

@@ -9,6 +9,7 @@ import trimesh
 from bokehguide.errors import BokehguideError
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.scene.toml.derived import derived_text
+from tests.support.gltf_square import write_gltf
 from tests.support.scene_text import BOX_AND_EMITTER
 
 
@@ -33,10 +34,69 @@ def test_overrides_replace_values_of_the_base(derive):
     assert (scene.camera.focus_distance, len(scene.meshes), scene.film.max_depth) == (3.0, 2, 3)
 
 
-@pytest.mark.parametrize("key", ["light", "camera"])
+LAMP = """
+[[light]]
+name = "key"
+radius = 0.1
+position = [0.0, 3.0, 0.0]
+lumens = 800.0
+group = "key"
+"""
+SUN = "[[sun]]\ndirection = [0.0, 1.0, 0.0]\nirradiance = [1.0, 2.0, 3.0]\n"
+
+
+@pytest.mark.parametrize("key", ["camera", "film", "environment", "lights", "materials", "object"])
 def test_tables_of_a_whole_scene_have_no_place_beside_a_base(derive, key):
-    with pytest.raises(BokehguideError, match=rf"derived.toml: {key}: has no place beside base; give \[overrides\] only"):
+    told = rf"derived.toml: {key}: has no place beside base; give \[overrides\], \[\[light\]\] and \[\[sun\]\] only, or a scene"
+    with pytest.raises(BokehguideError, match=told):
         derive(f'base = "box.toml"\n[{key}]\nfov = 40.0\n')
+
+
+def test_lights_beside_a_base_join_those_of_the_base(derive, tmp_path):
+    before = derive('base = "box.toml"\n')
+    scene = derive('base = "box.toml"\n' + LAMP + SUN)
+    assert len(scene.meshes) == len(before.meshes) + 1 and scene.meshes[-1].name == "key"
+    lamp = scene.materials[scene.meshes[-1].material]
+    assert lamp.emits and lamp.light_group == "key" and scene.materials[: len(before.materials)] == before.materials
+    assert len(scene.suns) == len(before.suns) + 1 and scene.suns[-1].irradiance == (1.0, 2.0, 3.0)
+    (tmp_path / "lit.toml").write_text('base = "box.toml"\n' + LAMP)
+    assert [mesh.name for mesh in derive('base = "lit.toml"\n' + LAMP.replace("key", "fill")).meshes[-2:]] == ["key", "fill"]
+    assert len(derive('base = "daylight"\n' + LAMP).meshes) == len(load_scene("daylight").meshes) + 1
+
+
+def test_a_light_of_the_file_replaces_the_sky_of_a_model(derive, tmp_path):
+    """As a light within the model does; a base in between changes nothing."""
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    assert derive('base = "box.ply"\n').environment is not None
+    (tmp_path / "between.toml").write_text('base = "box.ply"\n')
+    for base, light in (("box.ply", LAMP), ("box.ply", SUN), ("between.toml", LAMP)):
+        scene = derive(f'base = "{base}"\n{light}')
+        assert scene.environment is None and scene.film.exposure is None and scene.likely_mistakes == ()
+    kept = derive(f'base = "box.ply"\n[overrides]\nenvironment = "1,1,1"\n{LAMP}')
+    assert kept.environment.radiance.ravel().tolist() == [1.0, 1.0, 1.0]
+
+
+def test_a_sun_beside_a_base_can_be_hidden(derive, tmp_path):
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    assert not derive(f'base = "box.ply"\n[overrides]\nhide_environment = true\n{SUN}').environment.visible
+    assert not derive(f'base = "box.ply"\n{SUN}', Overrides(hide_environment=True)).environment.visible
+
+
+def test_a_base_with_cameras_is_seen_by_its_own(derive, tmp_path):
+    view = {"type": "perspective", "perspective": {"yfov": 0.5, "aspectRatio": 1.5, "znear": 0.1}}
+    nodes = [{"mesh": 0}, {"camera": 0, "name": "front", "translation": [0, 0, 4]}]
+    nodes += [{"camera": 0, "name": "side", "translation": [1, 0, 6]}]
+    write_gltf(tmp_path / "square.gltf", nodes=nodes, cameras=[view])
+    assert derive('base = "square.gltf"\n' + LAMP).camera.position == (0.0, 0.0, 4.0)
+    for overrides, position in (
+        ('camera = "side"', (1.0, 0.0, 6.0)),
+        ("camera = 1", (1.0, 0.0, 6.0)),
+        ("camera_position = [0.0, 0.0, 3.0]", (0.0, 0.0, 3.0)),
+        ("f_number = 2.0", (0.0, 0.0, 4.0)),
+    ):
+        assert derive(f'base = "square.gltf"\n[overrides]\n{overrides}\n').camera.position == position
+    camera = derive('base = "square.gltf"\n[overrides]\ncamera = "side"\n', Overrides(camera="front")).camera
+    assert camera.position == (0.0, 0.0, 4.0)
 
 
 def test_a_byte_order_mark_changes_nothing(derive, tmp_path):
@@ -95,6 +155,9 @@ def test_a_base_may_have_a_base(derive, tmp_path):
         ('base = "daylight"\n[overrides]\ncamera = "a"', "--camera: 'a': selects a camera of a model"),
         ('base = "box.toml"\n[overrides]\ncamera_position = [1.0, 2.0]', "--camera-position"),
         ('base = "box.toml"\n[camera]\nfov = 3.0', "camera: has no place beside base"),
+        ('base = "box.toml"\n[light]\nradius = 1.0', r"derived.toml: light: .* is not a list of tables; write \[\[light\]\]"),
+        ('base = "box.toml"\n[[light]]\nposition = [0.0, 1.0, 0.0]\nradius = -1.0', r"derived.toml: light\[0\].radius: -1.0"),
+        ('base = "box.toml"\n[[sun]]\nangle = 1.0', r"derived.toml: sun\[0\].irradiance: missing; give"),
         ('base = "box.toml"\noverrides = 3', "overrides: 3 is not a table"),
     ],
 )

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 
 import pytest
+import trimesh
 
+from bokehguide.cli import main
 from bokehguide.scene import BUILTIN, Overrides, load_scene
 from tests.support.gltf_square import write_gltf
 
@@ -25,6 +27,20 @@ name = "ball"
 shape = "sphere"
 material = "clay"
 scale = {scale}
+"""
+
+PLACED = """
+[camera]
+position = [0.0, 0.0, 5.0]
+target = [0.0, 0.0, 0.0]
+aperture_radius = 0.05
+
+[environment]
+color = [1.0, 1.0, 1.0]
+
+[[object]]
+file = "part.{suffix}"
+{scale}
 """
 
 CASES = {
@@ -70,6 +86,43 @@ def test_a_model_far_from_metres(tmp_path, scale):
     assert any(
         "lengths are in metres" in line for line in mistakes(tmp_path, scale=scale, camera_position=(0.0, 0.0, 5.0 * scale))
     )
+
+
+def extents(path) -> list[str]:
+    """The warnings about the extent of a scene."""
+    return [line for line in load_scene(str(path)).likely_mistakes if "metres" in line or " m long" in line]
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "ply"])
+@pytest.mark.parametrize(
+    ("extent", "told"), [(0.5, None), (99.0, None), (100.0, "100 m"), (250.0, "250 m"), (25000.0, "2.5e+04 m")]
+)
+def test_a_long_model_without_a_unit(tmp_path, suffix, extent, told):
+    path = tmp_path / f"part.{suffix}"
+    trimesh.creation.box((0.2 * extent, extent, 0.4 * extent)).export(path)
+    line = f"part.{suffix}: the model is {told} long, as .{suffix} files have no unit; if its unit is the millimetre, give "
+    expected = [line + "scale = 0.001 in an [[object]] of a scene file"] if told else []
+    assert extents(path) == expected
+    (tmp_path / "derived.toml").write_text(f'base = "part.{suffix}"\n')
+    assert extents(tmp_path / "derived.toml") == expected
+    (tmp_path / "twice.toml").write_text(PLACED.format(suffix=suffix, scale="") + f'[[object]]\nfile = "part.{suffix}"\n')
+    for scale in (0.001, 1.0):
+        (tmp_path / "scaled.toml").write_text(PLACED.format(suffix=suffix, scale=f"scale = {scale}"))
+        assert not [line for line in extents(tmp_path / "scaled.toml") if "long" in line]
+    assert extents(tmp_path / "twice.toml") == expected
+
+
+def test_a_long_gltf_model_has_its_unit(tmp_path):
+    trimesh.creation.box((250.0, 250.0, 250.0)).export(tmp_path / "part.glb")
+    assert extents(tmp_path / "part.glb") == []
+
+
+def test_the_unit_is_told_on_stderr(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box((250.0, 120.0, 80.0)).export("part.stl")
+    assert main(["render", "part.stl", "--size", "16x9", "--spp", "1", "--mode", "uniform"]) == 0
+    told = "bokehguide: warning: part.stl: the model is 250 m long, as .stl files have no unit; if its unit is"
+    assert capsys.readouterr().err.count(told) == 1
 
 
 def test_a_model_far_from_the_origin(tmp_path):

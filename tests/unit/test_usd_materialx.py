@@ -28,9 +28,20 @@ LOOK = (
 )
 
 
+SIZED = (
+    '<tiledimage name="picture" type="color3"><input name="file" type="filename" value="a.png"/>'
+    '<input name="realworldimagesize" type="float" value="2"/></tiledimage>'
+)
+
+
+def whole(*parts: str, attributes: str = "") -> str:
+    """The text of a document with a material called look."""
+    return f'<?xml version="1.0"?>{HEAD} {attributes}>{"".join(parts)}{LOOK}</materialx>'
+
+
 def document(folder, *parts: str, attributes: str = "", name: str = "look.mtlx") -> None:
     """A file of MaterialX with a material called look."""
-    (folder / name).write_text(f'<?xml version="1.0"?>{HEAD} {attributes}>{"".join(parts)}{LOOK}</materialx>')
+    (folder / name).write_text(whole(*parts, attributes=attributes))
 
 
 def bound(target: str = "/World/Looks/look") -> Usd.Stage:
@@ -226,6 +237,11 @@ def test_files_outside_of_the_folder_are_refused(what, tmp_path):
         ("<other/>", "not a readable MaterialX document"),
         ("<materialx>" + "<nodegraph>" * 200 + "</nodegraph>" * 200 + "</materialx>", "elements within each other"),
         (f'{HEAD}><xi:include href="look.mtlx"/></materialx>', "not a readable MaterialX document"),
+        (whole(SURFACE.format('value="0.1, 0.2"')), r"coat/base_color: '0.1, 0.2' is no value of the type color3"),
+        (whole(SURFACE.format('value="red"')), r"coat/base_color: 'red' is no value of the type color3"),
+        (whole(SURFACE.format("").replace("base_color", "0.5")), "invalid name 'inputs:0.5'"),
+        (whole(IMAGE.format(""), SURFACE.format('nodename="picture" output="a b"')), "Cannot set connection"),
+        (whole(SIZED, SURFACE.format('nodename="picture"')), "picture/realworldimagesize: '2' is no value of the type vector2"),
     ],
 )
 def test_damaged_documents_are_refused(text, problem, tmp_path):
@@ -233,6 +249,16 @@ def test_damaged_documents_are_refused(text, problem, tmp_path):
     with pytest.raises(BokehguideError, match=problem) as caught:
         load_scene(referring(tmp_path))
     assert "look.mtlx" in str(caught.value) and "repair it" in str(caught.value)
+
+
+def test_a_connection_to_an_output_of_its_own_graph_is_left_out(tmp_path):
+    graph = (
+        '<nodegraph name="graph"><invert name="turned" type="color3"><input name="in" type="color3" nodename="{}"/></invert>'
+        '<input name="given" type="color3" value="1, 1, 1"/><output name="result" type="color3" nodename="turned"/></nodegraph>'
+    )
+    for name in ("result", "given"):
+        _, warnings = read(tmp_path, graph.format(name), SURFACE.format('nodegraph="graph" output="result"'))
+        assert "connections of MaterialX nodes to missing nodes: left out (graph/turned/in)" in warnings
 
 
 def test_without_the_package_the_remedy_is_told(tmp_path, monkeypatch):

@@ -114,10 +114,10 @@ def test_points_within_points_are_bounded(tmp_path):
         loaded(stage, tmp_path)
 
 
-def test_variants_of_stages_are_refused(tmp_path):
+def test_variants_of_stages_without_any_are_refused(tmp_path):
     stage = new_stage()
     add_mesh(stage, "/mesh")
-    with pytest.raises(BokehguideError, match="leave the variant out"):
+    with pytest.raises(BokehguideError, match=r"scene.usda: 'red' is no variant of this stage; give SET=NAME; it has none"):
         loaded(stage, tmp_path, Overrides(variant="red"))
 
 

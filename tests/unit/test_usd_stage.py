@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("pxr")
 
-from pxr import Gf, Usd, UsdGeom, UsdLux, UsdRender
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender
 
 from bokehguide.cli import main
 from bokehguide.errors import BokehguideError
@@ -312,3 +312,101 @@ def test_the_process_for_binary_files_imports_no_large_library(tmp_path):
     """
     finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (finished.stdout.strip(), finished.stderr) == ("", "")
+
+
+VARIANTS = """#usda 1.0
+(
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Xform "Shelf" (
+    variants = {
+        string size = "small"
+    }
+    prepend variantSets = "size"
+)
+{
+    variantSet "size" = {
+        "small" {
+            def Sphere "Ball" {
+                double radius = 1
+            }
+        }
+        "big" {
+            def Sphere "Ball" (
+                variants = {
+                    string paint = "red"
+                }
+                prepend variantSets = "paint"
+            )
+            {
+                double radius = 3
+                variantSet "paint" = {
+                    "red" {
+                        color3f[] primvars:displayColor = [(1, 0, 0)]
+                    }
+                    "sky-blue" {
+                        color3f[] primvars:displayColor = [(0, 0, 1)]
+                    }
+                }
+            }
+        }
+    }
+}
+def Cube "Box" (
+    variants = {
+        string paint = "red"
+    }
+    prepend variantSets = "paint"
+)
+{
+    variantSet "paint" = {
+        "red" {
+            color3f[] primvars:displayColor = [(1, 0, 0)]
+        }
+        "green" {
+            color3f[] primvars:displayColor = [(0, 1, 0)]
+        }
+    }
+}
+"""
+
+
+def painted(path, variant: str | None) -> tuple[float, set[tuple[float, float, float]]]:
+    """The radius of the ball and the colours of a stage with a variant."""
+    scene = load_scene(str(path), Overrides(variant=variant))
+    (ball,) = (mesh for mesh in scene.meshes if mesh.name == "Ball")
+    colors = {tuple(scene.materials[mesh.material].base_color) for mesh in scene.meshes if mesh.name != "Ball"}
+    return float(ball.vertices.max()), colors | {tuple(scene.materials[ball.material].base_color)}
+
+
+@pytest.mark.parametrize("name", ["stage.usda", "stage.usdc"])
+def test_variants_of_a_stage_are_chosen(tmp_path, name):
+    path = tmp_path / name
+    (tmp_path / "stage.usda").write_text(VARIANTS)
+    Sdf.Layer.FindOrOpen(str(tmp_path / "stage.usda")).Export(str(path))
+    grey, red, green, blue = (0.18,) * 3, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    assert painted(path, None) == (pytest.approx(1.0, rel=0.01), {grey, red})
+    assert painted(path, "size=big") == (pytest.approx(3.0, rel=0.01), {red})
+    assert painted(path, "paint=green") == (pytest.approx(1.0, rel=0.01), {grey, green})
+    assert painted(path, "paint=sky-blue, size=big") == (pytest.approx(3.0, rel=0.01), {red, blue})
+    assert painted(path, None) == (pytest.approx(1.0, rel=0.01), {grey, red}), "the choice does not stay"
+    lines = load_scene(str(path), Overrides(variant="size=big")).supported
+    assert f"{name}: variants: paint=green, paint=red, paint=sky-blue, size=big, size=small; drawn: size=big" in lines
+
+
+@pytest.mark.parametrize("variant", ["big", "size=huge", "colour=red", "size=", "=", "paint=green,"])
+def test_a_variant_that_a_stage_lacks_is_told(tmp_path, variant):
+    (tmp_path / "stage.usda").write_text(VARIANTS)
+    with pytest.raises(BokehguideError) as caught:
+        load_scene(str(tmp_path / "stage.usda"), Overrides(variant=variant))
+    told = "is no variant of this stage; give SET=NAME; it has paint=green, paint=red, size=big, size=small"
+    assert str(caught.value).endswith(told) and "stage.usda: " in str(caught.value)
+
+
+def test_objects_of_scene_files_choose_variants_of_a_stage(tmp_path):
+    (tmp_path / "stage.usda").write_text(VARIANTS)
+    objects = "".join(f'[[object]]\nfile = "stage.usda"\nvariant = "{choice}"\n' for choice in ("size=big", "size=small"))
+    (tmp_path / "scene.toml").write_text(f"[camera]\nposition = [0, 0, 9]\ntarget = [0, 0, 0]\n{objects}")
+    balls = [mesh.vertices.max() for mesh in load_scene(str(tmp_path / "scene.toml")).meshes if mesh.name == "Ball"]
+    assert balls == pytest.approx([3.0, 1.0], rel=0.01)

@@ -1,8 +1,8 @@
-"""Scene files that name another scene as their `base` and override some of its values."""
+"""Scene files that name another scene as their `base`, override some of its values, and add lights."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -11,20 +11,41 @@ from bokehguide.errors import BokehguideError
 from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.checks import read_exposure
 from bokehguide.scene.files import SceneFiles
-from bokehguide.scene.overrides import Overrides
+from bokehguide.scene.overrides import Overrides, override_environment
 from bokehguide.scene.tables import Table
+from bokehguide.scene.types import Scene
 
+LIGHTS = ("light", "sun")
+"""Tables of a whole scene that a derived scene may have too."""
 KEYS = tuple(field.name for field in fields(Overrides))
 
 
 @dataclass(frozen=True)
 class DerivedScene:
     """A scene with overrides. base: a built-in name, or the path of a scene file or of a model. film: fields of
-    `FilmSettings` that replace the base's, beside those of `overrides`."""
+    `FilmSettings` that replace the base's, beside those of `overrides`. root: the tables of the file."""
 
     base: str
     overrides: Overrides
     film: dict[str, float | None]
+    root: Table
+
+    @property
+    def lit(self) -> bool:
+        """Whether the file adds lights."""
+        return any(self.root.values.get(key) for key in LIGHTS)
+
+    def with_lights(self, scene: Scene, hidden: bool | None) -> Scene:
+        """`scene`, made of the base, with the lights of the file. hidden: whether the camera sees neither environment nor suns.
+
+        Raises BokehguideError for invalid tables.
+        """
+        from bokehguide.scene.toml.lights import read_light_tables, read_sun_tables
+
+        meshes, materials = read_light_tables(self.root, len(scene.materials))
+        suns = (*scene.suns, *read_sun_tables(self.root))
+        scene = replace(scene, meshes=(*scene.meshes, *meshes), materials=(*scene.materials, *materials), suns=suns)
+        return override_environment(scene, Overrides(hide_environment=hidden))
 
 
 def read_derived(path: Path, tables: dict[str, Any], files: SceneFiles) -> DerivedScene:
@@ -35,9 +56,10 @@ def read_derived(path: Path, tables: dict[str, Any], files: SceneFiles) -> Deriv
     from bokehguide.scene.toml.scene_file import SCENE_KEYS  # takes long to import, and most commands need none
 
     for key in tables:
-        if key in SCENE_KEYS:
-            raise BokehguideError(f"{path}: {key}: has no place beside base; give [overrides] only, or a scene without base")
-    root = Table(tables, str(path), "", ("base", "overrides"))
+        if key in SCENE_KEYS and key not in LIGHTS:
+            remedy = "give [overrides], [[light]] and [[sun]] only, or a scene without base"
+            raise BokehguideError(f"{path}: {key}: has no place beside base; {remedy}")
+    root = Table(tables, str(path), "", ("base", "overrides", *LIGHTS))
     base = _base(root, files)
     table = Table(root.values.get("overrides", {}), str(path), "overrides", (*KEYS, "exposure"))
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in table.values.items()}
@@ -48,7 +70,7 @@ def read_derived(path: Path, tables: dict[str, Any], files: SceneFiles) -> Deriv
         if key in table:
             values[key] = str(files.named(table, key))
     try:
-        return DerivedScene(base, Overrides(**values), film)
+        return DerivedScene(base, Overrides(**values), film, root)
     except BokehguideError as error:
         raise BokehguideError(f"{path}: overrides: {error}") from None
 

@@ -1,4 +1,7 @@
-"""The `[[light]]` tables of a scene file: emissive spheres, discs, ellipses and rectangles, alone or in strings."""
+"""The `[[light]]` and `[[sun]]` tables of a scene file: suns, and emissive spheres, discs, ellipses and rectangles.
+
+Emissive shapes stand alone or in strings.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import numpy as np
 
 from bokehguide.color import LUMENS_PER_WATT, LUMINANCE, blackbody
 from bokehguide.scene.checks import check_light_group, located
+from bokehguide.scene.model import LightSizes
 from bokehguide.scene.shapes import (
     SPHERE_SUBDIVISIONS,
     repeated,
@@ -19,9 +23,9 @@ from bokehguide.scene.shapes import (
     unit_sphere,
 )
 from bokehguide.scene.strings import String
-from bokehguide.scene.tables import EMITTER_RADIUS, KELVIN, NOT_NEGATIVE, POSITIVE, Table, did_you_mean, is_number
+from bokehguide.scene.tables import EMITTER_RADIUS, KELVIN, NOT_NEGATIVE, POSITIVE, SUN_ANGLE, Table, did_you_mean, is_number
 from bokehguide.scene.toml.cones import read_cone
-from bokehguide.scene.types import Material, Mesh, Vector, as_vector
+from bokehguide.scene.types import Material, Mesh, Sun, Vector, as_vector
 
 LIGHT_SHAPES = {"sphere": unit_sphere, "disc": unit_disc, "ellipse": unit_disc, "rectangle": unit_rectangle}
 MAX_LIGHTS = 10_000
@@ -65,6 +69,22 @@ def read_light_tables(root: Table, first: int) -> tuple[list[Mesh], list[Materia
         light = {"emission": emission, "emission_cone": cone, "light_group": check_light_group(table, "group")}
         materials.append(Material(name, base_color=(0.0, 0.0, 0.0), specular=0.0, **light))
     return meshes, materials
+
+
+def read_sun_tables(root: Table) -> list[Sun]:
+    """The `[[sun]]` tables. Raises BokehguideError naming file, field, value and remedy for invalid tables."""
+    values = root.values.get("sun", [])
+    if not isinstance(values, list):
+        root.fail("sun", "is not a list of tables; write [[sun]]")
+    suns = []
+    for number, entry in enumerate(values):
+        table = Table(entry, root.file, f"sun[{number}]", ("direction", "irradiance", "angle", "group"))
+        if "irradiance" not in table:
+            table.missing("irradiance", "give [r, g, b] on a surface that faces the sun")
+        irradiance = table.vector("irradiance", None, NOT_NEGATIVE)
+        angle = table.number("angle", LightSizes.sun_angle, SUN_ANGLE)
+        suns.append(Sun(table.direction("direction"), angle, irradiance, check_light_group(table, "group")))
+    return suns
 
 
 def _shape(table: Table, count: int) -> Mesh:

@@ -20,10 +20,11 @@ from bokehguide.scene.model_files import load_model, refuse_format
 from bokehguide.scene.overrides import ChosenCamera, Overrides, override_camera
 from bokehguide.scene.shapes import SHAPES, sphere_subdivisions, transform, transformed, unit_sphere
 from bokehguide.scene.tables import ANY, EMITTER_RADIUS, NOT_NEGATIVE, SUN_ANGLE, Table, did_you_mean, is_number
-from bokehguide.scene.toml.lights import read_light_tables
+from bokehguide.scene.toml.lights import read_light_tables, read_sun_tables
 from bokehguide.scene.toml.materials import read_materials
 from bokehguide.scene.toml.placing import in_light_group, place_emitters, place_suns
 from bokehguide.scene.types import Environment, FilmSettings, Material, Mesh, Scene, Sun
+from bokehguide.scene.units import unit_warning
 from bokehguide.scene.validation import check_meshes, check_triangles
 
 SCENE_KEYS = ("camera", "film", "environment", "sun", "light", "lights", "materials", "object")
@@ -54,9 +55,10 @@ def read_scene_file(path: Path, tables: dict[str, Any], overrides: Overrides, fi
         materials=(*objects.materials, *emissive),
         film=_read_film(root),
         environment=_read_environment(root, files, warnings),
-        suns=(*_read_suns(root), *objects.suns),
+        suns=(*read_sun_tables(root), *objects.suns),
         warnings=(*objects.lines("warnings"), *_unused_lights(root, objects), *warnings),
         supported=tuple(objects.lines("supported")),
+        likely_mistakes=tuple(dict.fromkeys(objects.units)),
     )
     return scene, chosen
 
@@ -110,28 +112,12 @@ def _read_environment(root: Table, files: SceneFiles, warnings: list[str]) -> En
     return Environment(radiance * np.float32(intensity), table.number("rotation", 0.0), visible, group)
 
 
-def _read_suns(root: Table) -> list[Sun]:
-    """The `[[sun]]` tables."""
-    values = root.values.get("sun", [])
-    if not isinstance(values, list):
-        root.fail("sun", "is not a list of tables; write [[sun]]")
-    suns = []
-    for number, entry in enumerate(values):
-        table = Table(entry, root.file, f"sun[{number}]", ("direction", "irradiance", "angle", "group"))
-        if "irradiance" not in table:
-            table.missing("irradiance", "give [r, g, b] on a surface that faces the sun")
-        irradiance = table.vector("irradiance", None, NOT_NEGATIVE)
-        angle = table.number("angle", LightSizes.sun_angle, SUN_ANGLE)
-        suns.append(Sun(table.direction("direction"), angle, irradiance, check_light_group(table, "group")))
-    return suns
-
-
 @dataclass
 class _Objects:
     """Meshes, suns and materials of the objects of a scene file. Each model is loaded once.
 
     subdivisions: of spheres. models: by path, state and light group, each with the index of its first material in `materials`.
-    unlit: warnings for light groups of objects without lights.
+    unlit: warnings for light groups of objects without lights. units: warnings for models that may have another unit.
     """
 
     materials: list[Material]
@@ -142,6 +128,7 @@ class _Objects:
     suns: list[Sun] = field(default_factory=list)
     models: dict[tuple[Path, ModelState, str], tuple[Model, int]] = field(default_factory=dict)
     unlit: list[str] = field(default_factory=list)
+    units: list[str] = field(default_factory=list)
 
     def load(self, table: Table) -> tuple[Model, int]:
         """The model of an object's `file`, and the index of its first material."""
@@ -205,6 +192,7 @@ def _read_objects(root: Table, files: SceneFiles, materials: list[Material]) -> 
                 model, first = objects.load(table)
                 placed += place_emitters(model, first, matrix, objects.materials)
                 objects.suns += place_suns(model, matrix)
+                objects.units += [] if "scale" in table else unit_warning(Path(table.text("file")), model.meshes)
                 if (group := table.text("group")) and not model.suns and not _in_group(placed, objects.materials, group):
                     objects.unlit.append(f"{table.path}.group: has no effect, as the object has no lights")
         objects.meshes += _named(placed, table)

@@ -17,6 +17,7 @@ from bokehguide.errors import BokehguideError, printable, reason
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.losses import Losses
 from bokehguide.scene.usd.libraries import Ar, Sdf, Tf, Usd, UsdShade
+from bokehguide.scene.usd.messages import problem_of
 
 SUFFIX = ".mtlx"
 MISSING = "MaterialX documents: left out, as the package MaterialX is missing; run pip install 'bokehguide[usd]'"
@@ -93,7 +94,10 @@ class Documents:
                 return Sdf.ComputeAssetPathRelativeToLayer(layer, f"{relative}{file}")
 
             document = _Reading(self._path, self._files, self.lost).document(resolved)
-            self._layers[resolved] = _Conversion(document, locate, self.lost).layer
+            try:
+                self._layers[resolved] = _Conversion(document, locate, self.lost).layer
+            except (Tf.ErrorException, ValueError) as error:  # values and names that USD does not take
+                raise _unreadable(self._path, resolved, problem_of(error, self._path)) from None
         return self._layers[resolved]
 
 
@@ -107,7 +111,7 @@ class _Reading:
 
     def document(self, resolved: str) -> Any:
         """The document at a resolved path. Raises BokehguideError for a damaged one."""
-        mx, place = self._mx, f"{self._path}: {printable(resolved, 200)}"
+        mx = self._mx
         asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(resolved))
         found = mx.createDocument()
         library = mx.createDocument()
@@ -119,7 +123,7 @@ class _Reading:
         except BokehguideError:
             raise
         except Exception as error:  # MaterialX documents no base class of its exceptions
-            raise BokehguideError(f"{place}: not a readable MaterialX document ({reason(error)}); repair it") from None
+            raise _unreadable(self._path, resolved, reason(error)) from None
         return found
 
     def _include(self, found: Any, name: Any, folders: Any, options: Any) -> None:
@@ -132,6 +136,11 @@ class _Reading:
             return
         found.setSourceUri(str(path))
         self._mx.readFromXmlString(found, _checked(path.read_bytes()), self._mx.FileSearchPath(str(path.parent)), options)
+
+
+def _unreadable(path: Path, resolved: str, problem: str) -> BokehguideError:
+    """The error that a document of the stage `path` has a problem."""
+    return BokehguideError(f"{path}: {printable(resolved, 200)}: not a readable MaterialX document ({problem}); repair it")
 
 
 def _checked(data: bytes) -> str:
@@ -236,7 +245,7 @@ class _Conversion:
         """The node `name` beside the node of an input, or within the graph of an output."""
         scope = element.getParent()
         while scope is not None and scope.getCategory() != "materialx":
-            if scope.getCategory() == "nodegraph" and (found := scope.getChild(name)) is not None:
+            if scope.getCategory() == "nodegraph" and (found := scope.getNode(name)) is not None:
                 return found
             scope = scope.getParent()
         return self._document.getNode(name)
@@ -249,14 +258,21 @@ class _Conversion:
         if kind == "filename":
             given.Set(Sdf.AssetPath(self._file(element)))
         elif kind in TYPES:
-            value = element.getValue()
-            value = value.asTuple() if hasattr(value, "asTuple") else value
-            given.Set(tuple(self._scale(element) * part for part in value) if element.getName() in REAL_SIZES else value)
+            given.Set(self._value(element))
         else:
             self._lose(f"MaterialX values of the type {kind}: left out", element)
             return
         if kind in ("filename", "color3", "color4"):
             attribute.SetColorSpace(element.getActiveColorSpace() or LINEAR)
+
+    def _value(self, element: Any) -> Any:
+        """The value of an element. Raises ValueError for one that has not its type."""
+        value, sized = element.getValue(), element.getName() in REAL_SIZES
+        value = value.asTuple() if hasattr(value, "asTuple") else value
+        if value is None or (sized and not isinstance(value, tuple)):
+            text, path = (printable(each) for each in (element.getValueString(), element.getNamePath()))
+            raise ValueError(f"{path}: {text!r} is no value of the type {'vector2' if sized else element.getType()}")
+        return tuple(self._scale(element) * part for part in value) if sized else value
 
     def _file(self, element: Any) -> str:
         """The path of a file. usdMtlx ignores `fileprefix`, so that documents may repeat the prefix in the name."""

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from bokehguide.errors import printable
+from bokehguide.scene.model import ModelState
 from bokehguide.scene.usd.stage import Stage
+from bokehguide.scene.usd.variants import variant_names
 
 
-def supported(read: Any, opened: Stage) -> Iterator[str]:
-    """Lines on units, time, textures, lights and cameras. read: the reader of the stage, with what it found."""
+def supported(read: Any, opened: Stage, state: ModelState) -> Iterator[str]:
+    """Lines on units, variants, time, textures, lights and cameras. read: the reader of the stage, with what it found."""
     yield f"USD stage: {opened.unit:g} m in a scene unit, {'z' if opened.world[1, 1] == 0.0 else 'y'} up"
+    if variants := printable(", ".join(variant_names(opened.stage)), 600):
+        yield f"variants: {variants}; drawn: {printable(state.variant or 'those that the file selects')}"
     if not opened.time.IsEarliestTime():
         yield f"time code: {opened.time.GetValue():g}"
     if read.looks.textures.count:

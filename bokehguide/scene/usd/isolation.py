@@ -29,14 +29,12 @@ MAX_FILES = 100_000
 def load_usd(path: Path, files: SceneFiles, state: ModelState) -> Model:
     """The stage of a USD file. Instances become triangles.
 
-    files: the files that the stage may name. state: the time. Raises BokehguideError, naming file and prim, for missing USD
-    libraries, damaged data, values out of range, a variant, and more triangles than the files allow.
+    files: the files that the stage may name. state: variants and time. Raises BokehguideError, naming file and prim, for missing
+    USD libraries, damaged data, values out of range, a variant that the stage lacks, and more triangles than the files allow.
     """
     whole = str(path.resolve())
     if problem := encoding_problem(whole):
         raise BokehguideError(f"{path}: {shown(whole)} {problem}")
-    if state.variant is not None:
-        raise BokehguideError(f"{path}: a USD file selects its variants itself; leave the variant out")
     try:
         return read_usd(path, files, state, binary=not sys.executable)
     except BinaryLayer:

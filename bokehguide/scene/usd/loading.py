@@ -31,7 +31,7 @@ from bokehguide.scene.validation import check_meshes, check_triangles
 
 def read_usd(path: Path, files: SceneFiles, state: ModelState, binary: bool) -> Model:
     """As `load_usd` in this process. binary: whether layers may be binary. Raises BinaryLayer if they may not, and one is."""
-    with open_stage(path, files, state.time, binary) as opened:
+    with open_stage(path, files, state, binary) as opened:
         reader = _Reader(opened)
         pose(opened)
         drawn: list[Placed] = []
@@ -52,7 +52,7 @@ def read_usd(path: Path, files: SceneFiles, state: ModelState, binary: bool) -> 
         cameras=tuple(each for _, each in reader.cameras),
         environment=reader.environment,
         film=film,
-        supported=tuple(supported(reader, opened)),
+        supported=tuple(supported(reader, opened, state)),
         warnings=tuple(opened.lost.lines()),
     )
 

@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from bokehguide.errors import BokehguideError, printable, reason
+from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.files import SceneFiles
 from bokehguide.scene.losses import Losses
+from bokehguide.scene.model import ModelState
 from bokehguide.scene.usd.documents import MISSING, SUFFIX, Documents
 from bokehguide.scene.usd.libraries import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils
+from bokehguide.scene.usd.messages import problem_of
+from bokehguide.scene.usd.variants import select_variants
 from bokehguide.stopping import default_signals
 
 MAX_NESTING = 1000
@@ -61,12 +64,12 @@ class BinaryLayer(Exception):
 
 
 @contextmanager
-def open_stage(path: Path, files: SceneFiles, seconds: float | None, binary: bool) -> Iterator[Stage]:
+def open_stage(path: Path, files: SceneFiles, state: ModelState, binary: bool) -> Iterator[Stage]:
     """The stage of a file, with all files that it is composed of.
 
-    files: the files that the stage may name. seconds: time of the animation; None is the start of the stage. binary: whether
-    layers may be binary. Raises BokehguideError for missing USD libraries, an unreadable file, and a layer outside the scene's
-    folder, and BinaryLayer.
+    files: the files that the stage may name. state: the variants, and the time of the animation; without a time, the start of the
+    stage. binary: whether layers may be binary. Raises BokehguideError for missing USD libraries, an unreadable file, a layer
+    outside the scene's folder, and a variant that the stage lacks, and BinaryLayer.
     """
     if find_spec("pxr") is None:
         raise BokehguideError(f"{path}: a USD scene, and the USD libraries are missing\nRun pip install 'bokehguide[usd]'")
@@ -79,12 +82,14 @@ def open_stage(path: Path, files: SceneFiles, seconds: float | None, binary: boo
             root = _checked_layers(path, files, binary, documents)
             stage = _opened(path, lambda: Usd.Stage.Open(root))
         world, unit = _to_world(path, stage)
-        opened = Stage(path, files, stage, _time(stage, seconds), world, unit, documents.lost)
+        opened = Stage(path, files, stage, _time(stage, state.time), world, unit, documents.lost)
         try:
+            if state.variant is not None:
+                select_variants(path, stage, state.variant)
             yield opened
         except (Tf.ErrorException, TypeError, ValueError, ArithmeticError) as error:  # attributes of any type, on any prim
             place = str(path) if opened.current is None else opened.place(opened.current)
-            raise BokehguideError(f"{place}: cannot be read ({_problem(error, path)}); repair the file") from None
+            raise BokehguideError(f"{place}: cannot be read ({problem_of(error, path)}); repair the file") from None
         _note_messages(opened, messages)
     finally:
         documents.restore()
@@ -97,21 +102,10 @@ def _opened(path: Path, read: Any) -> Any:
     try:
         result = read()
     except (Tf.ErrorException, RuntimeError, ValueError, MemoryError) as error:
-        raise BokehguideError(f"{path}: not a readable USD file ({_problem(error, path)}); repair it") from None
+        raise BokehguideError(f"{path}: not a readable USD file ({problem_of(error, path)}); repair it") from None
     if not result:
         raise BokehguideError(f"{path}: not a readable USD file; give an intact copy")
     return result
-
-
-def _problem(error: Exception, path: Path) -> str:
-    """What an exception of USD says, without the place in its source."""
-    try:
-        text = str(error).strip().partition(" : ")[2].replace(str(path), path.name).strip("\n'")
-        if "bad_alloc" in text:
-            return "it is damaged, or too large"
-        return printable(text, 200) or reason(error)
-    except UnicodeDecodeError:  # USD quotes the file
-        return "text that is no UTF-8"
 
 
 def _checked_layers(path: Path, files: SceneFiles, binary: bool, documents: Documents) -> Any:
