@@ -223,15 +223,15 @@ def chance_error(change: np.ndarray, variance: np.ndarray) -> np.ndarray:
 
 
 def mixing_weight(gain: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """G / Q within 0 and 1; 1 where the denoiser changes nothing."""
+    """G / Q within 0 and 1, of windowed G and Q, each `[H, W]`; 1 where the denoiser changes nothing."""
     return np.where(change > LEAST, (gain / change.clip(min=LEAST)).clip(0.0, 1.0), 1.0)
 
 
 def mixture(noisy: np.ndarray, clean: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """N + w (D - N), float32."""
+    """N + w (D - N), float32 `[H, W, C]`, of images N and D `[H, W, C]` and weights w `[H, W]`."""
     return (noisy + weight[..., None] * (clean - noisy)).astype(np.float32)
 
 
 def finite_pixels(image: np.ndarray) -> np.ndarray:
-    """The image in double precision, with 0 for NaN and infinities."""
+    """The image in double precision, of the same shape, with 0 for NaN and infinities."""
     return np.nan_to_num(image.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)

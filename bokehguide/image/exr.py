@@ -73,7 +73,10 @@ def write_exr(
 
 
 def drained(layers: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
-    """Pairs for `write_exr`, taken out of the dictionary one by one: the memory of each layer is free once it is split."""
+    """Layers `[H, W]` or `[H, W, C]` for `write_exr`, with their names, taken out of the dictionary one by one.
+
+    The memory of each layer is free once the layer is split into channels.
+    """
     while layers:
         name = next(iter(layers))
         yield name, layers.pop(name)

@@ -60,5 +60,5 @@ class Denoiser:
 
 
 def finite(image: np.ndarray, low: float, high: float) -> np.ndarray:
-    """The image within low and high, contiguous float32; NaN and infinities become 0."""
+    """The image within low and high, contiguous float32 of the same shape; NaN and infinities become 0."""
     return np.ascontiguousarray(np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).clip(low, high), np.float32)

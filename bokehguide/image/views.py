@@ -47,7 +47,7 @@ class Display:
     view: str = VIEWS[0]
 
     def metered(self, radiance: Tensor | np.ndarray, alpha: np.ndarray | None = None) -> Display:
-        """The same with an exposure: its own, or the one that suits this picture."""
+        """The same with an exposure: its own, or the metered one of radiance `[H, W, 3]`, premultiplied by `alpha` `[H, W]`."""
         if self.exposure is not None:
             return self
         return replace(self, exposure=metered_exposure(torch.as_tensor(radiance).cpu().numpy(), alpha))
@@ -58,7 +58,7 @@ class Display:
         return {"exposure": self.exposure or 0.0, VIEW_ATTRIBUTE: self.view}
 
     def show(self, radiance: Tensor | np.ndarray, alpha: np.ndarray | None = None) -> Tensor:
-        """Display values as of `to_display`."""
+        """Display values `[H, W, 3]` of radiance `[H, W, 3]`, as of `to_display`. alpha: `[H, W]`, for the meter."""
         return to_display(radiance, self.metered(radiance, alpha).exposure or 0.0, self.view)
 
     def show_straight(self, radiance: Tensor | np.ndarray, alpha: Tensor | np.ndarray) -> Tensor:
@@ -101,7 +101,10 @@ def _displayed(linear: Tensor, exposure: float, view: str) -> Tensor:
 
 
 def rolled_off(linear: Tensor) -> Tensor:
-    """`linear` with largest channels m above s = ROLL_OFF scaled to s (1 + ln(m / s)), which continues the slope 1 at s."""
+    """Linear radiance `[..., 3]` with highlights rolled off.
+
+    A largest channel m above s = ROLL_OFF becomes s (1 + ln(m / s)), which continues the slope 1 at s.
+    """
     peak = linear.amax(-1, keepdim=True).clamp(min=ROLL_OFF)
     return linear * (ROLL_OFF * (1.0 + (peak / ROLL_OFF).log()) / peak)
 

@@ -103,7 +103,7 @@ class ThinLensCamera:
         return torch.where(distance < MISS_DISTANCE, distance * (self.axes[:, 2] @ directions), NO_DEPTH)
 
     def coc_diameter(self, depth: Tensor) -> Tensor:
-        """Diameter in pixels of the circle of confusion at `depth` (metres along the axis), Eq. 23.
+        """Diameter in pixels of the circle of confusion at `depth`, both `[N]` (metres along the axis), Eq. 23.
 
         The denominator of Eq. 23 belongs to another geometry. Here, the disc of a point on the sensor has the diameter
         2 r |Z - d_F| / Z · d_s / d_F.

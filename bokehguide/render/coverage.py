@@ -65,11 +65,11 @@ class Coverage:
         self._features = features(pixels, device, SLOTS)
 
     def sums(self) -> dict[str, Tensor]:
-        """Objects and running sums by name. A film saves these tensors."""
+        """Objects, int32 `[SLOTS, pixels]`, and running sums as of `MeanFeatures`, by name. A film saves these tensors."""
         return {"objects": self._numbers, **self._features.sums()}
 
     def check(self, numbers: Tensor) -> None:
-        """Raise ValueError if the objects of another state name an object that the scene has not."""
+        """Raise ValueError if the objects `[SLOTS, pixels]` of another state name an object that the scene has not."""
         if numbers.numel() and int(numbers.max()) > int(self._objects.max()):
             raise ValueError("the coverage has an object that the scene has not")
 
@@ -91,7 +91,7 @@ class Coverage:
         self._features.add(pixels, seen, weight, kept)
 
     def initialise(self, pixels: Pixels, triangle: Tensor) -> None:
-        """Initialise the estimator with samples of weight 1 that are not in the picture."""
+        """Initialise the estimator with samples of weight 1 that are not in the picture. triangle: as in `add`, `[N]`."""
         self._features.initialise(pixels, self._seen(pixels, triangle, torch.ones_like(triangle)))
 
     def covered(self, count: Tensor) -> Covered:

@@ -25,7 +25,7 @@ class MeanFeatures:
         self._sum = torch.zeros(rows, pixels, dtype=torch.float64, device=device)
 
     def sums(self) -> dict[str, Tensor]:
-        """Running sums by name. A film saves these sums."""
+        """Running sums by name, `[F, pixels]` each in this class. A film saves these sums."""
         return {"features": self._sum}
 
     def recenter(self, pixels: Pixels) -> None:

@@ -21,7 +21,7 @@ class GroupSums:
         self._sums = torch.zeros(3 * len(names), pixels, dtype=torch.float64, device=device)
 
     def sums(self) -> dict[str, Tensor]:
-        """The sums by name, empty without groups."""
+        """The sums by name, float64 `[3 G, pixels]`, empty without groups."""
         return {"groups": self._sums} if self.names else {}
 
     def add(self, pixels: Pixels, values: Tensor, kept: Tensor) -> None:

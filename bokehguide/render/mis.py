@@ -13,7 +13,7 @@ BROAD = 16.0
 
 
 def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
-    """MIS weight of a sample with the density `pdf`, if another technique has the density `other` (Veach 1997)."""
+    """MIS weights `[N]` of samples with densities `pdf` `[N]`, if another technique has densities `other` `[N]` (Veach 1997)."""
     return 1.0 / (1.0 + (other / divisor(pdf)).square())
 
 
@@ -43,6 +43,9 @@ class BsdfWeights(NamedTuple):
 
     @classmethod
     def with_factor(cls, pdf: Tensor, light_pdf: Tensor, factor: Tensor | float) -> BsdfWeights:
-        """Weights where light samples have the power heuristic's weight less (1 - `factor`) times its broad part."""
+        """Weights where light samples have the power heuristic's weight less (1 - `factor`) times its broad part.
+
+        pdf, light_pdf: densities of BSDF samples and of light samples at the samples, `[N]`. factor: `[N]`, or of all samples.
+        """
         broad = power_heuristic(light_pdf, pdf) * broad_share(light_pdf, pdf)
         return cls(power_heuristic(pdf, light_pdf) + (1.0 - factor) * broad, broad)

@@ -90,7 +90,7 @@ class NativeTracer:
     def views(
         self, arrays: dict[str, Any], numbers: dict[str, float], record: CoreRecord, first: int, pixels: Tensor | None
     ) -> Any:
-        """The `Views` of the extension, which `native/reuse.cpp` describes."""
+        """The `Views` of the extension, which `native/reuse.cpp` describes. pixels: of the views, `[N]`, None for a span."""
         core = native.core()
         assert core is not None
         if record.hits > 0:

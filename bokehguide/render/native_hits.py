@@ -31,14 +31,14 @@ def surface_fields(materials: Materials) -> tuple[int, ...]:
 
 
 def hit_arrays(count: int, materials: Materials) -> dict[str, Tensor]:
-    """Arrays for at most `count` primary hits, by the names of `SplitRecord` in `native/tables.h`."""
+    """Arrays `[count]` or `[rows, count]` for at most `count` primary hits, by name as in `SplitRecord` of `native/tables.h`."""
     arrays = {name: torch.empty(count, dtype=torch.int32) for name in ("ray", "triangle", "paths")}
     arrays |= {name: torch.empty(count) for name in ("distance", "u", "v")}
     return {**arrays, "surface": torch.empty(sum(surface_fields(materials)), count), "emission": torch.empty(3, count)}
 
 
 def path_arrays(count: int, with_lights: bool) -> dict[str, Tensor]:
-    """Arrays for at most `count` paths that leave primary hits."""
+    """Arrays `[count]` or `[rows, count]` for at most `count` paths that leave primary hits."""
     arrays = {name: torch.empty(3, count) for name in ("light_direction", "scattered_direction")}
     arrays |= {name: torch.empty(6, count) for name in ("reflected", "bsdf")}
     arrays["owner"] = torch.empty(count, dtype=torch.int64)

@@ -50,7 +50,7 @@ def _signed(x: int) -> int:
 
 
 def hash_tensor(x: Tensor) -> Tensor:
-    """`hash_int` of int32 values, as int32, in place."""
+    """`hash_int` of int32 values of any shape, as int32, in place."""
     shifted = x >> 16
     x ^= shifted.bitwise_and_(0xFFFF)
     x *= _signed(0x7FEB352D)
@@ -234,7 +234,7 @@ class PixelRandom:
         return to_device([_signed(hash_int(key)) for key in keys], self.pixel_keys.device, torch.int32)
 
     def stratified(self, dimension: int, count: int, first: int = 1, number: int = 0) -> Tensor:
-        """Like `uniform`, but with numbers of a `count`-dimensional sequence, count ≤ 8, over the steps from `first` on.
+        """Like `uniform`, `[count, N]`, but with a `count`-dimensional sequence, count ≤ 8, over the steps from `first` on.
 
         Each pair of `dimension` and `first` has its own sequence. Different sequences have independent scrambles.
 

@@ -29,7 +29,8 @@ class Splitting:
     def split(
         self, geometry: Geometry, paths: Paths, found: Arrivals, surface: Surface, observers: Sequence[PathObserver]
     ) -> tuple[Paths, Surface, Tensor | None]:
-        """Paths that leave the primary hits, their surfaces, and the hit of each path, int64, None if each hit has one path."""
+        """P paths that leave the primary hits, their surfaces, and the hit of each path, int64 `[P]`, None if each hit has one
+        path."""
         return paths, surface, None
 
     def add_direct(self, paths: Paths, direction: Tensor, contribution: Tensor) -> None:

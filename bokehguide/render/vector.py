@@ -15,7 +15,10 @@ from bokehguide.color import LUMINANCE_WEIGHTS
 
 
 def divisor(x: Tensor, least: float = 1e-30) -> Tensor:
-    """Non-negative values as divisors, at least `least`. A quotient 0 / 0 becomes 0, and no other quotient overflows."""
+    """Non-negative values of any shape as divisors, at least `least`.
+
+    A quotient 0 / 0 becomes 0, and no other quotient overflows.
+    """
     return x.clamp(min=least)
 
 
@@ -55,7 +58,7 @@ def luminance(color: Tensor) -> Tensor:
 
 
 def fifth_power(x: Tensor) -> Tensor:
-    """x⁵, as in Schlick's approximation."""
+    """x⁵ of any shape, as in Schlick's approximation."""
     return x.square().square() * x
 
 

@@ -183,7 +183,7 @@ class Visibility:
     def visible_rays(
         self, origins: Tensor, directions: Tensor, distances: Tensor, weight: Tensor, timer: PhaseTimer
     ) -> tuple[VisibleRays, int]:
-        """As `transmittance`, but only for rays with a positive transmittance. The host has the number of these rays."""
+        """As `transmittance`, but only for the K rays with a positive transmittance. The host knows K."""
         rays, visible, length, weight = self._unblocked(origins, directions, distances, weight, timer)
         count, through = len(rays), indices(visible > 0.0)
         rays, visible, length, weight = (values.index_select(0, through) for values in (rays, visible, length, weight))

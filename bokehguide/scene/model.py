@@ -1,4 +1,4 @@
-"""Plain data of a model file, before a scene places the model. Units are those of `types.py`."""
+"""Plain data of a model file, before a scene places the model. Units are those of `types`."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class LightSizes:
 class ModelState:
     """The state in which a model is drawn.
 
-    variant: name of one of its material variants; None draws its own materials. time: of its animations, in seconds; None draws
-    the pose at rest.
+    variant: name of one of its material variants, or SET=NAME for each variant set of a stage, with commas in between; None draws
+    the file's own choice. time: of its animations, in seconds; None draws the pose at rest.
     """
 
     variant: str | None = None

@@ -1,4 +1,4 @@
-"""Checks of whole scenes. The dataclasses of `types.py` check their own fields.
+"""Checks of whole scenes. The dataclasses of `types` check their own fields.
 
 Embree reads outside its arrays if an index is out of range, so no check is optional.
 """

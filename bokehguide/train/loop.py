@@ -14,14 +14,14 @@ from torch import Tensor
 from bokehguide.errors import BokehguideError
 from bokehguide.guiding.inheritance import Learned
 from bokehguide.guiding.modes import MODES
-from bokehguide.guiding.protocols import BatchSamples, LensPoints, LensQuery, ModeContext, PixelBatch, StepSummary
+from bokehguide.guiding.protocols import ModeContext, PixelBatch, StepSummary
 from bokehguide.render.bad_samples import earliest
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.epochs import starts_epoch
 from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
 from bokehguide.render.film import Film, FilmSamples
 from bokehguide.render.light_groups import GroupedLights
-from bokehguide.render.path_tracer import PathSamples, PathTracer
+from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.render.shadow_roulette import ShadowRoulette
 from bokehguide.render.split_film import SplitFilm
@@ -32,6 +32,7 @@ from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.runtime.workers import Workers
 from bokehguide.scene.light_groups import find_light_groups
 from bokehguide.scene.types import Scene
+from bokehguide.train.batch_tracer import BatchTracer
 from bokehguide.train.film_pixels import FilmPixels
 from bokehguide.train.lens_draws import draw
 from bokehguide.train.loop_base import Loop, require_inputs
@@ -75,10 +76,11 @@ class RenderLoop(Loop):
         owned = self.pixels.mine_in_frame()
         context = ModeContext(scene, self.camera, self.tracer, width, height, settings, self.ranks, owned)
         self._groups = find_light_groups(scene) if settings.light_groups else None
-        self._grouped = GroupedLights(self._groups, self.tracer.geometry, self.tracer.lights) if self._groups else None
         self.mode = entry.build(context)
         self.film = self._empty_film()
         self.shadow_roulette = ShadowRoulette(width, height, self.mode.reuse.roulette_cell, device)
+        grouped = GroupedLights(self._groups, self.tracer.geometry, self.tracer.lights) if self._groups else None
+        self._batch_tracer = BatchTracer(self.camera, self.tracer, self.mode, self.shadow_roulette, grouped)
         self.step_number = 0
         paths = self.mode.lens.paths_per_sample
         self.workers = Workers(threads if on_cpu else GPU_THREADS, device)
@@ -186,19 +188,33 @@ class RenderLoop(Loop):
         """Compute the thresholds of shadow rays from the samples on the film."""
         self.shadow_roulette.update(self.film)
 
+    def _spans(self) -> list[slice]:
+        """Spans of the pixels that steps render."""
+        cuts = self.mode.reuse.cuts(self.film.width, self.film.height)
+        return self.batches.spans(*self.pixels.row(cuts))
+
+    def _in_batches(self, work: Callable[[Pixels], BatchResult], spans: Sequence[slice]) -> list[BatchResult]:
+        """Results of `work` for the film's pixels of each span."""
+        start = time.perf_counter()
+        results = self.workers.map(work, [self.pixels.at(span) for span in spans])
+        worked = sum((result.timer.seconds for result in results), Counter())
+        scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
+        self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
+        return results
+
     @torch.no_grad()
     def _render_batch(self, places: Pixels) -> BatchResult:
         """One sample for each of the given pixels of the film."""
         mode, timer = self.mode, PhaseTimer()
         with timer.measure("guiding"):
-            pixels = self._pixels(places)  # pixels and focus points
-            query = mode.lens.query(pixels)
-            points = draw(self.settings.mode, query, pixels.focus)
+            batch = self._pixels(places)  # pixels and focus points
+            query = mode.lens.query(batch)
+            drawn = draw(self.settings.mode, query, batch.focus)
         with timer.measure("shading"):
-            rays = self._initialise(pixels, timer)
-            samples = self._trace(pixels, query, points, timer)  # rays and paths
+            rays = self._initialise(batch, timer)
+            samples = self._batch_tracer.trace(batch, query, drawn, timer)  # rays and paths
             good = mode.reuse.expose(samples, self._film_sink(timer), timer)
-        result = BatchResult(len(points.weight), samples.paths.rays + rays, timer)
+        result = BatchResult(len(drawn.weight), samples.paths.rays + rays, timer)
         if self._learns:
             with timer.measure("learning"):
                 result.lens = mode.lens.record(samples, good)
@@ -213,41 +229,15 @@ class RenderLoop(Loop):
         grouped = self.mode.reuse.share(random, places, self.step_number)
         return PixelBatch(self.step_number, places, pixels, *positions, random, self._mean_luminance, grouped)
 
-    def _trace(self, batch: PixelBatch, query: LensQuery, drawn: LensPoints, timer: PhaseTimer) -> BatchSamples:
-        """Trace paths from lens points, and make samples of them."""
-        lens, lights = self.mode.lens, self.mode.lights
-        origins, directions = self.camera.rays(batch.focus, drawn.points)
-        of_lens, of_lights = lens.observers(batch), lights.observers()
-        paths = self.tracer.trace(
-            origins,
-            directions,
-            batch.random,
-            timer,
-            alive=drawn.weight,
-            light_sampler=lights.sampler,
-            splitting=lens.splitting(drawn.weight),
-            observers=(*of_lens, *of_lights),
-            groups=self._grouped,
-            shadow_threshold=self.shadow_roulette.thresholds(batch.places, drawn.weight),
-        )
-        film = self._film_samples(paths, directions, drawn.weight)
-        return BatchSamples(batch, query, drawn, directions, paths, of_lens, of_lights, film)
-
     def _initialise(self, batch: PixelBatch, timer: PhaseTimer) -> int:
         """Initialise the film's features with samples that are not in the picture; returns the number of rays."""
         rays = 0
         for query in self.mode.lens.initial_queries(batch):
             drawn = draw(self.settings.mode, query, batch.focus)
-            origins, directions = self.camera.rays(batch.focus, drawn.points)
-            seen = self.tracer.trace(origins, directions, batch.random, timer, max_depth=1)
-            self.film.initialise(batch.places, self._film_samples(seen, directions, drawn.weight))
-            rays += seen.rays
+            samples, traced = self._batch_tracer.trace_features(batch, drawn, timer)
+            self.film.initialise(batch.places, samples)
+            rays += traced
         return rays
-
-    def _film_samples(self, paths: PathSamples, directions: Tensor, weight: Tensor) -> FilmSamples:
-        depth = self.camera.depth(paths.distance, directions)
-        found = weight, paths.radiance, paths.alpha, depth, paths.normal, paths.albedo, paths.emission
-        return FilmSamples(*found, triangle=paths.triangle, groups=None if paths.groups is None else paths.groups.rays)
 
     def _film_sink(self, timer: PhaseTimer) -> Callable[[Pixels, FilmSamples], Tensor]:
         """The function that puts samples on the film and returns the finite ones, bool `[N]`."""
@@ -295,20 +285,6 @@ class RenderLoop(Loop):
         for strategy in self.mode.strategies.values():
             strategy.update(summary)
 
-    def _spans(self) -> list[slice]:
-        """Spans of the pixels that steps render."""
-        cuts = self.mode.reuse.cuts(self.film.width, self.film.height)
-        return self.batches.spans(*self.pixels.row(cuts))
-
-    def _in_batches(self, work: Callable[[Pixels], BatchResult], spans: Sequence[slice]) -> list[BatchResult]:
-        """Results of `work` for the film's pixels of each span."""
-        start = time.perf_counter()
-        results = self.workers.map(work, [self.pixels.at(span) for span in spans])
-        worked = sum((result.timer.seconds for result in results), Counter())
-        scale = (time.perf_counter() - start) / max(sum(worked.values()), 1e-9)
-        self._phases += Counter({phase: seconds * scale for phase, seconds in worked.items()})
-        return results
-
     def _light_so_far(self) -> tuple[float, float]:
         """Luminance of this rank's samples so far, and their number."""
         return self.film.light(self.pixels.own)
@@ -343,7 +319,8 @@ class RenderLoop(Loop):
         """
         with self.workers.serial():
             self._learn()
-            state: dict[str, object] = {"step": self.step_number, "film": self._film_state()}
+            size = [self.film.width, self.film.height]
+            state: dict[str, object] = {"step": self.step_number, "size": size, "film": self._film_state()}
             state |= {"mean_luminance": self._mean_luminance, "phases": dict(self._phases)}
             for name, strategy in self.mode.strategies.items():
                 strategy.merge()

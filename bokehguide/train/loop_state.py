@@ -42,6 +42,9 @@ def require_loop_state(place: str, state: Any, own: Mapping[str, Any], check_fil
     check_film: raises ValueError for a state of another film.
     """
     require_parts(place, state, own, apart="film")
+    if state["size"] != own["size"]:
+        sizes = ["x".join(map(str, each["size"])) for each in (state, own)]
+        raise BokehguideError(f"{place}: the film has {printable(sizes[0])} pixels, not {sizes[1]}; {REMEDY}")
     require_parts(f"{place}: film", state["film"], own["film"] | {"bad_samples": []})
     try:
         check_film(state["film"])

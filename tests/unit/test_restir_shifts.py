@@ -15,6 +15,7 @@ from bokehguide.render.film import NO_DEPTH
 from bokehguide.render.random import PixelRandom
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.train import RenderLoop
+from bokehguide.train.batch_tracer import film_samples
 from tests.support.restir_cases import FLOOR, HEIGHT, RADIUS, WIDTH, loop_of
 
 FOCUS_DISTANCE = 1.5
@@ -137,7 +138,7 @@ class Exchange:
         origins, directions = camera.rays(focus, points)
         path = self.loop.tracer.trace(origins, directions, PixelRandom(0, 1, self.source), PhaseTimer())
         inside = camera.lens.contains(points).float()
-        found = self.loop._film_samples(path, directions, inside)
+        found = film_samples(camera, path, directions, inside)
         return self.loop.mode.reuse.spatial.to_reservoirs(
             self.target, samples.subpixel, points, path, found, torch.ones_like(inside)
         )

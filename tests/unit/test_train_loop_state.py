@@ -178,6 +178,14 @@ def test_the_state_of_another_mode_is_refused(mode):
     assert_refused(onwards(loop_of(mode), 1), state, "give the state_dict\\(\\) of a loop with the same scene and settings")
 
 
+@pytest.mark.parametrize(("mode", "kind"), [*((mode, "plain") for mode in MODES), ("uniform", "split"), ("uniform", "adaptive")])
+def test_the_state_of_a_film_of_another_shape_is_refused(mode, kind):
+    """Of as many pixels: uniform sampling learns nothing that tells the shapes apart."""
+    settings = RenderSettings(mode, threads=1, reuse_radius=3.0, **KINDS[kind])
+    with make_loop(scenes.emitters(36, 64), settings) as upright, make_loop(scenes.emitters(64, 36), settings) as lying:
+        assert_refused(lying, onwards(upright, 2).state_dict(), "the film has 36x64 pixels, not 64x36; give the state_dict")
+
+
 def test_offsets_come_back_after_a_wrong_state():
     """A state from before the offsets drops them; the loop goes on like one that never saw this state."""
     early = deepcopy(onwards(loop_of("lis-o"), 3).state_dict())

@@ -33,7 +33,7 @@ def brushed_table(device: torch.device) -> Tensor:
 
 
 def fourth_root(values: Tensor) -> Tensor:
-    """Fourth roots of numbers of at least 0."""
+    """Fourth roots of numbers of at least 0, element by element."""
     return values.sqrt().sqrt()
 
 

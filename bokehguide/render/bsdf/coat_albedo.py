@@ -80,7 +80,7 @@ def packed_table() -> Tensor:
 
 
 def packed_brushed_table() -> Tensor:
-    """The table of anisotropic microfacets for the native core, likewise; 32768 stands for 0."""
+    """The table of anisotropic microfacets for the native core, int32 `[N]`, packed likewise; 32768 stands for 0."""
     return _packed(brushed_table(torch.device("cpu")) * 65535.0 + 32768.0)
 
 

@@ -46,7 +46,7 @@ def sample_visible_normal(outgoing: Tensor, alpha: Tensor, uniforms: Tensor, alo
 
 
 def smith_root(cosine: Tensor, a2: Tensor) -> Tensor:
-    """sqrt(α² + (1 - α²) cos²), the root in Smith's masking terms."""
+    """sqrt(α² + (1 - α²) cos²), the root in Smith's masking terms, `[N]`. cosine, a2: cos and α², `[N]`."""
     return (a2 + (1.0 - a2) * cosine * cosine).sqrt()
 
 
