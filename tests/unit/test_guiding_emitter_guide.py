@@ -26,9 +26,9 @@ from tests.support.guides import mixture_of, mixture_query, pixel_batch, pytorch
 WIDTH, HEIGHT = 64, 36
 
 
-def rendered(scene: Scene, steps: int, config: GuidedConfig = GuidedConfig()) -> RenderLoop:
+def rendered(scene: Scene, steps: int, config: GuidedConfig = GuidedConfig(), seed: int = 0) -> RenderLoop:
     """A loop after some steps."""
-    with RenderLoop(scene, RenderSettings("guided", threads=1, guided=config)) as loop:
+    with RenderLoop(scene, RenderSettings("guided", seed=seed, threads=1, guided=config)) as loop:
         for _ in range(steps):
             loop.step()
     return loop
@@ -74,7 +74,7 @@ def test_emitters_that_are_not_compact_are_left_to_the_record():
     scene = scenes.emitters(WIDTH, HEIGHT)
     strip = transformed(unit_rectangle(), transform((0.0, 0.1, -5.0), scale=(0.6, 0.01, 1.0)))
     mesh = joined([strip, spheres(np.array([[0.0, -0.2, -5.0]]), 0.05, material=0)])
-    loop = rendered(replace(scene, meshes=(replace(mesh, material=0),)), 8)
+    loop = rendered(replace(scene, meshes=(replace(mesh, material=0),)), 8, seed=1)
     guide = loop.mode.lens
     assert len(proposals(loop).field) == 1 and len(guide.field) == 2 and len(guide.highlight_cells) > 0
 
@@ -446,7 +446,7 @@ def share_of_bright_draws(loop: RenderLoop) -> float:
 
 @pytest.fixture(scope="module")
 def found_on_a_ball() -> RenderLoop:
-    return rendered(ball_of_emitters(), 32)
+    return rendered(ball_of_emitters(), 32, seed=2)
 
 
 def test_highlights_on_a_metal_ball_are_found_at_their_virtual_images(found_on_a_ball):
