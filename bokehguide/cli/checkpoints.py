@@ -117,8 +117,8 @@ class Checkpoints:
             with suppress(OSError):  # the save fails too then, and warns
                 self.path.rename(new)
                 options = f"that render's options with --out {new.with_suffix('.exr')} --resume continue it"
-                options += f"\nDifferences: {self._changed}"
-                remedy = {ANOTHER: f"; {options}", UNREADABLE: ""}.get(self._stranger, "; that version continues it")
+                another = f"; {options}\nDifferences: {self._changed}"
+                remedy = {ANOTHER: another, UNREADABLE: ""}.get(self._stranger, "; that version continues it")
                 self._note(f"{self.path} {self._stranger} and is {new} now{remedy}")
                 self._tell_others()
         self._stranger = ""

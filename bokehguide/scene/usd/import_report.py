@@ -15,7 +15,7 @@ def supported(read: Any, opened: Stage, state: ModelState) -> Iterator[str]:
     """Lines on units, variants, time, textures, lights and cameras. read: the reader of the stage, with what it found."""
     yield f"USD stage: {opened.unit:g} m in a scene unit, {'z' if opened.world[1, 1] == 0.0 else 'y'} up"
     if variants := printable(", ".join(variant_names(opened.stage)), 600):
-        yield f"variants: {variants}; drawn: {printable(state.variant or 'those that the file selects')}"
+        yield f"variants: {variants}; drawn: {printable(state.variant or 'the selections of the file')}"
     if not opened.time.IsEarliestTime():
         yield f"time code: {opened.time.GetValue():g}"
     if read.looks.textures.count:
