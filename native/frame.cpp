@@ -1,6 +1,12 @@
 // Pixels, their random numbers, lens points and rays, as functions of the module: the loops are in camera.h.
 
 #include "bindings.h"
+
+#include <nanobind/stl/tuple.h>
+
+#include <algorithm>
+#include <tuple>
+
 #include "scene.h"
 
 namespace bokehguide {
@@ -40,6 +46,40 @@ void random(const Random& random, const Ints& pixels, uint32_t dimension, int nu
     nb::gil_scoped_release released;
     kernels().random_numbers(random, int64_t(pixels.size()), pixels.data(), dimension, numbers, first, number, member ? member->data() : nullptr, flags,
                              out.data());
+}
+
+// Fields of `PixelGroups`, and the number of tiles across the film.
+struct TilePattern {
+    int32_t width, across, down, below, mask, tiles_across;
+    const int32_t* right;
+
+    // `PixelGroups.numbered` for one pixel.
+    void number(int32_t pixel, int32_t& group, int32_t& member) const {
+        const int32_t line = pixel / width, x = pixel - line * width, in_band = line % ROWS_PER_BAND;
+        const int32_t column = x + right[in_band], row = in_band + below, place = (row & (down - 1)) * across + (column & (across - 1));
+        const int32_t tile_rows = (ROWS_PER_BAND + below + down - 1) / down;
+        const int32_t tile = (line / ROWS_PER_BAND * tile_rows + row / down) * tiles_across + column / across;
+        int32_t selected = place & mask, parity = 0, highest = -1;
+        for (; selected != 0; selected &= selected - 1) parity ^= 1;
+        for (int32_t bits = mask; bits != 0; bits >>= 1) ++highest;
+        group = 4 * tile + 2 * (x / COLUMNS_PER_BAND & 1) + parity;
+        member = (place & ((1 << highest) - 1)) | place >> (highest + 1) << highest;
+    }
+};
+
+// `PixelGroups.numbered`. lengths: width, across, down, below, mask and number of tiles across.
+void number_groups(std::tuple<int, int, int, int, int, int> lengths, const Ints& right, int64_t first, const Numbers& numbers, IntsOut group,
+                   IntsOut member) {
+    const auto [width, across, down, below, mask, tiles_across] = lengths;
+    if (std::min({width, across, down, mask}) < 1) throw std::invalid_argument("groups without pixels");
+    check(right, ROWS_PER_BAND, "right"), check(member, group.size(), "member");
+    if (numbers) check(*numbers, group.size(), "pixels");
+    nb::gil_scoped_release released;
+    const TilePattern pattern = {width, across, down, below, mask, tiles_across, right.data()};
+    for (size_t i = 0; i < group.size(); ++i) {
+        const int64_t pixel = numbers ? numbers->data()[i] : first + int64_t(i);
+        pattern.number(int32_t(pixel), group.data()[i], member.data()[i]);
+    }
 }
 
 // size: width and height of the frame; lengths: width of a pixel at unit distance, and the focus distance.
@@ -92,6 +132,7 @@ void bind_frame(nb::module_& m) {
     });
     m.def("pixel_keys", &pixel_keys, nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
     m.def("random", &random, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg().none(), nb::arg());
+    m.def("number_groups", &number_groups, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg());
     m.def("film_positions", &film_positions, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg());
     m.def("sample_disc", &sample_disc);
     m.def("camera_rays", &camera_rays);

@@ -12,6 +12,7 @@ namespace BOKEHGUIDE_ISA {
 using bokehguide::HitRecord;
 using bokehguide::LensCamera;
 using bokehguide::LensSamples;
+using bokehguide::COLUMN_BITS;
 using bokehguide::MOST_MEMBERS;
 using bokehguide::OwnSamples;
 using bokehguide::PixelGroups;
@@ -19,8 +20,7 @@ using bokehguide::ReusedGroups;
 using bokehguide::ROWS_PER_BAND;
 using bokehguide::ViewRows;
 
-// Groups end with bands of ROWS_PER_BAND rows and with bands of 2^COLUMN_BITS columns.
-constexpr int COLUMN_BITS = 5, FRONT_ROW = 12;
+constexpr int FRONT_ROW = 12;
 constexpr float GROUP_SPACING = 3.0f, INFINITELY_DEEP = 1e30f, SHORTENED = 1.0f - 1e-4f;
 
 inline Vec3 camera_to_world(const bokehguide::Camera& c, Vec3 v) {

@@ -3,10 +3,19 @@
 #include "bindings.h"
 
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
+#include <algorithm>
+#include <atomic>
 #include <cmath>
+#include <tuple>
+#include <utility>
+#include <vector>
 
 #include "arrays.h"
+#include "parallel.h"
 
 namespace bokehguide {
 
@@ -14,21 +23,72 @@ namespace {
 
 constexpr int CONTROL_ROWS = 8;
 
-// `LightSampler.add`: adds samples to sums `[3, tiles · clusters]`.
-void add_light_samples(Out<double> sums, const Ints& tile, const Ints& cluster, const Floats& contribution, const Floats& visibility,
-                       int clusters, double most) {
-    const size_t count = tile.size(), places = sums.size() / 3;
-    check(sums, 3 * places, "sums"), check(cluster, count, "cluster"), check(contribution, count, "contribution"), check(visibility, count, "visibility");
-    nb::gil_scoped_release released;
-    double* const total = sums.data();
+// Arrays of one batch of light samples: tile, cluster, contribution and visibility.
+using LightBatch = std::tuple<Ints, Ints, Floats, Floats>;
+
+// Adds the samples of tiles `first` … `last` to sums `[3, tiles · clusters]`.
+void add_light_batch(double* total, size_t places, const LightBatch& batch, size_t clusters, double most, size_t first, size_t last) {
+    const auto& [tile, cluster, contribution, visibility] = batch;
+    const size_t count = tile.size();
     for (size_t i = 0; i < count; ++i) {
-        if (cluster.data()[i] < 0) continue;
-        const size_t place = size_t(tile.data()[i]) * size_t(clusters) + size_t(cluster.data()[i]);
-        if (place >= places) continue;
+        const size_t row = size_t(tile.data()[i]);
+        if (row < first || row >= last || cluster.data()[i] < 0 || size_t(cluster.data()[i]) >= clusters) continue;
+        const size_t place = row * clusters + size_t(cluster.data()[i]);
         double value = contribution.data()[i];
         value = std::isnan(value) ? 0.0 : (value < most ? value : most);
         total[place] += value * value, total[places + place] += 1.0, total[2 * places + place] += visibility.data()[i];
     }
+}
+
+// `LearnedLightSampler.add`: adds samples to sums `[3, tiles · clusters]`, in the order of the batches.
+void add_light_samples(Out<double> sums, const std::vector<LightBatch>& batches, int clusters, double most, int threads) {
+    const size_t places = sums.size() / 3, tiles = places / size_t(std::max(clusters, 1));
+    check(sums, 3 * tiles * size_t(clusters), "sums");
+    for (const auto& [tile, cluster, contribution, visibility] : batches) {
+        const size_t count = tile.size();
+        check(cluster, count, "cluster"), check(contribution, count, "contribution"), check(visibility, count, "visibility");
+    }
+    nb::gil_scoped_release released;
+    double* const total = sums.data();
+    in_ranges(tiles, threads, [&](size_t first, size_t last) {
+        for (const LightBatch& batch : batches) add_light_batch(total, places, batch, size_t(clusters), most, first, last);
+    });
+}
+
+// Means over windows of `width` entries, smaller at the ends, of `count` entries of `size` numbers each. `entry(i)` returns a
+// pointer to the numbers of entry i.
+template <class Entry> void window_mean(const Entry& entry, size_t at, size_t count, size_t width, size_t size, double* mean) {
+    const size_t first = at - std::min(at, width / 2), last = std::min(at + width / 2 + 1, count);
+    std::fill_n(mean, size, 0.0);
+    for (size_t i = first; i < last; ++i) {
+        const double* const values = entry(i);
+        for (size_t k = 0; k < size; ++k) mean[k] += values[k];
+    }
+    for (size_t k = 0; k < size; ++k) mean[k] /= double(last - first);
+}
+
+// `LearnedLightSampler._pooled`: weighted means over squares of tiles. values: `[down, across, channels]`. own: weight of the tile
+// itself. pools: width of each square, an odd number, and weight of its mean.
+void pool_tiles(const Out<const double>& values, double own, const std::vector<std::pair<int, double>>& pools, Out<double> pooled, int threads) {
+    if (values.ndim() != 3) throw std::invalid_argument("values are not [down, across, channels]");
+    const size_t down = values.shape(0), across = values.shape(1), channels = values.shape(2), row_size = across * channels;
+    check(pooled, values.size(), "pooled");
+    nb::gil_scoped_release released;
+    const double* const source = values.data();
+    in_ranges(down, threads, [&](size_t first, size_t last) {
+        std::vector<double> column(row_size), mean(channels);
+        for (size_t y = first; y < last; ++y) {
+            double* const out = pooled.data() + y * row_size;
+            for (size_t k = 0; k < row_size; ++k) out[k] = own * source[y * row_size + k];
+            for (const auto& [width, share] : pools) {
+                window_mean([&](size_t i) { return source + i * row_size; }, y, down, size_t(width), row_size, column.data());
+                for (size_t x = 0; x < across; ++x) {
+                    window_mean([&](size_t i) { return column.data() + i * channels; }, x, across, size_t(width), channels, mean.data());
+                    for (size_t k = 0; k < channels; ++k) out[x * channels + k] += share * mean[k];
+                }
+            }
+        }
+    });
 }
 
 // `MisFactors.moments`: adds paths to sums `[2, tiles]`; factor: of each tile.
@@ -46,19 +106,134 @@ void add_mis_moments(Out<double> sums, const Floats& factor, const Ints& tile, c
     }
 }
 
-// `RecordBuffer.add`: adds samples with positions `[3, N]` to sums `[5, cells]`.
-void add_records(FloatsOut sums, const Out<const int64_t>& cells, const Floats& points, const Floats& luminance) {
-    const size_t count = luminance.size(), places = sums.size() / 5;
-    check(sums, 5 * places, "sums"), check(cells, count, "cells"), check(points, 3 * count, "points");
-    nb::gil_scoped_release released;
+// A cell of a record of `cells` cells, no cell for a negative number. Throws for a number beyond the last cell.
+size_t cell_in(int64_t number, size_t cells) {
+    if (number >= int64_t(cells)) throw std::out_of_range("cell outside the record");
+    return size_t(number);
+}
+
+// Arrays of one batch of records: cells, positions `[3, N]` and luminance.
+using RecordBatch = std::tuple<Out<const int64_t>, Floats, Floats>;
+
+// Adds the samples in cells `first` … `last` to sums `[5, cells]`.
+void add_record_batch(float* total, size_t places, const RecordBatch& batch, size_t first, size_t last) {
+    const auto& [cells, points, luminance] = batch;
+    const size_t count = luminance.size();
     for (size_t i = 0; i < count; ++i) {
-        const int64_t cell = cells.data()[i];
-        if (cell < 0) continue;
-        if (size_t(cell) >= places) throw std::out_of_range("cell outside the record");
+        const size_t cell = cell_in(cells.data()[i], places);
+        if (cell < first || cell >= last) continue;
         const float light = luminance.data()[i], x = points.data()[i], y = points.data()[count + i], depth = points.data()[2 * count + i];
         const float values[5] = {1.0f, light, light * (x / depth), light * (y / depth), light * (1.0f / depth)};
-        for (size_t plane = 0; plane < 5; ++plane) sums.data()[plane * places + size_t(cell)] += values[plane];
+        for (size_t plane = 0; plane < 5; ++plane) total[plane * places + cell] += values[plane];
     }
+}
+
+// `RecordBuffer.add`: adds samples to sums `[5, cells]`, in the order of the batches.
+void add_records(FloatsOut sums, const std::vector<RecordBatch>& batches, int threads) {
+    const size_t places = sums.size() / 5;
+    check(sums, 5 * places, "sums");
+    for (const auto& [cells, points, luminance] : batches) {
+        check(cells, luminance.size(), "cells"), check(points, 3 * luminance.size(), "points");
+    }
+    nb::gil_scoped_release released;
+    float* const total = sums.data();
+    in_ranges(places, threads, [&](size_t first, size_t last) {
+        for (const RecordBatch& batch : batches) add_record_batch(total, places, batch, first, last);
+    });
+}
+
+// Arrays of one batch of hits: cells, luminance, and whether voxels add the sample, false before `add_hits`.
+using HitBatch = std::tuple<Out<const int64_t>, Floats, Out<bool>>;
+
+// Adds the samples in cells `first` … `last` to sums `[2, cells]`, and marks samples that voxels add. Returns their number.
+size_t add_hit_batch(float* total, size_t places, const HitBatch& batch, const bool* lit, float threshold, size_t first, size_t last) {
+    const auto& [cells, luminance, bright] = batch;
+    const size_t count = luminance.size();
+    size_t found = 0;
+    for (size_t i = 0; i < count; ++i) {
+        const size_t cell = cell_in(cells.data()[i], places);
+        if (cell < first || cell >= last) continue;
+        const float light = luminance.data()[i];
+        total[cell] += 1.0f, total[places + cell] += light;
+        bright.data()[i] = light > threshold || lit[cell];
+        found += bright.data()[i];
+    }
+    return found;
+}
+
+// `VoxelRecord.add`: adds samples to sums `[2, cells]`, in the order of the batches. Returns the number of samples that voxels add.
+// lit: cells that have voxels.
+size_t add_hits(FloatsOut sums, const std::vector<HitBatch>& batches, const Out<const bool>& lit, float threshold, int threads) {
+    const size_t places = lit.size();
+    check(sums, 2 * places, "sums");
+    for (const auto& [cells, luminance, bright] : batches) {
+        const size_t count = luminance.size();
+        check(cells, count, "cells"), check(bright, count, "bright");
+    }
+    nb::gil_scoped_release released;
+    float* const total = sums.data();
+    std::atomic<size_t> found = 0;
+    in_ranges(places, threads, [&](size_t first, size_t last) {
+        for (const HitBatch& batch : batches) found += add_hit_batch(total, places, batch, lit.data(), threshold, first, last);
+    });
+    return found;
+}
+
+// Depths on either side of the focal plane, as in guiding/layered_record.py.
+struct DepthLayers {
+    double focus_distance;
+    int per_octave, octaves;
+    bool separate;
+
+    // The layer of a depth, from near to far.
+    double layer(double depth) const {
+        const double defocus = 1.0 - focus_distance / depth, side = per_octave * octaves;
+        const double place = std::floor(std::clamp(per_octave * (std::log2(std::abs(defocus)) + octaves - 2), 0.0, side - 1.0));
+        return separate ? (defocus < 0.0 ? side - 1.0 - place : side + place) : 0.0;
+    }
+};
+
+// Arrays of one batch of hits: cells, positions `[3, N]`, luminance, and whether voxels add the sample.
+using VoxelBatch = std::tuple<Out<const int64_t>, Floats, Floats, Out<const bool>>;
+
+// `VoxelRecord._rows`: fills the rows `[K, 6]` of the K samples that voxels add. layers: fields of `DepthLayers`.
+void voxel_rows(const std::vector<VoxelBatch>& batches, std::tuple<double, int, int, bool> layers, Out<double> rows) {
+    const auto& [focus_distance, per_octave, octaves, separate] = layers;
+    const DepthLayers depths{focus_distance, per_octave, octaves, separate};
+    const double cells_apart = 2.0 * per_octave * octaves;
+    const size_t limit = rows.size() / 6;
+    size_t row = 0;
+    for (const auto& [cells, points, luminance, bright] : batches) {
+        const size_t count = luminance.size();
+        check(cells, count, "cells"), check(points, 3 * count, "points"), check(bright, count, "bright");
+        for (size_t i = 0; i < count; ++i) {
+            if (!bright.data()[i]) continue;
+            if (row == limit) throw std::invalid_argument("more bright samples than rows");
+            const double light = luminance.data()[i], x = points.data()[i], y = points.data()[count + i], depth = points.data()[2 * count + i];
+            const double values[6] = {cells.data()[i] * cells_apart + depths.layer(depth), 1.0, light, light * x / depth, light * y / depth, light / depth};
+            std::copy_n(values, 6, rows.data() + 6 * row++);
+        }
+    }
+}
+
+// Arrays of one batch of draws: slots of emitters, and squares of contribution over expected contribution.
+using DrawBatch = std::tuple<Ints, Floats>;
+
+// `SuccessRates.add`: adds draws to sums `[2, slots]`, in the order of the batches.
+void add_draws(Out<double> sums, const std::vector<DrawBatch>& batches, int threads) {
+    const size_t slots = sums.size() / 2;
+    check(sums, 2 * slots, "sums");
+    for (const auto& [slot, squared] : batches) check(squared, slot.size(), "squared");
+    nb::gil_scoped_release released;
+    double* const total = sums.data();
+    in_ranges(slots, threads, [&](size_t first, size_t last) {
+        for (const auto& [slot, squared] : batches) {
+            for (size_t i = 0; i < slot.size(); ++i) {
+                const size_t place = size_t(slot.data()[i]);
+                if (place >= first && place < last) total[place] += 1.0, total[slots + place] += squared.data()[i];
+            }
+        }
+    });
 }
 
 // `ControlVariate.corrected`: corrects samples of pixels, null for consecutive ones from `first` on, and adds them to sums
@@ -181,7 +356,11 @@ void cover(const nb::dict& arrays, const Ints& objects, const std::optional<Out<
 }  // namespace
 
 void bind_sums(nb::module_& m) {
+    m.def("add_draws", &add_draws);
+    m.def("add_hits", &add_hits);
     m.def("add_records", &add_records);
+    m.def("pool_tiles", &pool_tiles);
+    m.def("voxel_rows", &voxel_rows);
     m.def("add_light_samples", &add_light_samples);
     m.def("add_mis_moments", &add_mis_moments);
     m.def("correct_samples", &correct_samples, nb::arg(), nb::arg().none(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),

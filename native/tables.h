@@ -244,7 +244,8 @@ struct SuccessTiles {
     const float* rates;
 };
 
-constexpr int MOST_MEMBERS = 64, ROWS_PER_BAND = 8;
+// Groups end with bands of ROWS_PER_BAND rows and with bands of 2^COLUMN_BITS columns.
+constexpr int MOST_MEMBERS = 64, ROWS_PER_BAND = 8, COLUMN_BITS = 5, COLUMNS_PER_BAND = 1 << COLUMN_BITS;
 // Groups of pixels of a film that reuse each other's primary hits (guiding/pixel_groups.py): the number of the first
 // pixel of a batch and of all pixels, null for consecutive ones; the width of the film, the shifts of tiles, and `PixelGroups.offsets`.
 struct PixelGroups {

@@ -197,9 +197,8 @@ class EmitterGuide(Guide):
 
     def accumulate(self, records: Sequence[GuideRecord], summary: StepSummary) -> None:
         threshold = self.config.highlights.radiance_threshold * summary.mean_luminance
-        self.record_buffer.add([record.records for record in records], threshold)
-        for drawn in learned_of(records):
-            self.success_rates.add(*drawn)
+        self.record_buffer.add([record.records for record in records], threshold, summary.threads)
+        self.success_rates.add(learned_of(records), summary.threads)
 
     @torch.no_grad()
     def update(self, summary: StepSummary) -> None:

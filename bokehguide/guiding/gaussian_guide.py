@@ -121,8 +121,7 @@ class GaussianGuide(Guide):
         return offset_gradient(mixture, self.offsets, query.component, raster, ratio, at)
 
     def accumulate(self, records: Sequence[GuideRecord], summary: StepSummary) -> None:
-        for record in records:
-            self.record_buffer.add(*record.records)
+        self.record_buffer.add([record.records for record in records], summary.threads)
         self._gradients: list[Gradients] = learned_of(records)
 
     def update(self, summary: StepSummary) -> None:

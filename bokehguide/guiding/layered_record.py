@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import ModuleType
 
 import torch
 from torch import Tensor
@@ -10,6 +11,7 @@ from torch import Tensor
 from bokehguide.guiding.inheritance import Learned
 from bokehguide.guiding.record_buffer import Raster, Records
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.runtime import native
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.distributed import Ranks
 from bokehguide.runtime.indexing import indices, indices_of_each
@@ -61,29 +63,40 @@ class VoxelRecord(Raster):
         self._min_rows = 0
         """Least number of new rows at which `_sum_new` sums, so that the cost is proportional to the number of samples."""
 
-    def add(self, batches: Sequence[Records], threshold: float) -> None:
+    def add(self, batches: Sequence[Records], threshold: float, threads: int = 1) -> None:
         """Add samples to their cells. Samples above the threshold and samples in cells with voxels are also added to voxels."""
-        count, radiance = self.mine
-        least, parts = to_device(threshold, count.device, torch.float32), []
-        for cells, points, luminance in batches:
-            cells, inside, light, bright = _classified(cells, luminance, self._lit, least)
-            count.index_add_(0, cells, inside)
-            radiance.index_add_(0, cells, light)
-            parts.append((cells, points, light, bright))
-        for (cells, points, light, _), lit in zip(parts, indices_of_each([bright for *_, bright in parts])):
-            self._add_to_voxels(
-                cells.index_select(0, lit), points.index_select(1, lit).double(), light.index_select(0, lit).double()
-            )
-
-    def _add_to_voxels(self, cells: Tensor, points: Tensor, light: Tensor) -> None:
-        x, y, depth = points
-        number = cells * LAYERS + self._layers(depth)
-        self._new.append(
-            torch.stack((number, torch.ones_like(light), light, light * x / depth, light * y / depth, light / depth), dim=1)
-        )
-        self._new_count += len(light)
+        core = native.core_on(self.mine.device)
+        if core is None:
+            rows = self._added(batches, to_device(threshold, self.mine.device, torch.float32))
+        else:
+            rows = self._added_by_core(core, batches, threshold, threads)
+        self._new.append(rows)
+        self._new_count += len(rows)
         if sum(map(len, self._new)) > max(MIN_ROWS, self._min_rows):
             self._sum_new()
+
+    def _added(self, batches: Sequence[Records], threshold: Tensor) -> Tensor:
+        """Add samples to their cells; returns the rows of samples for voxels, float64 `[K, 6]`."""
+        bright = [_add_hits(self.mine, cells, light, self._lit, threshold) for cells, _, light in batches]
+        rows = [torch.zeros(0, 6, dtype=torch.float64, device=self.mine.device)]
+        for (cells, points, light), at in zip(batches, indices_of_each(bright)):
+            rows.append(self._rows(*(values.index_select(-1, at) for values in (cells, points, light))))
+        return torch.cat(rows)
+
+    def _rows(self, cells: Tensor, points: Tensor, light: Tensor) -> Tensor:
+        """Rows of samples in cells `[N]`, float64 `[N, 6]`."""
+        light, (x, y, depth) = light.double(), points.double()
+        number = cells * LAYERS + self._layers(depth)
+        return torch.stack((number, torch.ones_like(light), light, light * x / depth, light * y / depth, light / depth), dim=1)
+
+    def _added_by_core(self, core: ModuleType, batches: Sequence[Records], threshold: float, threads: int) -> Tensor:
+        """`_added` by the native core."""
+        bright = [torch.zeros(len(light), dtype=torch.bool) for *_, light in batches]
+        hits = [(cells, points.contiguous(), light.contiguous(), each) for (cells, points, light), each in zip(batches, bright)]
+        found = core.add_hits(self.mine, [(cells, *rest) for cells, _, *rest in hits], self._lit, threshold, threads)
+        rows = torch.empty(found, 6, dtype=torch.float64)
+        core.voxel_rows(hits, (self._focus_distance, PER_OCTAVE, OCTAVES, self._by_depth), rows)
+        return rows
 
     def _layers(self, depth: Tensor) -> Tensor:
         """Layer of each depth `[N]`, 0 … LAYERS - 1 from near to far, int64 `[N]`."""
@@ -193,12 +206,14 @@ class VoxelRecord(Raster):
             raise ValueError("voxels outside the record buffer")
 
 
-def _classified(cells: Tensor, luminance: Tensor, lit: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
-    """Arrays `[N]`: cells of samples, 0 outside the raster; 1 inside, else 0; luminance inside; whether voxels add the sample."""
+def _add_hits(sums: Tensor, cells: Tensor, luminance: Tensor, lit: Tensor, threshold: Tensor) -> Tensor:
+    """Add samples `[N]` to their cells, -1 for none; returns whether voxels add each sample, bool `[N]`."""
     inside, cells = cells >= 0, cells.clamp(min=0)
     light = torch.where(inside, luminance, 0.0)
-    bright = inside & ((light > threshold) | lit.index_select(0, cells))
-    return cells, inside.to(light.dtype), light, bright
+    count, radiance = sums
+    count.index_add_(0, cells, inside.to(light.dtype))
+    radiance.index_add_(0, cells, light)
+    return inside & ((light > threshold) | lit.index_select(0, cells))
 
 
 def _summed(parts: list[Tensor]) -> Tensor:

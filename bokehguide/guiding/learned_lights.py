@@ -37,13 +37,11 @@ class LearnedLights(LightStrategy):
         return [self.sampler.batch(found, reflected) for recorder in recorders for found in recorder.samples]
 
     def accumulate(self, records: Sequence[list[LightBatch]], summary: StepSummary) -> None:
-        for record in records:
-            for batch in record:
-                self.sampler.add(batch)
+        self.sampler.add([batch for record in records for batch in record], summary.threads)
 
     def update(self, summary: StepSummary) -> None:
         if summary.ends_epoch and self._learns:
-            self.sampler.update(summary.step + 1)
+            self.sampler.update(summary.step + 1, summary.threads)
 
     def inherit(self, learned: Learned, name: str) -> None:
         if self._learns:

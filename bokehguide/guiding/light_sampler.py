@@ -7,6 +7,7 @@ cluster include these effects. Probabilities in proportion to the square roots o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import ModuleType
 from typing import NamedTuple
 
@@ -180,32 +181,31 @@ class LearnedLightSampler(RankSums, LightSampler):
         """
         return LightBatch(*samples[:4], self.factors.moments(samples.row, samples.difference, reflected))
 
-    def add(self, batch: LightBatch) -> None:
-        """Add the light samples of a batch. For the probabilities of clusters, samples of cluster -1 are ignored."""
-        tiles, clusters, contribution_rms, visibility, moments = batch
-        self.factors.add(moments)
-        core = native.core_on(self.mine.device)
+    def add(self, batches: Sequence[LightBatch], threads: int = 1) -> None:
+        """Add the light samples of batches. For the probabilities of clusters, samples of cluster -1 are ignored."""
+        for batch in batches:
+            self.factors.add(batch.moments)
+        clusters, core = self.probability.shape[1], native.core_on(self.mine.device)
         if core is not None:
-            core.add_light_samples(
-                self.mine, tiles, clusters, contribution_rms, visibility, self.probability.shape[1], MAX_CONTRIBUTION
-            )
+            core.add_light_samples(self.mine, [batch[:4] for batch in batches], clusters, MAX_CONTRIBUTION, threads)
             return
-        place, *rows = _rows(tiles, clusters, contribution_rms, visibility, self.probability.shape[1])
-        for total, values in zip(self.mine.view(3, -1), rows):
-            total.index_add_(0, place, values)  # double precision: the order of ranks does not matter
+        for batch in batches:
+            place, *rows = _rows(*batch[:4], clusters)
+            for total, values in zip(self.mine.view(3, -1), rows):
+                total.index_add_(0, place, values)  # double precision: the order of ranks does not matter
 
     def merge(self) -> None:
         """See `RankSums`."""
         super().merge()
         self.factors.merge()
 
-    def update(self, step: int) -> None:
+    def update(self, step: int, threads: int = 1) -> None:
         """Begin an epoch at `step`: compute the probabilities from all samples so far; collective."""
         self.merge()
         if self._learns_mis:
             self.factors.update(self._pooled)
         self.epoch.fill_(step)
-        moments, tried, arrived = (self._pooled(total) for total in self.sums)
+        moments, tried, arrived = (self._pooled(total, threads) for total in self.sums)
         roots = moments.sqrt()
         whole = roots.sum(1, keepdim=True)
         self.probability.copy_(torch.where(whole > 0.0, roots / divisor(whole, 1e-300), 1.0 / roots.shape[1]))
@@ -237,8 +237,13 @@ class LearnedLightSampler(RankSums, LightSampler):
         place = pixel // width // self._size * self._across + pixel % width // self._size
         return torch.stack([moved(each.T, torch.where(pixel >= 0, place, -1)).T for each in sums])
 
-    def _pooled(self, total: Tensor) -> Tensor:
+    def _pooled(self, total: Tensor, threads: int = 1) -> Tensor:
         """A sum `[tiles, clusters]`, averaged over the squares around each tile, which are smaller at the edges of the frame."""
+        core = native.core_on(total.device)
+        if core is not None:
+            tiles = total.contiguous().view(self._down, self._across, -1)
+            core.pool_tiles(tiles, OWN, POOLS, pooled := torch.empty_like(tiles), threads)
+            return pooled.view(total.shape)
         tiles = total.view(1, self._down, self._across, -1).permute(0, 3, 1, 2)
         pooled = OWN * tiles
         for width, share in POOLS:

@@ -12,15 +12,17 @@ the lens points of a group are parts of one sequence (`PixelRandom.in_groups`).
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from bokehguide.render.random import hash_int
+from bokehguide.runtime import native
 from bokehguide.runtime.device import to_device
 from bokehguide.runtime.distributed import ROWS_PER_BAND
-from bokehguide.runtime.indexing import Pixels, pixel_numbers
+from bokehguide.runtime.indexing import Pixels, core_pixels, pixel_numbers
 
 COLUMNS = 32
 """Number of columns in a band. Groups end at the end of a band."""
@@ -79,6 +81,9 @@ class PixelGroups(NamedTuple):
 
     def numbered(self, places: Pixels, device: torch.device | str) -> tuple[Tensor, Tensor]:
         """Number of the group of each of N pixels of the film, and number of the pixel in the group, int32 `[N]` each."""
+        core = native.core_on(torch.device(device))
+        if core is not None:
+            return self._numbered_by_core(core, places)
         pixels = pixel_numbers(places, device).to(torch.int32)
         line, x = pixels // self.width, pixels % self.width
         column, row = self.columns(x, line), line % ROWS_PER_BAND + self.below
@@ -91,6 +96,14 @@ class PixelGroups(NamedTuple):
         # The highest selected bit follows from the parity. A tile lies in at most two bands of columns.
         highest = self.mask.bit_length() - 1
         return 4 * tile + 2 * (x // COLUMNS % 2) + parity, at & ((1 << highest) - 1) | at >> (highest + 1) << highest
+
+    def _numbered_by_core(self, core: ModuleType, places: Pixels) -> tuple[Tensor, Tensor]:
+        """`numbered` by the native core."""
+        count = places.stop - (places.start or 0) if isinstance(places, slice) else len(places)
+        group, member = torch.empty(2, count, dtype=torch.int32)
+        lengths = self.width, self.across, self.down, self.below, self.mask, self.tiles_across
+        core.number_groups(lengths, torch.tensor(self.right, dtype=torch.int32), *core_pixels(places), group, member)
+        return group, member
 
     def members(self, places: Pixels, device: torch.device) -> Tensor:
         """The other pixels in the groups of N pixels, as indices into the N pixels, int64 `[members - 1, N]`; -1 for no pixel.

@@ -128,12 +128,14 @@ class StepSummary:
 
     mean_luminance: of the frame so far. picture: function that returns the mean radiance so far of the film's pixels,
     `[3, pixels]`, 0 in pixels of other ranks. groups: as `picture`, of the light groups, `[G, 3, pixels]`, None without groups.
+    threads: number of threads on which strategies may work.
     """
 
     step: int
     mean_luminance: float
     picture: Callable[[], Tensor]
     groups: Callable[[], Tensor] | None = None
+    threads: int = 1
 
     @property
     def ends_epoch(self) -> bool:

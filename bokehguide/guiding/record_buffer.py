@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -66,12 +67,17 @@ class RecordBuffer(Raster):
     def __init__(self, camera: ThinLensCamera, ranks: Ranks | None = None):
         super().__init__(camera, 5, ranks)
 
-    def add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
-        """Add samples with camera-frame positions `[3, N]` and luminance `[N]` to their cells `[N]`."""
-        core = native.core_on(cells.device)
+    def add(self, batches: Sequence[Records], threads: int = 1) -> None:
+        """Add samples to their cells."""
+        core = native.core_on(self.mine.device)
         if core is not None:
-            core.add_records(self.mine, cells, points.contiguous(), luminance.contiguous())
+            found = [(cells, points.contiguous(), light.contiguous()) for cells, points, light in batches]
+            core.add_records(self.mine, found, threads)
             return
+        for cells, points, luminance in batches:
+            self._add(cells, points, luminance)
+
+    def _add(self, cells: Tensor, points: Tensor, luminance: Tensor) -> None:
         inside = ActiveEntries(cells >= 0)
         cells, light = inside.masked(inside.select(cells), 0), inside.select(luminance)
         x, y, depth = inside.select(points)

@@ -6,6 +6,8 @@ or the emitter faces away, draws contribute nothing. The success rate corrects t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -65,11 +67,16 @@ class SuccessRates(RankSums):
         slot = hash_tensor(tile.index_select(0, owner) * 0x165667B1 + component.int() * 0x27D4EB2F) & (len(self.rates) - 1)
         return torch.where(component < self._emitters, slot.clamp(min=1), 0)
 
-    def add(self, slots: Tensor, squared: Tensor) -> None:
-        """Add draws with their slots `[K]` and the squares `[K]` of contribution over expected contribution."""
-        squared = squared.double()  # in single precision the sums would depend on the order of the batches
-        self.mine[0].index_add_(0, slots, torch.ones_like(squared))
-        self.mine[1].index_add_(0, slots, squared)
+    def add(self, batches: Sequence[tuple[Tensor, Tensor]], threads: int = 1) -> None:
+        """Add draws with their slots, int32 `[K]`, and the squares `[K]` of contribution over expected contribution."""
+        core = native.core_on(self.mine.device)
+        if core is not None:
+            core.add_draws(self.mine, [tuple(batch) for batch in batches], threads)
+            return
+        for slots, squared in batches:
+            squared = squared.double()  # in single precision the sums would depend on the order of the batches
+            self.mine[0].index_add_(0, slots, torch.ones_like(squared))
+            self.mine[1].index_add_(0, slots, squared)
 
     def update(self) -> None:
         """Compute the rates from all draws so far; collective."""

@@ -273,9 +273,8 @@ class RenderLoop(Loop):
         """Pass the reports of all batches to the strategies, and end the step of the strategies."""
         light, count = self.ranks.totals(*self._light_so_far())
         self._mean_luminance = max(light, 0.0) / max(count, 1.0)  # a control variate may leave a negative sum on few pixels
-        summary = StepSummary(
-            self.step_number, self._mean_luminance, self._picture_so_far, self._groups_so_far if self._groups else None
-        )
+        groups = self._groups_so_far if self._groups else None
+        summary = StepSummary(self.step_number, self._mean_luminance, self._picture_so_far, groups, self.workers.threads)
         recorded = self.workers.submit(self.mode.lens.accumulate, [result.lens for result in results], summary)
         # Light samples come in the order of the pixels, whatever the threads.
         self.mode.lights.accumulate([result.lights for result in results], summary)

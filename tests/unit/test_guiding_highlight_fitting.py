@@ -41,7 +41,7 @@ def wall_record(camera: ThinLensCamera) -> RecordBuffer:
     record = RecordBuffer(camera)
     row, column = torch.meshgrid(torch.arange(record.height) + 0.5, torch.arange(record.width) + 0.5, indexing="ij")
     points = points_at(camera, column.ravel() - record.border, row.ravel() - record.border, WALL)
-    record.add(record.cells(camera, points), points, torch.full((points.shape[1],), 0.1))
+    record.add([(record.cells(camera, points), points, torch.full((points.shape[1],), 0.1))])
     return record
 
 
@@ -55,7 +55,7 @@ def light_up(
 ) -> None:
     """Add one bright sample at the middle of each of some cells of one row."""
     points = points_at(camera, columns + 0.5, torch.full_like(columns, row + 0.5), depth)
-    record.add(record.cells(camera, points), points, torch.full_like(columns, radiance))
+    record.add([(record.cells(camera, points), points, torch.full_like(columns, radiance))])
 
 
 def fitted(record: RecordBuffer, camera: ThinLensCamera, mean_luminance: float = 0.1) -> GaussianField:
@@ -72,7 +72,7 @@ def test_positions_are_weighted_by_radiance(camera):
     points = torch.cat((emitter, wall), 1)
     light = torch.tensor([1e5] + [0.1] * 99)
     cells = record.cells(camera, points)
-    record.add(cells, points, light)
+    record.add([(cells, points, light)])
     assert len(cells.unique()) == 1
     torch.testing.assert_close(record.positions(cells[:1]), emitter, rtol=1e-3, atol=1e-3)
     assert float(record.radiance().max()) == pytest.approx((1e5 + 9.9) / 100.0, rel=1e-5)
@@ -94,7 +94,7 @@ def test_points_beyond_the_margin_and_behind_the_lens_have_no_cell(camera):
     assert record.cells(camera, beyond).tolist() == [-1] * 4
     behind = torch.tensor([[0.0], [0.0], [-3.0]])
     assert record.cells(camera, behind).tolist() == [-1]
-    record.add(torch.tensor([-1]), beyond[:, :1], torch.tensor([1e9]))
+    record.add([(torch.tensor([-1]), beyond[:, :1], torch.tensor([1e9]))])
     assert not record.sums.any()
 
 
@@ -248,7 +248,7 @@ def light_where(record: RecordBuffer, camera: ThinLensCamera, lit, depth: float 
     row, column = (values.ravel() + 0.5 for values in torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij"))
     inside = lit(column, row)
     points = points_at(camera, column[inside], row[inside], depth)
-    record.add(record.cells(camera, points), points, torch.full((points.shape[1],), radiance))
+    record.add([(record.cells(camera, points), points, torch.full((points.shape[1],), radiance))])
 
 
 def disc(x: float, y: float, radius: float):
@@ -368,12 +368,12 @@ def random_patches(camera: ThinLensCamera, light: float = 1.0) -> RecordBuffer:
     points = points_at(
         camera, column.ravel() - record.border, row.ravel() - record.border, WALL * camera.lens.focus_distance / 2.0
     )
-    record.add(record.cells(camera, points), points, torch.full((points.shape[1],), 0.1 * light))
+    record.add([(record.cells(camera, points), points, torch.full((points.shape[1],), 0.1 * light))])
     cells = torch.rand(2, 20_000, generator=generator)
     bright = torch.exp(3.0 * torch.randn(20_000, generator=generator))
     depth = camera.lens.focus_distance * torch.exp(0.3 + 1.5 * torch.rand(20_000, generator=generator))
     points = points_at(camera, WIDTH * cells[0], HEIGHT * cells[1], depth)
-    record.add(record.cells(camera, points), points, bright * light)
+    record.add([(record.cells(camera, points), points, bright * light)])
     return record
 
 

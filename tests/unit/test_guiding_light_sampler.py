@@ -103,7 +103,7 @@ def test_the_probability_is_proportional_to_the_roots_of_pooled_moments():
     clusters = torch.randint(-1, 4, (count,), generator=generator)  # the last cluster is never seen
     contribution_rms = torch.rand(count, generator=generator) * (tiles > 60)
     seen = torch.rand(count, generator=generator) * (clusters != 3)
-    guide.add(guide.batch(LightSamples(tiles.int(), clusters.int(), contribution_rms, seen, seen), seen))
+    guide.add([guide.batch(LightSamples(tiles.int(), clusters.int(), contribution_rms, seen, seen), seen)])
     guide.update(2)
     sums = np.zeros((12, 20, 3, 5))
     for tile, cluster, value, arrived in zip(tiles.tolist(), clusters.tolist(), contribution_rms.tolist(), seen.tolist()):
@@ -132,9 +132,9 @@ def test_one_infinite_sample_leaves_the_rest_of_the_frame_as_it_is():
     contribution_rms, seen = torch.rand(2, count, generator=generator)
     spoilt, whole = guide_of(*size), guide_of(*size)
     for guide in (spoilt, whole):
-        guide.add(guide.batch(LightSamples(tiles, clusters, contribution_rms, seen, seen - 0.5), seen))
+        guide.add([guide.batch(LightSamples(tiles, clusters, contribution_rms, seen, seen - 0.5), seen)])
     first, infinite = torch.zeros(500, dtype=torch.int32), torch.full((500,), torch.inf)
-    spoilt.add(spoilt.batch(LightSamples(first, first, infinite, torch.ones(500), infinite), torch.ones(500)))
+    spoilt.add([spoilt.batch(LightSamples(first, first, infinite, torch.ones(500), infinite), torch.ones(500))])
     for guide in (spoilt, whole):
         guide.update(2)
     reach = POOLS[-1][0] // 2
@@ -227,7 +227,7 @@ def test_factors_of_mis_weights_minimise_the_second_moment():
         rest = 0.1 * noise - own[tiles] * change
         reflected = rest + guide.factors.factor[tiles] * change
         samples = LightSamples(tiles.int(), torch.zeros_like(tiles).int(), noise.abs(), noise.abs(), change)
-        guide.add(guide.batch(samples, reflected))
+        guide.add([guide.batch(samples, reflected)])
         for tile, one, other in zip(tiles.tolist(), rest.tolist(), change.tolist()):
             products[epoch, tile // 20, tile % 20] += one * other, other * other
         guide.update(2 + epoch)
@@ -255,7 +255,7 @@ def test_factors_of_mis_weights_do_not_depend_on_the_batches():
         for first in range(0, 9000, size):
             part = slice(first, first + size)
             one = torch.ones(len(tiles[part]))
-            guide.add(guide.batch(LightSamples(tiles[part], tiles[part] * 0, one, one, change[part]), reflected[part]))
+            guide.add([guide.batch(LightSamples(tiles[part], tiles[part] * 0, one, one, change[part]), reflected[part])])
         guide.update(2)
         found.append(guide.factors.factor)
     assert float(found[0].std()) > 0.1 and all(torch.equal(found[0], other) for other in found[1:])

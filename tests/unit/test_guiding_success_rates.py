@@ -48,7 +48,7 @@ def test_all_rates_are_one_at_the_start():
 def test_the_rate_is_the_root_mean_square_of_contributions(contribution):
     """The prior is PRIOR_DRAWS draws with contribution 1, which weigh less with more draws. The rate is bounded."""
     rates, slots = success_rates(), torch.tensor([7, 8, 8, 8, 9] + [10] * 40)
-    rates.add(slots, torch.full((len(slots),), contribution**2))
+    rates.add([(slots, torch.full((len(slots),), contribution**2))])
     assert (rates.rates[slots] == 1.0).all()  # until the epoch ends
     rates.update()
     for slot, draws in ((6, 0), (7, 1), (8, 3), (9, 1), (10, 40)):
@@ -63,7 +63,7 @@ def test_found_highlights_have_no_rate():
     emitter, owner = torch.arange(EMITTERS + 3), torch.zeros(EMITTERS + 3, dtype=torch.int64)
     slots = rates.slots(slice(100, 101), owner, emitter)
     assert (slots[:EMITTERS] > 0).all() and (slots[EMITTERS:] == 0).all() and all_slots(rates).min() > 0
-    rates.add(slots, torch.zeros(len(slots)))
+    rates.add([(slots, torch.zeros(len(slots)))])
     rates.update()
     learned = rates.rates[slots]
     assert (learned[:EMITTERS] < 1.0).all() and (learned[EMITTERS:] == 1.0).all()

@@ -251,7 +251,7 @@ def test_records_agree(monkeypatch):
         monkeypatch.setenv(native.SWITCH, form)
         records.append(guide.records(points, directions, distance, light, weight))
         record = RecordBuffer(guide.camera)
-        record.add(*records[-1])
+        record.add([records[-1]])
         sums.append(record.sums)
     found, expected = records
     assert float((found.cells != expected.cells).double().mean()) <= 1e-3

@@ -46,7 +46,7 @@ def sampler(name: str, learned: bool) -> LearnedLightSampler:
         rms, visibility, difference, rest = torch.rand(4, 4000, generator=generator)
         difference = difference - 0.5
         samples = LightSamples(row, cluster, (rms * 4.0).exp(), (visibility > 0.5).float(), difference)
-        lights.add(lights.batch(samples, rest - 0.3 * difference))
+        lights.add([lights.batch(samples, rest - 0.3 * difference)])
         lights.update(2)
     return lights
 

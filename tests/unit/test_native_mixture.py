@@ -183,7 +183,7 @@ def test_sums_of_learning_agree(consecutive, monkeypatch):
         monkeypatch.setenv(native.SWITCH, form)
         control.mine.zero_(), lights.mine.zero_(), lights.factors.mine.zero_()
         corrected = control.corrected(places, radiance, weight)
-        lights.add(lights.batch(LightSamples(*samples), reflected))
+        lights.add([lights.batch(LightSamples(*samples), reflected)])
         results.append((corrected, control.mine.clone(), lights.mine.clone(), lights.factors.mine.clone()))
     lights.mine.zero_()
     for found, expected in zip(*results):
