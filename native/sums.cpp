@@ -23,6 +23,13 @@ namespace {
 
 constexpr int CONTROL_ROWS = 8;
 
+// Number of samples of all batches; the first array of a batch has one entry for each.
+template <class Batch> size_t sample_count(const std::vector<Batch>& batches) {
+    size_t count = 0;
+    for (const Batch& batch : batches) count += std::get<0>(batch).size();
+    return count;
+}
+
 // Arrays of one batch of light samples: tile, cluster, contribution and visibility.
 using LightBatch = std::tuple<Ints, Ints, Floats, Floats>;
 
@@ -50,7 +57,7 @@ void add_light_samples(Out<double> sums, const std::vector<LightBatch>& batches,
     }
     nb::gil_scoped_release released;
     double* const total = sums.data();
-    in_ranges(tiles, threads, [&](size_t first, size_t last) {
+    in_ranges(tiles, sample_count(batches), threads, [&](size_t first, size_t last) {
         for (const LightBatch& batch : batches) add_light_batch(total, places, batch, size_t(clusters), most, first, last);
     });
 }
@@ -75,7 +82,7 @@ void pool_tiles(const Out<const double>& values, double own, const std::vector<s
     check(pooled, values.size(), "pooled");
     nb::gil_scoped_release released;
     const double* const source = values.data();
-    in_ranges(down, threads, [&](size_t first, size_t last) {
+    in_ranges(down, values.size(), threads, [&](size_t first, size_t last) {
         std::vector<double> column(row_size), mean(channels);
         for (size_t y = first; y < last; ++y) {
             double* const out = pooled.data() + y * row_size;
@@ -137,7 +144,7 @@ void add_records(FloatsOut sums, const std::vector<RecordBatch>& batches, int th
     }
     nb::gil_scoped_release released;
     float* const total = sums.data();
-    in_ranges(places, threads, [&](size_t first, size_t last) {
+    in_ranges(places, sample_count(batches), threads, [&](size_t first, size_t last) {
         for (const RecordBatch& batch : batches) add_record_batch(total, places, batch, first, last);
     });
 }
@@ -173,7 +180,7 @@ size_t add_hits(FloatsOut sums, const std::vector<HitBatch>& batches, const Out<
     nb::gil_scoped_release released;
     float* const total = sums.data();
     std::atomic<size_t> found = 0;
-    in_ranges(places, threads, [&](size_t first, size_t last) {
+    in_ranges(places, sample_count(batches), threads, [&](size_t first, size_t last) {
         for (const HitBatch& batch : batches) found += add_hit_batch(total, places, batch, lit.data(), threshold, first, last);
     });
     return found;
@@ -202,6 +209,7 @@ void voxel_rows(const std::vector<VoxelBatch>& batches, std::tuple<double, int, 
     const DepthLayers depths{focus_distance, per_octave, octaves, separate};
     const double cells_apart = 2.0 * per_octave * octaves;
     const size_t limit = rows.size() / 6;
+    nb::gil_scoped_release released;
     size_t row = 0;
     for (const auto& [cells, points, luminance, bright] : batches) {
         const size_t count = luminance.size();
@@ -226,7 +234,7 @@ void add_draws(Out<double> sums, const std::vector<DrawBatch>& batches, int thre
     for (const auto& [slot, squared] : batches) check(squared, slot.size(), "squared");
     nb::gil_scoped_release released;
     double* const total = sums.data();
-    in_ranges(slots, threads, [&](size_t first, size_t last) {
+    in_ranges(slots, sample_count(batches), threads, [&](size_t first, size_t last) {
         for (const auto& [slot, squared] : batches) {
             for (size_t i = 0; i < slot.size(); ++i) {
                 const size_t place = size_t(slot.data()[i]);

@@ -21,8 +21,8 @@ from bokehguide.scene import load_scene
 
 WIDTH, HEIGHT = 83, 37
 THREADS = (1, 2, 3, 16)
-BATCHES = (1500, 0, 1, 900)
-"""Numbers of samples of the batches."""
+BATCHES = (45_000, 0, 1, 25_000)
+"""Numbers of samples of the batches: enough for several threads."""
 
 pytestmark = pytest.mark.skipif(native.core() is None, reason="the native core is not built")
 
@@ -127,8 +127,8 @@ def test_light_samples_have_the_same_bits(monkeypatch):
 
 @pytest.mark.parametrize("width, height", ((83, 37), (37, 83), (9, 400), (3, 3)))
 def test_pools_of_tiles_agree(width, height, monkeypatch):
-    lights = light_sampler(width, height, 3)
-    total = torch.exp(5.0 * torch.randn(len(lights.probability), 3, generator=generator(4), dtype=torch.float64))
+    lights = light_sampler(width, height, clusters := 400)
+    total = torch.exp(5.0 * torch.randn(len(lights.probability), clusters, generator=generator(4), dtype=torch.float64))
     (pooled,) = agree(monkeypatch, lambda threads: [lights._pooled(total, threads)], rtol=1e-13, atol=0.0)
     assert len(total) == 1 or bool((pooled != total).all())
 

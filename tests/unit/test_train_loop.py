@@ -235,3 +235,17 @@ def test_reports_are_freed_before_the_strategies_update(monkeypatch):
         stats = [loop.step() for _ in range(2)]
     assert len(reports) > 0 and alive == [0, 0]
     assert 0.0 < stats[1].beta < 1.0
+
+
+@pytest.mark.parametrize("threads", (1, 3))
+def test_strategies_may_work_on_all_threads(threads, monkeypatch):
+    found, update = [], EmitterGuide.update
+
+    def updated(guide, summary):
+        found.append(summary.threads)
+        update(guide, summary)
+
+    monkeypatch.setattr(EmitterGuide, "update", updated)
+    with RenderLoop(scene(), RenderSettings("guided", threads=threads)) as loop:
+        loop.step()
+    assert found == [threads]
