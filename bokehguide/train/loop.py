@@ -169,7 +169,7 @@ class RenderLoop(Loop):
             spans = self._spans()
             results = self._in_batches(self._render_batch, spans)
             resampled = self._in_batches(self._resample_batch, self.mode.reuse.second_pass(spans))
-            self.batches.cost([sum(work) for work in zip(*(_work(each) for each in (results, resampled) if each))])
+            self.batches.took([sum(times) for times in zip(*(_seconds(each) for each in (results, resampled) if each))])
             if self._learns:
                 self._unlearned = results
                 if not last:
@@ -376,6 +376,6 @@ class RenderLoop(Loop):
         return self.mode.lens.images(beta)
 
 
-def _work(results: Sequence[BatchResult]) -> list[int]:
-    """Number of samples and rays of each batch: the costs from which `Batches` cuts the next step."""
-    return [result.samples + result.rays for result in results]
+def _seconds(results: Sequence[BatchResult]) -> list[float]:
+    """Seconds of each batch, from which `Batches` cuts the next step."""
+    return [sum(result.timer.seconds.values()) for result in results]

@@ -23,13 +23,16 @@ PATH_BYTES, GPU_SHARE = 8192, 0.5
 """Memory of a path on a GPU, and the share of the free memory that all batches may take."""
 SHORTEST, LONGEST = 0.5, 1.5
 """Least size of a span over the mean size, and largest size over the intended size, before bounds move to allowed cuts."""
+NEWEST = 0.5
+"""Weight of the last step's seconds in the bounds of the next step; the other part is that of earlier steps. The seconds of one
+step vary by some percent on an idle machine."""
 
 
 class Batches:
-    """Cuts a row of pixels into spans of about equal cost, so that no thread waits for another.
+    """Cuts a row of pixels into spans that take about equally long, so that no thread waits for another.
 
-    `spans` cuts the row by the costs that `cost` has received for the last spans. Costs should be reproducible, such as numbers
-    of rays; seconds are not reproducible.
+    `spans` cuts the row by the seconds that `took` has received for the earlier spans. Numbers of rays would leave out the work
+    on candidates and on reused hits.
 
     paths: approximate number of paths of a pixel. The largest number of pixels is divided by this number. smallest: number of
     pixels of a batch, at least, if there are several; None: by OVERHEAD.
@@ -38,8 +41,8 @@ class Batches:
     def __init__(self, threads: int, paths: int = 1, smallest: int | None = None, largest: int = BATCH):
         self._threads, self._smallest = threads, smallest
         self._most = largest // paths
-        self._cuts = np.zeros(1)
-        """Bounds of the spans, as fractions of the row."""
+        self._wanted = self._cuts = np.zeros(1)
+        """Bounds of the spans as fractions of the row: best bounds, and the bounds of the last spans at allowed places."""
         self._longest = 1.0
         """Largest size of a span over the mean."""
 
@@ -60,24 +63,24 @@ class Batches:
         count = rounds * self._threads  # all threads have equally many
         if rounds == 1:
             count = max(min(count, int(pixels / (self._smallest or math.sqrt(OVERHEAD * pixels)))), 1)
-        if len(self._cuts) != count + 1:  # another size, or spans merged at equal ends
-            self._cuts = np.linspace(0.0, 1.0, count + 1)
+        if len(self._wanted) != count + 1:  # another size
+            self._wanted = np.linspace(0.0, 1.0, count + 1)
         self._longest = LONGEST * self._most * count / pixels
-        bounds = np.rint(self._cuts * pixels).astype(int)
+        bounds = np.rint(self._wanted * pixels).astype(int)
         if ends is not None:
             after = np.searchsorted(ends, bounds).clip(1)
             before, after = ends[after - 1], ends[after]
             bounds = np.unique(np.where(bounds - before < after - bounds, before, after))
-            self._cuts = bounds / pixels
+        self._cuts = bounds / pixels
         return [slice(first, last) for first, last in pairwise(bounds.tolist())]
 
-    def cost(self, costs: Sequence[float]) -> None:
-        """Set the costs of the last spans, positive."""
-        if len(costs) < 2:
+    def took(self, seconds: Sequence[float]) -> None:
+        """Set the seconds of the last spans, positive."""
+        if len(seconds) < 2:
             return
-        sums, even = np.concatenate(([0.0], np.cumsum(costs))), np.linspace(0.0, 1.0, len(costs) + 1)
+        sums, even = np.concatenate(([0.0], np.cumsum(seconds))), np.linspace(0.0, 1.0, len(self._wanted))
         cuts = np.interp(even * sums[-1], sums, self._cuts)
-        sizes = np.diff(cuts) * len(costs)
+        sizes = np.diff(cuts) * (len(cuts) - 1)
         # Interpolate from even spans to these, as far as the sizes allow.
         reach = min(1.0, (self._longest - 1.0) / max(sizes.max() - 1.0, 1e-9), (1.0 - SHORTEST) / max(1.0 - sizes.min(), 1e-9))
-        self._cuts = even + reach * (cuts - even)
+        self._wanted += NEWEST * (even + reach * (cuts - even) - self._wanted)

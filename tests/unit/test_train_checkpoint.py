@@ -98,7 +98,7 @@ def test_where_batches_were_cut_leaves_no_trace(mode, tmp_path, monkeypatch):
     again = RenderLoop(scene(mode), replace(settings(mode), threads=3))
     load_checkpoint(tmp_path / "a.ckpt", again)
     again.batches.spans(48 * 27)
-    again.batches.cost([1.0, 3.0, 2.0])
+    again.batches.took([1.0, 3.0, 2.0])
     assert loop.batches.spans(48 * 27) != again.batches.spans(48 * 27)
     assert_same_bits(onwards(loop, 18), onwards(again, 18))
 

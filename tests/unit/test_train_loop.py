@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -18,6 +19,8 @@ from bokehguide.guiding.uniform import UniformLens
 from bokehguide.render.path_tracer import PathSamples
 from bokehguide.scene.types import Scene
 from bokehguide.train import LENS_MODES, RenderLoop, RenderSettings
+from bokehguide.train.scheduler import Batches
+from bokehguide.train.step_stats import BatchResult
 from tests.support import scenes
 from tests.support.same_bits import assert_same_bits
 
@@ -249,3 +252,22 @@ def test_strategies_may_work_on_all_threads(threads, monkeypatch):
     with RenderLoop(scene(), RenderSettings("guided", threads=threads)) as loop:
         loop.step()
     assert found == [threads]
+
+
+def test_the_next_step_is_cut_by_the_seconds_of_the_batches(monkeypatch):
+    """The seconds of a batch are the sum over its phases."""
+    with RenderLoop(scene(), RenderSettings(mode="uniform", threads=2)) as loop:
+        loop.batches = Batches(2, smallest=1)
+        render_batch = loop._render_batch
+
+        def timed(places: slice) -> BatchResult:
+            result = render_batch(places)
+            each = 1.5 if places.start == 0 else 0.5
+            result.timer.seconds = Counter({"shading": each, "guiding": each})
+            return result
+
+        monkeypatch.setattr(loop, "_render_batch", timed)
+        loop.step()
+        # 3 s and 1 s: both spans take 2 s if the first ends at a third. NEWEST moves the bound half of the way from the middle.
+        pixels = loop.film.width * loop.film.height
+        assert loop._spans() == [slice(0, 5 * pixels // 12), slice(5 * pixels // 12, pixels)]

@@ -11,6 +11,7 @@ from bokehguide.train.scheduler import (
     GPU_SHARE,
     GPU_THREADS,
     LONGEST,
+    NEWEST,
     OVERHEAD,
     PATH_BYTES,
     SHORTEST,
@@ -30,37 +31,59 @@ def lengths(spans: list[slice]) -> np.ndarray:
 @pytest.mark.parametrize("threads", [1, 2, 16])
 @pytest.mark.parametrize("pixels", [0, 1, SMALL, 3 * SMALL + 1, BATCH, 1280 * 720, 10 * BATCH])
 def test_every_pixel_is_in_one_span_of_a_fair_size(pixels, threads, paths):
-    """Whatever the spans cost: from one step to the next that may change as it likes."""
+    """Whatever the spans take: from one step to the next that may change as it likes."""
     batches, rng = Batches(threads, paths), np.random.default_rng(1)
     for _ in range(20):
         spans = batches.spans(pixels)
         ends = [0] + [span.stop for span in spans]
         assert [span.start for span in spans] == ends[:-1] and ends[-1] == pixels
         assert all(lengths(spans) >= SHORTEST * pixels // max(len(spans), 1)) and all(lengths(spans) <= LONGEST * BATCH / paths)
-        batches.cost(rng.exponential(size=len(spans)) ** 4 + 1e-3)
+        batches.took(rng.exponential(size=len(spans)) ** 4 + 1e-3)
 
 
 @pytest.mark.parametrize("threads", [2, 5])
-def test_they_are_cut_so_that_they_cost_the_same(threads):
-    """The lower half of the picture costs 1.8 times as much as the upper one."""
+def test_they_are_cut_so_that_they_take_equally_long(threads):
+    """The lower half of the picture takes 1.8 times as long as the upper one. Bounds are means over several steps."""
     batches, pixels = Batches(threads), 200_000
     cost = np.where(np.arange(pixels) < pixels // 2, 1.0, 1.8)
     assert np.ptp(lengths(batches.spans(pixels))) <= 1
-    for _ in range(6):
+    for _ in range(10):
         costs = [cost[span].sum() for span in batches.spans(pixels)]
-        batches.cost(costs)
+        batches.took(costs)
     assert max(costs) < 1.01 * min(costs)
+
+
+def test_one_slow_batch_moves_the_bounds_by_a_part_only():
+    """Another process may delay a batch of one step. The bounds of the next step move by NEWEST of the way, and then back."""
+    batches, pixels = Batches(2), 200_000
+    batches.spans(pixels)
+    batches.took([1.0, 1.5])
+    moved = batches.spans(pixels)[0].stop / pixels - 0.5
+    best = 0.5 + 0.25 / 3.0  # half of 2.5 seconds, at the second batch's rate of 3 seconds for the whole picture
+    assert moved == pytest.approx(NEWEST * (best - 0.5), abs=1e-5)
+    for _ in range(12):
+        batches.took([span.stop - span.start for span in batches.spans(pixels)])
+    assert batches.spans(pixels)[0].stop == pytest.approx(pixels / 2, abs=0.001 * pixels)
+
+
+def test_bounds_reach_the_nearest_end_though_they_move_by_parts():
+    """The first part of the way is less than half of the distance to the next allowed place."""
+    batches, pixels, ends = Batches(2), 200_000, np.arange(0, 200_001, 20_000)
+    cost = np.where(np.arange(pixels) < pixels // 2, 1.0, 1.5)  # equal at 116,667
+    for _ in range(10):
+        batches.took([cost[span].sum() for span in batches.spans(pixels, ends)])
+    assert batches.spans(pixels, ends)[0].stop == 120_000
 
 
 def test_where_they_cannot_cost_the_same_they_come_as_near_as_their_sizes_may():
     batches = Batches(2)
     for _ in range(30):
         batches.spans(100_000)
-        batches.cost([1.0, 1000.0])
+        batches.took([1.0, 1000.0])
     assert lengths(batches.spans(100_000)).tolist() == [75_000, 25_000]  # 0.5 is SHORTEST
     for _ in range(30):
         batches.spans(2 * BATCH)
-        batches.cost([1000.0, 1.0])
+        batches.took([1000.0, 1.0])
     assert lengths(batches.spans(2 * BATCH)).tolist() == [BATCH // 2, 3 * BATCH // 2]
 
 
@@ -70,7 +93,7 @@ def test_they_have_the_largest_number_of_pixels_over_the_number_of_paths(paths, 
     batches, largest = (Batches.on_gpu(float("inf"), paths), GPU_BATCH) if gpu else (Batches(2, paths), BATCH)
     for _ in range(2):
         assert lengths(batches.spans(4 * largest)).tolist() == [largest // paths] * 4 * paths
-        batches.cost([1.0] * 4 * paths)
+        batches.took([1.0] * 4 * paths)
 
 
 @pytest.mark.parametrize("paths", [1, 2])
@@ -98,7 +121,7 @@ def test_a_gpu_renders_a_small_picture_in_one_batch():
 def test_another_number_of_spans_begins_with_even_ones():
     batches = Batches(2)
     batches.spans(200_000)
-    batches.cost([1.0, 2.0])
+    batches.took([1.0, 2.0])
     assert np.ptp(lengths(batches.spans(100_000))) > 1000
     assert lengths(batches.spans(4 * BATCH)).tolist() == [BATCH] * 4
 
@@ -121,7 +144,7 @@ def test_they_are_cut_where_they_may_be_and_every_pixel_is_in_one_span(pixels, t
         places = [0] + [span.stop for span in spans]
         assert [span.start for span in spans] == places[:-1] and places[-1] == pixels
         assert set(places) <= set(ends.tolist()) and all(lengths(spans) > 0)
-        batches.cost(rng.exponential(size=len(spans)) ** 4 + 1e-3)
+        batches.took(rng.exponential(size=len(spans)) ** 4 + 1e-3)
 
 
 def test_each_cut_is_at_the_nearest_end():
@@ -136,7 +159,7 @@ def test_where_there_are_fewer_ends_than_spans_there_are_fewer_spans():
     for _ in range(5):
         spans = batches.spans(pixels, np.array([0, pixels // 3, pixels]))
         assert lengths(spans).tolist() == [pixels // 3, pixels - pixels // 3]
-        batches.cost([1.0, 3.0])
+        batches.took([1.0, 3.0])
     assert len(batches.spans(pixels, np.array([0, pixels]))) == 1
 
 
@@ -148,5 +171,5 @@ def test_cut_where_they_may_be_they_cost_the_same_but_for_a_band(threads):
     ends = np.arange(0, pixels + 1, band)
     for _ in range(10):
         costs = [cost[span].sum() for span in batches.spans(pixels, ends)]
-        batches.cost(costs)
+        batches.took(costs)
     assert len(costs) == threads and max(costs) - min(costs) < 2.0 * 1.8 * band
