@@ -6,7 +6,7 @@
 # make docs       the documentation, into out/site
 # make blender    the add-on for Blender, into out/
 # make test-blender  the tests of the add-on against Cycles; BLENDER=5.0 chooses the release (about 10 minutes, 1 GB)
-# make results    every figure and table of docs/results, again (days; SETTING=reduced: about 20 minutes)
+# make results    every figure and table of docs/results, again (days; SETTING=reduced: one to two hours)
 # make clean      remove .venv and out/
 # make help       this list
 
