@@ -31,10 +31,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        _discard_lost_output()
+        discard_lost_output()
         return PIPE_CLOSED
     except OSError as error:  # from stdout alone: all other files have their own messages
-        _discard_lost_output()
+        discard_lost_output()
         print(f"bokehguide: error: the output cannot be written ({error.strerror})", file=sys.stderr)
         return USER_ERROR
 
@@ -47,7 +47,7 @@ def _replace_closed_streams() -> None:
             setattr(sys, name, open(number, "w"))  # noqa: PTH123, SIM115, as it stays open to the end
 
 
-def _discard_lost_output() -> None:
+def discard_lost_output() -> None:
     """Let stdout and stderr lead nowhere where they cannot be written: Python flushes them at exit, which must not fail."""
     for stream in (sys.stdout, sys.stderr):
         try:

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import os
 import subprocess
 import sys
 import tomllib
@@ -197,3 +198,14 @@ def test_how_scripts_end(main, code, line, monkeypatch, capsys):
     with pytest.raises(SystemExit) as ended:
         run(main, "all is kept")
     assert (ended.value.code or 0, capsys.readouterr().err) == (code, line)
+
+
+@pytest.mark.parametrize("length", [1, 1000000])
+def test_a_script_whose_reader_is_gone_ends_without_a_traceback(length):
+    """As with `| head`: the output is lost while it is written, or when it is flushed at the end."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    text = f"from bokehguide.cli.scripts import run; run(lambda: print('x' * {length}))"
+    ended = subprocess.run([sys.executable, "-c", text], stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120)
+    os.close(writer)
+    assert (ended.returncode, ended.stderr) == (141, "")
