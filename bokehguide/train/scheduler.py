@@ -68,9 +68,7 @@ class Batches:
         self._longest = LONGEST * self._most * count / pixels
         bounds = np.rint(self._wanted * pixels).astype(int)
         if ends is not None:
-            after = np.searchsorted(ends, bounds).clip(1)
-            before, after = ends[after - 1], ends[after]
-            bounds = np.unique(np.where(bounds - before < after - bounds, before, after))
+            bounds = _at_ends(bounds, ends)
         self._cuts = bounds / pixels
         return [slice(first, last) for first, last in pairwise(bounds.tolist())]
 
@@ -84,3 +82,14 @@ class Batches:
         # Interpolate from even spans to these, as far as the sizes allow.
         reach = min(1.0, (self._longest - 1.0) / max(sizes.max() - 1.0, 1e-9), (1.0 - SHORTEST) / max(1.0 - sizes.min(), 1e-9))
         self._wanted += NEWEST * (even + reach * (cuts - even) - self._wanted)
+
+
+def _at_ends(bounds: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """The nearest allowed bounds. No two are equal, so that no thread is without a batch; fewer only if there are fewer ends."""
+    last, numbers = len(ends) - 1, np.arange(len(bounds))
+    if last < len(bounds):
+        return ends
+    after = np.searchsorted(ends, bounds).clip(1)
+    place = np.where(bounds - ends[after - 1] < ends[after] - bounds, after - 1, after)
+    place = np.maximum.accumulate(place - numbers) + numbers
+    return ends[np.minimum(place, last - numbers[::-1])]

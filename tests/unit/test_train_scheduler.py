@@ -173,3 +173,17 @@ def test_cut_where_they_may_be_they_cost_the_same_but_for_a_band(threads):
         costs = [cost[span].sum() for span in batches.spans(pixels, ends)]
         batches.took(costs)
     assert len(costs) == threads and max(costs) - min(costs) < 2.0 * 1.8 * band
+
+
+EVEN_ENDS = [np.linspace(0, 12_000, count + 1).astype(int) for count in (5, 6, 7, 12)]
+
+
+@pytest.mark.parametrize("ends", [*EVEN_ENDS, np.array([0, 1000, 2000, 3000, 4000, 5000, 12_000])], ids=len)
+def test_every_thread_has_a_batch_where_there_are_enough_ends(ends):
+    """Also where the best bounds of several batches are nearest to the same end, at the start, in the middle and at the end."""
+    batches = Batches(5, smallest=1)
+    for dear in range(5):
+        for _ in range(8):
+            spans = batches.spans(12_000, ends)
+            assert len(spans) == 5 and all(lengths(spans) > 0)
+            batches.took([100.0 if place == dear else 1.0 for place in range(5)])
