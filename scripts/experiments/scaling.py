@@ -174,6 +174,7 @@ def value(row: dict) -> int:
 def draw(rows: list[dict], path: Path) -> None:
     """Seconds of a step and memory over each growing number, on log axes."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter, NullLocator
 
     from bokehguide.evaluation.curves_figure import label
     from bokehguide.evaluation.page import NORMAL, SMALL, WIDTH, save
@@ -186,6 +187,10 @@ def draw(rows: list[dict], path: Path) -> None:
             for axis, name in zip(axes[:, column], ("step", "memory_mb")):
                 axis.loglog([value(row) for row in line], [row[name] for row in line], "o-", label=mode, markersize=3)
         axes[1, column].set_xlabel(growing, fontsize=NORMAL)
+        for axis in axes[:, column]:
+            axis.set_xticks(sorted({value(row) for row in rows if row["growing"] == growing}))
+            axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+            axis.xaxis.set_minor_locator(NullLocator())
     for axis in axes.flat:
         label(axis.yaxis)
         axis.tick_params(labelsize=SMALL, which="both")
