@@ -24,8 +24,8 @@ PATH_BYTES, GPU_SHARE = 8192, 0.5
 SHORTEST, LONGEST = 0.5, 1.5
 """Least size of a span over the mean size, and largest size over the intended size, before bounds move to allowed cuts."""
 NEWEST = 0.5
-"""Weight of the last step's seconds in the bounds of the next step; the other part is that of earlier steps. The seconds of one
-step vary by some percent on an idle machine."""
+"""Weight of the last step's seconds in the bounds of the next step; the other part is that of earlier steps. Another process may
+delay a batch of one step."""
 
 
 class Batches:
