@@ -96,11 +96,15 @@ def sha(*parts: object) -> str:
 
 
 def array_sha(values: object) -> str:
-    """The hash of an array or a tensor with its type and shape, or of a number with its type."""
+    """The hash of an array or a tensor with its type and shape, or of a number with its type.
+
+    Doubles in arrays count in single precision. Many are sums over batches, and the cuts between batches depend on time.
+    """
     if isinstance(values, torch.Tensor):
         values = values.detach().cpu().numpy()
     if isinstance(values, np.ndarray):
-        return sha(str(values.dtype), values.shape, np.ascontiguousarray(values).tobytes())
+        rounded = values.astype(np.float32) if values.dtype == np.float64 else values
+        return sha(str(values.dtype), values.shape, np.ascontiguousarray(rounded).tobytes())
     return sha(type(values).__name__, values)
 
 

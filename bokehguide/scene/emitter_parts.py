@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bokehguide.scene.components import connected_components
 from bokehguide.scene.types import Mesh
 
 MOST_EMPTY = 4.0
@@ -56,14 +57,9 @@ def _components(corners: np.ndarray, labels: np.ndarray, points: int) -> np.ndar
 
     corners: point of each corner, below `points`, `[T, 3]`. labels: `[T]`.
     """
-    from scipy import sparse  # takes half a second to import
-
     nodes, corners = np.unique(corners + labels[:, None] * points, return_inverse=True)
     corners = corners.reshape(-1, 3)
-    edges = sparse.coo_matrix(
-        (np.ones(2 * len(corners)), (np.tile(corners[:, 0], 2), corners[:, 1:].T.ravel())), shape=(len(nodes), len(nodes))
-    )
-    found = sparse.csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
+    found = connected_components(corners[:, [0, 1, 0, 2]].reshape(-1, 2), len(nodes))[corners[:, 0]]
     return np.unique(found, return_inverse=True)[1].astype(np.int32)
 
 

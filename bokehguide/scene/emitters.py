@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
 from bokehguide.color import LUMINANCE
 from bokehguide.limits import FARTHEST_FOCUS
+from bokehguide.scene.components import connected_components
 from bokehguide.scene.emitter_parts import MOST_PARTS, compact_parts, shapes
 from bokehguide.scene.shapes import joined
 from bokehguide.scene.types import Camera, Scene, Sun
@@ -135,43 +135,37 @@ def _peaks(radiance: np.ndarray, rotation: float) -> tuple[np.ndarray, tuple[np.
     radiance: `[H, W, 3]`. Texels of one peak touch at a side or a corner. The bounding radii contain
     the support of the bilinear interpolant.
     """
-    from scipy import ndimage
-
     height, width = radiance.shape[:2]
     theta = np.pi * (np.arange(height) + 0.5) / height
     solid_angle = np.sin(theta)[:, None] * np.full(width, 2.0 * np.pi**2 / (height * width))
     luminance = radiance.astype(np.float64) @ LUMINANCE
     mean = np.sum(luminance * solid_angle) / np.sum(solid_angle)
-    labels = _connected_texels(luminance > PEAK * mean)
-    which = np.unique(labels)[1:]
-    phi = 2.0 * np.pi * (np.arange(width) + 0.5) / width - np.pi - np.radians(rotation)
-    directions = np.stack(
-        np.broadcast_arrays(np.sin(theta)[:, None] * np.sin(phi), np.cos(theta)[:, None], -np.sin(theta)[:, None] * np.cos(phi))
-    )
-    centres = np.stack([ndimage.sum(d * solid_angle, labels, which) for d in directions], axis=1)
-    angles = ndimage.sum(solid_angle, labels, which)
-    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
-    bright = np.flatnonzero(labels)
-    number = np.searchsorted(which, labels.ravel()[bright])
-    cosine = (centres[number] * directions.reshape(3, -1).T[bright]).sum(1)
-    bounding = np.zeros(len(which))
+    bright, number = _connected_texels(luminance > PEAK * mean)
+    texels = np.full(height * width, -1)
+    texels[bright] = number
+    row, column = bright // width, bright % width
+    phi = 2.0 * np.pi * (column + 0.5) / width - np.pi - np.radians(rotation)
+    sine = np.sin(theta)[row]
+    directions = np.stack((sine * np.sin(phi), np.cos(theta)[row], -sine * np.cos(phi)))
+    solid_angle, luminance = solid_angle.reshape(-1)[bright], luminance.reshape(-1)[bright]
+    centres = np.stack([np.bincount(number, d * solid_angle) for d in directions], axis=1)
+    angles = np.bincount(number, solid_angle)
+    centres = centres / np.linalg.norm(centres, axis=1, keepdims=True)
+    cosine = (centres[number] * directions.T).sum(1)
+    bounding = np.zeros(len(angles))
     np.maximum.at(bounding, number, np.arccos(np.clip(cosine, -1.0, 1.0)) + math.sqrt(2.0) * np.pi / height)
-    mean = ndimage.sum(luminance * solid_angle, labels, which) / angles
-    texels = np.full(labels.shape, -1)
-    texels.reshape(-1)[bright] = number
     bounding = np.tan(np.minimum(bounding, 1.5))
-    return texels, _at_infinity(np.sqrt(angles / np.pi), bounding, centres, mean)
+    mean = np.bincount(number, luminance * solid_angle) / angles
+    return texels.reshape(height, width), _at_infinity(np.sqrt(angles / np.pi), bounding, centres, mean)
 
 
-def _connected_texels(bright: np.ndarray) -> np.ndarray:
-    """Labels `[H, W]` of the connected components of `bright` `[H, W]`, 0 elsewhere. The map is periodic along u."""
-    from scipy import ndimage
-
-    labels = np.zeros(bright.shape, np.int32)
-    ndimage.label(bright, np.ones((3, 3)), output=labels)
-    for row, beside in product(range(len(labels)), (-1, 0, 1)):
-        if 0 <= row + beside < len(labels):
-            left, right = labels[row, 0], labels[row + beside, -1]
-            if left > 0 and right > 0 and left != right:
-                labels[labels == right] = left
-    return labels
+def _connected_texels(bright: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of the texels of `bright` `[H, W]`, and the connected component of each. The map is periodic along u."""
+    height, width = bright.shape
+    texels = np.flatnonzero(bright)
+    number = np.full((height + 1, width), -1)  # a dark row below the map
+    number[:-1][bright] = np.arange(len(texels))
+    row, column = texels // width, texels % width
+    beside = [number[row + down, (column + right) % width] for down, right in ((0, 1), (1, -1), (1, 0), (1, 1))]
+    pairs = np.stack((np.tile(np.arange(len(texels)), 4), np.concatenate(beside)), axis=1)
+    return texels, connected_components(pairs[pairs[:, 1] >= 0], len(texels))

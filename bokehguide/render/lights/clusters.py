@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -50,25 +51,36 @@ def build_clusters(features: np.ndarray, power: np.ndarray) -> tuple[np.ndarray,
 
     features: `[K, F]`; similar lights have similar features. power: `[K]`.
     """
-    groups = {0: np.arange(len(power))}
-    queue = [(-_spread(features, power), 0)]
+    columns = np.ascontiguousarray(features.T)
+    groups = {0: _Group.of(np.arange(len(power)), columns, power)}
+    queue = [(-groups[0].spread, 0)]
     while queue and len(groups) < 2**LEVELS:
         _, name = heapq.heappop(queue)
-        members = groups[name]
-        points = features[members]
-        axis = int(np.argmax(np.ptp(points, axis=0)))
-        middle = 0.5 * (points[:, axis].min() + points[:, axis].max())
-        upper = points[:, axis] > middle
+        members, low, high, _ = groups[name]
+        axis = int(np.argmax(high - low))
+        upper = columns[axis, members] > 0.5 * (low[axis] + high[axis])
         if not upper.any() or upper.all():
             continue
-        groups[name], groups[len(groups)] = members[~upper], members[upper]
-        for half in (name, len(groups) - 1):
-            heapq.heappush(queue, (-_spread(features[groups[half]], power[groups[half]]), half))
+        for half, kept in ((name, ~upper), (len(groups), upper)):
+            groups[half] = _Group.of(members[kept], columns, power)
+            heapq.heappush(queue, (-groups[half].spread, half))
     cluster = np.empty(len(power), np.int64)
-    for name, members in groups.items():
-        cluster[members] = name
+    for name, group in groups.items():
+        cluster[group.members] = name
     return cluster, len(groups)
 
 
-def _spread(features: np.ndarray, power: np.ndarray) -> float:
-    return float(power.sum()) * float(np.linalg.norm(np.ptp(features, axis=0)))
+class _Group(NamedTuple):
+    """Lights `members` `[M]`, the bounding box `low` and `high` `[F]` of their features, and the spread."""
+
+    members: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    spread: float
+
+    @classmethod
+    def of(cls, members: np.ndarray, columns: np.ndarray, power: np.ndarray) -> _Group:
+        """columns: features, `[F, K]`, which NumPy reduces ten times as fast as `[K, F]`. power: `[K]`."""
+        points = columns[:, members]
+        low, high = points.min(axis=1), points.max(axis=1)
+        return cls(members, low, high, float(power[members].sum()) * float(np.linalg.norm(high - low)))

@@ -152,7 +152,7 @@ def _cluster_properties(emitters: GridEmitters, cluster: np.ndarray, count: int)
 def _cell_light(layout: _Layout, clusters: _Clusters) -> np.ndarray:
     """Unshadowed light of each cluster in each cell, `[cells, clusters]`."""
     offset = layout.middles()[:, None] - clusters.place[None]
-    squared = np.maximum(np.square(offset).sum(axis=2), 0.25 * layout.cell**2)
+    squared = np.maximum(np.einsum("ckd,ckd->ck", offset, offset), 0.25 * layout.cell**2)
     distance = np.sqrt(squared)
     cosine = np.einsum("ckd,kd->ck", offset, clusters.facing) / distance
     width = 1.0 - np.linalg.norm(clusters.facing, axis=1) + 0.5 * layout.cell / distance  # spread of normals and cell

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bokehguide.scene.components import connected_components
 from bokehguide.scene.types import Mesh
 
 CREASE = np.radians(35.0)
@@ -150,13 +151,7 @@ def _components(pairs: np.ndarray, nodes: np.ndarray) -> list[np.ndarray]:
     """
     if len(pairs) == 0:
         return []
-    first = np.arange(nodes[-1] + 1)
-    while (first[pairs[:, 0]] != first[pairs[:, 1]]).any():
-        least = first[pairs].min(axis=1)
-        for end in pairs.T:
-            np.minimum.at(first, first[end], least)
-        first = first[first]
-    labels = np.unique(first, return_inverse=True)[1].astype(np.int32)[nodes]
+    labels = connected_components(pairs, nodes[-1] + 1)[nodes]
     order = labels.argsort()
     ends = np.flatnonzero(np.diff(labels[order])) + 1
     return [nodes[part] for part in np.split(order, ends) if len(part) > 1]
