@@ -6,6 +6,8 @@ outline of a long tube would mostly miss the lens. Such components are divided i
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from bokehguide.scene.components import connected_components
@@ -21,28 +23,42 @@ MOST_PARTS = 2048
 """Emitters of a scene at which no part is divided any more."""
 
 
-def compact_parts(mesh: Mesh, most: int, groups: np.ndarray | int = 0) -> np.ndarray:
-    """The part of each triangle, int32 `[T]`: connected components, of which long and empty ones are divided.
+class Parts(NamedTuple):
+    """Shapes of K parts of a mesh: fields of `Emitters`.
 
-    The plane through the centre of a part, across its longest axis, divides the part. Triangles of a part connect at equal vertex
-    positions. most: number of parts beyond which none is divided. groups: of triangles, `[T]`; groups do not connect.
+    centres: `[K, 3]`. radii, bounding_radii: `[K]`. ellipsoids: `[K, 3, 3]`. half_edges: `[K, 2, 3]`.
+    """
+
+    centres: np.ndarray
+    radii: np.ndarray
+    bounding_radii: np.ndarray
+    ellipsoids: np.ndarray
+    half_edges: np.ndarray
+
+
+def compact_parts(mesh: Mesh, most: int, groups: np.ndarray | int = 0) -> tuple[np.ndarray, Parts]:
+    """The part of each triangle, int32 `[T]`, and the shapes of the parts.
+
+    Parts are connected components, of which long and empty ones are divided. The plane through the centre of a part, across its
+    longest axis, divides the part. Triangles of a part connect at equal vertex positions. most: number of parts beyond which none
+    is divided. groups: of triangles, `[T]`; groups do not connect.
     """
     points, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     corners = index.reshape(-1)[mesh.triangles].astype(np.int64)
     middles = mesh.vertices[mesh.triangles].mean(axis=1, dtype=np.float64)
     labels = _components(corners, np.broadcast_to(groups, len(corners)).astype(np.int64), len(points))
     while True:
-        centres, radii, _, ellipsoids, *_ = shapes(mesh, labels, 1.0)
-        squares, axes = np.linalg.eigh(ellipsoids)
-        divided = (squares[:, 2] > MOST_ELONGATED**2 * squares[:, 1]) | (emptiness(ellipsoids, radii) > MOST_EMPTY)
+        parts = shapes(mesh, labels)
+        squares, axes = np.linalg.eigh(parts.ellipsoids)
+        divided = (squares[:, 2] > MOST_ELONGATED**2 * squares[:, 1]) | (emptiness(parts.ellipsoids, parts.radii) > MOST_EMPTY)
         divided &= np.bincount(labels) >= FEWEST_TRIANGLES
-        divided &= np.cumsum(divided) <= most - len(radii)
+        divided &= np.cumsum(divided) <= most - len(parts.radii)
         if not divided.any():
-            return labels
-        beyond = ((middles - centres[labels]) * axes[labels, :, 2]).sum(1) > 0.0
+            return labels, parts
+        beyond = ((middles - parts.centres[labels]) * axes[labels, :, 2]).sum(1) > 0.0
         found = _components(corners, 2 * labels.astype(np.int64) + (divided[labels] & beyond), len(points))
         if found.max() == labels.max():  # triangles at one place
-            return labels
+            return labels, parts
         labels = found
 
 
@@ -63,8 +79,8 @@ def _components(corners: np.ndarray, labels: np.ndarray, points: int) -> np.ndar
     return np.unique(found, return_inverse=True)[1].astype(np.int32)
 
 
-def shapes(mesh: Mesh, labels: np.ndarray, luminance: np.ndarray | float) -> tuple[np.ndarray, ...]:
-    """The columns of `Emitters` up to `half_edges` of the parts of `mesh`. labels: of its triangles, `[T]`. luminance: of parts.
+def shapes(mesh: Mesh, labels: np.ndarray) -> Parts:
+    """The shapes of the parts of `mesh`. labels: of its triangles, `[T]`.
 
     The mean projected area of a closed convex surface is a quarter of its area (Cauchy). An open part counts with the length of
     its vector area, if this is larger.
@@ -84,7 +100,7 @@ def shapes(mesh: Mesh, labels: np.ndarray, luminance: np.ndarray | float) -> tup
         np.maximum.at(bounding, labels, np.linalg.norm(corner, axis=1))
     ellipsoids = _ellipsoids(corners, areas, labels)
     half_edges = _half_edges(np.moveaxis(corners, 0, 1), labels)
-    return centres, np.sqrt(projected / np.pi), bounding, ellipsoids, np.full(len(total), luminance), half_edges
+    return Parts(centres, np.sqrt(projected / np.pi), bounding, ellipsoids, half_edges)
 
 
 def _half_edges(corners: np.ndarray, labels: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from bokehguide.color import LUMINANCE
 from bokehguide.limits import FARTHEST_FOCUS
 from bokehguide.scene.components import connected_components
-from bokehguide.scene.emitter_parts import MOST_PARTS, compact_parts, shapes
+from bokehguide.scene.emitter_parts import MOST_PARTS, compact_parts
 from bokehguide.scene.shapes import joined
 from bokehguide.scene.types import Camera, Scene, Sun
 
@@ -67,10 +67,11 @@ def _parts(scene: Scene) -> tuple[np.ndarray, list[tuple[np.ndarray, ...]]]:
     if not meshes:
         return of_triangles, []
     mesh, groups = joined(meshes), np.repeat(np.arange(len(meshes)), [len(mesh.triangles) for mesh in meshes])
-    labels = compact_parts(mesh, MOST_PARTS, groups)
+    labels, parts = compact_parts(mesh, MOST_PARTS, groups)
     luminance = np.array([LUMINANCE @ scene.materials[mesh.material].emission for mesh in meshes])
     of_triangles[np.concatenate(emissive)] = labels
-    return of_triangles, [shapes(mesh, labels, luminance[groups[np.unique(labels, return_index=True)[1]]])]
+    of_parts = luminance[groups[np.unique(labels, return_index=True)[1]]]
+    return of_triangles, [(*parts[:4], of_parts, parts.half_edges)]
 
 
 def lens_coverage(scene: Scene, emitters: Emitters | None = None) -> float | None:

@@ -69,14 +69,14 @@ DIVIDED: dict[str, Callable[[], Mesh]] = {"ring": lambda: tube(arc()), "hairpin"
 
 def shape(mesh: Mesh, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Radii `[N]` and ellipsoids `[N, 3, 3]` of the parts."""
-    _, radii, _, ellipsoids, *_ = shapes(mesh, labels, 1.0)
-    return radii, ellipsoids
+    parts = shapes(mesh, labels)
+    return parts.radii, parts.ellipsoids
 
 
 @pytest.mark.parametrize("name", DIVIDED)
 def test_parts_are_compact(name):
     mesh = DIVIDED[name]()
-    labels = compact_parts(mesh, MOST_PARTS)
+    labels = compact_parts(mesh, MOST_PARTS)[0]
     radii, ellipsoids = shape(mesh, labels)
     squares = np.linalg.eigvalsh(ellipsoids)
     large = np.bincount(labels) >= FEWEST_TRIANGLES
@@ -88,7 +88,7 @@ def test_parts_are_compact(name):
 @pytest.mark.parametrize("name", DIVIDED)
 def test_triangles_of_a_part_connect(name):
     mesh = DIVIDED[name]()
-    labels = compact_parts(mesh, MOST_PARTS)
+    labels = compact_parts(mesh, MOST_PARTS)[0]
     for part in range(labels.max() + 1):
         triangles = mesh.triangles[labels == part]
         edges = triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
@@ -106,16 +106,16 @@ WHOLE = {
 @pytest.mark.parametrize("name", WHOLE)
 def test_compact_components_and_those_of_few_triangles_stay_whole(name):
     mesh = joined([WHOLE[name](), transformed(WHOLE[name](), transform((0.0, 90.0, 0.0)))])
-    labels = compact_parts(mesh, MOST_PARTS)
+    labels = compact_parts(mesh, MOST_PARTS)[0]
     half = len(labels) // 2
     assert set(labels[:half]) == {0} and set(labels[half:]) == {1}
 
 
 def test_the_number_of_parts_is_limited(monkeypatch):
     """For all meshes together."""
-    mesh, many = tube(arc()), len(np.unique(compact_parts(tube(arc()), MOST_PARTS)))
+    mesh, many = tube(arc()), len(np.unique(compact_parts(tube(arc()), MOST_PARTS)[0]))
     for most in (1, 2, 7):
-        assert 1 <= len(np.unique(compact_parts(mesh, most))) <= most
+        assert 1 <= len(np.unique(compact_parts(mesh, most)[0])) <= most
     monkeypatch.setattr(emitters_module, "MOST_PARTS", many + 5)
     scene = replace(scenes.emitters(8, 8), meshes=(mesh, tube(arc(), 0.05)), environment=None)
     assert many < len(find_emitters(scene).radii) <= many + 5
@@ -124,7 +124,7 @@ def test_the_number_of_parts_is_limited(monkeypatch):
 def test_triangles_at_one_place_are_not_divided():
     vertices = np.array([(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1e-4, 0.0)], np.float32)
     mesh = Mesh(vertices, np.tile(np.array([[0, 1, 2]], np.int32), (40, 1)), material=0)
-    assert set(compact_parts(mesh, MOST_PARTS)) == {0}
+    assert set(compact_parts(mesh, MOST_PARTS)[0]) == {0}
 
 
 def ring_scene(width: int, height: int) -> Scene:
