@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bokehguide.color import LUMINANCE
 from bokehguide.guiding.config import GuidedConfig
-from bokehguide.models.ellipse_mixture import EmitterShapes, balls, packed
+from bokehguide.models.ellipse_mixture import EmitterShapes, balls, outline_areas, packed
 from bokehguide.models.emitters.environment import EnvironmentEmitters
 from bokehguide.models.emitters.parallelogram import ParallelogramEmitters
 from bokehguide.models.gaussian_field import GaussianField
@@ -34,7 +34,8 @@ MAX_DISC = 3.0
 class EmitterProposals:
     """L emitters that the lens can see out of focus, camera frame.
 
-    field: enclosing balls of the emitters. outlines: `packed` squared half axes, `[6, L]`. shapes: parallelograms and emitters of
+    field: enclosing balls of the emitters. Energies are luminance times the area of the outline over π, or the flux over π of
+    emitters of the map. outlines: `packed` squared half axes, `[6, L]`. shapes: parallelograms and emitters of
     the map among the emitters. triangles: whether the proposals cover the light that a triangle of the scene sends directly into
     the lens, bool `[T + 1]`; the last entry is for a miss. whole_environment: whether the proposals cover all visible emitters of
     the environment.
@@ -70,7 +71,7 @@ def emitter_proposals(scene: Scene, emitters: Emitters, camera: ThinLensCamera, 
     # The extent of a cone is the tangent of its angle. The radius of a ball inside the cone is the sine.
     cones = balls(radius / (1.0 + reach.square()).sqrt())
     outline = torch.where(infinite, cones, _ellipsoids(axes.T @ outline @ axes, config.ellipsoids) * size_scale**2)
-    energy = bright * radius.square()
+    energy = bright * outline_areas(outline, mean)
     empty = torch.from_numpy(emptiness(emitters.ellipsoids, emitters.radii))
     visible = scene.environment is None or scene.environment.visible
     proposed = (mean[2] > radius) & (~infinite | visible) & (empty <= MAX_EMPTINESS) & (energy > 0.0) & energy.isfinite()
@@ -80,11 +81,16 @@ def emitter_proposals(scene: Scene, emitters: Emitters, camera: ThinLensCamera, 
     # An outline as large as the lens guides only where the emitter fills its outline.
     area = empty * torch.from_numpy(emitters.radii).square() * (lens.focus_distance / away).square()
     proposed &= (empty <= FILLED) | (area <= MAX_OUTLINE * lens.radius**2)
-    field = GaussianField()
-    field.assign(mean[:, proposed], radius[proposed], radius[proposed], energy[proposed])
-    known = torch.from_numpy(np.append(proposed.numpy(), True)[emitters.triangle_emitters])  # -1 is the last
-    whole_environment = bool(infinite.any() and proposed[infinite & _in_sight(mean, radius, camera)].all())
+    in_sight = infinite & _in_sight(mean, radius, camera)
     shapes = _shapes(scene, emitters, proposed, camera, config.emitter_shapes)
+    mean, radius, energy, bright = mean[:, proposed], radius[proposed], energy[proposed], bright[proposed]
+    # The flux of an emitter of the map: the solid angle is that of a disc across the direction, not of the cone.
+    disc = torch.from_numpy(emitters.radii).float()[proposed] * INFINITY * lens.focus_distance
+    energy = torch.where(shapes.environment_index >= 0, bright * disc.square() * mean.norm(dim=0) / mean[2], energy)
+    field = GaussianField()
+    field.assign(mean, radius, radius, energy)
+    known = torch.from_numpy(np.append(proposed.numpy(), True)[emitters.triangle_emitters])  # -1 is the last
+    whole_environment = bool(infinite.any() and proposed[in_sight].all())
     return EmitterProposals(field.to(device), outline[:, proposed].to(device), shapes, known.to(device), whole_environment)
 
 

@@ -8,6 +8,7 @@ from torch import Tensor
 from bokehguide.guiding.config import GaussianConfig, GuidedConfig, HighlightConfig
 from bokehguide.guiding.layered_record import VoxelRecord
 from bokehguide.guiding.record_buffer import Raster, RecordBuffer
+from bokehguide.models.ellipse_mixture import outline_areas
 from bokehguide.models.gaussian_field import GaussianField
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.vector import length
@@ -60,7 +61,7 @@ def fit_ellipsoids(
     """Fit one ellipsoid to each of G patches of highlight cells.
 
     Returns the cells `[K]`, means `[3, G]`, outlines `[6, G]` (see `EllipseMixture`), largest half axes seen from the lens `[G]`
-    and energies `[G]`.
+    and energies `[G]`: mean luminance times the area of the outline over π.
 
     Mean and covariance are weighted by the light. An unweighted bounding box would be several times larger, because of a few dim
     cells at the edge. The Gaussian with this mean and covariance has the least KL divergence from the light.
@@ -72,9 +73,10 @@ def fit_ellipsoids(
     width = points[2] * camera.pixel_slope
     patch = label_patches(record, cells, points[2], width, config.highlights.depth_gap)
     count = int(patch.max()) + 1 if len(patch) else 0
-    light = light.double() * width * width
-    energy = torch.zeros(count, device=points.device, dtype=torch.float64).index_add_(0, patch, light)
-    share = (light / energy[patch]).float()
+    area = (width * width).double()
+    none = torch.zeros(2, count, device=points.device, dtype=torch.float64)
+    areas, flux = none.index_add_(1, patch, torch.stack((area, light * area)))
+    share = (light * area / flux[patch]).float()
     empty = torch.zeros(6, count, device=points.device)
     mean = empty[:3].index_add(1, patch, share * points)
     x, y, z = points - mean[:, patch]
@@ -83,6 +85,7 @@ def fit_ellipsoids(
     outline = config.highlight_axes * config.highlight_axes * empty.index_add(1, patch, share * moments)
     spread = 0.5 * (outline[0] + outline[3])
     radius = (spread + ((outline[0] - spread).square() + outline[1].square()).sqrt()).sqrt()
+    energy = flux / areas * outline_areas(outline, mean)
     return cells, mean, outline, radius, energy.clamp(max=torch.finfo(torch.float32).max).float()
 
 

@@ -311,3 +311,16 @@ def balls(radius: Tensor) -> Tensor:
     """Packed squared half axes `[6, M]` of balls of radius `[M]`."""
     squared, none = radius * radius, torch.zeros_like(radius)
     return torch.stack((squared, none, none, squared, none, squared))
+
+
+def outline_areas(outline: Tensor, mean: Tensor) -> Tensor:
+    """Areas over π `[M]` of the outlines of ellipsoids, seen from the lens centre, on planes parallel to the lens through `mean`.
+
+    outline: packed squared half axes, `[6, M]`. mean: centres in front of the lens, `[3, M]`. Lines of sight count as parallel.
+    The fourth powers of lengths need double precision.
+    """
+    x, y = (mean[:2] / mean[2]).double()
+    xx, xy, xz, yy, yz, zz = outline.double()
+    along_x, along_y = xx - 2.0 * x * xz + x * x * zz, yy - 2.0 * y * yz + y * y * zz
+    across = xy - x * yz - y * xz + x * y * zz
+    return (along_x * along_y - across * across).clamp(min=0.0).sqrt().to(outline.dtype)

@@ -13,7 +13,7 @@ class GaussianField(nn.Module):
     """G highlights in the camera frame, common to all pixels. A fit sets the buffers (section 4.2).
 
     mean: `[3, G]`, metres. radius: R_b, radius of the sphere around the highlight's patch, `[G]`, metres. sigma: α R_b, `[G]`,
-    metres. energy: radiance times projected area of the patch, `[G]`.
+    metres. energy: radiance times projected area of the patch, up to a factor that all have in common, `[G]`.
     """
 
     mean: Tensor
