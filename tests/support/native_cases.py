@@ -38,6 +38,7 @@ FEATURES = (
     "hidden sky",
     "suns",
     "lamps",
+    "solids",
     "spot in the dark",
     "dark",
 )
@@ -165,6 +166,25 @@ SHEETS = (
     Material("blend", (0.3, 0.8, 0.4), opacity=0.6, alpha_mode="blend"),
     Material("blended texture", (0.8, 0.8, 0.4), base_color_texture=texture(11, low=0.0), alpha_mode="blend"),
 )
+SOLIDS = (
+    Material("partial prism", (0.4, 0.5, 0.6), roughness=0.0, transmission=0.6, ior=1.6, dispersion=3.0),
+    Material("white glass", (1.0, 1.0, 1.0), roughness=0.0, transmission=1.0),
+)
+EXTREMES = (
+    Material("glaze", (0.5, 0.6, 0.7), roughness=0.5, ior=3.0, specular_color=(6.0, 3.0, 1.0)),
+    Material(
+        "coated leaf",
+        (0.2, 0.6, 0.1),
+        roughness=0.6,
+        diffuse_transmission=0.8,
+        clearcoat=0.9,
+        clearcoat_roughness=0.4,
+        clearcoat_normal_texture=bumps(9),
+        normal_texture=bumps(8),
+    ),
+    Material("trace of oil", (0.2, 0.2, 0.2), roughness=0.4, iridescence=1.0, iridescence_thickness=(0.0, 0.02)),
+    Material("spread", (1.0, 1.0, 1.0), roughness=0.4, transmission=1.0, ior=1.3, dispersion=60.0),
+)
 MATTE = Material("matte", (0.6, 0.6, 0.6), roughness=0.8)
 LAMPS = (
     emitter(4.0, emission_texture=texture(12, 3, 0.0), double_sided=True),
@@ -194,6 +214,34 @@ def room(materials: tuple[Material, ...], lamps: tuple[Material, ...], environme
     return replace(made, suns=suns)
 
 
+def solids() -> Scene:
+    """Glass that absorbs nothing or transmits a part, an absorbing emitter with its back to the room, and suns that overlap."""
+    suns = (*SUNS, Sun((0.0, 0.7, 0.714142843), 30.0, (0.5, 0.3, 0.2)))
+    glow = emitter(6.0, double_sided=True, transmission=0.5, attenuation_color=(0.2, 0.5, 0.8), attenuation_distance=0.5)
+    made = room(SOLIDS, (glow,), None, suns)
+    return replace(made, meshes=(*made.meshes, dressed(rectangle(3, (0.4, 1.9, 0.9), UP, 0.4))))
+
+
+def sheets_before_a_lamp(sheets: int, opacity: float, scale: float) -> Scene:
+    """Slanted sheets of twice the length `scale` between a floor and an emitter."""
+    sheet = replace(MATTE, opacity=opacity, alpha_mode="blend")
+    panes = [rectangle(1, (0.0, 1.5 + 0.004 * number, 0.0), (-60.0, 0.0, 0.0), scale) for number in range(sheets)]
+    meshes = [rectangle(0, rotate=UP, scale=3.0), *panes, rectangle(2, (0.0, 4.5, 0.0), DOWN)]
+    return scene(meshes, [MATTE, sheet, emitter(5.0)])
+
+
+def panes() -> Scene:
+    """White panes, whose paths keep their throughput until Russian roulette ends them, before a bright sky."""
+    pane = Material("pane", (1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, thin=True)
+    return scene([rectangle(0, (0.0, 0.25 * number, 0.5), UP, 3.0) for number in range(8)], [pane], sky(), max_depth=10)
+
+
+def mirror_ball() -> Scene:
+    """An emitter in a hollow mirror, which has images of it before itself."""
+    mirror = Material("mirror", (0.9, 0.9, 0.9), metallic=1.0, roughness=0.0)
+    return scene([sphere(0, (0.0, 0.9, 0.5), 2.0), sphere(1, (0.6, 0.4, 0.9), 0.3)], [mirror, emitter(6.0)], max_depth=4)
+
+
 @cache
 def feature_scene(name: str) -> Scene:
     lamp = (emitter(6.0),)
@@ -202,12 +250,20 @@ def feature_scene(name: str) -> Scene:
         "coats": lambda: room((COATS, replace(COATS, normal_texture=bumps(2))), lamp),
         "layers": lambda: room(LAYERS, lamp, sky()),
         "films": lambda: room(FILMS, lamp, sky()),
+        "extremes": lambda: room(EXTREMES, lamp, sky()),
+        "gems": lambda: room(FILMS[:2:-1], lamp, sky()),  # rays hit the first materials of a room most often
+        "leaves": lambda: room(LAYERS[:1:-1], lamp, sky()),
         "glass": lambda: room(GLASS, lamp, sky()),
         "sheets": lambda: room(SHEETS, LAMPS),
         "sky": lambda: room((MATTE,), (), sky(), SUNS),
         "hidden sky": lambda: room((MATTE, *GLASS), lamp, sky(visible=False)),
         "suns": lambda: room((MATTE,), lamp, None, SUNS),
         "lamps": lambda: room((MATTE, COATS), LAMPS, sky(), SUNS),
+        "solids": solids,
+        "large sheet": lambda: sheets_before_a_lamp(1, 0.4, 1000.0),
+        "many sheets": lambda: sheets_before_a_lamp(300, 0.001, 30.0),
+        "mirror ball": mirror_ball,
+        "panes": panes,
         "spot in the dark": lambda: room((MATTE,), LAMPS[1:2]),
         "dark": lambda: room((MATTE,), ()),
     }

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from bokehguide.render.bsdf.mixture import Scattering
+from bokehguide.render.dimensions import MAX_CROSSINGS
 from bokehguide.render.path_tracer import PathTracer
 from bokehguide.render.random import PixelRandom
 from bokehguide.runtime import native
@@ -29,7 +30,7 @@ from tests.support.native_cases import (
 COUNT = 4000
 ROUNDING = 2e-3
 """Relative difference that rounding may grow to along a path."""
-FAST, LARGE = BUILT_IN[:4], BUILT_IN[4:]
+FAST, LARGE = (*BUILT_IN[:4], "large sheet", "panes"), BUILT_IN[4:]
 FLIPS = 1e-3
 """Share of paths that may take another branch where rounding differs."""
 
@@ -93,7 +94,7 @@ def test_surfaces_emission_and_opacity_agree(name):
     assert passed is None or differing(out[5:8], passed, 1e-4) == 0.0
 
 
-@pytest.mark.parametrize("name", ("textures", "coats", "glass", "layers", "films"))
+@pytest.mark.parametrize("name", ("textures", "coats", "glass", "layers", "leaves", "films", "gems", "solids", "extremes"))
 def test_bsdfs_agree(name):
     _, reference = both_tracers(name)
     origin, direction, random = rays(name, COUNT, 1)
@@ -144,6 +145,13 @@ def test_paths_agree(name):
         assert differing(getattr(found, field), getattr(expected, field)) <= FLIPS, field
     assert (found.triangle != expected.triangle).float().mean() <= FLIPS
     assert abs(found.rays - expected.rays) <= 2.0 * FLIPS * expected.rays
+
+
+def test_more_sheets_than_a_shadow_ray_crosses_block_it():
+    origin, direction, random = rays("many sheets", 200)
+    for tracer in both_tracers("many sheets"):
+        found = tracer.trace(origin, direction, random, PhaseTimer())
+        assert found.rays > MAX_CROSSINGS * 50 and not found.radiance.any()
 
 
 def test_nan_and_infinite_rays_and_throughputs_give_what_pytorch_gives():

@@ -12,8 +12,8 @@ from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.emitter_guide import EmitterGuide
 from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSamples
 from bokehguide.guiding.pixel_reuse import PixelPathReuse, PixelReuse
-from bokehguide.models.ellipse_mixture import EllipseMixture
-from bokehguide.models.native_mixture import NativeEllipseMixture
+from bokehguide.models.ellipse_mixture import EllipseMixture, EmitterShapes, packed
+from bokehguide.models.native_mixture import CoreField, NativeEllipseMixture
 from bokehguide.runtime import native
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene import Overrides, load_scene
@@ -21,14 +21,27 @@ from bokehguide.scene.types import Aperture, Camera
 from bokehguide.train import RenderLoop, RenderSettings
 from tests.support import scenes
 from tests.support.guides import mixture_of, pixel_batch, pytorch_mixture
+from tests.support.lens_emitters import crowd, pole
 from tests.support.native_cases import core, each_instruction_set, feature_scene
 from tests.support.sharing_cases import step_of, terrace
 
 WIDTH, HEIGHT = 64, 36
 STEPS = 5
 HEPTAGON = Aperture(blades=7, rotation=20.0, ratio=1.4, cat_eye=0.6)
-MIXTURES = ("fairy-lights", "night-street", "emitters", "emitters, heptagon")
-REUSE = ("terrace", "sheets", "textures", "coats", "layers", "films", "lamps", "suns", "hidden sky", "emitters, heptagon")
+MIXTURES = ("fairy-lights", "night-street", "emitters", "emitters, heptagon", "crowd", "zenith", "nadir")
+REUSE = (
+    "terrace",
+    "sheets",
+    "textures",
+    "coats",
+    "layers",
+    "films",
+    "lamps",
+    "lamps from below",
+    "suns",
+    "hidden sky",
+    "emitters, heptagon",
+)
 
 
 @cache
@@ -40,11 +53,17 @@ def loop_of(name: str) -> RenderLoop:
         scene = terrace(WIDTH, HEIGHT)
     elif name == "emitters":
         scene = scenes.emitters(WIDTH, HEIGHT)
+    elif name == "crowd":
+        scene = crowd(WIDTH, HEIGHT)
+    elif name in ("zenith", "nadir"):
+        scene = pole(WIDTH, HEIGHT, 50.0 if name == "zenith" else -50.0)
     elif name in ("fairy-lights", "night-street"):
         scene = load_scene(name, Overrides(width=WIDTH, height=HEIGHT))
     else:
+        name, below = name.removesuffix(" from below"), name.endswith(" from below")
         film = replace(feature_scene(name).film, width=WIDTH, height=HEIGHT)
-        camera = Camera((0.0, 1.0, 2.9), (0.0, 0.5, 0.0), fov=45.0, aperture_radius=0.1, focus_distance=1.4)
+        eye, target = ((0.0, 0.5, 2.3), (0.3, 1.8, 0.2)) if below else ((0.0, 1.0, 2.9), (0.0, 0.5, 0.0))
+        camera = Camera(eye, target, fov=45.0, aperture_radius=0.1, focus_distance=1.4)
         scene = replace(feature_scene(name), film=film, camera=camera)
     if aperture:
         scene = replace(scene, camera=replace(scene.camera, aperture=HEPTAGON))
@@ -115,6 +134,37 @@ def test_densities_agree(name):
         for field in ("components", "mixture", "density"):
             assert differing(getattr(one, field), getattr(other, field), 1e-3) <= 3e-3, field
         assert torch.equal(found.pdf(points), one.density)
+
+
+@pytest.mark.parametrize("clips", (False, True))
+def test_ellipsoids_that_cross_the_focal_plane_agree(clips):
+    """Ellipsoids that are longer than their distance from the focal plane, in all directions, and lines."""
+    camera, generator = loop_of("emitters").camera, torch.Generator().manual_seed(6)
+    pixels, count = 50, 600
+    uniforms = torch.rand(7, count, generator=generator)
+    focus = camera.focus_points(uniforms[:2, :pixels] * torch.tensor([[float(WIDTH)], [float(HEIGHT)]]))
+    component = torch.arange(count)
+    start, owner = component[:: count // pixels], component // (count // pixels)
+    start = torch.cat((start, torch.tensor([count])))
+    depth = camera.lens.focus_distance * (1.0 + 0.3 * (uniforms[2] - 0.5))
+    focus[:2, 0] = 0.0
+    aside = 0.3 * (uniforms[3:5] - 0.5) + focus[:2, owner]
+    aside[:, 0] = 0.0  # in the middle of the lens
+    mean = torch.cat((aside, depth[None]))
+    axes = 0.1 * torch.randn(count, 3, 3, generator=generator)
+    axes[0], axes[5::7, :, 1:] = 0.02 * torch.eye(3), 0.0  # a ball, and lines
+    outline, weight = packed(axes @ axes.mT), uniforms[5] + 0.1
+    assert 50 < int((outline[5] > (mean[2] - focus[2, owner]) ** 2).sum()) < count - 50
+    none = torch.full((count,), -1)
+    shapes, beta, scale = EmitterShapes(None, none, None, none, torch.empty(0)), torch.full((pixels,), 0.5), uniforms[6]
+    field = CoreField.of(core(), mean, outline, weight, shapes)
+    found = NativeEllipseMixture(camera.lens, focus, beta, start, field, component, scale, clips)
+    expected = EllipseMixture(camera.lens, focus, beta, start, mean, outline, weight, scale, None, clips)
+    for name in ("expected_contribution", "weight"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-3, atol=1e-7)
+    points = camera.lens.radius * (2.0 * torch.rand(2, pixels, generator=generator) - 1.0)
+    one, other = found.evaluate(points).components, expected.evaluate(points).components
+    assert differing(one, other, 1e-3) <= 5e-3 and int((other > 0.0).sum()) > 50
 
 
 @pytest.mark.parametrize("name", ("night-street", "emitters, heptagon"))

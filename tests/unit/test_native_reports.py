@@ -14,6 +14,7 @@ from torch import Tensor
 
 from bokehguide.guiding.emitter_guide import MAX_RATIO, EmitterGuide
 from bokehguide.guiding.gaussian_guide import GaussianGuide
+from bokehguide.guiding.success_rates import SuccessRates
 from bokehguide.models.base import LensDensity, LensMixture
 from bokehguide.render import dimensions
 from bokehguide.render.camera import ThinLensCamera
@@ -191,6 +192,16 @@ def test_success_rates_of_candidates_agree(both, pixels):
     (slots, rates), expected = both(lambda: learned.success_rates.of_candidates(pixels, *given))
     assert torch.equal(slots, expected[0]) and torch.equal(rates, expected[1])
     assert len(slots.unique()) > 100 and len(rates.unique()) > 20
+
+
+def test_emitters_have_no_slot_of_other_components(both):
+    """In a table of 16 slots, some hashes are 0."""
+    rates, pixels, emitters = SuccessRates(ThinLensCamera(load_scene("chrome").camera, 7, 4), 40), 28, 40
+    rates.rates.copy_(numbers(len(rates.rates), seed=8))
+    start, component = torch.arange(0, 20 * pixels + 1, 20), (60.0 * numbers(20 * pixels)).long()
+    (slots, found), expected = both(lambda: rates.of_candidates(slice(0, pixels), start, component))
+    assert torch.equal(slots, expected[0]) and torch.equal(found, expected[1])
+    assert len(rates.rates) == 16 and torch.equal(slots > 0, component < emitters)
 
 
 @pytest.mark.parametrize("mode", ("lis-o", "guided"))

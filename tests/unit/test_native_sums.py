@@ -16,6 +16,8 @@ from bokehguide.guiding.pixel_groups import PixelGroups
 from bokehguide.guiding.record_buffer import RecordBuffer
 from bokehguide.guiding.success_rates import SuccessRates
 from bokehguide.render.camera import ThinLensCamera
+from bokehguide.render.features import ControlVariateFeatures, MeanFeatures, RatioFeatures
+from bokehguide.render.film import NO_DEPTH, Film, FilmSamples
 from bokehguide.runtime import native
 from bokehguide.scene import load_scene
 
@@ -131,6 +133,26 @@ def test_pools_of_tiles_agree(width, height, monkeypatch):
     total = torch.exp(5.0 * torch.randn(len(lights.probability), clusters, generator=generator(4), dtype=torch.float64))
     (pooled,) = agree(monkeypatch, lambda threads: [lights._pooled(total, threads)], rtol=1e-13, atol=0.0)
     assert len(total) == 1 or bool((pooled != total).all())
+
+
+@pytest.mark.parametrize("features", (MeanFeatures, ControlVariateFeatures, RatioFeatures))
+@pytest.mark.parametrize("consecutive", (True, False))
+def test_sums_of_films_agree(features, consecutive, monkeypatch):
+    """Some samples miss all surfaces, and some are not finite."""
+    count = 1001
+    pixels = slice(5, 5 + count) if consecutive else torch.arange(1, 3 * count, 3)
+
+    def sums(_: int) -> list[Tensor]:
+        film, random = Film(WIDTH, HEIGHT, features=features), generator(7)
+        for step in range(1, 4):
+            radiance, normal, albedo, emission, (weight, alpha, depth) = 2.0 * torch.rand(5, 3, count, generator=random)
+            depth[step::3], weight[::5], radiance[1, 40], weight[41] = NO_DEPTH, 0.0, torch.nan, torch.inf
+            given = FilmSamples(weight, radiance, alpha.clamp(max=1.0), depth, normal, albedo, emission)
+            film.add(pixels, given, step)
+        return list(film._sums().values())
+
+    found = agree(monkeypatch, sums, rtol=1e-5, atol=1e-6)
+    assert all(bool(values.any()) for values in found)
 
 
 @pytest.mark.parametrize("width", (1, 16, 33, 83))

@@ -14,8 +14,8 @@ from bokehguide.runtime import native
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene import Overrides, load_scene
 from bokehguide.train import RenderLoop, RenderSettings
+from tests.support.guided_traces import COUNT, FLIPS, Traced, differing
 from tests.support.native_cases import both_tracers, feature_scene, rays
-from tests.unit.test_native_guided import COUNT, FLIPS, Traced, differing
 
 LAMPS = "fairy-lights"
 
