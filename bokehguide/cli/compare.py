@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bokehguide.cli.folders import make_folders, print_folders
+from bokehguide.cli.inputs import refuse_scene_files
 from bokehguide.cli.pictures import chosen_exposure
 from bokehguide.cli.render import overrides_from, print_warnings, with_reuse_radius
 from bokehguide.cli.terminal import clear_stage
@@ -76,12 +77,13 @@ def cached_reference(scene: Scene, settings: RenderSettings, options: argparse.N
 
 
 def check_outputs(scene: Scene, every: Sequence[RenderSettings], options: argparse.Namespace) -> None:
-    """Raise BokehguideError if an output cannot be written or is the given reference."""
+    """Raise BokehguideError if an output cannot be written or is an input."""
     pictures = [f"{settings.mode}.{kind}" for settings in every for kind in ("exr", "png")]
     made = [] if options.reference else [REFERENCE]
     outputs = [options.out / name for name in (METRICS, TABLE, CURVES, CROPS, *made, *pictures)]
     if options.reference and options.reference.resolve() in [output.resolve() for output in outputs]:
         raise BokehguideError(f"--reference: {str(options.reference)!r} is an output of this command; give another path")
+    refuse_scene_files(scene, [("--out", output) for output in outputs])
     logs = [run_folder(options.out / "logs", scene, settings) / "events" for settings in every]
     for path in (*outputs, *logs):
         check_writable(path)

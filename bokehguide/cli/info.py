@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from bokehguide.cli.folders import make_folders, print_folders
+from bokehguide.cli.inputs import refuse_scene_files
 from bokehguide.cli.render import check_device, overrides_from, settings_from
 from bokehguide.cli.report import json_file, text_beside, write_json
 from bokehguide.image import check_writable
@@ -21,6 +22,7 @@ def run(options: argparse.Namespace) -> int:
     settings = settings_from(options, scene)
     settings.window(scene.film.width, scene.film.height)
     check_device(settings.device)
+    refuse_scene_files(scene, [("--json", json_file(options.json)), ("--picture", options.picture)])
     outputs = [path for path in (json_file(options.json), options.picture) if path is not None]
     print_folders(make_folders([path.parent for path in outputs]))
     for path in outputs:

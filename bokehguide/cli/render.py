@@ -17,6 +17,7 @@ from torch import Tensor
 
 from bokehguide.cli.checkpoints import Checkpoints
 from bokehguide.cli.folders import make_folders, print_folders
+from bokehguide.cli.inputs import refuse_scene_files
 from bokehguide.cli.memory import check_memory, describe, explained
 from bokehguide.cli.pictures import Pictures, chosen_exposure, warn_if_opaque
 from bokehguide.cli.report import json_file, text_beside, write_json
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     window = settings.window(scene.film.width, scene.film.height)
     reference = read_window(options.reference, scene, window) if options.reference else None
     out = options.out or Path(f"{scene.name}-{settings.mode}.exr")
-    check_outputs(out, options, run_folder(options.logdir or "", scene, settings))
+    check_outputs(scene, out, options, run_folder(options.logdir or "", scene, settings))
     check_memory(scene, settings)
     with (
         Ranks.join(settings.device) as ranks,
@@ -187,7 +188,7 @@ def overrides_from(options: argparse.Namespace) -> Overrides:
     return Overrides(width=width, height=height, **{name: getattr(options, name) for name in OVERRIDES})
 
 
-def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> None:
+def check_outputs(scene: Scene, out: Path, options: argparse.Namespace, log_folder: Path) -> None:
     """Raise BokehguideError if an output cannot be written or is an input."""
     png, checkpoint, json = out.with_suffix(".png"), out.with_suffix(".ckpt"), json_file(options.json)
     for option, path in (("--reference", options.reference), ("--json", json)):
@@ -195,6 +196,7 @@ def check_outputs(out: Path, options: argparse.Namespace, log_folder: Path) -> N
             raise BokehguideError(f"{option}: {str(path)!r} is an output of this command; give another path")
     if json and options.reference and json.resolve() == options.reference.resolve():
         raise BokehguideError(f"--json: {str(json)!r} is the reference; give another path")
+    refuse_scene_files(scene, [("--out", out), ("--out", png), ("--out", checkpoint), ("--json", json)])
     created = make_folders([path.parent for path in (out, json) if path] + ([options.logdir] if options.logdir else []))
     for path in (out, png, checkpoint):
         check_writable(path)

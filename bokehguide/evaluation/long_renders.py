@@ -1,8 +1,8 @@
 """Long renders that can be stopped and continued.
 
 A long render is the mean of many short, independent renders ("chunks"), each with its own seed. It is kept in an EXR after
-every chunk, so that the same command continues it. The file has a fingerprint of the scene, mode and seed, but not of the
-version of the path tracer: remove the file if the path tracer has changed.
+every chunk and after an interruption, so that the same command continues it. The file has a fingerprint of the scene, mode and
+seed, but not of the version of the path tracer: remove the file if the path tracer has changed.
 """
 
 from __future__ import annotations
@@ -28,6 +28,9 @@ from bokehguide.runtime.bars import progress
 from bokehguide.runtime.interrupt import Interrupt
 from bokehguide.scene.types import Scene
 from bokehguide.train import RenderLoop, RenderSettings, StepStats
+
+FEWEST_SPP = 2
+"""SPP of an interrupted chunk that is kept: fewer samples have no estimate of the variance."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +65,23 @@ class RenderedFilm(Protocol):
     def variance(self) -> Tensor: ...
 
 
+class InterruptedRender(KeyboardInterrupt):
+    """Raised by Ctrl-C within a render that has taken some steps. film: of these steps; spp: number of the steps."""
+
+    def __init__(self, film: RenderedFilm, spp: int):
+        super().__init__()
+        self.film, self.spp = film, spp
+
+
 def render(scene: Scene, settings: RenderSettings, bar: tqdm) -> Film:
-    """The film of one render. bar: gets one update per step."""
+    """The film of one render. bar: gets one update per step. Raises InterruptedRender after a step at Ctrl-C."""
     with RenderLoop(scene, settings) as loop:
-        for _ in range(settings.spp):
-            whole_step(loop)
-            bar.update()
+        try:
+            for _ in range(settings.spp):
+                whole_step(loop)
+                bar.update()
+        except KeyboardInterrupt as error:
+            raise InterruptedRender(loop.film, loop.step_number) from error
         return loop.film
 
 
@@ -99,13 +113,20 @@ def accumulate(
     kept = read_long_render(path, inputs) if path.exists() else empty_long_render(scene)
     with progress(path.stem, settings.spp, kept.spp) as bar:
         while kept.spp < settings.spp and time.monotonic() < deadline:
-            spp = min(chunk, settings.spp - kept.spp)
-            film = render(scene, replace(settings, spp=spp, seed=settings.seed + kept.chunks), bar)
+            spp, interruption = min(chunk, settings.spp - kept.spp), None
+            try:
+                film = render(scene, replace(settings, spp=spp, seed=settings.seed + kept.chunks), bar)
+            except InterruptedRender as error:
+                if error.spp < FEWEST_SPP:
+                    raise
+                film, spp, interruption = error.film, error.spp, error
             warn_of_bad_samples(film, path.stem)
             kept = kept.plus(film, spp)
             facts = {"scene": scene.name, "mode": settings.mode, "seed": settings.seed, "fingerprint": inputs}
             layers = {"beauty": kept.radiance.numpy(), "variance": kept.variance.numpy()}
             write_exr(path, layers, facts | {"spp": kept.spp, "chunks": kept.chunks})
+            if interruption is not None:
+                raise interruption
     return kept
 
 

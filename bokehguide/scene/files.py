@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,6 +36,8 @@ class SceneFiles:
     def __init__(self, folder: Path, allow_outside: bool = False):
         self.folder, self.allow_outside = folder.resolve(), allow_outside
         self._searched: list[Path] = []
+        self.found: set[Path] = set()
+        """Resolved paths that `find` has returned. Some files may be missing."""
         self._values = self._stored = 0
         self._decoded = self._compressed = 0
         """Bytes of buffers after and before their decompression."""
@@ -55,14 +58,15 @@ class SceneFiles:
             raise BokehguideError(f"{place}: {shown(name)} {problem}")
         try:
             path = next((each / name for each in self._searched if (each / name).is_file()), folder / name)
-            inside = path.resolve().is_relative_to(self.folder)
+            resolved = path.resolve()
         except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a cycle of links
             reason = getattr(error, "strerror", None) or shown(str(error))
             raise BokehguideError(f"{place}: {shown(name)} is no path ({reason}); repair it") from None
-        if not inside and not self.allow_outside:
+        if not self.allow_outside and not resolved.is_relative_to(self.folder):
             raise BokehguideError(
                 f"{place}: {shown(name)} lies outside the scene's folder; copy it there, or give --allow-outside"
             )
+        self.found.add(resolved)
         return path
 
     def search_first(self, folder: Path) -> None:
@@ -160,6 +164,14 @@ class SceneFiles:
                 f"{place}: the scene's buffers would decode from {self._compressed:,} to {self._decoded:,} bytes, "
                 "more than any mesh needs; save the file uncompressed"
             )
+
+
+def is_file(name: str | os.PathLike[str]) -> bool:
+    """Whether a text is the path of a regular file. Long texts, such as colours of many digits, are no paths."""
+    try:
+        return Path(name).is_file()
+    except OSError:
+        return False
 
 
 def require_map(path: Path, place: str = "") -> None:

@@ -13,7 +13,7 @@ from bokehguide.errors import BokehguideError, printable
 from bokehguide.scene.apertures import aperture_table
 from bokehguide.scene.builtin import BUILTIN
 from bokehguide.scene.checks import located
-from bokehguide.scene.files import SceneFiles
+from bokehguide.scene.files import SceneFiles, is_file
 from bokehguide.scene.focusing import focused
 from bokehguide.scene.likely_mistakes import likely_mistakes
 from bokehguide.scene.model_files import MODEL_SUFFIXES, refuse_format
@@ -75,7 +75,15 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
         scene = checked(replace(scene, camera=chosen.camera, film=override_film(scene.film, overrides)), name)
         if chosen.focus is not None:
             scene = focused(scene, chosen.focus)
-        return replace(scene, likely_mistakes=(*scene.likely_mistakes, *likely_mistakes(scene, chosen.written)))
+        mistakes = (*scene.likely_mistakes, *likely_mistakes(scene, chosen.written))
+        return replace(scene, likely_mistakes=mistakes, files=scene.files | _files_read(spec, overrides, files))
+
+
+def _files_read(spec: Scene | str | os.PathLike[str], overrides: Overrides, files: SceneFiles) -> frozenset[Path]:
+    """Resolved paths of the files that `spec` and `overrides` name, and of those that these files name."""
+    named = [each for each in (spec, overrides.environment, overrides.aperture_image) if isinstance(each, (str, os.PathLike))]
+    paths = files.found.union(Path(each).resolve() for each in named if is_file(each))
+    return frozenset(path for path in paths if is_file(path))
 
 
 def base_of(spec: str, overrides: Overrides = NO_OVERRIDES, allow_outside: bool = False) -> tuple[str, Overrides]:

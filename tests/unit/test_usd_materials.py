@@ -108,6 +108,15 @@ def test_the_specular_workflow(tmp_path):
     assert np.multiply(found.specular_color, f0) == pytest.approx((0.1, 0.2, 0.3)) and found.metallic == 0
 
 
+@pytest.mark.parametrize("name", ["scene.usda", "scene.usdc"])
+def test_textures_are_files_of_the_scene(name, tmp_path):
+    """Commands refuse to replace these. Another process reads binary stages."""
+    look = Look()
+    look.texture("diffuseColor", "rgb", painted(tmp_path, "a.png", (128, 0, 255), (0, 0, 0)))
+    scene = load_scene(saved(look.stage, tmp_path, name))
+    assert {(tmp_path / each).resolve() for each in (name, "a.png")} <= scene.files
+
+
 @pytest.mark.parametrize(("space", "wanted"), [("sRGB", linear(128)), ("auto", linear(128)), ("raw", 128 / 255)])
 def test_the_color_space_of_a_texture(space, wanted, tmp_path):
     look = Look()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from bokehguide.scene.checks import FieldError, Fields
 from bokehguide.scene.types.camera import Camera
@@ -18,6 +19,7 @@ class Scene:
 
     warnings: unsupported features of the input, one a line. supported: imported features of its
     models, one a line. likely_mistakes: values that the user may not have meant, one a line.
+    files: resolved paths of the files that the scene was read from.
     """
 
     name: str
@@ -32,6 +34,7 @@ class Scene:
     warnings: tuple[str, ...] = field(default=())
     supported: tuple[str, ...] = ()
     likely_mistakes: tuple[str, ...] = ()
+    files: frozenset[Path] = frozenset()
 
     def __post_init__(self) -> None:
         fields = Fields(self)

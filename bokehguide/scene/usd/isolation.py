@@ -49,10 +49,11 @@ def _load_isolated(path: Path, files: SceneFiles, state: ModelState) -> Model:
             f"{path}: the USD libraries fail on this file (exit code {code}): it is damaged, or needs too much memory; save it "
             "again, or convert it to .usda with usdcat"
         )
-    model, used, problem = pickle.loads(answer)
+    model, used, found, problem = pickle.loads(answer)
     if model is None:
         raise BokehguideError(problem)
     files.add_used(used, str(path))
+    files.found |= found
     return model
 
 
@@ -72,9 +73,9 @@ def main() -> None:
     _limit_memory(folder)
     files = SceneFiles(folder, allow_outside)
     try:
-        result = read_usd(path, files, state, binary=True), files.used, ""
+        result = read_usd(path, files, state, binary=True), files.used, files.found, ""
     except BokehguideError as error:
-        result = None, files.used, str(error)
+        result = None, files.used, files.found, str(error)
     with os.fdopen(answer, "wb") as out:
         pickle.dump(result, out, protocol=pickle.HIGHEST_PROTOCOL)
 

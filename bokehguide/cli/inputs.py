@@ -1,0 +1,16 @@
+"""Inputs of a command, which its outputs must not replace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from bokehguide.errors import BokehguideError
+from bokehguide.scene import Scene
+
+
+def refuse_scene_files(scene: Scene, outputs: Iterable[tuple[str, Path | None]]) -> None:
+    """Raise BokehguideError if an output, with the option that names it, is a file that the scene was read from."""
+    for option, path in outputs:
+        if path is not None and path.resolve() in scene.files:
+            raise BokehguideError(f"{option}: {str(path)!r} is a file of the scene; give another path")
