@@ -229,7 +229,7 @@ def _add_overrides(command: argparse.ArgumentParser) -> None:
     add = group.add_argument
     add("--environment", metavar="MAP|R,G,B|none", help="a .hdr or .exr map, a constant radiance, or no environment")
     add("--environment-rotation", type=number, metavar="DEG", help="rotation of the map about +y, anticlockwise from above")
-    hide = "hide the environment from the camera, as Blender's transparent film does; its light stays, and alpha is 0"
+    hide = "hide environment and suns from the camera, as Blender's transparent film does; their light stays, and alpha is 0"
     add("--hide-environment", action="store_true", default=None, help=hide)
     lens = group.add_mutually_exclusive_group()
     lens.add_argument("--f-number", type=number, metavar="N", help="focal length / diameter of the lens, on the scene's sensor")

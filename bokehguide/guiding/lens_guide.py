@@ -67,8 +67,8 @@ class LensPointDistribution(Distribution):
     def weight(self, value: Tensor) -> Tensor:
         """The weight W / (A q) `[..., N]` of samples at points `[..., N, 2]`.
 
-        Radiance times weight is an unbiased estimate of the mean over the aperture. The weight of a uniform draw from an even
-        aperture is 1, that of a point outside the aperture 0.
+        Radiance times weight is an unbiased estimate of the mean over the aperture. In a pixel without candidates, the weight is
+        1 in an even aperture. The weight of a point outside the aperture is 0.
         """
         return self._of_points(value, self.weight_at)
 

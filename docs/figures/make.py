@@ -291,7 +291,7 @@ def step() -> plt.Figure:
     for x, color, name in ((0.05, ORANGE, "LensSampler"), (1.75, GREEN, "SampleReuse")):
         axes.plot((x, x + 0.25), (2.92, 2.92), color=color, lw=2)
         label(axes, x + 0.33, 2.92, name, color, ha="left", fontsize=9)
-    label(axes, 3.45, 2.92, "LightSampler: within “paths”", INK, ha="left", fontsize=9)
+    label(axes, 3.45, 2.92, "LightStrategy: within “paths”", INK, ha="left", fontsize=9)
     return figure
 
 
