@@ -12,8 +12,11 @@ from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.emitter_guide import EmitterGuide
 from bokehguide.guiding.light_sampler import LearnedLightSampler, LightSamples
 from bokehguide.guiding.pixel_reuse import PixelPathReuse, PixelReuse
-from bokehguide.models.ellipse_mixture import EllipseMixture, EmitterShapes, packed
+from bokehguide.models.ellipse_mixture import EllipseMixture, EmitterShapes, balls, packed
+from bokehguide.models.emitters.parallelogram import ParallelogramEmitters
 from bokehguide.models.native_mixture import CoreField, NativeEllipseMixture
+from bokehguide.models.projection import FAR_OUTSIDE
+from bokehguide.render.camera import ThinLensCamera
 from bokehguide.runtime import native
 from bokehguide.runtime.timer import PhaseTimer
 from bokehguide.scene import Overrides, load_scene
@@ -136,35 +139,72 @@ def test_densities_agree(name):
         assert torch.equal(found.pdf(points), one.density)
 
 
+PIXELS, CANDIDATES = 50, 600
+
+
+def many_candidates() -> tuple[ThinLensCamera, Tensor, Tensor, Tensor, Tensor, torch.Generator]:
+    """Camera, focus points of pixels, first candidate of each pixel, pixel of each candidate, and uniform numbers."""
+    camera, generator = loop_of("emitters").camera, torch.Generator().manual_seed(6)
+    uniforms = torch.rand(7, CANDIDATES, generator=generator)
+    focus = camera.focus_points(uniforms[:2, :PIXELS] * torch.tensor([[float(WIDTH)], [float(HEIGHT)]]))
+    owner = torch.arange(CANDIDATES) // (CANDIDATES // PIXELS)
+    start = torch.arange(0, CANDIDATES + 1, CANDIDATES // PIXELS)
+    return camera, focus, start, owner, uniforms, generator
+
+
 @pytest.mark.parametrize("clips", (False, True))
 def test_ellipsoids_that_cross_the_focal_plane_agree(clips):
     """Ellipsoids that are longer than their distance from the focal plane, in all directions, and lines."""
-    camera, generator = loop_of("emitters").camera, torch.Generator().manual_seed(6)
-    pixels, count = 50, 600
-    uniforms = torch.rand(7, count, generator=generator)
-    focus = camera.focus_points(uniforms[:2, :pixels] * torch.tensor([[float(WIDTH)], [float(HEIGHT)]]))
-    component = torch.arange(count)
-    start, owner = component[:: count // pixels], component // (count // pixels)
-    start = torch.cat((start, torch.tensor([count])))
+    camera, focus, start, owner, uniforms, generator = many_candidates()
     depth = camera.lens.focus_distance * (1.0 + 0.3 * (uniforms[2] - 0.5))
     focus[:2, 0] = 0.0
     aside = 0.3 * (uniforms[3:5] - 0.5) + focus[:2, owner]
     aside[:, 0] = 0.0  # in the middle of the lens
     mean = torch.cat((aside, depth[None]))
-    axes = 0.1 * torch.randn(count, 3, 3, generator=generator)
+    axes = 0.1 * torch.randn(CANDIDATES, 3, 3, generator=generator)
     axes[0], axes[5::7, :, 1:] = 0.02 * torch.eye(3), 0.0  # a ball, and lines
     outline, weight = packed(axes @ axes.mT), uniforms[5] + 0.1
-    assert 50 < int((outline[5] > (mean[2] - focus[2, owner]) ** 2).sum()) < count - 50
-    none = torch.full((count,), -1)
-    shapes, beta, scale = EmitterShapes(None, none, None, none, torch.empty(0)), torch.full((pixels,), 0.5), uniforms[6]
+    assert 50 < int((outline[5] > (mean[2] - focus[2, owner]) ** 2).sum()) < CANDIDATES - 50
+    none = torch.full((CANDIDATES,), -1)
+    shapes, beta, scale = EmitterShapes(None, none, None, none, torch.empty(0)), torch.full((PIXELS,), 0.5), uniforms[6]
     field = CoreField.of(core(), mean, outline, weight, shapes)
-    found = NativeEllipseMixture(camera.lens, focus, beta, start, field, component, scale, clips)
+    found = NativeEllipseMixture(camera.lens, focus, beta, start, field, torch.arange(CANDIDATES), scale, clips)
     expected = EllipseMixture(camera.lens, focus, beta, start, mean, outline, weight, scale, None, clips)
     for name in ("expected_contribution", "weight"):
         torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-3, atol=1e-7)
-    points = camera.lens.radius * (2.0 * torch.rand(2, pixels, generator=generator) - 1.0)
+    points = camera.lens.radius * (2.0 * torch.rand(2, PIXELS, generator=generator) - 1.0)
     one, other = found.evaluate(points).components, expected.evaluate(points).components
     assert differing(one, other, 1e-3) <= 5e-3 and int((other > 0.0).sum()) > 50
+
+
+def test_parallelograms_whose_planes_cut_the_lens_agree():
+    """Ranges of their coordinates have no end. Rays from some lens points meet these planes from behind."""
+    camera, focus, start, owner, uniforms, generator = many_candidates()
+    eye = torch.cat((2.0 * camera.lens.radius * (uniforms[3:5] - 0.5), torch.zeros(1, CANDIDATES)))
+    ray = focus[:, owner] - eye  # from lens points
+    centre = focus[:, owner] + uniforms[2] * ray + 0.02 * torch.randn(3, CANDIDATES, generator=generator)
+    along = 0.3 * ray + 0.01 * torch.randn(3, CANDIDATES, generator=generator)
+    parallelograms = ParallelogramEmitters(centre, along, 0.1 * torch.randn(3, CANDIDATES, generator=generator))
+    none, each = torch.full((CANDIDATES,), -1), torch.arange(CANDIDATES)
+    shapes = EmitterShapes(None, none, parallelograms, each, uniforms[5] + 0.1)
+    weight, scale, beta = torch.ones(CANDIDATES), torch.ones(CANDIDATES), torch.full((PIXELS,), 0.5)
+    outline = balls(torch.full((CANDIDATES,), 0.3))
+    field = CoreField.of(core(), centre, outline, weight, shapes)
+    found = NativeEllipseMixture(camera.lens, focus, beta, start, field, each, scale)
+    expected = EllipseMixture(camera.lens, focus, beta, start, centre, outline, weight, scale, shapes)
+    windows = parallelograms.select(each).window(focus[:, owner], torch.tensor(camera.lens.radius))
+    assert int((windows[1, 0] - windows[0, 0] >= 1.0).sum()) > 100
+    contribution = expected.expected_contribution
+    assert differing(found.expected_contribution[None], contribution[None], 1e-3) <= 5e-3
+    assert int((contribution > 0.0).sum()) > 200
+    points = camera.lens.radius * (2.0 * torch.rand(2, PIXELS, generator=generator) - 1.0)
+    one, other = found.evaluate(points).components, expected.evaluate(points).components
+    assert differing(one, other, 1e-3) <= 5e-3 and int((other > 0.0).sum()) > 20
+    drawn = [(found.sample(numbers), expected.sample(numbers)) for numbers in torch.rand(200, 3, PIXELS, generator=generator)]
+    one, other = (torch.cat([each.points for each in every], dim=1) for every in zip(*drawn))
+    unseen = other[0] >= FAR_OUTSIDE
+    assert differing(one / camera.lens.radius, other / camera.lens.radius, 1e-3) <= 5e-3
+    assert int(unseen.sum()) > 20 and bool((one[0] >= FAR_OUTSIDE).eq(unseen).double().mean() > 0.995)
 
 
 @pytest.mark.parametrize("name", ("night-street", "emitters, heptagon"))
