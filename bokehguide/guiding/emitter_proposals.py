@@ -86,7 +86,8 @@ def emitter_proposals(scene: Scene, emitters: Emitters, camera: ThinLensCamera, 
     mean, radius, energy, bright = mean[:, proposed], radius[proposed], energy[proposed], bright[proposed]
     # The flux of an emitter of the map: the solid angle is that of a disc across the direction, not of the cone.
     disc = torch.from_numpy(emitters.radii).float()[proposed] * INFINITY * lens.focus_distance
-    energy = torch.where(shapes.environment_index >= 0, bright * disc.square() * mean.norm(dim=0) / mean[2], energy)
+    of_map = shapes.environment_index.cpu() >= 0
+    energy = torch.where(of_map, bright * disc.square() * mean.norm(dim=0) / mean[2], energy)
     field = GaussianField()
     field.assign(mean, radius, radius, energy)
     known = torch.from_numpy(np.append(proposed.numpy(), True)[emitters.triangle_emitters])  # -1 is the last
