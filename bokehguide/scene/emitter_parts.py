@@ -75,8 +75,7 @@ def _components(corners: np.ndarray, labels: np.ndarray, points: int) -> np.ndar
     """
     nodes, corners = np.unique(corners + labels[:, None] * points, return_inverse=True)
     corners = corners.reshape(-1, 3)
-    found = connected_components(corners[:, [0, 1, 0, 2]].reshape(-1, 2), len(nodes))[corners[:, 0]]
-    return np.unique(found, return_inverse=True)[1].astype(np.int32)
+    return connected_components(corners[:, [0, 1, 0, 2]].reshape(-1, 2), len(nodes))[corners[:, 0]]
 
 
 def shapes(mesh: Mesh, labels: np.ndarray) -> Parts:

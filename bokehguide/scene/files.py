@@ -167,7 +167,7 @@ class SceneFiles:
 
 
 def is_file(name: str | os.PathLike[str]) -> bool:
-    """Whether a text is the path of a regular file. Long texts, such as colours of many digits, are no paths."""
+    """Whether a text is the path of a regular file. A text that is too long for a path is none."""
     try:
         return Path(name).is_file()
     except OSError:

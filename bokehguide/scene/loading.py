@@ -80,7 +80,7 @@ def load_scene(spec: Scene | str | os.PathLike[str], overrides: Overrides = NO_O
 
 
 def _files_read(spec: Scene | str | os.PathLike[str], overrides: Overrides, files: SceneFiles) -> frozenset[Path]:
-    """Resolved paths of the files that `spec` and `overrides` name, and of those that these files name."""
+    """Resolved paths of the scene's own file, of files in `overrides`, and of all files that were found on the way."""
     named = [each for each in (spec, overrides.environment, overrides.aperture_image) if isinstance(each, (str, os.PathLike))]
     paths = files.found.union(Path(each).resolve() for each in named if is_file(each))
     return frozenset(path for path in paths if is_file(path))

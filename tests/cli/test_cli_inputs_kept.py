@@ -75,6 +75,13 @@ def test_other_outputs_in_the_folder_of_the_scene_are_written(room):
     assert Path("room.exr").exists() and Path("room.png").exists() and Path("plan.png").exists()
 
 
+def test_a_cycle_of_links_is_no_file_of_the_scene(room):
+    """The picture takes the place of the link."""
+    Path("cycle.exr").symlink_to("cycle.exr")
+    assert main(["render", "room.toml", "--mode", "uniform", "--spp", "1", "--out", "cycle.exr"]) == 0
+    assert Path("cycle.exr").is_file()
+
+
 def test_a_scene_names_its_files(room):
     assert {path.name for path in load_scene("derived.toml").files} == {"derived.toml", "room.toml", "sky.exr", "wall.png"}
     assert load_scene("fairy-lights").files == frozenset()

@@ -93,7 +93,7 @@ def test_an_emitter_weighs_by_the_area_of_its_outline(name):
 def test_an_emitter_of_the_map_weighs_by_its_flux(degrees):
     """A slanted line of texels, which fills a small part of its cone, on the axis and beside it.
 
-    The weight is that of the line's centre. The ends, 12° away, count 6 % more on the lens.
+    The weight is that of the line's centre. On the lens, ends of a line cover more area than its centre.
     """
     radiance = np.full((64, 128, 3), 1e-3, np.float32)
     rows, columns = 29 + np.arange(7), 61 + np.arange(7)

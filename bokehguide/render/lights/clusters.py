@@ -80,7 +80,7 @@ class _Group(NamedTuple):
 
     @classmethod
     def of(cls, members: np.ndarray, columns: np.ndarray, power: np.ndarray) -> _Group:
-        """columns: features, `[F, K]`, which NumPy reduces ten times as fast as `[K, F]`. power: `[K]`."""
+        """columns: features, `[F, K]`, which NumPy reduces much faster than `[K, F]`. power: `[K]`."""
         points = columns[:, members]
         low, high = points.min(axis=1), points.max(axis=1)
         return cls(members, low, high, float(power[members].sum()) * float(np.linalg.norm(high - low)))
