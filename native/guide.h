@@ -63,8 +63,8 @@ inline void apparent_distances(int64_t count, const float* radiance, const float
                                float* found) {
     for (Columns at(count); at.first < count; at.first += LANES) {
         const Float light = luminance_of(at.vector(radiance, 0));
-        const Float own = (at(images, 2) > all(0.0f)) & (light <= all(bright)) ? all(miss) : at(distance, 0);
-        at.put(found, 0, (light > all(bright)) & (at(images, 0) > 0.5f * light) ? at(images, 1) : own);
+        const Float own = ((at(images, 2) > all(0.0f)) & (light <= all(bright))) ? all(miss) : at(distance, 0);
+        at.put(found, 0, ((light > all(bright)) & (at(images, 0) > 0.5f * light)) ? at(images, 1) : own);
     }
 }
 

@@ -77,7 +77,7 @@ class Parallelogram {
         const Range range = interval(a, false, w);
         const Int inside = (a >= w.low_a) & (a <= w.high_a) & (b >= range.low) & (b <= range.high);
         const Float share = 0.25f * (w.high_a - w.low_a) * (range.high - range.low);
-        return inside & (share > all(0.0f)) ? jacobian / share : all(0.0f);
+        return (inside & (share > all(0.0f))) ? jacobian / share : all(0.0f);
     }
     // `area_on_lens`.
     Float area_on_lens(const Window& w) const {

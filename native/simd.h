@@ -55,10 +55,13 @@ inline Float to_float(Int x) { return __builtin_convertvector(x, Float); }
 // Towards 0; NaN and values out of range give any integer.
 inline Int to_int(Float x) { return __builtin_convertvector(x, Int); }
 
+// As `torch.clamp` does, `at_least` and `at_most` keep a NaN in `x`.
 #if defined(__AVX512F__)
 inline Float gather(const float* table, Int index) { return (Float)_mm512_i32gather_ps((__m512i)index, table, 4); }
 inline Int gather(const int32_t* table, Int index) { return (Int)_mm512_i32gather_epi32((__m512i)index, table, 4); }
 inline Float sqrt(Float x) { return (Float)_mm512_sqrt_ps((__m512)x); }
+inline Float at_least(Float x, float least) { return (Float)_mm512_max_ps(_mm512_set1_ps(least), (__m512)x); }
+inline Float at_most(Float x, float most) { return (Float)_mm512_min_ps(_mm512_set1_ps(most), (__m512)x); }
 inline Float floor(Float x) { return (Float)_mm512_roundscale_ps((__m512)x, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC); }
 inline unsigned lanes(Int mask) { return unsigned(_mm512_movepi32_mask((__m512i)mask)); }
 inline bool any(Int mask) { return lanes(mask) != 0; }
@@ -66,6 +69,8 @@ inline bool any(Int mask) { return lanes(mask) != 0; }
 inline Float gather(const float* table, Int index) { return (Float)_mm256_i32gather_ps(table, (__m256i)index, 4); }
 inline Int gather(const int32_t* table, Int index) { return (Int)_mm256_i32gather_epi32(table, (__m256i)index, 4); }
 inline Float sqrt(Float x) { return (Float)_mm256_sqrt_ps((__m256)x); }
+inline Float at_least(Float x, float least) { return (Float)_mm256_max_ps(_mm256_set1_ps(least), (__m256)x); }
+inline Float at_most(Float x, float most) { return (Float)_mm256_min_ps(_mm256_set1_ps(most), (__m256)x); }
 inline Float floor(Float x) { return (Float)_mm256_floor_ps((__m256)x); }
 inline bool any(Int mask) { return _mm256_movemask_ps((__m256)mask) != 0; }
 inline unsigned lanes(Int mask) { return unsigned(_mm256_movemask_ps((__m256)mask)); }
@@ -94,11 +99,10 @@ inline unsigned lanes(Int mask) {
     return found;
 }
 inline bool any(Int mask) { return lanes(mask) != 0; }
-#endif
-
-// As `torch.clamp` does, these keep a NaN in `x`.
 inline Float at_least(Float x, float least) { return x < all(least) ? all(least) : x; }
 inline Float at_most(Float x, float most) { return x > all(most) ? all(most) : x; }
+#endif
+
 inline Float clamp(Float x, float least, float most) { return at_most(at_least(x, least), most); }
 // As `torch.maximum` does, these return a NaN where either is one.
 inline Float max(Float a, Float b) {

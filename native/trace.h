@@ -543,7 +543,7 @@ class Tracing {
         const Int slot = load<Int>(block.slot + i), active = first_lanes(paths - i);
         const Int ray = trace.split != nullptr ? gather(block.ray, active ? slot : all(0)) : slot;
         const Float threshold = gather(trace.shadow_threshold + first, active ? ray : all(0));
-        const Float chance = (light > all(0.0f)) & (bsdf_pdf <= all(NARROW)) ? clamp(light / divisor(threshold), MIN_CHANCE, 1.0f) : all(1.0f);
+        const Float chance = ((light > all(0.0f)) & (bsdf_pdf <= all(NARROW))) ? clamp(light / divisor(threshold), MIN_CHANCE, 1.0f) : all(1.0f);
         const Float factor = one_if(uniform(trace.random, keys.own, vertex_dimension(depth) + SHADOW) < chance) / chance;
         if (depth == 1 && trace.lights != nullptr) {
             for (int lane = 0; lane < LANES && i + lane < paths; ++lane) {

@@ -1,6 +1,7 @@
 """Wheels and source distributions work on their own, away from the checkout."""
 
 import os
+import re
 import shutil
 import site
 import subprocess
@@ -79,6 +80,35 @@ def test_with_a_compiler_the_source_distribution_makes_a_wheel_with_the_native_c
     (extension,) = packaged(wheel) - package_files(unpacked)
     assert extension.startswith("bokehguide/_native.")
     assert run_installed("-c", HAS_CORE, target=install(wheel, tmp_path / "target")).strip() == "True"
+
+
+@needs_compiler
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the default compiler is Clang")
+@pytest.mark.parametrize("works", [True, False])
+def test_clang_is_taken_if_it_works(works, tmp_path):
+    clang = tmp_path / "tools" / "clang++"
+    clang.parent.mkdir()
+    clang.write_text('#!/bin/sh\nexec c++ "$@"\n' if works else "#!/bin/sh\nexit 1\n")
+    clang.chmod(0o755)
+    assert (configured_compiler(tmp_path / "build", clang.parent) == clang) == works
+
+
+@needs_compiler
+def test_the_variable_cxx_names_the_compiler(tmp_path):
+    compiler = tmp_path / "own"
+    compiler.write_text('#!/bin/sh\nexec c++ "$@"\n')
+    compiler.chmod(0o755)
+    assert configured_compiler(tmp_path / "build", tmp_path, CXX=str(compiler)) == compiler
+
+
+def configured_compiler(build: Path, first_on_path: Path, **environment: str) -> Path:
+    """The compiler that a build of the native core takes."""
+    path = os.pathsep.join([str(first_on_path), str(Path(sys.executable).parent), os.environ["PATH"]])
+    kept = {name: value for name, value in os.environ.items() if name not in ("CXX", "CXXFLAGS")}
+    command = ["cmake", "-G", "Ninja", "-S", REPOSITORY / "native", "-B", build, f"-DPython_EXECUTABLE={sys.executable}"]
+    subprocess.run(command, env=kept | {"PATH": path} | environment, capture_output=True, check=True, timeout=120)
+    (line,) = re.findall(r"^CMAKE_CXX_COMPILER:\w+=(.+)$", (build / "CMakeCache.txt").read_text(), re.MULTILINE)
+    return Path(line)
 
 
 def run_installed(*arguments, target: Path) -> str:
