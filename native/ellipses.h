@@ -7,19 +7,28 @@
 
 namespace BOKEHGUIDE_ISA {
 
+using bokehguide::ELLIPSE_ROW;
+
 constexpr float MIN_SQUARED_ASPECT = 1e-4f, MAX_SQUARED_DEPTH = 0.9f, MIN_CLIP_END = -0.9f, MIN_STRIP_SHARE = 1e-7f, INSIDE = 1.0f - 1e-6f;
 
-// Eight ellipses (`Ellipses`), in the order of the rows of `EllipseRows::ellipses`.
+// A vector of ellipses (`Ellipses`), in the order of the numbers in a row of `EllipseRows::ellipses`.
 struct Ellipse {
     Float x, y, width, tilt, height, across, up, low, high, below, share;
 };
-constexpr int ELLIPSE_ROWS = sizeof(Ellipse) / sizeof(Float);
-static_assert(ELLIPSE_ROWS == 11, "as many as native/mixture.cpp allocates");
+constexpr int ELLIPSE_FIELDS = sizeof(Ellipse) / sizeof(Float);
+static_assert(ELLIPSE_FIELDS < ELLIPSE_ROW);
 
 inline Ellipse load_ellipse(const EllipseRows& m, Int candidate) {
+    const RowFields<ELLIPSE_ROW / 4> fields([&](int lane) { return m.ellipses + ELLIPSE_ROW * int64_t(candidate[lane]); });
     Ellipse e;
-    for (int row = 0; row < ELLIPSE_ROWS; ++row) reinterpret_cast<Float*>(&e)[row] = gather(m.ellipses + row * m.columns, candidate);
+    for (int field = 0; field < ELLIPSE_FIELDS; ++field) reinterpret_cast<Float*>(&e)[field] = fields(field);
     return e;
+}
+inline void store_ellipse(const EllipseRows& m, int64_t first, const Ellipse& e) {
+    for (int field = 0; field < ELLIPSE_FIELDS; ++field) {
+        const Float values = reinterpret_cast<const Float*>(&e)[field];
+        for (int lane = 0; lane < LANES; ++lane) m.ellipses[ELLIPSE_ROW * (first + lane) + field] = values[lane];
+    }
 }
 
 // `_disc_cdf`.
@@ -134,7 +143,7 @@ class EllipseShapes {
         const Int owner = load<Int>(m.owner + first), component = load<Int>(m.component + first);
         const Vec3 focus = gather3(m.focus, m.pixels, owner), mean = gather3(m.mean, m.components, component);
         const Ellipse e = outline_on_lens(m, mean, component, focus);
-        for (int row = 0; row < ELLIPSE_ROWS; ++row) store(m.ellipses + row * m.columns + first, reinterpret_cast<const Float*>(&e)[row]);
+        store_ellipse(m, first, e);
         const Float strength = gather(m.strength, component), inside = overlap(e, m.lens_radius);
         Float contribution = strength * sqrt(inside * e.share);
         const Int whole = whole_inside(e, m.lens_radius);

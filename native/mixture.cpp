@@ -10,7 +10,7 @@ namespace bokehguide {
 
 namespace {
 
-constexpr size_t ELLIPSE_ROWS = 11, WINDOW_ROWS = 4;
+constexpr size_t WINDOW_ROWS = 4;
 
 // Densities of a map's emitters, by the names of `EnvironmentTable`; those of a `PiecewiseTable` have a prefix.
 class EnvironmentShapes : Named {
@@ -95,10 +95,10 @@ class EllipseMixture : public MixtureOfKind<EllipseRows, &Kernels::ellipses, 3> 
         m.clips = number("clips") != 0.0;
         if (!environment.is_none()) m.environment = &nb::cast<EnvironmentShapes&>(environment).t;
         if (!parallelograms.is_none()) m.parallelograms = &nb::cast<ParallelogramShapes&>(parallelograms).t;
-        float* place = allocate(4 * columns + 6 * pixels + columns * (ELLIPSE_ROWS + WINDOW_ROWS + 1) + pixels);
+        float* place = allocate(4 * columns + 6 * pixels + columns * (ELLIPSE_ROW + WINDOW_ROWS + 1) + pixels);
         const auto next = [&](size_t size) { place += size; return place - size; };
         m.map_rows = reinterpret_cast<double*>(next(4 * columns)), m.cones = reinterpret_cast<double*>(next(6 * pixels));
-        m.ellipses = next(ELLIPSE_ROWS * columns), m.windows = next(WINDOW_ROWS * columns);
+        m.ellipses = next(ELLIPSE_ROW * columns), m.windows = next(WINDOW_ROWS * columns);
         m.clipped = reinterpret_cast<uint8_t*>(next(columns)), m.sees_map = reinterpret_cast<uint8_t*>(next(pixels));
         prepare();
     }

@@ -347,6 +347,8 @@ struct MixtureRows {
     uint8_t* guided;
 };
 
+constexpr int ELLIPSE_ROW = 12;  // numbers of an ellipse, of which the last is unused
+
 // A mixture of shapes (models/ellipse_mixture.py).
 struct EllipseRows : MixtureRows {
     bool clips;

@@ -131,9 +131,11 @@ class Tracing {
     }
     // Scatter paths at the ends of their segments.
     void leave_surfaces(int depth) {
+        fetch_elements(depth, 0), fetch_elements(depth, LANES);
         LightChoice next = choose_lights(depth, 0);
         for (int i = 0; i < paths; i += LANES) {
             const LightChoice light = next;
+            fetch_elements(depth, i + 2 * LANES);
             next = choose_lights(depth, i + LANES);
             scatter(depth, i, light);
         }
@@ -345,11 +347,17 @@ class Tracing {
         Block& b = block;
         const int met = sort([&](int i) { return b.triangle[i] >= 0; }), missed = paths - met;
         if (missed == 0) return;
-        for (int i = 0; i < missed && t.has_environment; i += LANES) add_environment(depth, i, missed);
+        for (int i = 0; i < missed && t.has_environment; i += LANES) fetch_sky(i + FETCHED_AHEAD, missed), add_environment(depth, i, missed);
         for (int i = 0; i < missed; ++i) collect(b.dropped[i], 0.0f, 0.0f, 0.0f);
         keep(met, true);
     }
 
+    // Ask for the texels that a vector of paths will read.
+    void fetch_sky(int i, int missed) const {
+        if (t.map_texels == nullptr || i >= missed) return;
+        const Int texel = texel_at(t, gather3(block.direction, load<Int>(block.dropped + i)));
+        for (int lane = 0; lane < LANES; ++lane) fetch_texel(t, texel[lane]);
+    }
     void add_environment(int depth, int i, int missed) {
         Block& b = block;
         const Int path = load<Int>(b.dropped + i);
@@ -453,6 +461,14 @@ class Tracing {
         return {own, bits<Bits>(load<Int>(block.shared_key + i)), bits<Bits>(load<Int>(block.member + i))};
     }
 
+    // Ask for the entries of the map's alias table that `choose_light` reads for a vector of paths.
+    void fetch_elements(int depth, int i) const {
+        if (t.map_density == nullptr || i >= paths || (depth == 1 && trace.lights != nullptr)) return;
+        Float u[2];
+        numbers(depth, LIGHT, sequences.light(0), path_keys(depth, i), u);
+        const Int slot = to_int(u[1] * float(t.map_width * t.map_height));
+        for (int lane = 0; lane < LANES; ++lane) __builtin_prefetch(t.map_table + slot[lane]);
+    }
     // Choose lights for a vector of paths, and ask for their memory.
     LightChoice choose_lights(int depth, int i) const {
         if (!lit() || i >= paths) return LightChoice();

@@ -222,12 +222,12 @@ def solids() -> Scene:
     return replace(made, meshes=(*made.meshes, dressed(rectangle(3, (0.4, 1.9, 0.9), UP, 0.4))))
 
 
-def sheets_before_a_lamp(sheets: int, opacity: float, scale: float) -> Scene:
+def sheets_before_a_lamp(sheets: int, opacity: float, scale: float, **film: int) -> Scene:
     """Slanted sheets of twice the length `scale` between a floor and an emitter."""
     sheet = replace(MATTE, opacity=opacity, alpha_mode="blend")
     panes = [rectangle(1, (0.0, 1.5 + 0.004 * number, 0.0), (-60.0, 0.0, 0.0), scale) for number in range(sheets)]
     meshes = [rectangle(0, rotate=UP, scale=3.0), *panes, rectangle(2, (0.0, 4.5, 0.0), DOWN)]
-    return scene(meshes, [MATTE, sheet, emitter(5.0)])
+    return scene(meshes, [MATTE, sheet, emitter(5.0)], **film)
 
 
 def panes() -> Scene:
@@ -261,7 +261,7 @@ def feature_scene(name: str) -> Scene:
         "lamps": lambda: room((MATTE, COATS), LAMPS, sky(), SUNS),
         "solids": solids,
         "large sheet": lambda: sheets_before_a_lamp(1, 0.4, 1000.0),
-        "many sheets": lambda: sheets_before_a_lamp(300, 0.001, 30.0),
+        "many sheets": lambda: sheets_before_a_lamp(300, 0.001, 30.0, max_depth=2),
         "mirror ball": mirror_ball,
         "panes": panes,
         "spot in the dark": lambda: room((MATTE,), LAMPS[1:2]),

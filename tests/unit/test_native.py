@@ -151,7 +151,8 @@ def test_more_sheets_than_a_shadow_ray_crosses_block_it():
     origin, direction, random = rays("many sheets", 200)
     for tracer in both_tracers("many sheets"):
         found = tracer.trace(origin, direction, random, PhaseTimer())
-        assert found.rays > MAX_CROSSINGS * 50 and not found.radiance.any()
+        on_floor = (found.triangle == 0) | (found.triangle == 1)  # fewer sheets lie between a sheet and the lamp
+        assert found.rays > MAX_CROSSINGS * 50 and on_floor.sum() > 20 and not found.radiance[:, on_floor].any()
 
 
 def test_nan_and_infinite_rays_and_throughputs_give_what_pytorch_gives():
