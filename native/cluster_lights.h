@@ -108,8 +108,8 @@ class ClusterSampler {
     }
 
     // `ResampledLights.environment_weights` and `triangle_weights`.
-    BsdfWeights environment_weights(Vec3 direction, Float pdf) const {
-        const Float light = t.has_far_power ? density(direction, t.map_density == nullptr ? all(0) : texel_at(t, direction)) : all(0.0f);
+    BsdfWeights environment_weights(const MapDirection& at, Float pdf) const {
+        const Float light = t.has_far_power ? density(at.direction, look_up(texel_at(t, at))) : all(0.0f);
         return with_factor(pdf, together(light, pdf));
     }
     BsdfWeights triangle_weights(Int triangle, Float distance, Float cosine, Float pdf) const {
@@ -169,24 +169,26 @@ class ClusterSampler {
     }
     // A direction of a BSDF candidate, and its texel.
     struct BsdfSample {
-        Vec3 direction, weight;
+        Vec3 weight;
         Float pdf;
+        MapDirection at;
         Int texel;
     };
     // Sample a BSDF candidate, and ask for the memory of its texel.
     BsdfSample sample_bsdf(const Scattering& scattering, const Stratified& sequence, const PathKeys& keys) const {
         BsdfSample sample;
         Vec3 of_opaque;
-        sample.direction = scattering.sample(sequence(keys, 3), sequence(keys, 1), sequence(keys, 2), sample.weight, sample.pdf, of_opaque);
-        sample.texel = texel_at(t, sample.direction);
+        sample.at = on_map(t, scattering.sample(sequence(keys, 3), sequence(keys, 1), sequence(keys, 2), sample.weight, sample.pdf, of_opaque));
+        sample.texel = texel_at(t, sample.at);
         for (int lane = 0; lane < LANES; ++lane) fetch_texel(t, sample.texel[lane]);
         return sample;
     }
     Candidate bsdf_candidate(const BsdfSample& sample) const {
-        const Int cluster = c.first_texels + bytes_at(c.texel_cluster, sample.texel);
-        const Float pdf = sample.pdf, of_all = together(density(sample.direction, sample.texel), pdf);
-        const Candidate empty{sample.direction, all(MISS_DISTANCE), {}, {sample.weight * pdf, pdf}, all(-1), all(-1), all(0.0f), {}, {}};
-        return weighed(empty, sample.weight * environment_radiance(t, sample.direction) * (pdf / divisor(of_all)), of_all, cluster);
+        const Texel texel = look_up(sample.texel);
+        const Int cluster = c.first_texels + texel.cluster;
+        const Float pdf = sample.pdf, of_all = together(density(sample.at.direction, texel), pdf);
+        const Candidate empty{sample.at.direction, all(MISS_DISTANCE), {}, {sample.weight * pdf, pdf}, all(-1), all(-1), all(0.0f), {}, {}};
+        return weighed(empty, sample.weight * environment_radiance(t, sample.at) * (pdf / divisor(of_all)), of_all, cluster);
     }
     Float visibility(Int cluster) const {
         return c.cumulative == nullptr ? all(1.0f) : gather(c.visibility, row * c.clusters + cluster);
@@ -204,14 +206,26 @@ class ClusterSampler {
         return place - before;
     }
 
+    // Texels of the map: their clusters, from 0 on, and their densities in the whole map and in their clusters.
+    struct Texel {
+        Int cluster;
+        Float density, within;
+    };
+    Texel look_up(Int texel) const {
+        if (c.texel_table == nullptr) return {all(0), map_density(t, texel), all(0.0f)};
+        const Int cluster = bytes_at(c.texel_cluster, texel);
+        const Float of_map = map_density(t, texel);
+        return {cluster, of_map, of_map * gather(c.cluster_scale, cluster)};
+    }
+
     // Probability of clusters of triangles, and density of directions in texels.
     Float share(Int cluster) const {
         const Float by_voxel = query.share(t, cluster);
         return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * probability(cluster);
     }
-    Float density(Vec3 direction, Int texel) const {
-        const Float of_map = map_density(t, texel), by_voxel = query.environment_share * environment_density(t, direction, of_map);
-        return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * table_density(direction, texel, of_map);
+    Float density(Vec3 direction, const Texel& texel) const {
+        const Float by_voxel = query.environment_share * environment_density(t, direction, texel.density);
+        return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * table_density(direction, texel);
     }
 
     // The choice of `LearnedLightSampler.draw`.
@@ -252,11 +266,11 @@ class ClusterSampler {
 
     ClusterSample draw_environment(const LightChoice& choice) const {
         const Int element = choice.far ? choice.element : all(0);
-        const Vec3 direction = environment_direction(t, element, choice.place[0], choice.place[1]);
-        const Int texel = element_texel(t, element, direction);
-        const Float pdf = density(direction, texel);
-        const LightSample light = {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf, all(-1)};
-        return {light, cluster_of(element), pdf / density_within(element)};
+        const MapDirection at = on_map(t, environment_direction(t, element, choice.place[0], choice.place[1]));
+        const Texel texel = look_up(element_texel(t, element, at));
+        const Float pdf = density(at.direction, texel);
+        const LightSample light = {at.direction, all(MISS_DISTANCE), environment_radiance(t, at), pdf, all(-1)};
+        return {light, cluster_of(element, texel), pdf / density_within(element, texel)};
     }
 
     // Elements from the clusters, or from the whole environment where the voxel grid chooses. All other lanes read one entry of the
@@ -269,7 +283,7 @@ class ClusterSampler {
         return by_voxel ? BOKEHGUIDE_ISA::environment_element(t, numbers) : element;
     }
 
-    // `LightClusters.sample_element`, `cluster`, `pdf_within` and `environment_pdf`.
+    // `LightClusters.sample_element`, `cluster`, `pdf_within` and `environment_pdf`. texel: of the element, if it is one.
     Int cluster_element(Int cluster, Float u0, Float u1) const {
         const Int distant = c.first_distant - 1 - cluster;
         if (c.texel_table == nullptr) return distant;
@@ -277,25 +291,19 @@ class ClusterSampler {
         const Int texel = gather(c.texel_order, alias_sample(c.texel_table, start, gather(c.texel_start, number + 1) - start, u0, u1));
         return distant < 0 ? distant : texel;
     }
-    Int cluster_of(Int element) const {
+    Int cluster_of(Int element, const Texel& texel) const {
         const Int distant = c.first_distant - 1 - element;
-        if (c.texel_table == nullptr) return distant;
-        return element < 0 ? distant : c.first_texels + bytes_at(c.texel_cluster, element > 0 ? element : all(0));
+        return c.texel_table == nullptr ? distant : element < 0 ? distant : c.first_texels + texel.cluster;
     }
-    Float density_within(Int element) const {
-        const Int texel = element > 0 ? element : all(0);
-        Float density = c.texel_table == nullptr ? all(0.0f) : map_density(t, texel) * gather(c.cluster_scale, bytes_at(c.texel_cluster, texel));
+    Float density_within(Int element, const Texel& texel) const {
+        Float density = texel.within;
         for (int number = 1; number <= t.distant_count; ++number) {
             density = element == -number ? all(t.distant[number - 1].density) : density;
         }
         return density;
     }
-    Float table_density(Vec3 direction, Int texel, Float of_map) const {
-        Float density = all(0.0f);
-        if (c.texel_table != nullptr) {
-            const Int number = bytes_at(c.texel_cluster, texel);
-            density = probability(c.first_texels + number) * (of_map * gather(c.cluster_scale, number));
-        }
+    Float table_density(Vec3 direction, const Texel& texel) const {
+        Float density = c.texel_table == nullptr ? all(0.0f) : probability(c.first_texels + texel.cluster) * texel.within;
         for (int number = 0; number < t.distant_count; ++number) {
             const DistantTable& light = t.distant[number];
             density = density + probability(all(c.first_distant + number)) * light.density * contains(light, direction);

@@ -78,8 +78,8 @@ void lights(const Tables& t, int64_t count, const float* points, const float* un
 void environment(const Tables& t, int64_t count, const float* points, const float* direction, float* out) {
     for (Columns at(count); at.first < count; at.first += LANES) {
         const Vec3 towards = at.vector(direction, 0);
-        at.put(out, 0, environment_radiance(t, towards)), at.put(out, 3, environment_alpha(t, towards));
-        at.put(out, 4, environment_pdf(t, at.vector(points, 0), towards));
+        at.put(out, 0, environment_radiance(t, on_map(t, towards))), at.put(out, 3, environment_alpha(t, towards));
+        at.put(out, 4, environment_pdf(t, at.vector(points, 0), on_map(t, towards)));
     }
 }
 

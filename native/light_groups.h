@@ -27,8 +27,8 @@ struct GroupRows {
 
 // Add light from infinity in unit directions to the rows of its groups: the shares of the groups in the radiance there.
 inline void add_far_light(const Tables& t, const LightGroups& groups, const GroupRows& to, Int column, Vec3 light, Vec3 direction, Int active) {
-    const Vec3 map = t.map_texels == nullptr ? grey(all(0.0f)) : map_radiance(t, direction);
-    const Vec3 total = environment_radiance(t, direction);
+    const MapDirection at = on_map(t, direction);
+    const Vec3 map = t.map_texels == nullptr ? grey(all(0.0f)) : map_radiance(t, at), total = environment_radiance(t, at);
     for (int group = 0; group < groups.count; ++group) {
         Vec3 part = groups.far[0] == group ? map : grey(all(0.0f));
         bool lit = groups.far[0] == group && t.map_texels != nullptr;

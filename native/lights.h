@@ -79,11 +79,15 @@ inline Float contains(const DistantTable& light, Vec3 direction) {
     return one_if(dot(offset, offset) <= all(light.squared_radius));
 }
 
-// `Equirectangular.place`.
-inline void place(const Tables& t, Vec3 d, Float& column, Float& row) {
+// A direction, and its place on the map in texels (`Equirectangular.place`), 0 without a map.
+struct MapDirection {
+    Vec3 direction;
+    Float column, row;
+};
+inline MapDirection on_map(const Tables& t, Vec3 d) {
+    if (t.map_texels == nullptr) return {d, all(0.0f), all(0.0f)};
     const Float u = 0.5f + polar_angle(d.x, -d.z) / (2.0f * PI) + t.map_turn;
-    column = (u - floor(u)) * float(t.map_width);
-    row = polar_angle(sqrt(d.x * d.x + d.z * d.z), d.y) / PI * float(t.map_height);
+    return {d, (u - floor(u)) * float(t.map_width), polar_angle(sqrt(d.x * d.x + d.z * d.z), d.y) / PI * float(t.map_height)};
 }
 
 inline Int within(Int x, int32_t least, int32_t most) {
@@ -91,16 +95,12 @@ inline Int within(Int x, int32_t least, int32_t most) {
     return x > most ? all(most) : x;
 }
 
-inline Int texel_at(const Tables& t, Vec3 direction) {
-    Float column, row;
-    place(t, direction, column, row);
-    return within(to_int(row), 0, t.map_height - 1) * t.map_width + within(to_int(column), 0, t.map_width - 1);
+inline Int texel_at(const Tables& t, const MapDirection& at) {
+    return within(to_int(at.row), 0, t.map_height - 1) * t.map_width + within(to_int(at.column), 0, t.map_width - 1);
 }
 
-inline Vec3 map_radiance(const Tables& t, Vec3 direction) {
-    Float x, y;
-    place(t, direction, x, y);
-    x = x - 0.5f, y = y - 0.5f;
+inline Vec3 map_radiance(const Tables& t, const MapDirection& at) {
+    const Float x = at.column - 0.5f, y = at.row - 0.5f;
     const Float left = floor(x), top = floor(y), across = x - left, down = y - top;
     const auto row = [&](Float line) { return within(to_int(line), 0, t.map_height - 1) * t.map_width; };
     const auto column = [&](Float place) {
@@ -110,9 +110,9 @@ inline Vec3 map_radiance(const Tables& t, Vec3 direction) {
     const Float before = 1.0f - across, over = 1.0f - down;
     alignas(16) float colors[LANES][4];
     for (int lane = 0; lane < LANES; ++lane) {
-        const auto at = [&](int32_t texel) { return load<Quad>(t.map_texels + 3 * int64_t(texel)); };
-        const Quad above = before[lane] * at(upper[lane] + first[lane]) + across[lane] * at(upper[lane] + second[lane]);
-        const Quad below = before[lane] * at(lower[lane] + first[lane]) + across[lane] * at(lower[lane] + second[lane]);
+        const auto color = [&](int32_t texel) { return load<Quad>(t.map_texels + 3 * int64_t(texel)); };
+        const Quad above = before[lane] * color(upper[lane] + first[lane]) + across[lane] * color(upper[lane] + second[lane]);
+        const Quad below = before[lane] * color(lower[lane] + first[lane]) + across[lane] * color(lower[lane] + second[lane]);
         store(colors[lane], over[lane] * above + down[lane] * below);
     }
     const RowFields<1> color([&](int lane) { return colors[lane]; });
@@ -120,11 +120,11 @@ inline Vec3 map_radiance(const Tables& t, Vec3 direction) {
 }
 
 // `EnvironmentLight.radiance`.
-inline Vec3 environment_radiance(const Tables& t, Vec3 direction) {
-    Vec3 color = t.map_texels == nullptr ? grey(all(0.0f)) : map_radiance(t, direction);
+inline Vec3 environment_radiance(const Tables& t, const MapDirection& at) {
+    Vec3 color = t.map_texels == nullptr ? grey(all(0.0f)) : map_radiance(t, at);
     for (int number = 0; number < t.distant_count; ++number) {
         const DistantTable& light = t.distant[number];
-        color = color + Vec3{all(light.radiance[0]), all(light.radiance[1]), all(light.radiance[2])} * contains(light, direction);
+        color = color + Vec3{all(light.radiance[0]), all(light.radiance[1]), all(light.radiance[2])} * contains(light, at.direction);
     }
     return color;
 }
@@ -149,10 +149,9 @@ inline Float environment_density(const Tables& t, Vec3 direction, Float of_map) 
 }
 
 // `PowerLightSampler.environment_pdf`.
-inline Float environment_pdf(const Tables& t, Vec3 point, Vec3 direction) {
+inline Float environment_pdf(const Tables& t, Vec3 point, const MapDirection& at) {
     if (!t.has_far_power) return all(0.0f);
-    const Int texel = t.map_density == nullptr ? all(0) : texel_at(t, direction);
-    return PointQuery(t, point).environment_share * environment_density(t, direction, map_density(t, texel));
+    return PointQuery(t, point).environment_share * environment_density(t, at.direction, map_density(t, texel_at(t, at)));
 }
 
 struct LightSample {
@@ -209,16 +208,16 @@ inline Vec3 environment_direction(const Tables& t, Int element, Float u0, Float 
 }
 
 // `EnvironmentLight.texels`: texels that directions lie in, which were drawn from elements.
-inline Int element_texel(const Tables& t, Int element, Vec3 direction) {
+inline Int element_texel(const Tables& t, Int element, const MapDirection& at) {
     if (t.map_density == nullptr) return all(0);
-    return t.distant_count > 0 ? (element < 0 ? texel_at(t, direction) : element) : element;
+    return t.distant_count > 0 ? (element < 0 ? texel_at(t, at) : element) : element;
 }
 
 // Samples of elements of the environment, which is chosen with the probability `share`.
 inline LightSample sample_environment(const Tables& t, Int element, Float share, const Float (&u)[2]) {
-    const Vec3 direction = environment_direction(t, element, u[0], u[1]);
-    const Float pdf = share * environment_density(t, direction, map_density(t, element_texel(t, element, direction)));
-    return {direction, all(MISS_DISTANCE), environment_radiance(t, direction), pdf, all(-1)};
+    const MapDirection at = on_map(t, environment_direction(t, element, u[0], u[1]));
+    const Float pdf = share * environment_density(t, at.direction, map_density(t, element_texel(t, element, at)));
+    return {at.direction, all(MISS_DISTANCE), environment_radiance(t, at), pdf, all(-1)};
 }
 
 // ---------------------------------------------------------------------------------------------------- emissive triangles

@@ -38,8 +38,9 @@ struct alignas(64) Block {
     Row contribution[3], weight, visibility, light_direction[3];
     IntRow light_triangle;
     ShadowRays shadow;
-    // Which paths go on or met a surface, and which did not.
+    // Which paths go on or met a surface, and which did not; places on the map of paths that leave the scene.
     IntRow kept, dropped;
+    Row map_column, map_row;
     // Rays beyond translucent surfaces.
     Beyond beyond;
     // Primary hits that split, by their number in the block.
@@ -347,32 +348,36 @@ class Tracing {
         Block& b = block;
         const int met = sort([&](int i) { return b.triangle[i] >= 0; }), missed = paths - met;
         if (missed == 0) return;
+        if (t.has_environment) fetch_sky(0, missed), fetch_sky(LANES, missed);
         for (int i = 0; i < missed && t.has_environment; i += LANES) fetch_sky(i + FETCHED_AHEAD, missed), add_environment(depth, i, missed);
         for (int i = 0; i < missed; ++i) collect(b.dropped[i], 0.0f, 0.0f, 0.0f);
         keep(met, true);
     }
 
-    // Ask for the texels that a vector of paths will read.
-    void fetch_sky(int i, int missed) const {
-        if (t.map_texels == nullptr || i >= missed) return;
-        const Int texel = texel_at(t, gather3(block.direction, load<Int>(block.dropped + i)));
+    // Find the places on the map of a vector of paths, and ask for the texels there.
+    void fetch_sky(int i, int missed) {
+        if (i >= missed) return;
+        const MapDirection at = on_map(t, gather3(block.direction, load<Int>(block.dropped + i)));
+        store(block.map_column + i, at.column), store(block.map_row + i, at.row);
+        if (t.map_texels == nullptr) return;
+        const Int texel = texel_at(t, at);
         for (int lane = 0; lane < LANES; ++lane) fetch_texel(t, texel[lane]);
     }
     void add_environment(int depth, int i, int missed) {
         Block& b = block;
         const Int path = load<Int>(b.dropped + i);
-        const Vec3 direction = gather3(b.direction, path);
         if (depth == 1 && !t.visible_environment) return;
-        Vec3 light = gather3(b.throughput, path) * environment_radiance(t, direction);
+        const MapDirection at = {gather3(b.direction, path), load<Float>(b.map_column + i), load<Float>(b.map_row + i)};
+        Vec3 light = gather3(b.throughput, path) * environment_radiance(t, at);
         if (depth > 1) {
-            const BsdfWeights weights = environment_weights(depth, gather3(b.vertex, path), direction, gather(b.pdf, path));
+            const BsdfWeights weights = environment_weights(depth, gather3(b.vertex, path), at, gather(b.pdf, path));
             subtract_broad(depth, path, light, weights, first_lanes(missed - i));
             light = light * weights.weight;
             add_images(path, light, all(MISS_DISTANCE), first_lanes(missed - i));
         }
-        add_to_groups(path, light, all(-1), direction, first_lanes(missed - i));
+        add_to_groups(path, light, all(-1), at.direction, first_lanes(missed - i));
         light = gather3(b.radiance, path) + light;
-        const Float alpha = environment_alpha(t, direction);
+        const Float alpha = environment_alpha(t, at.direction);
         for (int lane = 0; lane < LANES && i + lane < missed; ++lane) {
             b.radiance[0][path[lane]] = light.x[lane];
             b.radiance[1][path[lane]] = light.y[lane];
@@ -382,9 +387,9 @@ class Tracing {
     }
 
     // MIS weights of BSDF samples that leave the scene.
-    BsdfWeights environment_weights(int depth, Vec3 vertex, Vec3 direction, Float pdf) const {
-        if (!learned(depth)) return {power_heuristic(pdf, environment_pdf(t, vertex, direction)), all(0.0f)};
-        return ClusterSampler(t, *trace.lights, vertex, all(-1)).environment_weights(direction, pdf);
+    BsdfWeights environment_weights(int depth, Vec3 vertex, const MapDirection& at, Float pdf) const {
+        if (!learned(depth)) return {power_heuristic(pdf, environment_pdf(t, vertex, at)), all(0.0f)};
+        return ClusterSampler(t, *trace.lights, vertex, all(-1)).environment_weights(at, pdf);
     }
     // `LightSampleRecorder.broad_light`.
     void subtract_broad(int depth, Int path, Vec3 light, const BsdfWeights& weights, Int arrives) {
