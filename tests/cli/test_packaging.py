@@ -91,6 +91,7 @@ def test_clang_is_taken_if_it_works(works, tmp_path):
     clang.write_text('#!/bin/sh\nexec c++ "$@"\n' if works else "#!/bin/sh\nexit 1\n")
     clang.chmod(0o755)
     assert (configured_compiler(tmp_path / "build", clang.parent) == clang) == works
+    assert (configured_compiler(tmp_path / "with pip", clang.parent, CXX="g++") == clang) == works  # Python's own compiler
 
 
 @needs_compiler
