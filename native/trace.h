@@ -136,7 +136,7 @@ class Tracing {
         LightChoice next = choose_lights(depth, 0);
         for (int i = 0; i < paths; i += LANES) {
             const LightChoice light = next;
-            fetch_elements(depth, i + 2 * LANES);
+            fetch_elements(depth, i + FETCHED_AHEAD);
             next = choose_lights(depth, i + LANES);
             scatter(depth, i, light);
         }
