@@ -55,8 +55,13 @@ def leave_signals_to_handlers() -> None:
 
 
 def note_at_stop(text: str) -> None:
-    """Print `text` when a signal ends the process at once."""
+    """Print `text` when a signal ends the process."""
     _command.note = text
+
+
+def stop_messages() -> list[str]:
+    """Messages about the end by a signal: the note, if there is one, and the end itself."""
+    return [message for message in (_command.note, "interrupted") if message]
 
 
 @contextmanager
@@ -102,8 +107,8 @@ def _stop(number: int, _: object = None) -> None:
     for path in tuple(_command.temporary):
         with suppress(OSError):
             os.unlink(path)  # noqa: PTH108, as pathlib takes long to import
-    note = f"bokehguide: {_command.note}\n" if _command.note else ""
     start = "\r\x1b[K" if os.isatty(2) else ""
     with suppress(OSError):
-        os.write(2, f"{start}{note}bokehguide: interrupted\n".encode())  # sys.stderr may be in use
+        lines = "".join(f"bokehguide: {message}\n" for message in stop_messages())
+        os.write(2, f"{start}{lines}".encode())  # sys.stderr may be in use
     os._exit(128 + number)

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from types import ModuleType
 
-from bokehguide.stopping import stop_at_signals
+from bokehguide.stopping import stop_at_signals, stop_messages
 
 USER_ERROR, INTERRUPTED, PIPE_CLOSED = 2, 130, 141
 SETTINGS = ("crop", "device", "light_groups", "reuse_radius", "target_noise")
@@ -82,8 +82,9 @@ def _run(arguments: Sequence[str], own_process: bool) -> int:
     except BokehguideError as error:
         terminal.say(f"error: {_with_option(str(error))}")
         return USER_ERROR
-    except KeyboardInterrupt:  # in a process of which the command is a part
-        terminal.say("interrupted")
+    except KeyboardInterrupt:  # between two steps, or in a process of which the command is a part
+        for message in stop_messages():
+            terminal.say(message)
         return INTERRUPTED
 
 

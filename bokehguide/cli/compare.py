@@ -49,7 +49,8 @@ def run(options: argparse.Namespace) -> int:
     created = make_folders([options.out])
     check_outputs(scene, every, options)
     print_warnings(scene)
-    note_at_stop("finished modes are kept; the same command continues")
+    kept = "finished modes" if options.reference else "samples of the reference and finished modes"
+    note_at_stop(f"{kept} are kept; the same command continues")
     if reference is None:
         spp = options.reference_spp or REFERENCE_SHARE * options.spp
         reference = cached_reference(scene, replace(every[0], spp=spp), options)

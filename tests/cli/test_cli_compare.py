@@ -1,6 +1,7 @@
 """`bokehguide compare`: its numbers, tables and pictures, what it keeps, and the user's mistakes."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -247,25 +248,42 @@ def test_what_the_scene_holds_decides_what_is_kept(emitters, lamps_file):
     assert first["modes"]["uniform"]["mape"] != second["modes"]["uniform"]["mape"]
 
 
-@pytest.mark.slow
-def test_an_interrupted_comparison_keeps_what_is_finished(lamps_file, tmp_path):
-    write_exr(tmp_path / "given.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
-    command = [sys.executable, "-m", "bokehguide", "compare", "emitters.toml", "--reference", "given.exr", "--spp", "400"]
-    command += ["--modes", "uniform,lis", "--out", "out"]
+def interrupted_comparison(folder: Path, options: list[str], moment: str) -> str:
+    """stderr of `compare` with SIGINT as soon as stderr contains the regular expression `moment`."""
+    command = [sys.executable, "-m", "bokehguide", "compare", "emitters.toml", *options]
     pipes = {"stderr": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     # A shell's background jobs ignore Ctrl-C, and so would what these tests start there.
     heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    with subprocess.Popen(command, cwd=tmp_path, preexec_fn=heeds, **pipes) as process:
+    with subprocess.Popen(command, cwd=folder, preexec_fn=heeds, **pipes) as process:
         stderr = ""
-        while "/s, MAPE" not in stderr.partition("emitters lis:")[2] and process.poll() is None:
+        while not re.search(moment, stderr, re.DOTALL) and process.poll() is None:
             stderr += process.stderr.read(1)
         process.send_signal(signal.SIGINT)
         stderr += process.communicate(timeout=60)[1]
-    assert process.returncode == 130, stderr
-    assert "finished modes are kept" in stderr and "Traceback" not in stderr
+    assert process.returncode == 130 and "Traceback" not in stderr, stderr
+    return stderr
+
+
+@pytest.mark.slow
+def test_an_interrupted_comparison_keeps_what_is_finished(lamps_file, tmp_path):
+    write_exr(tmp_path / "given.exr", {"beauty": np.full((20, 32, 3), 0.1, np.float32)})
+    options = ["--reference", "given.exr", "--spp", "400", "--out", "out", "--modes"]
+    stderr = interrupted_comparison(tmp_path, [*options, "uniform,lis"], "emitters lis:.*/s, MAPE")
+    assert stderr.endswith("bokehguide: finished modes are kept; the same command continues\nbokehguide: interrupted\n")
     assert json.loads((tmp_path / "out/metrics.json").read_text())["runs"].keys() == {"uniform"}
-    finished = subprocess.run([*command, "--modes", "uniform"], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    command = [sys.executable, "-m", "bokehguide", "compare", "emitters.toml", *options, "uniform"]
+    finished = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert finished.returncode == 0 and "uniform: kept, 400 SPP" in finished.stdout
+
+
+@pytest.mark.slow
+def test_an_interrupted_reference_keeps_its_samples_and_says_so(lamps_file, tmp_path):
+    options = ["--reference-spp", "4000", "--cache", "cache", "--spp", "4", "--out", "out", "--modes", "uniform"]
+    stderr = interrupted_comparison(tmp_path, options, r"guided-first:.* \d\d+/2000")
+    kept = "bokehguide: samples of the reference and finished modes are kept; the same command continues\n"
+    assert stderr.endswith(f"{kept}bokehguide: interrupted\n")
+    (half,) = tmp_path.glob("cache/*/*-first.exr")
+    assert int(read_metadata(half)["spp"]) >= 10
 
 
 MISTAKES = {

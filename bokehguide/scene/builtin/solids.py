@@ -82,14 +82,11 @@ def along(start: ArrayLike, end: ArrayLike) -> tuple[np.ndarray, float]:
 def shaded(solid: Solid) -> Mesh:
     """The solid with normals that are smooth except at creases: patches of faces have vertices of their own."""
     normals, patches = _face_normals(solid), _patches(solid)
-    vertices, faces, count = [], [], 0
-    for patch in patches:
-        used, places = np.unique(solid.faces[patch], return_inverse=True)
-        vertices.append(solid.vertices[used])
-        faces.append(places.reshape(-1, 3) + count)
-        count += len(used)
-    smooth = Solid(np.concatenate(vertices), np.concatenate(faces))
-    vertex_normals = _vertex_normals(smooth, normals[np.concatenate(patches)])
+    order = np.concatenate(patches)
+    number = np.repeat(np.arange(len(patches)), [len(patch) for patch in patches])
+    corners, places = np.unique(number[:, None] * len(solid.vertices) + solid.faces[order], return_inverse=True)
+    smooth = Solid(solid.vertices[corners % len(solid.vertices)], places.reshape(-1, 3))
+    vertex_normals = _vertex_normals(smooth, normals[order])
     return Mesh(
         vertices=smooth.vertices.astype(np.float32),
         triangles=smooth.faces.astype(np.int32),
@@ -105,7 +102,8 @@ def _patches(solid: Solid) -> list[np.ndarray]:
     angles = np.abs(np.arccos(np.clip(_dots(normals[pairs[:, 0]], normals[pairs[:, 1]]), -1.0, 1.0)))
     areas = np.sqrt((_crosses(solid.vertices[solid.faces]) ** 2).sum(axis=1)) / 2.0
     parts = _components(pairs[_coplanar(solid, pairs, edges, angles)], np.arange(count))
-    flat = [part for part in parts if areas[part].sum() > areas.sum() / FLAT_PARTS]
+    least = areas.sum() / FLAT_PARTS
+    flat = [part for part in parts if areas[part].sum() > least]
     curved = np.ones(count, dtype=bool)
     for part in flat:
         curved[part] = False
@@ -120,8 +118,7 @@ def _patches(solid: Solid) -> list[np.ndarray]:
 def _adjacent(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of faces that share an edge, `[E, 2]`, and the vertices of the edges, ascending, `[E, 2]`."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, number, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    number = number.ravel()
+    _, number, counts = np.unique(edges[:, 0] * (faces.max() + 1) + edges[:, 1], return_inverse=True, return_counts=True)
     twice = np.flatnonzero(counts[number] == 2)
     twice = twice[number[twice].argsort(kind="stable")].reshape(-1, 2)
     pairs = np.sort(twice // 3, axis=1)
