@@ -135,7 +135,7 @@ class GuidedConfig:
     Light samples at primary hits:
     learn_lights: whether learned second moments determine the probabilities of clusters of lights.
     light_candidates, bsdf_candidates: numbers of light samples and of BSDF samples from which resampling keeps one. Without an
-    environment map, light samples take the place of the BSDF samples.
+    environment map, and in scenes with emissive triangles, light samples take the place of the BSDF samples.
     learn_visibility: whether the resampling weights include the learned visibility of the cluster.
     learn_mis: whether a factor of the MIS weights of light samples is learned.
 

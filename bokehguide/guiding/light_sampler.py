@@ -126,8 +126,10 @@ class LearnedLightSampler(RankSums, LightSampler):
         self.register_buffer("visibility", torch.zeros(shape, device=device))
         self.register_buffer("epoch", torch.tensor(1))
         self.factors = MisFactors(across * down, device, ranks)
-        self._counts, self._learns_visibility = Counts(config.light_candidates, config.bsdf_candidates), config.learn_visibility
-        self._learns_mis = config.learn_mis
+        self._counts = Counts(config.light_candidates, config.bsdf_candidates)
+        if clusters.triangles > 0:  # a further light sample lowers the error more there
+            self._counts = Counts(sum(self._counts), 0)
+        self._learns_visibility, self._learns_mis = config.learn_visibility, config.learn_mis
         self._tables: ClusterTables | None = None  # None in the first epoch
         self._core_lights: tuple[ClusterTables | None, object] | None = None
 

@@ -26,6 +26,7 @@ from bokehguide.scene.shapes import spheres, transform, transformed, unit_rectan
 from bokehguide.scene.types import Camera, Environment, FilmSettings, Material, Scene
 from bokehguide.train import RenderLoop, RenderSettings
 from tests.support import scenes
+from tests.support.rooms import sky_with_a_window
 from tests.support.statistical import SIGNIFICANCE, z_test
 
 WIDTH, HEIGHT = 48, 27
@@ -197,6 +198,16 @@ def test_the_sampler_does_not_depend_on_the_unit_of_radiance():
     dim, bright = rendered(parted(), 9), rendered(parted(2.0**20), 9)
     assert torch.equal(dim.mode.lights.sampler.probability, bright.mode.lights.sampler.probability)
     assert torch.equal(dim.film.radiance() * 2.0**20, bright.film.radiance())
+
+
+@pytest.mark.parametrize("emissive, map_, counts", [(True, True, (4, 0)), (True, False, (4, 0)), (False, True, (3, 1))])
+def test_bsdf_candidates_are_for_scenes_that_a_map_alone_lights(emissive, map_, counts):
+    lit = replace(parted(), environment=sky_with_a_window(6.0) if map_ else None)
+    if not emissive:
+        lit = replace(lit, materials=tuple(replace(material, emission=(0.0,) * 3) for material in lit.materials))
+    with RenderLoop(lit, RenderSettings(spp=2)) as loop:
+        lights = loop.mode.lights.sampler.at(torch.zeros(3, 1))
+        assert (lights._light_count, lights._bsdf_count) == counts
 
 
 def test_modes_of_the_paper_and_dark_scenes_learn_no_lights():
