@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from types import ModuleType
 
-from bokehguide.stopping import stop_at_signals, stop_messages
+from bokehguide.stopping import note_at_stop, stop_at_signals, stop_messages
 
 USER_ERROR, INTERRUPTED, PIPE_CLOSED = 2, 130, 141
 SETTINGS = ("crop", "device", "light_groups", "reuse_radius", "target_noise")
@@ -70,6 +70,7 @@ def _run(arguments: Sequence[str], own_process: bool) -> int:
     from bokehguide.cli.memory import explained
     from bokehguide.errors import BokehguideError
 
+    note_at_stop("")  # that of an earlier command of the process
     if own_process:
         terminal.open_streams()
     try:
