@@ -172,7 +172,7 @@ class GuidedConfig:
     unshared_control_shrinkage: float = 64.0
 
     learn_lights: bool = True
-    light_candidates: int = 3
+    light_candidates: int = 4
     bsdf_candidates: int = 1
     learn_visibility: bool = True
     learn_mis: bool = True

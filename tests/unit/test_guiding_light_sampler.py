@@ -200,7 +200,7 @@ def test_the_sampler_does_not_depend_on_the_unit_of_radiance():
     assert torch.equal(dim.film.radiance() * 2.0**20, bright.film.radiance())
 
 
-@pytest.mark.parametrize("emissive, map_, counts", [(True, True, (4, 0)), (True, False, (4, 0)), (False, True, (3, 1))])
+@pytest.mark.parametrize("emissive, map_, counts", [(True, True, (5, 0)), (True, False, (5, 0)), (False, True, (4, 1))])
 def test_bsdf_candidates_are_for_scenes_that_a_map_alone_lights(emissive, map_, counts):
     lit = replace(parted(), environment=sky_with_a_window(6.0) if map_ else None)
     if not emissive:
