@@ -56,9 +56,8 @@ struct Microfacets {
         return sqrt((square(along) * x + square(alpha) * y) / (x + y));
     }
 
-    // G2 D / (4 cos cos) and the density G1 D / (4 cos).
-    void evaluate(Vec3 half, Vec3 incoming, Float& visibility, Float& pdf) const {
-        const Float towards = at_least(incoming.z, MIN_COSINE), other = masking_root(incoming, towards);
+    // G2 D / (4 cos cos) and the density G1 D / (4 cos). towards: cosine of the incoming direction; other: its `masking_root`.
+    void evaluate(Vec3 half, Float towards, Float other, Float& visibility, Float& pdf) const {
         const Float distribution = 0.5f * (isotropic ? ggx_density(half, alpha) : ggx_density(half, alpha, along));
         visibility = distribution / (towards * root + cosine * other);
         pdf = distribution / (cosine + root);
@@ -173,6 +172,13 @@ struct CoatAlbedo {
     }
 };
 
+// An incoming direction in the frame of a lobe, and numbers that depend on it and not on the outgoing direction: 1 above the surface,
+// else 0; the cosine, at least MIN_COSINE; the `masking_root`; and the share of light that passes the coat.
+struct Incident {
+    Vec3 direction;
+    Float above, cosine, root, passing;
+};
+
 struct Clearcoat {
     bool tilted;
     Frame frame;
@@ -196,15 +202,20 @@ struct Clearcoat {
     Vec3 from_own(Vec3 direction) const { return tilted ? to_world(direction, frame) : direction; }
     Float passing(Vec3 direction, Float cosine) const { return 1.0f - albedo.towards(facets, direction, cosine); }
 
-    void evaluate(Vec3 incoming, Vec3 half, Float grazing, Float& value, Float& pdf, Float& beneath, Float& above) const {
-        incoming = to_own(incoming), half = to_own(half);
-        above = one_if(incoming.z > all(0.0f));
+    // incoming: in the frame of the surface.
+    Incident incident(Vec3 incoming) const {
+        incoming = to_own(incoming);
         const Float cosine = at_least(incoming.z, MIN_COSINE);
+        return {incoming, one_if(incoming.z > all(0.0f)), cosine, facets.masking_root(incoming, cosine), passing(incoming, cosine)};
+    }
+    // half: in the frame of the surface.
+    void evaluate(const Incident& of, Vec3 half, Float grazing, Float& value, Float& pdf, Float& beneath) const {
+        half = to_own(half);
         Float visibility;
-        facets.evaluate(half, incoming, visibility, pdf);
-        value = weight * visibility * (CLEARCOAT_F0 + (1.0f - CLEARCOAT_F0) * grazing) * (cosine * above);
+        facets.evaluate(half, of.cosine, of.root, visibility, pdf);
+        value = weight * visibility * (CLEARCOAT_F0 + (1.0f - CLEARCOAT_F0) * grazing) * (of.cosine * of.above);
         pdf = pdf * one_if(half.z > all(0.0f));
-        beneath = min(leaving, passing(incoming, cosine));
+        beneath = min(leaving, of.passing);
     }
     // Weight of light from below the surface, and 1 below the clearcoat's horizon, else 0.
     Float transmitted(Vec3 incoming, Float& below) const {
@@ -434,16 +445,29 @@ struct Opaque {
         return {transmission_color * factor, pdf};
     }
 
-    // BSDF times cosine, and the density of `sample`.
-    Scattered evaluate(Vec3 incoming) const {
-        Float above = one_if(incoming.z > all(0.0f));
+    // An incoming direction at the base and at the clearcoat.
+    struct Incidents {
+        Incident base, clearcoat;
+    };
+    Incidents incidents(Vec3 incoming) const {
         const Float towards = at_least(incoming.z, MIN_COSINE);
-        const Vec3 half = normalize(outgoing + incoming);
+        Incidents found = {};
+        found.base = {incoming, one_if(incoming.z > all(0.0f)), towards, facets.masking_root(incoming, towards), passing(incoming, towards)};
+        if (coated) found.clearcoat = clearcoat.incident(incoming);
+        return found;
+    }
+
+    // BSDF times cosine, and the density of `sample`.
+    Scattered evaluate(Vec3 incoming) const { return evaluate(incidents(incoming)); }
+    Scattered evaluate(const Incidents& of) const {
+        Float above = of.base.above;
+        const Float towards = of.base.cosine;
+        const Vec3 half = normalize(outgoing + of.base.direction);
         const Float facing = clamp(dot(outgoing, half), 0.0f, 1.0f), grazing = fifth_power(1.0f - facing);
         Float visibility, microfacet;
-        facets.evaluate(half, incoming, visibility, microfacet);
+        facets.evaluate(half, towards, of.base.root, visibility, microfacet);
         const Vec3 coat = f0 + (grey(f90) - f0) * grazing;
-        Float diffuse = leaving * passing(incoming, towards);
+        Float diffuse = leaving * of.base.passing;
         if (transmits) diffuse = diffuse * (1.0f - diffuse_transmission);
         const Vec3 of_metal = base_color + (grey(all(1.0f)) - base_color) * grazing;
         Vec3 value = base_color * diffuse + visibility * ((1.0f - metallic) * coat + metal * of_metal);
@@ -457,14 +481,14 @@ struct Opaque {
         value = value * (towards * above);
         if (coated || transmits) pdf = pdf * one_if(half.z > all(0.0f));
         if (coated) {
-            Float over, of_coat, beneath, above_coat;
-            clearcoat.evaluate(incoming, half, grazing, over, of_coat, beneath, above_coat);
+            Float over, of_coat, beneath;
+            clearcoat.evaluate(of.clearcoat, half, grazing, over, of_coat, beneath);
             value = value * beneath + grey(over);
             pdf = pdf + (of_coat - pdf) * clearcoat_share;
-            above = max(above, above_coat);
+            above = max(above, of.clearcoat.above);
         }
         if (!transmits) return {value, pdf * above};
-        const Scattered through = transmitted(incoming);
+        const Scattered through = transmitted(of.base.direction);
         return {value + through.value, pdf + through.pdf};
     }
 

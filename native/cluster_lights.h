@@ -191,20 +191,9 @@ class ClusterSampler {
         return weighed(empty, sample.weight * environment_radiance(t, sample.at) * (pdf / divisor(of_all)), of_all, cluster);
     }
     Float visibility(Int cluster) const {
-        return c.cumulative == nullptr ? all(1.0f) : gather(c.visibility, row * c.clusters + cluster);
+        return c.table.cumulative == nullptr ? all(1.0f) : gather(c.visibility, row * c.clusters + cluster);
     }
-    Float probability(Int cluster) const { return cluster_pdf(c.cumulative, c.levels, row, cluster); }
-
-    // `ClusterTable.sample`.
-    Int table_cluster(Float u) const {
-        const Int before = (row << c.levels) - 1;
-        Int place = before;
-        for (int level = c.levels - 1; level >= 0; --level) {
-            const Int further = place + (1 << level);
-            place = gather(c.cumulative, further) <= u ? further : place;
-        }
-        return place - before;
-    }
+    Float probability(Int cluster) const { return cluster_pdf(c.table, row, cluster); }
 
     // Texels of the map: their clusters, from 0 on, and their densities in the whole map and in their clusters.
     struct Texel {
@@ -221,19 +210,19 @@ class ClusterSampler {
     // Probability of clusters of triangles, and density of directions in texels.
     Float share(Int cluster) const {
         const Float by_voxel = query.share(t, cluster);
-        return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * probability(cluster);
+        return c.table.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * probability(cluster);
     }
     Float density(Vec3 direction, const Texel& texel) const {
         const Float by_voxel = query.environment_share * environment_density(t, direction, texel.density);
-        return c.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * table_density(direction, texel);
+        return c.table.cumulative == nullptr ? by_voxel : VOXEL_SHARE * by_voxel + (1.0f - VOXEL_SHARE) * table_density(direction, texel);
     }
 
     // The choice of `LearnedLightSampler.draw`.
     LightChoice choice_by(const Float (&u)[6]) const {
         Int cluster = all(0), by_voxel = all(-1), far = u[0] < query.environment_share;
-        if (c.cumulative != nullptr) {
+        if (c.table.cumulative != nullptr) {
             by_voxel = u[0] < all(VOXEL_SHARE);
-            cluster = table_cluster((u[0] - VOXEL_SHARE) / (1.0f - VOXEL_SHARE));
+            cluster = sample_cluster(c.table, row, (u[0] - VOXEL_SHARE) / (1.0f - VOXEL_SHARE));
             far = by_voxel ? u[0] < VOXEL_SHARE * query.environment_share : cluster >= c.first_texels;
         }
         if (!t.has_far_power) far = all(0);
@@ -242,7 +231,7 @@ class ClusterSampler {
         if (any(far & active)) choice.element = environment_element(cluster, by_voxel, {u[1], u[2], u[3], u[4], u[5]});
         if (!any(~far & active)) return choice;
         cluster = cluster < c.first_texels ? cluster : all(c.first_texels - 1);
-        if (any(by_voxel)) cluster = by_voxel ? sample_cluster(t, query.cell, u[1]) : cluster;
+        if (any(by_voxel)) cluster = by_voxel ? sample_cluster(t.clusters, query.cell, u[1]) : cluster;
         choice.set_triangle(t, cluster, share(cluster), u);
         return choice;
     }
@@ -276,7 +265,7 @@ class ClusterSampler {
     // Elements from the clusters, or from the whole environment where the voxel grid chooses. All other lanes read one entry of the
     // table of the whole environment, which stays in the cache.
     Int environment_element(Int cluster, Int by_voxel, const Float (&u)[5]) const {
-        if (c.cumulative == nullptr) return BOKEHGUIDE_ISA::environment_element(t, u);
+        if (c.table.cumulative == nullptr) return BOKEHGUIDE_ISA::environment_element(t, u);
         const Int element = cluster_element(within(cluster, c.first_texels, c.clusters - 1), u[0], u[1]);
         if (!any(by_voxel & active)) return element;
         const Float numbers[5] = {by_voxel ? u[0] : all(0.0f), by_voxel ? u[1] : all(0.0f), u[2], u[3], u[4]};

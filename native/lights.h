@@ -11,6 +11,8 @@ namespace BOKEHGUIDE_ISA {
 using bokehguide::DistantTable;
 using bokehguide::AliasEntry;
 using bokehguide::EmitterRow;
+using bokehguide::ClusterTable;
+using bokehguide::FLOATS_IN_LINE;
 using bokehguide::LEVELS_IN_LINE;
 
 constexpr float MISS_DISTANCE = 1e37f, LEAST_COSINE = 1e-12f;
@@ -34,27 +36,31 @@ inline Int cell_of(const Tables& t, Vec3 point) {
     return along(point.x, 0) + along(point.y, 1) + along(point.z, 2);
 }
 
-// `ClusterTable.sample`. The last of each CLUSTERS_IN_LINE cumulative probabilities are also in a table of their own, which fits a
-// cache: the search reads two lines of memory.
-inline Int sample_cluster(const Tables& t, Int cell, Float u) {
-    const int in_line = t.cluster_levels < LEVELS_IN_LINE ? t.cluster_levels : LEVELS_IN_LINE, upper = t.cluster_levels - in_line;
-    Int place = (cell << upper) - 1;
-    for (int level = upper - 1; level >= 0; --level) {
-        const Int further = place + (1 << level);
-        place = gather(t.cluster_lines, further) <= u ? further : place;
+// Number of entries up to `u` among ascending ones that begin at `start`, at most `count - 1`. Loads go up to the end of a line.
+inline Int entries_up_to(const float* table, Int start, int count, Float u) {
+    Int found;
+    for (int lane = 0; lane < LANES; ++lane) {
+        const float* const from = table + start[lane];
+        int below = 0;
+        for (int first = 0; first < count; first += LANES) {
+            const unsigned within = count - first < LANES ? (1u << (count - first)) - 1u : ~0u;
+            below += __builtin_popcount(lanes(load<Float>(from + first) <= all(u[lane])) & within);
+        }
+        found[lane] = below;
     }
-    place = ((place + 1) << in_line) - 1;
-    for (int level = in_line - 1; level >= 0; --level) {
-        const Int further = place + (1 << level);
-        place = gather(t.cluster_cumulative, further) <= u ? further : place;
-    }
-    return place + 1 - (cell << t.cluster_levels);
+    return found < count ? found : all(count - 1);
+}
+// `ClusterTable.sample`: a search among the ends of lines, and then in a line.
+inline Int sample_cluster(const ClusterTable& table, Int row, Float u) {
+    const Int start = row << table.coarse_levels, end = entries_up_to(table.ends, start, 1 << table.coarse_levels, u);
+    if (table.coarse_levels == table.levels) return end;
+    return (end << LEVELS_IN_LINE) + entries_up_to(table.cumulative, (start + end) << LEVELS_IN_LINE, FLOATS_IN_LINE, u);
 }
 // `ClusterTable.pdf`: differences of cumulative probabilities.
-inline Float cluster_pdf(const float* cumulative, int levels, Int row, Int cluster) {
-    const Int place = (row << levels) + cluster;
-    const Float before = gather(cumulative, cluster > 0 ? place - 1 : place);
-    return gather(cumulative, place) - (cluster > 0 ? before : all(0.0f));
+inline Float cluster_pdf(const ClusterTable& table, Int row, Int cluster) {
+    const Int place = (row << table.levels) + cluster;
+    const Float before = gather(table.cumulative, cluster > 0 ? place - 1 : place);
+    return gather(table.cumulative, place) - (cluster > 0 ? before : all(0.0f));
 }
 
 // Points that lights illuminate (`Lights.query`).
@@ -69,7 +75,7 @@ struct PointQuery {
             if (t.has_far_power) environment_share = gather(t.far_share, cell);
         }
     }
-    Float share(const Tables& t, Int cluster) const { return (1.0f - environment_share) * cluster_pdf(t.cluster_cumulative, t.cluster_levels, cell, cluster); }
+    Float share(const Tables& t, Int cluster) const { return (1.0f - environment_share) * cluster_pdf(t.clusters, cell, cluster); }
 };
 
 // -------------------------------------------------------------------------------------------------------- environment
@@ -291,7 +297,7 @@ inline LightChoice choose_light(const Tables& t, const PointQuery& query, const 
     LightChoice choice = {far, all(0), all(0), query.environment_share, {u[3], u[4]}};
     if (any(far & active)) choice.element = environment_element(t, {u[1], u[2], u[3], u[4], u[5]});
     if (!any(~far & active)) return choice;
-    const Int cluster = sample_cluster(t, query.cell, u[1]);
+    const Int cluster = sample_cluster(t.clusters, query.cell, u[1]);
     choice.set_triangle(t, cluster, query.share(t, cluster), u);
     return choice;
 }

@@ -303,7 +303,7 @@ class alignas(64) SeenRadiance {
 
   private:
     static constexpr int VECTORS = MOST_MEMBERS / LANES;  // of views of a hit
-    static constexpr int PATHS = 4;  // shaded together
+    static constexpr int PATHS = PathDirections::PATHS;  // shaded together
     const Tables& t_;
     const LensSamples& samples_;
     const HitRecord& record_;
@@ -356,11 +356,13 @@ class alignas(64) SeenRadiance {
     // Add the light of some paths of the hit.
     void reflect(int32_t hit, int32_t start, int paths) {
         const PathLight& of = record_.light;
+        PathDirections directions;
         for (int v = 0; v < vectors(); ++v) {
             const RecordedScattering scattering(t_, of, hit, outgoing(v));
+            if (v == 0) directions = scattering.directions(of, start, paths);
             for (int i = 0; i < paths; ++i) {
                 for (int kind = 0; kind < 2; ++kind) {
-                    if (is_lit(of, start + i, kind)) values_[i][kind][v] = scattering.evaluate(of, start + i, kind);
+                    if (is_lit(of, start + i, kind)) values_[i][kind][v] = scattering.evaluate(directions, PathDirections::lane(i, kind));
                 }
             }
         }

@@ -53,15 +53,51 @@ inline void incident_of(const PathLight& of, const float* reflected, float* inci
     }
 }
 
+// The incoming directions of paths of one hit, one in each lane, and the numbers of the BSDF that do not depend on the viewer.
+class PathDirections {
+  public:
+    static constexpr int PATHS = 4;
+    Opaque::Incidents incidents;
+    Float allowed;
+
+    static int lane(int path, int kind) { return 2 * path + kind; }
+    // World directions of `paths` paths from `start` on.
+    static Vec3 load(const PathLight& of, int32_t start, int paths) {
+        Vec3 found = {};
+        for (int path = 0; path < paths; ++path) {
+            for (int kind = 0; kind < 2; ++kind) {
+                const float* const from = (kind == 0 ? of.light_direction : of.scattered_direction) + start + path;
+                const int at = lane(path, kind);
+                found.x[at] = from[0], found.y[at] = from[of.path_columns], found.z[at] = from[2 * of.path_columns];
+            }
+        }
+        return found;
+    }
+    // One lane in all lanes.
+    PathDirections all_from(int lane) const {
+        PathDirections found;
+        const Float* const from = reinterpret_cast<const Float*>(this);
+        Float* const to = reinterpret_cast<Float*>(&found);
+        for (size_t row = 0; row < sizeof found / sizeof(Float); ++row) to[row] = all(from[row][lane]);
+        return found;
+    }
+};
+static_assert(2 * PathDirections::PATHS <= LANES, "a lane for each direction");
+
 // The BSDF of one hit towards a vector of unit directions (`PrimaryHits.bsdf`).
 class RecordedScattering {
   public:
     RecordedScattering(const Tables& t, const PathLight& of, int32_t hit, Vec3 outgoing)
         : surface_(recorded_surface(t, of, hit)), scattering_(opaque_part(t, seen_from(surface_, outgoing))) {}
 
-    // BSDF times cosine for a direction of a path.
-    Vec3 evaluate(const PathLight& of, int32_t path, int kind) const {
-        return scattering_.evaluate(path_column(of, kind == 0 ? of.light_direction : of.scattered_direction, path)).value;
+    PathDirections directions(const PathLight& of, int32_t start, int paths) const {
+        const Vec3 world = PathDirections::load(of, start, paths), local = to_local(world, scattering_.frame);
+        return {scattering_.opaque.incidents(local), scattering_.allowed(world, local.z)};
+    }
+    // BSDF times cosine for the incoming direction of a lane.
+    Vec3 evaluate(const PathDirections& directions, int lane) const {
+        const PathDirections from = directions.all_from(lane);
+        return scattering_.opaque.evaluate(from.incidents).value * from.allowed;
     }
 
   private:

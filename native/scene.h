@@ -86,6 +86,16 @@ class Named {
         for (size_t i = 0; i < count; ++i) entries[i] = {keep[i], alias[i]};
         return count > 0 ? entries.data() : nullptr;
     }
+    ClusterTable cluster_table(const char* name, int32_t levels, std::vector<float>& ends) {
+        size_t size;
+        ClusterTable table = {array<float>(name, &size), nullptr, levels, levels < LEVELS_IN_LINE ? levels : levels - LEVELS_IN_LINE};
+        const size_t line = size_t(1) << (table.levels - table.coarse_levels);
+        ends.clear();
+        for (size_t last = line - 1; last < size; last += line) ends.push_back(table.cumulative[last]);
+        ends.resize(ends.size() + FLOATS_IN_LINE, 1.0f);
+        table.ends = ends.data();
+        return table;
+    }
     void forget_names() {
         arrays_.clear();
         numbers_.clear();
@@ -176,20 +186,12 @@ class Scene : Named {
         t.emitter_rows = emitters_.data();
         t.within_table = alias_table("within", within_table_);
         t.within_start = array<int32_t>("within_start"), t.far_share = array<float>("far_share");
-        set_clusters();
+        t.clusters = cluster_table("cluster_cumulative", int32_t(number("cluster_levels")), cluster_ends_);
         const float* box = array<float>("grid_box");  // low, cells per metre, last cell, steps
         for (int axis = 0; axis < 3; ++axis) {
             t.grid_low[axis] = box[axis], t.grid_last[axis] = box[4 + axis], t.grid_step[axis] = int32_t(box[7 + axis]);
         }
         t.grid_scale = box[3];
-    }
-    void set_clusters() {
-        size_t size;
-        t.cluster_cumulative = array<float>("cluster_cumulative", &size);
-        t.cluster_levels = int32_t(number("cluster_levels"));
-        const size_t line = size_t(1) << (t.cluster_levels < LEVELS_IN_LINE ? t.cluster_levels : LEVELS_IN_LINE);
-        for (size_t last = line - 1; last < size; last += line) cluster_lines_.push_back(t.cluster_cumulative[last]);
-        t.cluster_lines = cluster_lines_.data();
     }
     void set_environment() {
         t.has_environment = is("has_environment"), t.visible_environment = is("visible_environment");
@@ -209,7 +211,7 @@ class Scene : Named {
     std::vector<TriangleRow> rows_;
     std::vector<EmitterRow> emitters_;
     std::vector<AliasEntry> within_table_, map_table_;
-    std::vector<float> cluster_lines_;
+    std::vector<float> cluster_ends_;
 };
 
 // The choice among clusters of lights, by the names of `ClusterLights`.
@@ -222,8 +224,9 @@ class NamedClusterLights : Named {
         c.pixel_slope = real("pixel_slope"), c.half_width = real("half_width"), c.half_height = real("half_height");
         c.tile_size = real("tile_size"), c.last_column = real("across") - 1.0f, c.last_row = real("down") - 1.0f;
         c.across = whole("across"), c.clusters = whole("clusters"), c.light_candidates = whole("light_candidates");
-        c.cumulative = array<float>("cumulative"), c.visibility = array<float>("visibility"), c.factor = array<float>("factor");
-        c.levels = whole("levels"), c.first_step = whole("first_step"), c.bsdf_candidates = whole("bsdf_candidates");
+        c.table = cluster_table("cumulative", whole("levels"), ends_);
+        c.visibility = array<float>("visibility"), c.factor = array<float>("factor");
+        c.first_step = whole("first_step"), c.bsdf_candidates = whole("bsdf_candidates");
         c.first_texels = whole("first_texels"), c.map_clusters = whole("map_clusters"), c.first_distant = whole("first_distant");
         c.texel_table = alias_table("texel", texel_table_), c.texel_start = array<int32_t>("texel_start");
         c.texel_order = array<int32_t>("texel_order"), c.texel_cluster = array<uint8_t>("texel_cluster");
@@ -235,6 +238,7 @@ class NamedClusterLights : Named {
 
   private:
     std::vector<AliasEntry> texel_table_;
+    std::vector<float> ends_;
 };
 
 }  // namespace bokehguide

@@ -41,7 +41,14 @@ struct AliasEntry {
 };
 
 constexpr int MOST_LIGHT_GROUPS = 32;
-constexpr int LEVELS_IN_LINE = 4;  // 16 floats make a line of the cache
+constexpr int LEVELS_IN_LINE = 4, FLOATS_IN_LINE = 1 << LEVELS_IN_LINE;  // of the cache
+
+// A `ClusterTable`: rows of 1 << levels cumulative probabilities. `ends` are the last ones of each FLOATS_IN_LINE, or all of them in
+// rows with fewer, 1 << coarse_levels for each row. FLOATS_IN_LINE entries follow the last row of `ends`.
+struct ClusterTable {
+    const float *cumulative, *ends;
+    int32_t levels, coarse_levels;
+};
 
 struct DistantTable {
     float frame[9];  // row by row; the third column points to the light
@@ -81,8 +88,8 @@ struct Tables {
     const EmitterRow* emitter_rows;
     const AliasEntry* within_table;
     const int32_t* within_start;
-    const float *cluster_cumulative, *cluster_lines, *far_share;
-    int32_t cluster_levels;
+    ClusterTable clusters;
+    const float* far_share;
     float grid_low[3], grid_scale, grid_last[3];
     int32_t grid_step[3];
     bool has_far_power;
@@ -109,9 +116,10 @@ struct ClusterLights {
     // Tiles of the frame, which are the rows of the table
     float axes[9], position[3], pixel_slope, half_width, half_height, tile_size, last_column, last_row;
     int32_t across;
-    // The table; null in the first epoch, in which the voxel grid chooses alone
-    const float *cumulative, *visibility, *factor;
-    int32_t levels, clusters, first_step, light_candidates, bsdf_candidates;
+    // Without `cumulative` in the first epoch, in which the voxel grid chooses alone
+    ClusterTable table;
+    const float *visibility, *factor;
+    int32_t clusters, first_step, light_candidates, bsdf_candidates;
     // Clusters of the environment: those of the map begin at `first_texels`, those of distant lights at `first_distant`
     int32_t first_texels, map_clusters, first_distant;
     const AliasEntry* texel_table;  // null where the map is not sampled, as the next four

@@ -167,9 +167,9 @@ class ResampledLights:
         return contribution * factor, contribution, broad / factor
 
 
-def sample_counts(power: PowerLightSampler, counts: Counts) -> tuple[int, int]:
-    """Numbers of light candidates and BSDF candidates at primary hits."""
-    return counts if power.lights.clusters.map else (counts.lights + counts.bsdf, 0)
+def sample_counts(power: PowerLightSampler, counts: Counts) -> Counts:
+    """Numbers of samples at primary hits: see `Counts`."""
+    return counts if power.lights.clusters.map else Counts(sum(counts), 0)
 
 
 class VoxelLights(ResampledLights):

@@ -98,7 +98,8 @@ class LearnedLightSampler(RankSums, LightSampler):
 
     `add` takes the light samples of a batch; `update` ends an epoch.
 
-    power: light sampler that owns the lights and the voxel grid. factors: learned factors of MIS weights by tile.
+    power: light sampler that owns the lights and the voxel grid. factors: learned factors of MIS weights by tile. counts: numbers
+    of samples at a primary hit.
     sums: float64 `[3, tiles, clusters]`: Σ contribution_rms² (see `LightSamples`), number of samples, Σ visibility.
     probability, visibility: probability and expected visibility in the present epoch, `[tiles, clusters]`, 0 in the first epoch.
     """
@@ -126,9 +127,9 @@ class LearnedLightSampler(RankSums, LightSampler):
         self.register_buffer("visibility", torch.zeros(shape, device=device))
         self.register_buffer("epoch", torch.tensor(1))
         self.factors = MisFactors(across * down, device, ranks)
-        self._counts = Counts(config.light_candidates, config.bsdf_candidates)
+        self.counts = sample_counts(power, Counts(config.light_candidates, config.bsdf_candidates))
         if clusters.triangles > 0:  # a further light sample lowers the error more there
-            self._counts = Counts(sum(self._counts), 0)
+            self.counts = Counts(sum(self.counts), 0)
         self._learns_visibility, self._learns_mis = config.learn_visibility, config.learn_mis
         self._tables: ClusterTables | None = None  # None in the first epoch
         self._core_lights: tuple[ClusterTables | None, object] | None = None
@@ -147,8 +148,8 @@ class LearnedLightSampler(RankSums, LightSampler):
         """Distribution of the present epoch at world points `[3, N]`."""
         tiles, tables = self.tiles(points), self._tables
         if tables is None:
-            return VoxelLights(self._power, tiles, self._counts)
-        return MixtureLights(self._power, tiles, tables, self._counts)
+            return VoxelLights(self._power, tiles, self.counts)
+        return MixtureLights(self._power, tiles, tables, self.counts)
 
     def core_lights(self, core: ModuleType) -> object:
         """See `LightSampler`."""
@@ -158,8 +159,8 @@ class LearnedLightSampler(RankSums, LightSampler):
             if tables is not None:
                 arrays |= {"cumulative": tables.table.cumulative, "visibility": tables.visibility, "factor": tables.factor}
             levels, first_step = (0, 1) if tables is None else (tables.table.levels, tables.first_step)
-            lights, bsdf = sample_counts(self._power, self._counts)
-            numbers |= {"levels": levels, "first_step": first_step, "light_candidates": lights, "bsdf_candidates": bsdf}
+            numbers |= {"levels": levels, "first_step": first_step}
+            numbers |= {"light_candidates": self.counts.lights, "bsdf_candidates": self.counts.bsdf}
             made = self._core_lights = (tables, cluster_lights(core, self._power.lights.clusters, arrays, numbers))
         return made[1]
 

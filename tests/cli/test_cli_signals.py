@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from bokehguide import stopping
+from bokehguide.cli import main
 from bokehguide.runtime import interrupt as interrupts
 from bokehguide.runtime.interrupt import Interrupt
 
@@ -184,3 +185,13 @@ def test_a_process_that_is_no_command_keeps_its_handlers():
     thread.start()
     thread.join()
     assert [signal.getsignal(number) for number in stopping.NUMBERS] == before
+
+
+def test_a_command_forgets_the_note_of_an_earlier_command(lamps_file, monkeypatch, capsys):
+    def interrupted(options):
+        raise KeyboardInterrupt
+
+    stopping.note_at_stop("samples are kept")
+    monkeypatch.setattr("bokehguide.cli.info.run", interrupted)
+    assert main(["info", "emitters.toml"]) == 130
+    assert capsys.readouterr().err == "bokehguide: interrupted\n"

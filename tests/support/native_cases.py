@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from types import ModuleType
 from typing import Any, TypeVar, cast
 
@@ -27,6 +27,7 @@ from tests.support.tracing import DOWN, UP, emitter, rectangle, scene, sphere
 T = TypeVar("T")
 BUILT_IN = ("fairy-lights", "night-street", "chrome", "daylight", "cutout", "glitter", "occluded")
 SUNS = (Sun((0.6, 0.8, 0.0), 3.0, (2.0, 1.5, 1.0)), Sun((0.0, 0.6, 0.8), 20.0, (0.3, 0.4, 0.5)))
+MANY_SUNS = (1, 6, 14, 40, 300)
 FEATURES = (
     "textures",
     "coats",
@@ -222,6 +223,14 @@ def solids() -> Scene:
     return replace(made, meshes=(*made.meshes, dressed(rectangle(3, (0.4, 1.9, 0.9), UP, 0.4))))
 
 
+def under_suns(count: int) -> Scene:
+    """A room with a lamp and some suns, each of which is a cluster of lights."""
+    directions = np.random.default_rng(6).normal(size=(count, 3))
+    directions[:, 1] = np.abs(directions[:, 1])
+    suns = [Sun(tuple(each / np.linalg.norm(each)), 5.0, (1.0, 0.8, 0.6)) for each in directions]
+    return room((MATTE,), (emitter(6.0),), None, tuple(suns))
+
+
 def sheets_before_a_lamp(sheets: int, opacity: float, scale: float, **film: int) -> Scene:
     """Slanted sheets of twice the length `scale` between a floor and an emitter."""
     sheet = replace(MATTE, opacity=opacity, alpha_mode="blend")
@@ -267,6 +276,7 @@ def feature_scene(name: str) -> Scene:
         "spot in the dark": lambda: room((MATTE,), LAMPS[1:2]),
         "dark": lambda: room((MATTE,), ()),
     }
+    scenes |= {f"suns: {count}": partial(under_suns, count) for count in MANY_SUNS}
     return scenes[name]() if name in scenes else load_scene(name, Overrides(width=64, height=36))
 
 

@@ -5,7 +5,7 @@ import torch
 
 from bokehguide.render.native_hits import NativeHits
 from tests.support.guided_traces import COUNT, FLIPS, Traced, differing
-from tests.support.native_cases import FEATURES, both_tracers, each_instruction_set, rays
+from tests.support.native_cases import FEATURES, MANY_SUNS, both_tracers, each_instruction_set, rays
 
 LIT = tuple(name for name in FEATURES if name != "dark")
 BUILT_IN = ("fairy-lights", "chrome", "daylight", "cutout")
@@ -49,6 +49,14 @@ def test_records_of_light_samples_agree(name, learned):
     assert differing(found.contribution_rms, expected.contribution_rms) <= 2.0 * FLIPS
     assert differing(found.difference, expected.difference) <= 3.0 * FLIPS and bool(expected.difference.any())
     assert len(expected.cluster.unique()) > 1 or name in ("spot in the dark", "coats", "sheets")
+
+
+@pytest.mark.parametrize("count", MANY_SUNS)
+def test_clusters_from_tables_of_any_length_agree(count):
+    """The core searches rows of at most 16 entries at once, and longer ones line by line."""
+    found, expected = (traced.lights.samples[0] for traced in both(f"suns: {count}"))
+    assert (found.cluster != expected.cluster).float().mean() <= 2.0 * FLIPS
+    assert len(expected.cluster.unique()) > 0.7 * count
 
 
 @pytest.mark.parametrize("name", ("textures", "coats", "glass", "lamps", "mirror ball", "chrome", "fairy-lights"))
