@@ -50,7 +50,7 @@ def camera(width: int = WIDTH, height: int = HEIGHT) -> ThinLensCamera:
 
 
 def guide_of(width: int = WIDTH, height: int = HEIGHT, clusters: int = 5) -> LearnedLightSampler:
-    power = SimpleNamespace(lights=SimpleNamespace(clusters=SimpleNamespace(count=clusters, triangles=clusters)))
+    power = SimpleNamespace(lights=SimpleNamespace(clusters=SimpleNamespace(count=clusters, triangles=clusters, map=False)))
     return LearnedLightSampler(camera(width, height), power, GuidedConfig())
 
 

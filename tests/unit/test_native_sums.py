@@ -105,7 +105,7 @@ def test_draws_have_the_same_bits(monkeypatch):
 
 
 def light_sampler(width: int, height: int, clusters: int = 5) -> LearnedLightSampler:
-    power = SimpleNamespace(lights=SimpleNamespace(clusters=SimpleNamespace(count=clusters, triangles=clusters)))
+    power = SimpleNamespace(lights=SimpleNamespace(clusters=SimpleNamespace(count=clusters, triangles=clusters, map=False)))
     return LearnedLightSampler(ThinLensCamera(load_scene("chrome").camera, width, height), power, GuidedConfig())
 
 
