@@ -41,7 +41,7 @@ struct AliasEntry {
 };
 
 constexpr int MOST_LIGHT_GROUPS = 32;
-constexpr int LEVELS_IN_LINE = 4, FLOATS_IN_LINE = 1 << LEVELS_IN_LINE;  // of the cache
+constexpr int LEVELS_IN_LINE = 4, FLOATS_IN_LINE = 1 << LEVELS_IN_LINE;  // a line of the cache has 16 floats
 
 // A `ClusterTable`: rows of 1 << levels cumulative probabilities. `ends` are the last ones of each FLOATS_IN_LINE, or all of them in
 // rows with fewer, 1 << coarse_levels for each row. FLOATS_IN_LINE entries follow the last row of `ends`.
