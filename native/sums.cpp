@@ -1,4 +1,4 @@
-// Sums over samples: guiding/light_sampler.py, guiding/record_buffer.py, guiding/control_variate.py and render/coverage.py.
+// Sums over samples: guiding/light_sampler.py, guiding/tile_pools.py, guiding/record_buffer.py, guiding/control_variate.py and render/coverage.py.
 
 #include "bindings.h"
 
@@ -74,7 +74,7 @@ template <class Entry> void window_mean(const Entry& entry, size_t at, size_t co
     for (size_t k = 0; k < size; ++k) mean[k] /= double(last - first);
 }
 
-// `LearnedLightSampler._pooled`: weighted means over squares of tiles. values: `[down, across, channels]`. own: weight of the tile
+// `TilePools.pooled`: weighted means over squares of tiles. values: `[down, across, channels]`. own: weight of the tile
 // itself. pools: width of each square, an odd number, and weight of its mean.
 void pool_tiles(const Out<const double>& values, double own, const std::vector<std::pair<int, double>>& pools, Out<double> pooled, int threads) {
     if (values.ndim() != 3) throw std::invalid_argument("values are not [down, across, channels]");
@@ -94,6 +94,105 @@ void pool_tiles(const Out<const double>& values, double own, const std::vector<s
                     for (size_t k = 0; k < channels; ++k) out[x * channels + k] += share * mean[k];
                 }
             }
+        }
+    });
+}
+
+// Number of entries of a window of `width` entries around one of `count` entries.
+size_t window_size(size_t at, size_t count, size_t width) { return std::min(at + width / 2 + 1, count) - (at - std::min(at, width / 2)); }
+
+// Sums over windows of entries of `size` numbers each, smaller at the ends. Two blocks as wide as the window contain a window, so that
+// its sum is that of the end of one block and of the start of the next (van Herk 1992). `starts` and `ends` are scratch memory.
+void window_sums(const double* values, size_t count, size_t size, size_t width, double* sums, double* starts, double* ends) {
+    const auto add = [size](double* to, const double* one, const double* other) {
+        for (size_t k = 0; k < size; ++k) to[k] = one[k] + other[k];
+    };
+    for (size_t i = 0; i < count; ++i) {
+        if (i % width == 0) std::copy_n(values + i * size, size, starts + i * size);
+        else add(starts + i * size, starts + (i - 1) * size, values + i * size);
+    }
+    for (size_t i = count; i-- > 0;) {
+        if (i % width == width - 1 || i == count - 1) std::copy_n(values + i * size, size, ends + i * size);
+        else add(ends + i * size, values + i * size, ends + (i + 1) * size);
+    }
+    for (size_t i = 0; i < count; ++i) {
+        const size_t first = i - std::min(i, width / 2), last = std::min(i + width / 2, count - 1);
+        if (first / width != last / width) add(sums + i * size, ends + first * size, starts + last * size);
+        else std::copy_n(first % width == 0 ? starts + last * size : ends + first * size, size, sums + i * size);
+    }
+}
+
+// `TilePools.shrunk` for a chunk of the channels, which stays in the cache.
+class ShrunkChannels {
+  public:
+    static constexpr size_t COUNT = 16;
+
+    ShrunkChannels(size_t down, size_t across) : down_(down), across_(across) {
+        for (auto* table : {&values_, &arrived_, &estimate_, &expected_, &moments_, &numbers_, &columns_, &starts_, &ends_}) {
+            table->resize(down * across * COUNT);
+        }
+    }
+    // Estimates of the channels from `first` on, from tables of `channels` columns.
+    void run(const double* values, const double* arrived, size_t channels, size_t first, const std::vector<int>& squares, double prior,
+             double doubt, const std::pair<double, double>& shares, double* estimate) {
+        const size_t count = std::min(COUNT, channels - first);
+        for (size_t tile = 0; tile < down_ * across_; ++tile) {
+            std::copy_n(values + tile * channels + first, count, &values_[tile * COUNT]);
+            std::copy_n(arrived + tile * channels + first, count, &arrived_[tile * COUNT]);
+        }
+        for (size_t level = 0; level < squares.size(); ++level) {
+            before_ = estimate_;
+            shrink(size_t(squares[level]), level == 0, prior, doubt);
+        }
+        for (size_t tile = 0; tile < down_ * across_; ++tile) {
+            for (size_t k = 0; k < count; ++k) {
+                const size_t i = tile * COUNT + k;
+                estimate[tile * channels + first + k] = shares.first * estimate_[i] + shares.second * before_[i];
+            }
+        }
+    }
+
+  private:
+    using Table = std::vector<double>;
+
+    size_t down_, across_;
+    Table values_, arrived_, estimate_, before_, expected_, moments_, numbers_, columns_, starts_, ends_;
+
+    void square_sums(const Table& values, size_t width, Table& sums) {
+        const size_t row = across_ * COUNT;
+        window_sums(values.data(), down_, row, width, columns_.data(), starts_.data(), ends_.data());
+        for (size_t y = 0; y < down_; ++y) window_sums(&columns_[y * row], across_, COUNT, width, &sums[y * row], starts_.data(), ends_.data());
+    }
+    void shrink(size_t width, bool largest, double prior, double doubt) {
+        square_sums(values_, width, moments_), square_sums(arrived_, width, numbers_);
+        for (size_t y = 0; y < down_; ++y) {
+            for (size_t x = 0; x < across_; ++x) {
+                const double tiles = double(window_size(y, down_, width) * window_size(x, across_, width));
+                for (size_t i = (y * across_ + x) * COUNT, end = i + COUNT; i < end; ++i) {
+                    const double share = largest ? 1.0 : expected_[i], lost = share * tiles / doubt;
+                    const double kept = largest ? 0.0 : numbers_[i] > 0.0 ? prior : prior / (1.0 + lost * lost), whole = kept + share * tiles;
+                    estimate_[i] = (kept * estimate_[i] + share * moments_[i]) / whole;
+                    expected_[i] = (kept * expected_[i] + share * numbers_[i]) / whole;
+                }
+            }
+        }
+    }
+};
+
+// `TilePools.shrunk`: values, relative second moments, and arrived, numbers of visible samples: `[down, across, channels]`. squares: odd
+// widths, from the largest square to the tile. prior: number of samples that the estimate of the next larger square counts as. doubt:
+// number of expected samples at which this number is halved, if none arrived. shares: of the last two estimates.
+void shrink_tiles(const Out<const double>& values, const Out<const double>& arrived, Out<double> estimate, const std::vector<int>& squares,
+                  double prior, double doubt, const std::pair<double, double>& shares, int threads) {
+    if (values.ndim() != 3) throw std::invalid_argument("values are not [down, across, channels]");
+    constexpr size_t COUNT = ShrunkChannels::COUNT;
+    const size_t down = values.shape(0), across = values.shape(1), channels = values.shape(2);
+    check(arrived, values.size(), "arrived"), check(estimate, values.size(), "estimate");
+    nb::gil_scoped_release released;
+    in_ranges((channels + COUNT - 1) / COUNT, values.size(), threads, [&](size_t begin, size_t end) {
+        ShrunkChannels chunk(down, across);
+        for (size_t first = begin * COUNT; first < std::min(end * COUNT, channels); first += COUNT) {
+            chunk.run(values.data(), arrived.data(), channels, first, squares, prior, doubt, shares, estimate.data());
         }
     });
 }
@@ -368,6 +467,7 @@ void bind_sums(nb::module_& m) {
     m.def("add_hits", &add_hits);
     m.def("add_records", &add_records);
     m.def("pool_tiles", &pool_tiles);
+    m.def("shrink_tiles", &shrink_tiles);
     m.def("voxel_rows", &voxel_rows);
     m.def("add_light_samples", &add_light_samples);
     m.def("add_mis_moments", &add_mis_moments);

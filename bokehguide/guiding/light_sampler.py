@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
 
 from bokehguide.guiding.cluster_lights import ClusterTables, Counts, MixtureLights, VoxelLights, sample_counts
 from bokehguide.guiding.config import GuidedConfig
 from bokehguide.guiding.inheritance import Learned, moved
 from bokehguide.guiding.mis_factors import MisFactors
+from bokehguide.guiding.tile_pools import TilePools
 from bokehguide.render.camera import ThinLensCamera
 from bokehguide.render.lights.base import DirectLight, LightDistribution, LightSampler
 from bokehguide.render.lights.clusters import ClusterTable
@@ -33,8 +33,6 @@ TILES, SMALLEST = 80, 4
 """Largest number of tiles along the longer side of the frame, and least side of a tile in pixels.
 
 A smaller tile has too few samples to learn from."""
-OWN, POOLS = 0.5, ((3, 0.3), (7, 0.2))
-"""Weight of a tile's own second moments, and squares of tiles over which they are averaged: tiles along the side, and weight."""
 PRIOR_VISIBLE = 0.2
 """Prior: number of visible samples of each cluster in each tile before the first sample."""
 MIN_VISIBILITY = 0.05
@@ -99,7 +97,7 @@ class LearnedLightSampler(RankSums, LightSampler):
     `add` takes the light samples of a batch; `update` ends an epoch.
 
     power: light sampler that owns the lights and the voxel grid. factors: learned factors of MIS weights by tile. counts: numbers
-    of samples at a primary hit.
+    of samples at a primary hit. pools: the grid of tiles.
     sums: float64 `[3, tiles, clusters]`: Σ contribution_rms² (see `LightSamples`), number of samples, Σ visibility.
     probability, visibility: probability and expected visibility in the present epoch, `[tiles, clusters]`, 0 in the first epoch.
     """
@@ -122,7 +120,8 @@ class LearnedLightSampler(RankSums, LightSampler):
         clusters = power.lights.clusters
         device, shape = camera.position.device, (across * down, clusters.count)
         super().__init__(torch.zeros(3, *shape, dtype=torch.float64, device=device), ranks)
-        self._camera, self._power, self._size, self._across, self._down = camera, power, size, across, down
+        self._camera, self._power, self._size = camera, power, size
+        self.pools = TilePools(across, down)
         self.register_buffer("probability", torch.zeros(shape, device=device))
         self.register_buffer("visibility", torch.zeros(shape, device=device))
         self.register_buffer("epoch", torch.tensor(1))
@@ -141,8 +140,8 @@ class LearnedLightSampler(RankSums, LightSampler):
         """
         local = self._camera.axes.T @ (points - self._camera.position)
         column, row = (self._camera.raster(local) / self._size).nan_to_num(0.0, 0.0, 0.0)
-        column, row = column.clamp(0.0, self._across - 1.0), row.clamp(0.0, self._down - 1.0)
-        return row.int() * self._across + column.int()
+        column, row = column.clamp(0.0, self.pools.across - 1.0), row.clamp(0.0, self.pools.down - 1.0)
+        return row.int() * self.pools.across + column.int()
 
     def at(self, points: Tensor) -> LightDistribution:
         """Distribution of the present epoch at world points `[3, N]`."""
@@ -168,7 +167,7 @@ class LearnedLightSampler(RankSums, LightSampler):
         """Arrays and numbers from which the native core finds the tiles of points."""
         camera = self._camera
         numbers = {"half_width": 0.5 * camera.width, "half_height": 0.5 * camera.height, "pixel_slope": camera.pixel_slope}
-        numbers |= {"tile_size": self._size, "across": self._across, "down": self._down}
+        numbers |= {"tile_size": self._size, "across": self.pools.across, "down": self.pools.down}
         return {"axes": camera.axes, "position": camera.position}, numbers
 
     def _make_tables(self) -> ClusterTables:
@@ -206,12 +205,13 @@ class LearnedLightSampler(RankSums, LightSampler):
         """Begin an epoch at `step`: compute the probabilities from all samples so far; collective."""
         self.merge()
         if self._learns_mis:
-            self.factors.update(self._pooled)
+            self.factors.update(self.pools.pooled)
         self.epoch.fill_(step)
-        moments, tried, arrived = (self._pooled(total, threads) for total in self.sums)
-        roots = moments.sqrt()
+        moments, tried, arrived = self.sums
+        roots = self.pools.shrunk(moments, arrived, threads).sqrt()
         whole = roots.sum(1, keepdim=True)
         self.probability.copy_(torch.where(whole > 0.0, roots / divisor(whole, 1e-300), 1.0 / roots.shape[1]))
+        tried, arrived = (self.pools.pooled(total, threads) for total in (tried, arrived))
         self.visibility.copy_(((arrived + PRIOR_VISIBLE) / (tried + PRIOR_VISIBLE)).clamp(min=MIN_VISIBILITY))
         self._tables = self._make_tables()
 
@@ -232,27 +232,13 @@ class LearnedLightSampler(RankSums, LightSampler):
 
     def _moved(self, learned: Learned, sums: Tensor) -> Tensor:
         """Sums at the tiles of this camera in which the middles of the earlier tiles lie."""
-        tile = torch.arange(self._across * self._down)
+        tile = torch.arange(self.pools.across * self.pools.down)
         width, height, half = self._camera.width, self._camera.height, self._size // 2
-        column = (tile % self._across * self._size + half).clamp(max=width - 1)
-        row = (tile // self._across * self._size + half).clamp(max=height - 1)
+        column = (tile % self.pools.across * self._size + half).clamp(max=width - 1)
+        row = (tile // self.pools.across * self._size + half).clamp(max=height - 1)
         pixel = learned.pixels(self._camera)[row * width + column]
-        place = pixel // width // self._size * self._across + pixel % width // self._size
+        place = pixel // width // self._size * self.pools.across + pixel % width // self._size
         return torch.stack([moved(each.T, torch.where(pixel >= 0, place, -1)).T for each in sums])
-
-    def _pooled(self, total: Tensor, threads: int = 1) -> Tensor:
-        """A sum `[tiles, clusters]`, averaged over the squares around each tile, which are smaller at the edges of the frame."""
-        core = native.core_on(total.device)
-        if core is not None:
-            tiles = total.contiguous().view(self._down, self._across, -1)
-            core.pool_tiles(tiles, OWN, POOLS, pooled := torch.empty_like(tiles), threads)
-            return pooled.view(total.shape)
-        tiles = total.view(1, self._down, self._across, -1).permute(0, 3, 1, 2)
-        pooled = OWN * tiles
-        for width, share in POOLS:
-            rows = avg_pool2d(tiles, (width, 1), 1, (width // 2, 0), count_include_pad=False)
-            pooled.add_(avg_pool2d(rows, (1, width), 1, (0, width // 2), count_include_pad=False), alpha=share)
-        return pooled.permute(0, 2, 3, 1).reshape(total.shape)
 
     def load_state_dict(self, state_dict, *args, **kwargs):
         """Restore the state. Raises ValueError where probabilities are negative or rows do not sum to 1."""

@@ -166,7 +166,7 @@ def test_moments_move_with_the_surfaces(learned):
 def test_sums_of_lights_move_to_the_tiles_of_their_surfaces(learned):
     """The wall moves left and up by two tiles and one; tiles without samples have the mean of all with the weight of one."""
     sampler = loop_of(scene()).mode.lights.sampler
-    size, across, down = sampler._size, sampler._across, sampler._down
+    size, across, down = sampler._size, *sampler.pools
     aside, wall = moved_right(learned, 2 * size, size)
     sums = torch.rand(3, down, across, sampler.sums.shape[2], generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     loop = loop_of(aside)

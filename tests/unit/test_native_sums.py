@@ -131,8 +131,21 @@ def test_light_samples_have_the_same_bits(monkeypatch):
 def test_pools_of_tiles_agree(width, height, monkeypatch):
     lights = light_sampler(width, height, clusters := 400)
     total = torch.exp(5.0 * torch.randn(len(lights.probability), clusters, generator=generator(4), dtype=torch.float64))
-    (pooled,) = agree(monkeypatch, lambda threads: [lights._pooled(total, threads)], rtol=1e-13, atol=0.0)
+    (pooled,) = agree(monkeypatch, lambda threads: [lights.pools.pooled(total, threads)], rtol=1e-13, atol=0.0)
     assert len(total) == 1 or bool((pooled != total).all())
+
+
+@pytest.mark.parametrize("width, height", ((320, 180), (37, 83), (9, 400), (3, 3)))
+@pytest.mark.parametrize("clusters", (1, 40, 256))
+def test_estimates_of_second_moments_agree(width, height, clusters, monkeypatch):
+    """Also where nothing arrived, in tiles, in clusters and by chance."""
+    pools, random = light_sampler(width, height, clusters).pools, generator(4)
+    moments, arrived = torch.exp(5.0 * torch.randn(2, pools.across * pools.down, clusters, generator=random, dtype=torch.float64))
+    moments[arrived < 0.1] = arrived[arrived < 0.1] = 0.0
+    moments[1::7] = arrived[1::7] = 0.0
+    moments[:, 1::5] = arrived[:, 1::5] = 0.0
+    (found,) = agree(monkeypatch, lambda threads: [pools.shrunk(moments, arrived, threads)], rtol=1e-12, atol=0.0)
+    assert bool((found[:, 1::5] == 0.0).all()) and (found > 0.0).any() == moments.any()
 
 
 @pytest.mark.parametrize("features", (MeanFeatures, ControlVariateFeatures, RatioFeatures))
