@@ -226,9 +226,11 @@ class LearnedLightSampler(RankSums, LightSampler):
             sums, of_factors = self._moved(learned, sums), self._moved(learned, of_factors[..., None])[..., 0]
         mean = sums.mean(1, keepdim=True)
         empty = sums[1].sum(1, keepdim=True) == 0.0
-        self.sums.copy_(learned.share * sums + empty * mean / mean[1].sum())
+        in_empty = empty * mean / mean[1].sum()
+        self.sums.copy_(sums + in_empty)
         self.factors.sums.copy_(learned.share * of_factors)
-        self.update(1)
+        self.update(1)  # the first epoch relies on all earlier samples
+        self.sums.copy_(learned.share * sums + in_empty)
 
     def _moved(self, learned: Learned, sums: Tensor) -> Tensor:
         """Sums at the tiles of this camera in which the middles of the earlier tiles lie."""
