@@ -20,7 +20,7 @@ SCALE_SQUARE = 3
 PRIOR_ARRIVALS = 1.0
 """Number of visible samples that the estimate of the next larger square counts as."""
 DOUBT = 2.0
-"""Number of expected samples at which this number is halved, if none of them arrived."""
+"""Number of expected visible samples at which PRIOR_ARRIVALS is halved, if none of them arrived."""
 ESTIMATES = (0.7, 0.3)
 """Weights of the estimates of the tile and of the smallest square around the tile."""
 
@@ -51,7 +51,7 @@ class TilePools(NamedTuple):
         visible samples that its prior expects there, which do not depend on chance in the square. The estimate of a cluster that
         the square cannot see thus falls to zero. Where none of many expected samples arrived, the prior counts less.
         The moments are relative to those of all clusters around the tile, so that bright tiles do not outweigh others. The result
-        is the mean of the last two estimates.
+        is a weighted mean of the last two estimates.
         """
         scale = self._mean(moments.sum(1, keepdim=True), SCALE_SQUARE)
         relative = torch.where(scale > 0.0, moments / divisor(scale, 1e-300), 0.0)
