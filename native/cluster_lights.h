@@ -68,24 +68,26 @@ class ClusterSampler {
         : t(tables), c(lights), query(tables, point), row(tile_of(lights, point)), active(active),
           factor(lights.factor == nullptr ? all(1.0f) : gather(lights.factor, row)) {}
 
-    // Choose the light of candidate `number`, and ask for its memory.
-    LightChoice choose_light(const Stratified& sequence, const PathKeys& keys, int number) const {
+    // Choose the light of candidate `number`, and ask for the entries of alias tables.
+    LightSlots choose_light(const Stratified& sequence, const PathKeys& keys, int number) const {
         Float u[LIGHT_COUNT];
         for (int i = 0; i < int(LIGHT_COUNT); ++i) u[i] = sequence(keys, i);
         u[0] = at_most((u[0] + float(number)) / float(c.light_candidates), MAX_UNIFORM);
-        const LightChoice choice = choice_by(u);
-        choice.fetch(t);
-        return choice;
+        const LightSlots slots = choice_by(u);
+        slots.fetch(t, &c);
+        return slots;
     }
 
-    // `ResampledLights.sample`; first: the choice of the first candidate.
-    DirectLight sample(const Scattering& scattering, const LightChoice& first, const HitSequences& sequences, const Random& random,
-                       const PathKeys& keys) const {
+    // `ResampledLights.sample`; first: the light of the first candidate; second: the choice of the next one, if there is one.
+    DirectLight sample(const Scattering& scattering, const LightChoice& first, const LightSlots& second, const HitSequences& sequences,
+                       const Random& random, const PathKeys& keys) const {
         LightChoice next = first;
+        LightSlots later = second;
         BsdfSample next_sample = c.bsdf_candidates > 0 ? sample_bsdf(scattering, sequences.bsdf(1), keys) : BsdfSample();
         const auto light_of = [&](int number) {
             const LightChoice choice = next;
-            if (number + 1 < c.light_candidates) next = choose_light(sequences.light(number + 1), keys, number + 1);
+            if (number + 1 < c.light_candidates) next = later.find(t, &c), fetch_visibility(next);
+            if (number + 2 < c.light_candidates) later = choose_light(sequences.light(number + 2), keys, number + 2);
             return light_candidate(scattering, choice);
         };
         Candidate kept = light_of(0);
@@ -180,7 +182,7 @@ class ClusterSampler {
         Vec3 of_opaque;
         sample.at = on_map(t, scattering.sample(sequence(keys, 3), sequence(keys, 1), sequence(keys, 2), sample.weight, sample.pdf, of_opaque));
         sample.texel = texel_at(t, sample.at);
-        for (int lane = 0; lane < LANES; ++lane) fetch_texel(t, sample.texel[lane]);
+        if (t.map_texels != nullptr) TexelCorners(t, sample.at).fetch(t);
         return sample;
     }
     Candidate bsdf_candidate(const BsdfSample& sample) const {
@@ -189,6 +191,12 @@ class ClusterSampler {
         const Float pdf = sample.pdf, of_all = together(density(sample.at.direction, texel), pdf);
         const Candidate empty{sample.at.direction, all(MISS_DISTANCE), {}, {sample.weight * pdf, pdf}, all(-1), all(-1), all(0.0f), {}, {}};
         return weighed(empty, sample.weight * environment_radiance(t, sample.at) * (pdf / divisor(of_all)), of_all, cluster);
+    }
+    // Ask for the visibility of clusters of triangles.
+    void fetch_visibility(const LightChoice& choice) const {
+        if (c.table.cumulative == nullptr) return;
+        const Int place = row * c.clusters + choice.cluster;
+        for (int lane = 0; lane < LANES; ++lane) __builtin_prefetch(c.visibility + place[lane]);
     }
     Float visibility(Int cluster) const {
         return c.table.cumulative == nullptr ? all(1.0f) : gather(c.visibility, row * c.clusters + cluster);
@@ -218,7 +226,7 @@ class ClusterSampler {
     }
 
     // The choice of `LearnedLightSampler.draw`.
-    LightChoice choice_by(const Float (&u)[6]) const {
+    LightSlots choice_by(const Float (&u)[6]) const {
         Int cluster = all(0), by_voxel = all(-1), far = u[0] < query.environment_share;
         if (c.table.cumulative != nullptr) {
             by_voxel = u[0] < all(VOXEL_SHARE);
@@ -227,13 +235,14 @@ class ClusterSampler {
         }
         if (!t.has_far_power) far = all(0);
         if (t.emitters == 0) far = all(-1);
-        LightChoice choice = {far, all(0), all(0), all(0.0f), {u[3], u[4]}};
-        if (any(far & active)) choice.element = environment_element(cluster, by_voxel, {u[1], u[2], u[3], u[4], u[5]});
-        if (!any(~far & active)) return choice;
+        LightSlots slots(far, all(0.0f), u);
+        if (any(far & ~by_voxel & active)) choose_element(slots, far & ~by_voxel, within(cluster, c.first_texels, c.clusters - 1), u);
+        if (any(far & by_voxel & active)) choose_environment(t, slots, far & by_voxel, u);
+        if (!any(~far & active)) return slots;
         cluster = cluster < c.first_texels ? cluster : all(c.first_texels - 1);
         if (any(by_voxel)) cluster = by_voxel ? sample_cluster(t.clusters, query.cell, u[1]) : cluster;
-        choice.set_triangle(t, cluster, share(cluster), u);
-        return choice;
+        slots.set_near(t, cluster, share(cluster), u);
+        return slots;
     }
 
     ClusterSample draw(const LightChoice& choice) const {
@@ -262,23 +271,13 @@ class ClusterSampler {
         return {light, cluster_of(element, texel), pdf / density_within(element, texel)};
     }
 
-    // Elements from the clusters, or from the whole environment where the voxel grid chooses. All other lanes read one entry of the
-    // table of the whole environment, which stays in the cache.
-    Int environment_element(Int cluster, Int by_voxel, const Float (&u)[5]) const {
-        if (c.table.cumulative == nullptr) return BOKEHGUIDE_ISA::environment_element(t, u);
-        const Int element = cluster_element(within(cluster, c.first_texels, c.clusters - 1), u[0], u[1]);
-        if (!any(by_voxel & active)) return element;
-        const Float numbers[5] = {by_voxel ? u[0] : all(0.0f), by_voxel ? u[1] : all(0.0f), u[2], u[3], u[4]};
-        return by_voxel ? BOKEHGUIDE_ISA::environment_element(t, numbers) : element;
-    }
-
     // `LightClusters.sample_element`, `cluster`, `pdf_within` and `environment_pdf`. texel: of the element, if it is one.
-    Int cluster_element(Int cluster, Float u0, Float u1) const {
+    void choose_element(LightSlots& slots, Int chosen, Int cluster, const Float (&u)[6]) const {
         const Int distant = c.first_distant - 1 - cluster;
-        if (c.texel_table == nullptr) return distant;
+        if (c.texel_table == nullptr) return slots.set_far(chosen, distant, AliasSlots(), all(0));
         const Int number = within(cluster - c.first_texels, 0, c.map_clusters - 1), start = gather(c.texel_start, number);
-        const Int texel = gather(c.texel_order, alias_sample(c.texel_table, start, gather(c.texel_start, number + 1) - start, u0, u1));
-        return distant < 0 ? distant : texel;
+        const AliasSlots texels(start, gather(c.texel_start, number + 1) - start, u[1], u[2]);
+        slots.set_far(chosen, distant < 0 ? distant : all(0), texels, all(-1));
     }
     Int cluster_of(Int element, const Texel& texel) const {
         const Int distant = c.first_distant - 1 - element;

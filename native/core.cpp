@@ -70,7 +70,7 @@ void lights(const Tables& t, int64_t count, const float* points, const float* un
         Float u[6];
         for (int i = 0; i < 6; ++i) u[i] = at(uniforms, i);
         const Vec3 point = at.vector(points, 0);
-        const LightSample light = sample_light(t, point, choose_light(t, PointQuery(t, point), u, at.active()), at.active());
+        const LightSample light = sample_light(t, point, choose_light(t, PointQuery(t, point), u, at.active()).find(t, nullptr), at.active());
         at.put(out, 0, light.direction), at.put(out, 3, light.distance), at.put(out, 4, light.radiance), at.put(out, 7, light.pdf);
     }
 }

@@ -11,21 +11,26 @@ namespace BOKEHGUIDE_ISA {
 using bokehguide::DistantTable;
 using bokehguide::AliasEntry;
 using bokehguide::EmitterRow;
+using bokehguide::ClusterLights;
 using bokehguide::ClusterTable;
 using bokehguide::FLOATS_IN_LINE;
 using bokehguide::LEVELS_IN_LINE;
 
 constexpr float MISS_DISTANCE = 1e37f, LEAST_COSINE = 1e-12f;
 
-// `AliasTable.sample`: entries of rows that begin at `start` and have `count` entries.
-inline Int alias_sample(const AliasEntry* table, Int start, Int count, Float u0, Float u1) {
-    const Double fine = __builtin_convertvector(u0, Double) + (__builtin_convertvector(u1, Double) - 0.5) * 0x1p-23;
-    const Double position = fine * __builtin_convertvector(count, Double);
-    const Int place = __builtin_convertvector(position, Int), slot = place + start;
-    const Double kept = __builtin_convertvector(gather(&table->keep, 2 * slot), Double);
-    const Int stays = __builtin_convertvector(position - __builtin_convertvector(place, Double) < kept, Int);
-    return stays ? slot : gather(&table->alias, 2 * slot);
-}
+// Slots of an alias table, and places in them from 0 to 1 (`AliasTable.sample`). start, count: of the row of the table.
+struct AliasSlots {
+    Int slot;
+    Double place;
+
+    AliasSlots() = default;
+    AliasSlots(Int start, Int count, Float u0, Float u1) {
+        const Double fine = __builtin_convertvector(u0, Double) + (__builtin_convertvector(u1, Double) - 0.5) * 0x1p-23;
+        const Double position = fine * __builtin_convertvector(count, Double);
+        const Int whole = __builtin_convertvector(position, Int);
+        slot = whole + start, place = position - __builtin_convertvector(whole, Double);
+    }
+};
 
 // `LightVoxelGrid.cells`; a NaN belongs to the first cell.
 inline Int cell_of(const Tables& t, Vec3 point) {
@@ -105,21 +110,41 @@ inline Int texel_at(const Tables& t, const MapDirection& at) {
     return within(to_int(at.row), 0, t.map_height - 1) * t.map_width + within(to_int(at.column), 0, t.map_width - 1);
 }
 
+// The four texels around a place on the map, and the weights of the right and the lower ones.
+struct TexelCorners {
+    Int upper[2], lower[2];
+    Float across, down;
+
+    TexelCorners(const Tables& t, const MapDirection& at) {
+        const Float x = at.column - 0.5f, y = at.row - 0.5f, left = floor(x), top = floor(y);
+        const auto row = [&](Float line) { return within(to_int(line), 0, t.map_height - 1) * t.map_width; };
+        const auto column = [&](Float place) {
+            return within(to_int(place - floor(place / float(t.map_width)) * float(t.map_width)), 0, t.map_width - 1);
+        };
+        across = x - left, down = y - top;
+        const Int lines[2] = {row(top), row(top + 1.0f)}, columns[2] = {column(left), column(left + 1.0f)};
+        for (int side = 0; side < 2; ++side) upper[side] = lines[0] + columns[side], lower[side] = lines[1] + columns[side];
+    }
+    void fetch(const Tables& t) const {
+        for (int lane = 0; lane < LANES; ++lane) {
+            for (int side = 0; side < 2; ++side) {
+                __builtin_prefetch(t.map_texels + 4 * int64_t(upper[side][lane]));
+                __builtin_prefetch(t.map_texels + 4 * int64_t(lower[side][lane]));
+            }
+        }
+    }
+};
+
 inline Vec3 map_radiance(const Tables& t, const MapDirection& at) {
-    const Float x = at.column - 0.5f, y = at.row - 0.5f;
-    const Float left = floor(x), top = floor(y), across = x - left, down = y - top;
-    const auto row = [&](Float line) { return within(to_int(line), 0, t.map_height - 1) * t.map_width; };
-    const auto column = [&](Float place) {
-        return within(to_int(place - floor(place / float(t.map_width)) * float(t.map_width)), 0, t.map_width - 1);
-    };
-    const Int upper = row(top), lower = row(top + 1.0f), first = column(left), second = column(left + 1.0f);
-    const Float before = 1.0f - across, over = 1.0f - down;
+    const TexelCorners corners(t, at);
+    const Float before = 1.0f - corners.across, over = 1.0f - corners.down;
     alignas(16) float colors[LANES][4];
     for (int lane = 0; lane < LANES; ++lane) {
-        const auto color = [&](int32_t texel) { return load<Quad>(t.map_texels + 3 * int64_t(texel)); };
-        const Quad above = before[lane] * color(upper[lane] + first[lane]) + across[lane] * color(upper[lane] + second[lane]);
-        const Quad below = before[lane] * color(lower[lane] + first[lane]) + across[lane] * color(lower[lane] + second[lane]);
-        store(colors[lane], over[lane] * above + down[lane] * below);
+        const auto line = [&](const Int (&texels)[2]) {
+            const auto color = [&](int side) { return load<Quad>(t.map_texels + 4 * int64_t(texels[side][lane])); };
+            return before[lane] * color(0) + corners.across[lane] * color(1);
+        };
+        store(colors[lane], over[lane] * line(corners.upper) + corners.down[lane] * line(corners.lower));
     }
     const RowFields<1> color([&](int lane) { return colors[lane]; });
     return {color(0), color(1), color(2)};
@@ -143,7 +168,7 @@ inline Float environment_alpha(const Tables& t, Vec3 direction) {
 }
 
 // Density of each texel in the whole map.
-inline Float map_density(const Tables& t, Int texel) { return t.map_density == nullptr ? all(0.0f) : gather(t.map_density, texel); }
+inline Float map_density(const Tables& t, Int texel) { return t.map_table == nullptr ? all(0.0f) : gather(t.map_texels + 3, 4 * texel); }
 // `EnvironmentLight.pdf` at directions in texels of the map with densities `of_map`.
 inline Float environment_density(const Tables& t, Vec3 direction, Float of_map) {
     Float density = of_map * t.map_share;
@@ -191,22 +216,17 @@ inline Vec3 sample_texel(const Tables& t, Int texel, Float u0, Float u1) {
     return {radius * sine, y, -radius * cosine};
 }
 
-// `EnvironmentLight.sample_element`: a texel of the map, or -1, -2, ... for a distant light.
-inline Int environment_element(const Tables& t, const Float (&u)[5]) {
-    Int element = all(0);
-    if (t.map_density != nullptr) element = alias_sample(t.map_table, all(0), all(t.map_width * t.map_height), u[0], u[1]);
-    if (t.distant_count > 0) {
-        Int number = all(0);
-        for (int edge = 0; edge < t.distant_count; ++edge) number = number - (u[4] >= all(t.distant_edges[edge]));
-        element = number > 0 ? -number : element;
-    }
-    return element;
+// The distant lights that `EnvironmentLight.sample_element` draws, as elements -1, -2, ...; 0 for the map.
+inline Int distant_element(const Tables& t, Float u) {
+    Int number = all(0);
+    for (int edge = 0; edge < t.distant_count; ++edge) number = number - (u >= all(t.distant_edges[edge]));
+    return -number;
 }
 
 // `EnvironmentLight.directions`.
 inline Vec3 environment_direction(const Tables& t, Int element, Float u0, Float u1) {
     Vec3 direction = grey(all(0.0f));
-    if (t.map_density != nullptr) direction = sample_texel(t, element > 0 ? element : all(0), u0, u1);
+    if (t.map_table != nullptr) direction = sample_texel(t, element > 0 ? element : all(0), u0, u1);
     for (int light = 1; light <= t.distant_count; ++light) {
         direction = choose(element == -light, sample_distant(t.distant[light - 1], u0, u1), direction);
     }
@@ -215,7 +235,7 @@ inline Vec3 environment_direction(const Tables& t, Int element, Float u0, Float 
 
 // `EnvironmentLight.texels`: texels that directions lie in, which were drawn from elements.
 inline Int element_texel(const Tables& t, Int element, const MapDirection& at) {
-    if (t.map_density == nullptr) return all(0);
+    if (t.map_table == nullptr) return all(0);
     return t.distant_count > 0 ? (element < 0 ? texel_at(t, at) : element) : element;
 }
 
@@ -230,12 +250,6 @@ inline LightSample sample_environment(const Tables& t, Int element, Float share,
 
 inline Float emitter_field(const Tables& t, Int emitter, int field) {
     return gather(reinterpret_cast<const float*>(t.emitter_rows) + field, emitter * 16);
-}
-
-// Emissive triangles of clusters.
-inline Int sample_emitter(const Tables& t, Int cluster, Float u0, Float u1) {
-    const Int start = gather(t.within_start, cluster), count = gather(t.within_start, cluster + 1) - start;
-    return alias_sample(t.within_table, start, count, u0, u1);
 }
 
 // `Lights.triangle_sample`: points on emissive triangles, whose clusters are chosen with the probability `share`.
@@ -261,45 +275,106 @@ inline LightSample sample_triangle(const Tables& t, Vec3 point, Int emitter, Flo
     return {direction, distance, radiance, pdf, triangle};
 }
 
-// Ask for the memory of a texel of the map, and of its neighbours.
-inline void fetch_texel(const Tables& t, int32_t texel) {
-    __builtin_prefetch(t.map_density + texel);
-    for (int row = -1; row <= 1; ++row) __builtin_prefetch(t.map_texels + 3 * (int64_t(texel) + row * t.map_width));
-}
-
-// Lights that samples will come from: whether each is an element of the environment or an emissive triangle, which one it is, the
+// Lights that samples come from: whether each is an element of the environment or an emissive triangle, which one it is, the
 // probability of the environment or of the triangle's cluster, and uniform numbers for its place on the light.
 struct LightChoice {
     Int far, element, cluster;
     Float share, place[2];
 
-    // Choose triangles of clusters where lights are not far.
-    void set_triangle(const Tables& t, Int of, Float probability, const Float (&u)[6]) {
-        cluster = far ? cluster : of, share = far ? share : probability;
-        element = far ? element : sample_emitter(t, of, u[2], u[3]);
-        place[0] = far ? u[3] : u[4], place[1] = far ? u[4] : u[5];
-    }
-    // Ask for the memory that the samples will read.
+    // Ask for the memory that the samples will read: the emissive triangle, or the texels around the place on the map. A loop without
+    // branches suits lanes of both kinds.
     void fetch(const Tables& t) const {
+        const char* const tables[2] = {reinterpret_cast<const char*>(t.emitter_rows), reinterpret_cast<const char*>(t.map_texels)};
+        const Int left = place[0] < all(0.5f), above = place[1] < all(0.5f);
+        const Int corner = element + left - (above & t.map_width), first = far ? corner * 16 : element * 64;
+        const Int right = far & 16, below = far & (t.map_width * 16);
         for (int lane = 0; lane < LANES; ++lane) {
-            if (!far[lane]) {
-                __builtin_prefetch(t.emitter_rows + element[lane]);
-            } else if (t.map_density != nullptr && element[lane] >= 0) {
-                fetch_texel(t, element[lane]);
-            }
+            const char* const place = tables[-far[lane]] + first[lane];
+            __builtin_prefetch(place), __builtin_prefetch(place + right[lane]);
+            __builtin_prefetch(place + below[lane]), __builtin_prefetch(place + below[lane] + right[lane]);
         }
     }
 };
 
-// The choice of `PowerLightSampler.draw`. active: lanes that count.
-inline LightChoice choose_light(const Tables& t, const PointQuery& query, const Float (&u)[6], Int active) {
+// Lights that are chosen up to the entries of alias tables, which are not read yet. Reading them later hides the wait for memory.
+struct LightSlots {
+    LightChoice choice;  // its elements are those of distant lights, else 0
+    AliasSlots alias;
+    Int learned;  // whether the entry is one of `ClusterLights::texel_table`
+
+    LightSlots() = default;
+    LightSlots(Int far, Float share, const Float (&u)[6])
+        : choice{far, all(0), all(0), share, {far ? u[3] : u[4], far ? u[4] : u[5]}}, alias(), learned(all(0)) {}
+
+    // Choose elements of the environment where `chosen`; distant: their elements, 0 for texels.
+    void set_far(Int chosen, Int distant, const AliasSlots& texels, Int of_cluster) {
+        choice.element = chosen ? distant : choice.element, learned = chosen ? of_cluster : learned;
+        set_slots(chosen, texels);
+    }
+    // Choose triangles of clusters where lights are not far.
+    void set_near(const Tables& t, Int cluster, Float probability, const Float (&u)[6]) {
+        const Int far = choice.far;
+        choice.cluster = far ? choice.cluster : cluster, choice.share = far ? choice.share : probability;
+        const Int start = gather(t.within_start, cluster), count = gather(t.within_start, cluster + 1) - start;
+        set_slots(~far, AliasSlots(start, count, u[2], u[3]));
+    }
+    // Ask for the memory of the entries.
+    void fetch(const Tables& t, const ClusterLights* lights) const {
+        const Entries entry(*this, t, lights);
+        for (int lane = 0; lane < LANES; ++lane) __builtin_prefetch(entry(lane));
+        if (!any(learned)) return;
+        const Int slot = learned ? alias.slot : all(0);
+        for (int lane = 0; lane < LANES; ++lane) __builtin_prefetch(lights->texel_order + slot[lane]);
+    }
+    // Read the entries, and ask for the memory of the lights.
+    LightChoice find(const Tables& t, const ClusterLights* lights) const {
+        const RowFields<1> of_entry(Entries(*this, t, lights));
+        const Int stays = __builtin_convertvector(alias.place < __builtin_convertvector(of_entry(0), Double), Int);
+        Int slot = alias.slot;
+        if (any(learned)) slot = learned ? gather(lights->texel_order, learned ? slot : all(0)) : slot;
+        LightChoice found = choice;
+        found.element = choice.element < 0 ? choice.element : (stays ? slot : of_entry.integer(1));
+        found.fetch(t);
+        return found;
+    }
+
+  private:
+    void set_slots(Int chosen, const AliasSlots& slots) {
+        alias.slot = chosen ? slots.slot : alias.slot;
+        alias.place = __builtin_convertvector(chosen, Long) ? slots.place : alias.place;
+    }
+    // The entries, lane by lane, without branches. Where there is no table, all slots are 0.
+    struct Entries {
+        const AliasEntry* tables[3];
+        Int table, slot;
+
+        Entries(const LightSlots& of, const Tables& t, const ClusterLights* lights)
+            : tables{t.within_table, t.map_table, lights == nullptr ? nullptr : lights->texel_table}, slot(of.alias.slot) {
+            static constexpr AliasEntry NONE[2] = {{1.0f, 0}, {1.0f, 0}};
+            for (const AliasEntry*& each : tables) each = each == nullptr ? NONE : each;
+            table = -of.choice.far - of.learned;
+        }
+        const float* operator()(int lane) const { return reinterpret_cast<const float*>(tables[table[lane]] + slot[lane]); }
+    };
+};
+
+// Elements of the whole environment for `LightSlots::set_far`.
+inline void choose_environment(const Tables& t, LightSlots& slots, Int chosen, const Float (&u)[6]) {
+    const AliasSlots texels = t.map_table == nullptr ? AliasSlots() : AliasSlots(all(0), all(t.map_width * t.map_height), u[1], u[2]);
+    slots.set_far(chosen, distant_element(t, u[5]), texels, all(0));
+}
+
+// The choice of `PowerLightSampler.draw`.
+inline LightSlots choose_light(const Tables& t, const PointQuery& query, const Float (&u)[6], Int active) {
     const Int far = u[0] < query.environment_share;
-    LightChoice choice = {far, all(0), all(0), query.environment_share, {u[3], u[4]}};
-    if (any(far & active)) choice.element = environment_element(t, {u[1], u[2], u[3], u[4], u[5]});
-    if (!any(~far & active)) return choice;
-    const Int cluster = sample_cluster(t.clusters, query.cell, u[1]);
-    choice.set_triangle(t, cluster, query.share(t, cluster), u);
-    return choice;
+    LightSlots slots(far, query.environment_share, u);
+    if (any(far & active)) choose_environment(t, slots, far, u);
+    if (any(~far & active)) {
+        const Int cluster = sample_cluster(t.clusters, query.cell, u[1]);
+        slots.set_near(t, cluster, query.share(t, cluster), u);
+    }
+    slots.fetch(t, nullptr);
+    return slots;
 }
 
 // `PowerLightSampler.draw`.

@@ -78,12 +78,13 @@ class Named {
     }
     double number(const char* name) { return nb::cast<double>(numbers_[name]); }
     bool is(const char* name) { return number(name) != 0.0; }
-    const AliasEntry* alias_table(const std::string& name, std::vector<AliasEntry>& entries) {
+    // One more entry follows the last: loads of an entry read two. texels: what aliases stand for, null for themselves.
+    const AliasEntry* alias_table(const std::string& name, std::vector<AliasEntry>& entries, const int32_t* texels = nullptr) {
         size_t count;
         const float* keep = array<float>(name + "_keep", &count);
         const int32_t* alias = array<int32_t>(name + "_alias");
-        entries.resize(count);
-        for (size_t i = 0; i < count; ++i) entries[i] = {keep[i], alias[i]};
+        entries.resize(count + 1);
+        for (size_t i = 0; i < count; ++i) entries[i] = {keep[i], texels == nullptr ? alias[i] : texels[alias[i]]};
         return count > 0 ? entries.data() : nullptr;
     }
     ClusterTable cluster_table(const char* name, int32_t levels, std::vector<float>& ends) {
@@ -195,7 +196,7 @@ class Scene : Named {
     }
     void set_environment() {
         t.has_environment = is("has_environment"), t.visible_environment = is("visible_environment");
-        t.map_texels = array<float>("map_texels"), t.map_density = array<float>("map_density");
+        t.map_texels = array<float>("map_texels");
         t.map_table = alias_table("map", map_table_);
         t.map_width = int32_t(number("map_width")), t.map_height = int32_t(number("map_height"));
         t.map_turn = float(number("map_turn")), t.map_share = float(number("map_share"));
@@ -228,8 +229,8 @@ class NamedClusterLights : Named {
         c.visibility = array<float>("visibility"), c.factor = array<float>("factor");
         c.first_step = whole("first_step"), c.bsdf_candidates = whole("bsdf_candidates");
         c.first_texels = whole("first_texels"), c.map_clusters = whole("map_clusters"), c.first_distant = whole("first_distant");
-        c.texel_table = alias_table("texel", texel_table_), c.texel_start = array<int32_t>("texel_start");
-        c.texel_order = array<int32_t>("texel_order"), c.texel_cluster = array<uint8_t>("texel_cluster");
+        c.texel_order = array<int32_t>("texel_order"), c.texel_start = array<int32_t>("texel_start");
+        c.texel_table = alias_table("texel", texel_table_, c.texel_order), c.texel_cluster = array<uint8_t>("texel_cluster");
         c.cluster_scale = array<float>("cluster_scale");
         forget_names();
     }

@@ -24,6 +24,7 @@ typedef float Float __attribute__((vector_size(4 * LANES)));
 typedef int32_t Int __attribute__((vector_size(4 * LANES)));
 typedef uint32_t Bits __attribute__((vector_size(4 * LANES)));
 typedef double Double __attribute__((vector_size(8 * LANES)));
+typedef int64_t Long __attribute__((vector_size(8 * LANES)));
 
 constexpr float PI = 3.14159265358979323846f;
 

@@ -96,8 +96,8 @@ struct Tables {
 
     // Environment
     bool has_environment, visible_environment;
-    const float *map_texels, *map_density;  // the last null where the map is not sampled, as the next
-    const AliasEntry* map_table;
+    const float* map_texels;      // radiance and density of samples
+    const AliasEntry* map_table;  // null where the map is not sampled
     int32_t map_width, map_height;
     float map_turn, map_share;
     int32_t distant_count;
@@ -122,7 +122,7 @@ struct ClusterLights {
     int32_t clusters, first_step, light_candidates, bsdf_candidates;
     // Clusters of the environment: those of the map begin at `first_texels`, those of distant lights at `first_distant`
     int32_t first_texels, map_clusters, first_distant;
-    const AliasEntry* texel_table;  // null where the map is not sampled, as the next four
+    const AliasEntry* texel_table;  // whose aliases are texels; null where the map is not sampled, as the next four
     const int32_t *texel_start, *texel_order;
     const uint8_t* texel_cluster;
     const float* cluster_scale;

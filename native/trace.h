@@ -132,13 +132,15 @@ class Tracing {
     }
     // Scatter paths at the ends of their segments.
     void leave_surfaces(int depth) {
-        fetch_elements(depth, 0), fetch_elements(depth, LANES);
-        LightChoice next = choose_lights(depth, 0);
+        PlannedLights later = choose_lights(depth, 0), next = later;
+        LightChoice next_light = find_lights(0, later);
+        later = choose_lights(depth, LANES);
         for (int i = 0; i < paths; i += LANES) {
-            const LightChoice light = next;
-            fetch_elements(depth, i + FETCHED_AHEAD);
-            next = choose_lights(depth, i + LANES);
-            scatter(depth, i, light);
+            const LightChoice light = next_light;
+            const LightSlots second = next.second;
+            next_light = find_lights(i + LANES, later), next = later;
+            later = choose_lights(depth, i + 2 * LANES);
+            scatter(depth, i, light, second);
         }
         if (lit()) add_direct_light(depth);
     }
@@ -359,9 +361,7 @@ class Tracing {
         if (i >= missed) return;
         const MapDirection at = on_map(t, gather3(block.direction, load<Int>(block.dropped + i)));
         store(block.map_column + i, at.column), store(block.map_row + i, at.row);
-        if (t.map_texels == nullptr) return;
-        const Int texel = texel_at(t, at);
-        for (int lane = 0; lane < LANES; ++lane) fetch_texel(t, texel[lane]);
+        if (t.map_texels != nullptr) TexelCorners(t, at).fetch(t);
     }
     void add_environment(int depth, int i, int missed) {
         Block& b = block;
@@ -466,30 +466,31 @@ class Tracing {
         return {own, bits<Bits>(load<Int>(block.shared_key + i)), bits<Bits>(load<Int>(block.member + i))};
     }
 
-    // Ask for the entries of the map's alias table that `choose_light` reads for a vector of paths.
-    void fetch_elements(int depth, int i) const {
-        if (t.map_density == nullptr || i >= paths || (depth == 1 && trace.lights != nullptr)) return;
-        Float u[2];
-        numbers(depth, LIGHT, sequences.light(0), path_keys(depth, i), u);
-        const Int slot = to_int(u[1] * float(t.map_width * t.map_height));
-        for (int lane = 0; lane < LANES; ++lane) __builtin_prefetch(t.map_table + slot[lane]);
-    }
-    // Choose lights for a vector of paths, and ask for their memory.
-    LightChoice choose_lights(int depth, int i) const {
-        if (!lit() || i >= paths) return LightChoice();
+    // Choices of the first light of a vector of paths, and of the second one among learned clusters.
+    struct PlannedLights {
+        LightSlots first, second;
+    };
+    // Choose lights up to the entries of alias tables, and ask for their memory.
+    PlannedLights choose_lights(int depth, int i) const {
+        if (!lit() || i >= paths) return PlannedLights();
         const Int active = first_lanes(paths - i);
         const PathKeys keys = path_keys(depth, i);
         const Vec3 point = load3(block.surface, i);
-        if (depth == 1 && trace.lights != nullptr) return ClusterSampler(t, *trace.lights, point, active).choose_light(sequences.light(0), keys, 0);
+        if (depth == 1 && trace.lights != nullptr) {
+            const ClusterSampler sampler(t, *trace.lights, point, active);
+            const bool more = trace.lights->light_candidates > 1;
+            return {sampler.choose_light(sequences.light(0), keys, 0), more ? sampler.choose_light(sequences.light(1), keys, 1) : LightSlots()};
+        }
         Float u[LIGHT_COUNT];
         numbers(depth, LIGHT, sequences.light(0), keys, u);
-        const LightChoice choice = choose_light(t, PointQuery(t, point), u, active);
-        choice.fetch(t);
-        return choice;
+        return {choose_light(t, PointQuery(t, point), u, active), LightSlots()};
+    }
+    LightChoice find_lights(int i, const PlannedLights& planned) const {
+        return lit() && i < paths ? planned.first.find(t, trace.lights) : LightChoice();
     }
 
-    // Sample lights and the BSDF; from ROULETTE_DEPTH on, play Russian roulette. choice: of lights.
-    void scatter(int depth, int i, const LightChoice& choice) {
+    // Sample lights and the BSDF; from ROULETTE_DEPTH on, play Russian roulette. choice, second: of lights.
+    void scatter(int depth, int i, const LightChoice& choice, const LightSlots& second) {
         Block& b = block;
         const Int active = first_lanes(paths - i);
         const PathKeys keys = path_keys(depth, i);
@@ -499,7 +500,7 @@ class Tracing {
         if (t.has_transmission) numbers(depth, PART, sequences.part, keys, part);
         const Scattering scattering(t, s, part[0], throughput);
         if (lit()) {
-            const Light light = direct_light(depth, i, s, scattering, choice, keys, active);
+            const Light light = direct_light(depth, i, s, scattering, choice, second, keys, active);
             if (trace.images != nullptr) prepare_image(i, s, light, active);
             if (depth == 1 && trace.split != nullptr) record(trace.split->bsdf, i, light.scattered.value);
             aim_shadow_ray(depth, i, s, throughput, light, keys);
@@ -534,11 +535,11 @@ class Tracing {
         Int triangle;
     };
 
-    Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const LightChoice& choice, const PathKeys& keys,
-                       Int active) {
+    Light direct_light(int depth, int i, const Surface& s, const Scattering& scattering, const LightChoice& choice,
+                       const LightSlots& second, const PathKeys& keys, Int active) {
         if (depth == 1 && trace.lights != nullptr) {
             const ClusterSampler sampler(t, *trace.lights, s.position, active);
-            const DirectLight found = sampler.sample(scattering, choice, sequences, trace.random, keys);
+            const DirectLight found = sampler.sample(scattering, choice, second, sequences, trace.random, keys);
             record_light(i, found);
             return {found.direction, found.distance, found.value, found.scattered, found.triangle};
         }

@@ -140,7 +140,7 @@ def _environment_tables(lights: Lights) -> Tables:
     if environment.sampled_map is not None:
         table = environment.sampled_map.table
         assert table is not None
-        tables |= {"map_keep": table.keep, "map_alias": table.alias, "map_density": environment.sampled_map.densities}
+        tables |= {"map_keep": table.keep, "map_alias": table.alias}
     if environment.distant:
         tables["distant"] = torch.stack([light.row(share) for light, share in zip(environment.distant, environment.share[1:])])
         tables["distant_edges"] = torch.as_tensor(np.cumsum(environment.share[:-1]), dtype=torch.float32)

@@ -85,7 +85,7 @@ def test_a_group_is_a_replay_with_its_lights_alone(name, monkeypatch):
     lights.rows[9:12, dark[geometry.material[lights.triangles].long()]] = 0.0
     if groups.environment != number:
         assert environment.map is not None
-        environment.map.texels *= 0.0
+        environment.map.texels[:, :3] *= 0.0
     for sun, light in zip(groups.suns, environment.distant):
         light.radiance *= float(sun == number)
     expected = replay.trace(*rays, PhaseTimer()).radiance

@@ -112,9 +112,9 @@ class EnvironmentMap:
         radiance = np.asarray(environment.radiance, np.float32)
         self.height, self.width = radiance.shape[:2]
         log.info("preparing the environment map of %d x %d texels", self.width, self.height)
-        texels = torch.zeros(radiance.size + 1, device=device)[:-1].view(-1, 3)
-        self.texels = texels.copy_(torch.from_numpy(radiance.reshape(-1, 3)))
-        """Radiance, `[texels, 3]`, with a number behind the last texel: the native core loads four numbers for each texel."""
+        self.texels = torch.zeros(radiance.size // 3, 4, device=device)
+        """Radiance and solid-angle density of `sample`, `[texels, 4]`. The density is 0 where nothing is to be sampled."""
+        self.texels[:, :3] = torch.from_numpy(radiance.reshape(-1, 3))
         self.layout = Equirectangular(self.height, self.width, environment.rotation, device)
         rows = np.cos(np.pi * np.arange(self.height + 1) / self.height)
         self._solid_angle = torch.from_numpy((rows[:-1] - rows[1:]) * 2.0 * math.pi / self.width).float().to(device)
@@ -123,7 +123,7 @@ class EnvironmentMap:
         """Luminance above the map's mean, integrated over the sphere."""
         self.table = AliasTable(excess.reshape(-1), device) if self.power > 0.0 else None
         if self.table is not None:
-            self.densities = self.probability * self.uniform_density()
+            self.texels[:, 3] = self.probability * self.uniform_density()
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance `[3, N]` from unit directions `[3, N]`."""
@@ -131,7 +131,7 @@ class EnvironmentMap:
         rows, columns = self.layout.texels(left, top)
         one, two, three, four = (self.texels.index_select(0, row + column).T for row in rows for column in columns)
         upper, lower = (1.0 - across) * one + across * two, (1.0 - across) * three + across * four
-        return (1.0 - down) * upper + down * lower
+        return ((1.0 - down) * upper + down * lower)[:3]
 
     def sample(self, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         """Unit directions `[3, N]` and their solid-angle densities `[N]` from uniform numbers `[4, N]`."""
@@ -160,7 +160,7 @@ class EnvironmentMap:
 
     def density(self, texel: Tensor) -> Tensor:
         """Solid-angle density `[N]` of `sample` in texels `[N]`."""
-        return self.densities.index_select(0, texel)
+        return self.texels[:, 3].index_select(0, texel)
 
     @property
     def probability(self) -> Tensor:
